@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Events as a struct of arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_events.errors import MixtacError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+
+class EventArrayError(MixtacError):
+    """Arrays that do not form events."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Events:
+    """Events of a camera, one array per field, all of the same length.
+
+    Which clock ``t`` is on is said by whoever hands the events over.
+
+    Attributes:
+        t: Time [us], ``int64``, non-decreasing in a stream.
+        x: Column, ``uint16``, 0 at the left.
+        y: Row, ``uint16``, 0 at the top.
+        polarity: ``bool``, true where the pixel became brighter (ON).
+    """
+
+    t: NDArray[np.int64]
+    x: NDArray[np.uint16]
+    y: NDArray[np.uint16]
+    polarity: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        """Refuse arrays of unequal lengths.
+
+        Raises:
+            EventArrayError: The lengths differ.
+        """
+        lengths = (self.t.shape, self.x.shape, self.y.shape, self.polarity.shape)
+        if len(set(lengths)) != 1 or len(lengths[0]) != 1:
+            msg = f'event fields t, x, y, polarity have shapes {lengths}: give equal 1-d arrays'
+            raise EventArrayError(msg)
+
+    @classmethod
+    def empty(cls) -> Events:
+        """Return no events."""
+        return cls(
+            np.empty(0, np.int64),
+            np.empty(0, np.uint16),
+            np.empty(0, np.uint16),
+            np.empty(0, np.bool_),
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Events]) -> Events:
+        """Return the events of all parts, in the order given."""
+        if not parts:
+            return cls.empty()
+        if len(parts) == 1:
+            return parts[0]
+        return cls(
+            np.concatenate([part.t for part in parts]),
+            np.concatenate([part.x for part in parts]),
+            np.concatenate([part.y for part in parts]),
+            np.concatenate([part.polarity for part in parts]),
+        )
+
+    def __len__(self) -> int:
+        """Return the number of events."""
+        return len(self.t)
+
+    def __getitem__(self, key: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Events:
+        """Return the events chosen by a slice (views), a mask or an index array (copies)."""
+        return Events(self.t[key], self.x[key], self.y[key], self.polarity[key])
+
+    def between(self, start_us: int, end_us: int) -> Events:
+        """Return the events with ``start_us <= t < end_us`` as views; ``t`` must be sorted."""
+        first, last = np.searchsorted(self.t, (start_us, end_us))
+        return self[first:last]
+
+    def shifted(self, offset_us: int) -> Events:
+        """Return the same events on a clock that reads ``offset_us`` more."""
+        return Events(self.t + np.int64(offset_us), self.x, self.y, self.polarity)

@@ -1,0 +1,156 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The configuration of FGER-Net: everything that fixes what a weight file means."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from mixtac_fger.errors import ConfigError
+
+FRAME_CHANNELS = ('frame', 'difference', 'flow_x', 'flow_y')
+"""What the frame network can be given; see `FgerConfig.frame_channels`."""
+CELL_FEATURES = 4
+"""Numbers per grid cell and window: flow x, flow y, ON count, OFF count."""
+CORRECTION_POINTS = ('exposure_centre', 'arrival')
+"""Where a frame's force is compared with the estimate; see `FgerConfig.correction_point`."""
+
+
+@dataclass(frozen=True)
+class FgerConfig:
+    """Shapes and signal processing of FGER-Net (the paper's Algorithm 1), small version.
+
+    The frame network reads a frame that is averaged over `frame_bin` x `frame_bin` pixels and
+    expressed as the logarithm of the ratio to its own mean: neither the exposure time, nor the lamp
+    current, nor the number of bits of the image matter. The event encoder reads, per window, a
+    coarse grid of sums.
+
+    Attributes:
+        width: Columns of the sensor [px].
+        height: Rows of the sensor [px].
+        window_us: Length of an event window [us], camera clock; one force per window.
+        frame_bin: Pixels averaged along each axis for the frame network.
+        gradient_bin: Pixels averaged along each axis for the log-gradient map that events are
+            multiplied with; divides `frame_bin`.
+        log_floor: Added to the intensity relative to the frame's mean before the logarithm.
+        frame_channels: Inputs of the frame network: `frame` (log intensity), `difference` (log
+            intensity minus that of the no-contact reference), `flow_x`, `flow_y` (displacement of
+            the beads since the reference, least squares over a box of 2 `flow_radius` + 1 bins, in
+            bins). The difference to the reference halves the error of frames alone; the flow does
+            not depend on the bead layout, which is what another sensor changes.
+        flow_radius: Half width of that box [bins].
+        flow_regularisation: Added to the diagonal of the mean structure tensor of the box
+            [1/bin^2, log units]: how much texture a displacement needs.
+        reference_frames: No-contact frames averaged into the reference.
+        grid_columns: Columns of the event grid.
+        grid_rows: Rows of the event grid.
+        gradient_flow: Sum polarity times log-gradient of the latest frame per cell and solve for
+            the displacement in the window (per contrast threshold). Without it only the counts are
+            used, which costs half of the accuracy.
+        cell_regularisation: As `flow_regularisation`, for the cells of the event grid [1/px^2].
+        flow_limit: Largest magnitude of a cell's event displacement [px per threshold].
+        event_hidden: Width of the event encoder's hidden layer.
+        event_size: Size of the event feature f_e.
+        frame_widths: Channels of the strided convolutions.
+        frame_size: Size of the frame feature f_frame.
+        lstm_size: Size of the recurrent state.
+        mlp_size: Hidden width of MLP_df and MLP_corr.
+        correction_point: `exposure_centre`: the frame is compared with the estimate at the centre
+            of its exposure and the correction is carried forward to now; `arrival`: with the
+            present estimate, as a literal reading of Algorithm 1 has it (30 % more error).
+        history_windows: How many past estimates are kept for that comparison.
+    """
+
+    width: int = 346
+    height: int = 260
+    window_us: int = 2000
+    frame_bin: int = 4
+    gradient_bin: int = 2
+    log_floor: float = 0.05
+    frame_channels: tuple[str, ...] = FRAME_CHANNELS
+    flow_radius: int = 3
+    flow_regularisation: float = 1e-3
+    reference_frames: int = 5
+    grid_columns: int = 8
+    grid_rows: int = 6
+    gradient_flow: bool = True
+    cell_regularisation: float = 1e-4
+    flow_limit: float = 50.0
+    event_hidden: int = 48
+    event_size: int = 32
+    frame_widths: tuple[int, ...] = (16, 24, 32, 48)
+    frame_size: int = 32
+    lstm_size: int = 48
+    mlp_size: int = 32
+    correction_point: str = 'exposure_centre'
+    history_windows: int = 64
+
+    def __post_init__(self) -> None:
+        """Check the values against each other.
+
+        Raises:
+            ConfigError: A value is impossible.
+        """
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if type(value) in {int, float} and value <= 0:
+                raise ConfigError(f'FgerConfig.{field.name} = {value}: give a positive value')
+        if self.frame_bin % self.gradient_bin:
+            raise ConfigError(
+                f'FgerConfig.frame_bin = {self.frame_bin}: give a multiple of gradient_bin'
+                f' ({self.gradient_bin})'
+            )
+        unknown = [name for name in self.frame_channels if name not in FRAME_CHANNELS]
+        if unknown or not self.frame_channels:
+            raise ConfigError(
+                f'FgerConfig.frame_channels = {self.frame_channels}: choose from {FRAME_CHANNELS}'
+            )
+        if self.correction_point not in CORRECTION_POINTS:
+            raise ConfigError(
+                f'FgerConfig.correction_point = {self.correction_point!r}: choose one of'
+                f' {CORRECTION_POINTS}'
+            )
+
+    @property
+    def gradient_shape(self) -> tuple[int, int]:
+        """Rows and columns of the log-gradient map."""
+        return self.height // self.gradient_bin, self.width // self.gradient_bin
+
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """Rows and columns of the frame network's input."""
+        rows, columns = self.gradient_shape
+        ratio = self.frame_bin // self.gradient_bin
+        return rows // ratio, columns // ratio
+
+    @property
+    def cells(self) -> int:
+        """Number of cells of the event grid."""
+        return self.grid_columns * self.grid_rows
+
+    @property
+    def event_inputs(self) -> int:
+        """Numbers that the event encoder reads per window."""
+        return self.cells * CELL_FEATURES
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON-ready values."""
+        return {
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in dataclasses.asdict(self).items()
+        }
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> FgerConfig:
+        """Return the configuration of `to_dict`.
+
+        Raises:
+            ConfigError: A field is unknown, missing or impossible.
+        """
+        names = {field.name for field in dataclasses.fields(cls)}
+        if set(values) != names:
+            odd = sorted(names.symmetric_difference(values))
+            raise ConfigError(f'FgerConfig fields {odd} are missing or unknown: train the model anew')
+        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})

@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Node parameters as one frozen dataclass per node: the schema that declares and checks them.
+
+A node's parameters are a frozen dataclass whose fields are made by `parameter`. The class is the
+only source: `mixtac_node.base_node.declare` declares ROS parameters from it, `config/*.yaml` and
+the tables of the documentation are written from it, and `build` checks values against it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+from mixtac_events.errors import MixtacError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Value = bool | int | float | str
+T = TypeVar('T')
+_KEY = 'mixtac'
+
+
+class ParameterError(MixtacError):
+    """A parameter that does not exist or whose value is not allowed."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSpec:
+    """One parameter: what ROS needs to declare it and a reader to understand it.
+
+    Attributes:
+        name: ROS parameter name.
+        default: Default value; its type is the type of the parameter.
+        description: One or more sentences.
+        unit: SI unit or other unit, empty where none applies.
+        minimum: Smallest allowed number, or None.
+        maximum: Largest allowed number, or None.
+        choices: Allowed values, empty for any.
+        read_only: True where the value is fixed once the node runs.
+    """
+
+    name: str
+    default: Value
+    description: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    choices: tuple[Value, ...]
+    read_only: bool
+
+    def check(self, value: object) -> Value:
+        """Return `value` as this parameter's type.
+
+        Raises:
+            ParameterError: Wrong type, not finite, out of range, or none of the choices.
+        """
+        if isinstance(self.default, float) and isinstance(value, int) and value is not True:
+            value = float(value)
+        if type(value) is not type(self.default):
+            wanted = type(self.default).__name__
+            raise ParameterError(
+                f'parameter {self.name} = {value!r}: give a value of type {wanted}'
+            )
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ParameterError(f'parameter {self.name} = {value!r}: give a finite number')
+        self._check_range(value)
+        return value
+
+    def _check_range(self, value: Any) -> None:  # noqa: ANN401
+        low = self.minimum is not None and value < self.minimum
+        if low or (self.maximum is not None and value > self.maximum):
+            raise ParameterError(
+                f'parameter {self.name} = {value!r}: outside {self.minimum} .. {self.maximum}'
+                f'{" " + self.unit if self.unit else ""}'
+            )
+        if self.choices and value not in self.choices:
+            allowed = ', '.join(map(str, self.choices))
+            raise ParameterError(f'parameter {self.name} = {value!r}: choose one of {allowed}')
+
+
+def parameter(
+    default: T,
+    description: str,
+    *,
+    unit: str = '',
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: tuple[T, ...] = (),
+    read_only: bool = False,
+) -> T:
+    """Describe a field of a parameter dataclass.
+
+    Args:
+        default: Default value (bool, int, float or str).
+        description: What it does, for the descriptor, the configuration file and the docs.
+        unit: Unit of the value.
+        minimum: Smallest allowed number.
+        maximum: Largest allowed number.
+        choices: Allowed values.
+        read_only: True where the value cannot change once the node runs.
+
+    Returns:
+        A dataclass field, typed as its value so that the class type-checks.
+    """
+    metadata = {
+        'description': description,
+        'unit': unit,
+        'minimum': minimum,
+        'maximum': maximum,
+        'choices': choices,
+        'read_only': read_only,
+    }
+    return dataclasses.field(default=default, metadata={_KEY: metadata})
+
+
+def specs(schema: type[Any]) -> tuple[ParameterSpec, ...]:
+    """Return the parameters of a schema class, in the order of its fields."""
+    return tuple(
+        ParameterSpec(name=field.name, default=cast('Value', field.default), **field.metadata[_KEY])
+        for field in dataclasses.fields(schema)
+    )
+
+
+def build(schema: type[T], values: Mapping[str, object]) -> T:
+    """Return a schema instance with the given values and defaults for the rest.
+
+    Args:
+        schema: A frozen dataclass made of `parameter` fields.
+        values: Values by name.
+
+    Raises:
+        ParameterError: Unknown name or value not allowed.
+    """
+    known = {spec.name: spec for spec in specs(schema)}
+    unknown = sorted(set(values) - set(known))
+    if unknown:
+        raise ParameterError(
+            f'unknown parameter {unknown[0]}: {schema.__name__} has {", ".join(known)}'
+        )
+    return schema(**{name: known[name].check(value) for name, value in values.items()})

@@ -1,0 +1,22 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+# Sourced (bash): puts the environment made by tools/setup.py in place.
+
+_mixtac_root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+if [ -n "${ROS_DISTRO:-}" ] && [ -d "$_mixtac_root/.venv-ros" ]; then
+    _mixtac_venv=$_mixtac_root/.venv-ros
+else
+    _mixtac_venv=$_mixtac_root/.venv
+    export AMENT_PREFIX_PATH=$_mixtac_venv CMAKE_PREFIX_PATH=$_mixtac_venv
+    export ROS_VERSION=2 ROS_PYTHON_VERSION=3
+fi
+export VIRTUAL_ENV=$_mixtac_venv PATH=$_mixtac_venv/bin:$PATH
+_mixtac_flags=$-
+set +u
+# shellcheck disable=SC1091
+. "$_mixtac_root/install/setup.bash"
+case $_mixtac_flags in *u*) set -u ;; esac
+# Nothing is reachable from other machines unless the user asks for it.
+export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
+export RCUTILS_LOGGING_BUFFERED_STREAM=1
+unset _mixtac_root _mixtac_venv _mixtac_flags

