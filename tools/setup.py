@@ -84,7 +84,9 @@ def check_system() -> None:
         missing['cmake'] = 'cmake'
     if not (Path(sysconfig.get_paths()['include']) / 'Python.h').exists():
         missing['the Python headers'] = 'python3-dev'
-    if subprocess.run([sys.executable, '-c', 'import ensurepip'], capture_output=True).returncode:
+    if subprocess.run(
+        [sys.executable, '-c', 'import ensurepip'], capture_output=True, check=False
+    ).returncode:
         missing['venv'] = 'python3-venv'
     if missing:
         raise SetupError(
@@ -151,9 +153,12 @@ def call(command: list[str], failure: str, env: dict[str, str] | None = None) ->
 def make_venv(venv: Path, *, system_packages: bool) -> None:
     """Create the virtual environment unless it works already."""
     python = venv / 'bin' / 'python'
-    works = python.exists() and not subprocess.run(
-        [python, '-m', 'pip', '--version'], capture_output=True, check=False
-    ).returncode
+    works = (
+        python.exists()
+        and not subprocess.run(
+            [python, '-m', 'pip', '--version'], capture_output=True, check=False
+        ).returncode
+    )
     if works:
         return
     say(f'creating {venv.name}')
@@ -171,8 +176,14 @@ def install(venv: Path, steps: Steps, requirements: list[str]) -> None:
     say('installing pinned packages (a few minutes the first time)')
     arguments = [part for path in files for part in ('-r', str(path))]
     call(
-        [str(venv / 'bin' / 'python'), '-m', 'pip', 'install', '--disable-pip-version-check',
-         *arguments],
+        [
+            str(venv / 'bin' / 'python'),
+            '-m',
+            'pip',
+            'install',
+            '--disable-pip-version-check',
+            *arguments,
+        ],
         'pip could not install the requirements: is a package registry reachable?',
     )
     steps.finish('install', wanted)
@@ -239,12 +250,24 @@ def build(venv: Path, steps: Steps, distro: str) -> None:
     # Through the environment's own interpreter, so that the nodes start with it.
     program = shutil.which('colcon', path=env['PATH'])
     if program is None:
-        raise SetupError('colcon is missing: sudo apt-get install -y python3-colcon-common-extensions')
+        raise SetupError(
+            'colcon is missing: sudo apt-get install -y python3-colcon-common-extensions'
+        )
     interpreter = str(venv / 'bin' / 'python')
     call(
-        [interpreter, program, 'build', '--base-paths', *paths, '--symlink-install',
-         '--event-handlers', 'console_direct+', '--cmake-args', '-DBUILD_TESTING=OFF',
-         f'-DPython3_EXECUTABLE={interpreter}'],
+        [
+            interpreter,
+            program,
+            'build',
+            '--base-paths',
+            *paths,
+            '--symlink-install',
+            '--event-handlers',
+            'console_direct+',
+            '--cmake-args',
+            '-DBUILD_TESTING=OFF',
+            f'-DPython3_EXECUTABLE={interpreter}',
+        ],
         'colcon build failed',
         env,
     )

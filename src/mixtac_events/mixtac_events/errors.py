@@ -9,3 +9,11 @@ class MixtacError(Exception):
     Command lines and node mains print ``str(error)`` and exit with a non-zero status; anything
     that is not a ``MixtacError`` is a defect and keeps its traceback.
     """
+
+
+class CodecError(MixtacError):
+    """Events that an encoding cannot carry, or a payload that is none of its packets."""
+
+
+class WindowError(MixtacError):
+    """A time window that cannot be."""

@@ -152,5 +152,7 @@ class FgerConfig:
         names = {field.name for field in dataclasses.fields(cls)}
         if set(values) != names:
             odd = sorted(names.symmetric_difference(values))
-            raise ConfigError(f'FgerConfig fields {odd} are missing or unknown: train the model anew')
+            raise ConfigError(
+                f'FgerConfig fields {odd} are missing or unknown: train the model anew'
+            )
         return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})

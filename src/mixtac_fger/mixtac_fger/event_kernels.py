@@ -4,20 +4,28 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit
 
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    F32 = NDArray[np.float32]
+    Index = NDArray[np.int64]
+
 
 @njit(cache=True, nogil=True)
-def cell_solvers(  # type: ignore[no-untyped-def]  # noqa: ANN201
-    along_x,  # noqa: ANN001
-    along_y,  # noqa: ANN001
-    row_cell,  # noqa: ANN001
-    column_cell,  # noqa: ANN001
-    pixels_per_bin,  # noqa: ANN001
-    regularisation,  # noqa: ANN001
-    out,  # noqa: ANN001
-):
+def cell_solvers(
+    along_x: F32,
+    along_y: F32,
+    row_cell: Index,
+    column_cell: Index,
+    pixels_per_bin: int,
+    regularisation: float,
+    out: F32,
+) -> None:
     """Write the inverse of each cell's regularised structure tensor.
 
     Args:
@@ -49,19 +57,19 @@ def cell_solvers(  # type: ignore[no-untyped-def]  # noqa: ANN201
 
 
 @njit(cache=True, nogil=True)
-def grid_features(  # type: ignore[no-untyped-def]  # noqa: ANN201
-    x,  # noqa: ANN001
-    y,  # noqa: ANN001
-    polarity,  # noqa: ANN001
-    along_x,  # noqa: ANN001
-    along_y,  # noqa: ANN001
-    row_cell,  # noqa: ANN001
-    column_cell,  # noqa: ANN001
-    bin_size,  # noqa: ANN001
-    solvers,  # noqa: ANN001
-    flow_limit,  # noqa: ANN001
-    out,  # noqa: ANN001
-):
+def grid_features(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    polarity: NDArray[np.bool_],
+    along_x: F32,
+    along_y: F32,
+    row_cell: Index,
+    column_cell: Index,
+    bin_size: int,
+    solvers: F32,
+    flow_limit: float,
+    out: F32,
+) -> None:
     """Write the features of one window: per cell flow x, flow y, ln(1 + ON), ln(1 + OFF).
 
     A bead edge that moves by u changes the log intensity by -g u; each event reports one threshold

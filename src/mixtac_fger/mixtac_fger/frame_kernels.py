@@ -4,12 +4,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit
 
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    F32 = NDArray[np.float32]
+
 
 @njit(cache=True, nogil=True)
-def bin_mean(image, size, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def bin_mean(image: NDArray[np.generic], size: int, out: F32) -> None:
     """Write the means of `size` x `size` blocks of `image` to `out` (float32 [rows, columns])."""
     rows, columns = out.shape
     scale = np.float32(1.0 / (size * size))
@@ -23,7 +30,7 @@ def bin_mean(image, size, out):  # type: ignore[no-untyped-def]  # noqa: ANN001,
 
 
 @njit(cache=True, nogil=True)
-def log_contrast(image, floor, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def log_contrast(image: F32, floor: float, out: F32) -> None:
     """Write ln(image / mean(image) + floor) to `out`; a black image gives ln(floor) everywhere."""
     rows, columns = image.shape
     total = 0.0
@@ -38,7 +45,7 @@ def log_contrast(image, floor, out):  # type: ignore[no-untyped-def]  # noqa: AN
 
 
 @njit(cache=True, nogil=True)
-def gradients(image, spacing, along_x, along_y):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def gradients(image: F32, spacing: float, along_x: F32, along_y: F32) -> None:
     """Write central differences of `image` per `spacing`; the border repeats the last pixel."""
     rows, columns = image.shape
     half = np.float32(0.5 / spacing)
@@ -51,7 +58,7 @@ def gradients(image, spacing, along_x, along_y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _box_sum(field, radius, scratch, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _box_sum(field: F32, radius: int, scratch: F32, out: F32) -> None:
     """Sum of `field` over a box of 2 radius + 1, cut at the border; separable running sums."""
     rows, columns = field.shape
     for row in range(rows):
@@ -79,14 +86,9 @@ def _box_sum(field, radius, scratch, out):  # type: ignore[no-untyped-def]  # no
 
 
 @njit(cache=True, nogil=True)
-def displacement(  # type: ignore[no-untyped-def]  # noqa: ANN201
-    reference,  # noqa: ANN001
-    image,  # noqa: ANN001
-    radius,  # noqa: ANN001
-    regularisation,  # noqa: ANN001
-    work,  # noqa: ANN001
-    out,  # noqa: ANN001
-):
+def displacement(
+    reference: F32, image: F32, radius: int, regularisation: float, work: F32, out: F32
+) -> None:
     """Least-squares displacement of `image` against `reference` (Lucas and Kanade, one step).
 
     Args:

@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Which nodes make up the sensor, and the command that starts each of them.
+
+The same nodes, names and parameter files as `launch/sensor.launch.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ament_index_python.packages import (
+    PackageNotFoundError,
+    get_package_prefix,
+    get_package_share_directory,
+)
+
+from mixtac_bringup.errors import GraphError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSpec:
+    """One node process.
+
+    Attributes:
+        package: Package that installs the executable.
+        executable: Name of the executable, which ends in `_node`.
+        name: Node name.
+        lifecycle: True where the node waits to be configured and activated.
+        overrides: Parameter values that win over the parameter files.
+    """
+
+    package: str
+    executable: str
+    name: str
+    lifecycle: bool = False
+    overrides: Mapping[str, object] = field(default_factory=dict)
+
+    def command(
+        self, namespace: str, params_file: Path | None = None, log_level: str = 'info'
+    ) -> list[str]:
+        """Return the command line of this node.
+
+        Args:
+            namespace: ROS namespace.
+            params_file: File whose values win over the shipped ones.
+            log_level: Severity from which the node logs.
+
+        Raises:
+            GraphError: The package is not in the workspace.
+        """
+        files = [config_file(f'{self.name}.yaml')]
+        if params_file is not None:
+            files.append(params_file)
+        arguments = ['--ros-args', '-r', f'__ns:=/{namespace.strip("/")}']
+        arguments += ['-r', f'__node:={self.name}', '--log-level', log_level]
+        for file in files:
+            arguments += ['--params-file', str(file)]
+        for name, value in self.overrides.items():
+            arguments += ['-p', f'{name}:={_yaml(value)}']
+        return [str(executable(self.package, self.executable)), *arguments]
+
+
+def executable(package: str, name: str) -> Path:
+    """Return the path of an installed executable.
+
+    Raises:
+        GraphError: The package or executable is not installed.
+    """
+    try:
+        path = Path(get_package_prefix(package)) / 'lib' / package / name
+    except PackageNotFoundError as error:
+        raise GraphError(f'package {package} is not built: run `make setup`') from error
+    if not path.exists():
+        raise GraphError(f'{package} installs no executable {name}: run `make setup`')
+    return path
+
+
+def config_file(name: str) -> Path:
+    """Return the path of a shipped parameter file."""
+    return Path(get_package_share_directory('mixtac_bringup')) / 'config' / name
+
+
+def sensor_graph(
+    device: str,
+    *,
+    driver: Mapping[str, object] | None = None,
+    estimator: Mapping[str, object] | None = None,
+    virtual_sensor: Mapping[str, object] | None = None,
+) -> list[NodeSpec]:
+    """Return the nodes from the camera to the force.
+
+    Args:
+        device: `davis346` or `virtual`; the driver says what else it knows.
+        driver: Overrides of the driver's parameters.
+        estimator: Overrides of FGER-Net's parameters.
+        virtual_sensor: Overrides of the virtual sensor's parameters.
+    """
+    nodes = []
+    if device.partition(':')[0] == 'virtual':
+        nodes.append(
+            NodeSpec(
+                'mixtac_sim',
+                'virtual_sensor_node',
+                'virtual_sensor',
+                overrides=dict(virtual_sensor or {}),
+            )
+        )
+    nodes.append(
+        NodeSpec(
+            'mixtac_driver',
+            'driver_node',
+            'driver',
+            overrides={'device': device, **(driver or {})},
+        )
+    )
+    nodes.append(
+        NodeSpec(
+            'mixtac_fger', 'fger_node', 'fger', lifecycle=True, overrides=dict(estimator or {})
+        )
+    )
+    return nodes
+
+
+def _yaml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        escaped = value.replace("'", "''")
+        return f"'{escaped}'"
+    return repr(value)

@@ -1,0 +1,35 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Installs mixtac_bringup with the launch and parameter files of the repository's top level."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'mixtac_bringup'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        # launch and config are links to the folders of these names at the top of the repository.
+        (f'share/{PACKAGE}/launch', sorted(map(str, Path('launch').glob('*.launch.py')))),
+        (f'share/{PACKAGE}/config', sorted(map(str, Path('config').glob('*')))),
+    ],
+    install_requires=['setuptools'],
+    zip_safe=True,
+    maintainer='Mixtac maintainers',
+    maintainer_email='maintainers@mixtac.example.org',
+    description='Launch files, parameter files and the mixtac command line',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'mixtac = mixtac_bringup.cli:main',
+            'recorder_node = mixtac_bringup.recorder_node:main',
+        ],
+    },
+)

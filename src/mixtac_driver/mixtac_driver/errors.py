@@ -1,0 +1,37 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What can go wrong between the driver and a camera."""
+
+from mixtac_events.errors import MixtacError
+
+
+class DriverError(MixtacError):
+    """Base of every error of this package that a user may see."""
+
+
+class UsbError(DriverError):
+    """A USB request that failed, or a camera that may not be opened."""
+
+
+class UnknownDeviceError(DriverError):
+    """A device string that names nothing known."""
+
+
+class NoCameraError(UsbError):
+    """No camera, or none with the wanted serial number, is attached."""
+
+
+class DisconnectedError(UsbError):
+    """The camera went away while it was open."""
+
+
+class UnsupportedCameraError(DriverError):
+    """A camera whose chip, firmware or logic this driver does not speak to."""
+
+
+class ConfigurationError(DriverError):
+    """A setting that the camera cannot take."""
+
+
+class StreamError(DriverError):
+    """A data stream that stopped, or never confirmed its start."""

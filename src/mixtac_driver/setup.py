@@ -1,0 +1,25 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Installs mixtac_driver."""
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'mixtac_driver'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml', 'udev/65-mixtac.rules']),
+    ],
+    install_requires=['setuptools'],
+    zip_safe=True,
+    maintainer='Mixtac maintainers',
+    maintainer_email='maintainers@mixtac.example.org',
+    description='Driver of the DAVIS346 event camera',
+    license='Apache-2.0',
+    entry_points={'console_scripts': ['driver_node = mixtac_driver.driver_node:main']},
+)

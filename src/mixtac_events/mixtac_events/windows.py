@@ -1,0 +1,170 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Cutting an event stream into windows of equal width, live or recorded.
+
+Window k covers ``[origin + k * width, origin + (k + 1) * width)`` on the camera clock and is named
+by its end: the moment from which everything in it is in the past.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numba import njit
+
+from mixtac_events.arrays import Events
+from mixtac_events.errors import WindowError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+RESTART_US: Final = 1_000_000
+"""A step back of the stream beyond this is a restarted clock, not a late packet."""
+
+
+class WindowSlicer:
+    """Cuts a live stream into windows and closes each as soon as it is known to be complete.
+
+    The first window begins on the grid before the first time seen, so it may be cut short.
+    Memory holds the events of open windows only. After a gap in the stream not more than
+    `max_empty_run` empty windows are handed out at once, the latest ones; windows that hold
+    events are never skipped.
+
+    Attributes:
+        width_us: Width of a window [us].
+        origin_us: Any window border, camera clock [us].
+        skipped_windows: Empty windows left out in gaps.
+        late_events: Events dropped because their window had been closed.
+        restarts: Times the clock of the stream jumped back by more than `RESTART_US`.
+
+    Args:
+        width_us: Width of a window [us], positive.
+        origin_us: Any window border, camera clock [us].
+        max_empty_run: Longest run of empty windows handed out by one push.
+
+    Raises:
+        WindowError: Width or run not positive.
+    """
+
+    def __init__(self, width_us: int, origin_us: int = 0, *, max_empty_run: int = 500) -> None:
+        if width_us <= 0 or max_empty_run <= 0:
+            raise WindowError(
+                f'window width {width_us} us with up to {max_empty_run} empty windows: give '
+                'positive numbers'
+            )
+        self.width_us = int(width_us)
+        self.origin_us = int(origin_us)
+        self.skipped_windows = 0
+        self.late_events = 0
+        self.restarts = 0
+        self._max_empty_run = max_empty_run
+        self._next: int | None = None
+        self._pending: list[Events] = []
+
+    def push(self, events: Events, complete_until: int) -> list[tuple[int, Events]]:
+        """Add events and return the windows that can now be closed, in order.
+
+        Args:
+            events: The next events of the stream, camera clock; may be empty.
+            complete_until: Camera clock [us]: no event before this time will follow.
+
+        Returns:
+            (end [us], events) of each closed window.
+        """
+        first = int(events.t[0]) if len(events) else complete_until
+        following = self._begin(min(first, complete_until))
+        fresh = self._in_time(events, self._start_us(following))
+        if len(fresh):
+            self._pending.append(fresh)
+        closed = self._index(complete_until)
+        if closed <= following:
+            return []
+        held = _sorted(Events.concatenate(self._pending))
+        windows = self._occupied_or_near(held, following, closed)
+        ends = self.origin_us + (windows + 1) * self.width_us
+        cuts = [0, *held.t.searchsorted(ends).tolist()]
+        rest = held[cuts[-1] :]
+        self._pending = [rest] if len(rest) else []
+        self._next = closed
+        return [(end, held[cuts[i] : cuts[i + 1]]) for i, end in enumerate(ends.tolist())]
+
+    def reset(self) -> None:
+        """Forget open windows; the next push starts a new stream."""
+        self._pending = []
+        self._next = None
+
+    def _index(self, t_us: int) -> int:
+        return (t_us - self.origin_us) // self.width_us
+
+    def _start_us(self, index: int) -> int:
+        return self.origin_us + index * self.width_us
+
+    def _begin(self, t_us: int) -> int:
+        """Return the index of the first open window, after a (re)start where one is due."""
+        if self._next is not None and t_us < self._start_us(self._next) - RESTART_US:
+            self.restarts += 1
+            self.reset()
+        if self._next is None:
+            self._next = self._index(t_us)
+        return self._next
+
+    def _in_time(self, events: Events, start_us: int) -> Events:
+        if len(events) == 0 or events.t.min() >= start_us:
+            return events
+        keep = events.t >= start_us
+        self.late_events += len(events) - int(np.count_nonzero(keep))
+        return events[keep]
+
+    def _occupied_or_near(self, held: Events, first: int, end: int) -> NDArray[np.int64]:
+        """Return the windows in ``[first, end)`` to hand out: long empty runs lose their start."""
+        if end - first <= self._max_empty_run:
+            return np.arange(first, end, dtype=np.int64)
+        indices = (held.t - self.origin_us) // self.width_us
+        occupied = np.unique(indices[indices < end])
+        chosen: list[int] = []
+        before = first - 1
+        for index in [*occupied.tolist(), end]:
+            start = max(before + 1, index - self._max_empty_run)
+            self.skipped_windows += start - before - 1
+            chosen.extend(range(start, index + 1))
+            before = index
+        return np.array(chosen[:-1], np.int64)
+
+
+def counts_per_window(t: NDArray[np.int64], start: int, end: int, width: int) -> NDArray[np.int64]:
+    """Count events in equal windows.
+
+    Args:
+        t: Event times [us], any order, same clock as `start` and `end`.
+        start: Start of the first window [us].
+        end: End [us]; only whole windows up to it are counted.
+        width: Width of a window [us].
+
+    Returns:
+        ``int64`` counts of the ``(end - start) // width`` windows.
+
+    Raises:
+        WindowError: Width not positive or `end` before `start`.
+    """
+    if width <= 0 or end < start:
+        raise WindowError(
+            f'windows of {width} us from {start} to {end} us: give width > 0, end >= start'
+        )
+    counts = np.zeros((end - start) // width, np.int64)
+    _count(t, int(start), int(width), counts)
+    return counts
+
+
+def _sorted(events: Events) -> Events:
+    if np.all(events.t[1:] >= events.t[:-1]):
+        return events
+    return events[np.argsort(events.t, kind='stable')]
+
+
+@njit(cache=True, nogil=True)
+def _count(t, start, width, counts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    for now in t:
+        index = (now - start) // width
+        if 0 <= index < len(counts):
+            counts[index] += 1

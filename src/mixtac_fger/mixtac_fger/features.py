@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Preparation of frames and event windows; training and streaming run this same code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_fger.config import CELL_FEATURES
+from mixtac_fger.errors import ImageError
+from mixtac_fger.event_kernels import cell_solvers, grid_features
+from mixtac_fger.frame_kernels import bin_mean, displacement, gradients, log_contrast
+
+if TYPE_CHECKING:
+    from mixtac_events.arrays import Events
+    from numpy.typing import NDArray
+
+    from mixtac_fger.config import FgerConfig
+
+    F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EventGuide:
+    """What the latest frame contributes to the features of an event window.
+
+    Attributes:
+        along_x: Log-gradient along x [1/px], float32 [rows, columns] of gradient bins.
+        along_y: The same along y.
+        solvers: Inverse structure tensors, float32 [grid rows, grid columns, 3].
+    """
+
+    along_x: F32
+    along_y: F32
+    solvers: F32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contrast:
+    """Log contrast of one frame at the two resolutions in use.
+
+    Attributes:
+        fine: For the event guide, float32 `FgerConfig.gradient_shape`.
+        coarse: For the frame network, float32 `FgerConfig.frame_shape`.
+    """
+
+    fine: F32
+    coarse: F32
+
+
+class FramePreparation:
+    """Turns camera frames into log contrast, event guides and network inputs.
+
+    Holds scratch memory: use one instance per thread.
+
+    Args:
+        config: Network configuration.
+    """
+
+    def __init__(self, config: FgerConfig) -> None:
+        self._config = config
+        self._fine = np.empty(config.gradient_shape, np.float32)
+        self._coarse = np.empty(config.frame_shape, np.float32)
+        self._work = np.empty((9, *config.frame_shape), np.float32)
+        self._flow = np.empty((2, *config.frame_shape), np.float32)
+        self._row_cell, self._column_cell = bin_cells(config)
+
+    def contrast(self, image: NDArray[np.uint16] | NDArray[np.uint8]) -> Contrast:
+        """Return the log contrast of a frame.
+
+        Args:
+            image: Intensity, [height, width] of the configuration, any number of bits.
+
+        Raises:
+            ImageError: The image has another size.
+        """
+        config = self._config
+        if image.shape != (config.height, config.width):
+            raise ImageError(
+                f'image of shape {image.shape}: the model reads {config.height} rows and'
+                f' {config.width} columns; set the camera to full resolution'
+            )
+        bin_mean(image, config.gradient_bin, self._fine)
+        bin_mean(self._fine, config.frame_bin // config.gradient_bin, self._coarse)
+        result = Contrast(np.empty_like(self._fine), np.empty_like(self._coarse))
+        log_contrast(self._fine, config.log_floor, result.fine)
+        log_contrast(self._coarse, config.log_floor, result.coarse)
+        return result
+
+    def guide(self, contrast: Contrast) -> EventGuide:
+        """Return what events are multiplied with while this frame is the latest."""
+        config = self._config
+        along_x, along_y = np.empty_like(contrast.fine), np.empty_like(contrast.fine)
+        gradients(contrast.fine, config.gradient_bin, along_x, along_y)
+        solvers = np.empty((config.grid_rows, config.grid_columns, 3), np.float32)
+        cell_solvers(
+            along_x,
+            along_y,
+            self._row_cell,
+            self._column_cell,
+            config.gradient_bin**2,
+            config.cell_regularisation,
+            solvers,
+        )
+        return EventGuide(along_x, along_y, solvers)
+
+    def network_input(self, contrast: Contrast, reference: F32) -> F32:
+        """Return the frame network's input, float32 [channels, rows, columns].
+
+        Args:
+            contrast: The frame.
+            reference: Coarse log contrast without contact.
+        """
+        config = self._config
+        if {'flow_x', 'flow_y'} & set(config.frame_channels):
+            displacement(
+                reference,
+                contrast.coarse,
+                config.flow_radius,
+                config.flow_regularisation,
+                self._work,
+                self._flow,
+            )
+        channels = {
+            'frame': contrast.coarse,
+            'difference': contrast.coarse - reference,
+            'flow_x': self._flow[0],
+            'flow_y': self._flow[1],
+        }
+        return np.stack([channels[name] for name in config.frame_channels])
+
+
+def bin_cells(config: FgerConfig) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the grid row of each row of gradient bins and the grid column of each column."""
+    rows, columns = config.gradient_shape
+    return (
+        np.arange(rows, dtype=np.int64) * config.grid_rows // rows,
+        np.arange(columns, dtype=np.int64) * config.grid_columns // columns,
+    )
+
+
+class WindowFeatures:
+    """Computes the event features of one window; needs no memory of its own per call.
+
+    Args:
+        config: Network configuration.
+    """
+
+    def __init__(self, config: FgerConfig) -> None:
+        self._config = config
+        self._row_cell, self._column_cell = bin_cells(config)
+        self.shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
+
+    def compute(self, events: Events, guide: EventGuide, out: F32) -> None:
+        """Write the features of a window to `out` (float32 `shape`); see `grid_features`."""
+        config = self._config
+        grid_features(
+            events.x,
+            events.y,
+            events.polarity,
+            guide.along_x,
+            guide.along_y,
+            self._row_cell,
+            self._column_cell,
+            config.gradient_bin,
+            guide.solvers,
+            config.flow_limit,
+            out,
+        )
+        if not config.gradient_flow:
+            out[..., :2] = 0.0

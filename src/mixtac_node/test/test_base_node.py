@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters, diagnostics and the run loop on a real rclpy node in its own process."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
+
+from mixtac_node.base_node import (  # noqa: E402
+    ns_to_stamp,
+    stamp_to_ns,
+    stamp_to_us,
+    us_to_stamp,
+)
+
+NODE = textwrap.dedent(
+    """
+    import sys
+    from dataclasses import dataclass
+    from rclpy.node import Node
+    from mixtac_events.errors import MixtacError
+    from mixtac_node.base_node import declare, run
+    from mixtac_node.diagnostics import OK, DiagnosticsPublisher, Status
+    from mixtac_node.parameters import parameter
+
+    @dataclass(frozen=True)
+    class Example:
+        gain: float = parameter(0.5, 'Gain', minimum=0.0, maximum=10.0)
+        device: str = parameter('a', 'Device', read_only=True)
+
+    class ExampleNode(Node):
+        def __init__(self):
+            super().__init__('example')
+            self.values = declare(self, Example, self.apply)
+            if self.values.device == 'broken':
+                raise MixtacError('device broken: choose another')
+            self.diagnostics = DiagnosticsPublisher(self, 'serial-7', self.status, 0.1)
+
+        def apply(self, values):
+            if values.gain == 3.0:
+                raise MixtacError('gain 3 is taken')
+            self.values = values
+
+        def status(self):
+            return Status(OK, 'running', {'gain': self.values.gain, 'frames': 3})
+
+        def close(self):
+            print('closed', flush=True)
+
+    sys.exit(run(ExampleNode))
+    """
+)
+
+
+@pytest.fixture
+def start(ros_domain: dict[str, str]):
+    """Return a function that starts the example node; all are ended by pid."""
+    started: list[subprocess.Popen[str]] = []
+
+    def run(*parameters: str) -> subprocess.Popen[str]:
+        command = [sys.executable, '-c', NODE, '--ros-args']
+        for each in parameters:
+            command += ['-p', each]
+        process = subprocess.Popen(
+            command, env=ros_domain, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        started.append(process)
+        return process
+
+    yield run
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@given(st.integers(0, 2**31 * 1_000_000 - 1))
+def test_stamps_round_trip_in_microseconds(t_us: int):
+    assert stamp_to_us(us_to_stamp(t_us)) == t_us
+
+
+@given(st.integers(0, 2**31 * 1_000_000_000 - 1))
+def test_stamps_round_trip_in_nanoseconds(t_ns: int):
+    assert stamp_to_ns(ns_to_stamp(t_ns)) == t_ns
+    assert stamp_to_us(ns_to_stamp(t_ns)) == t_ns // 1000
+
+
+def test_errors_are_one_line_and_a_status(start):
+    process = start('device:=broken')
+    _, stderr = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert 'error: device broken: choose another' in stderr.splitlines()
+    assert 'Traceback' not in stderr
+
+
+@pytest.mark.parametrize('value', ['gain:=99.0', 'gain:=fast'])
+def test_bad_start_values_are_refused(start, value: str):
+    process = start(value)
+    _, stderr = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert 'error: ' in stderr
+    assert 'gain' in stderr
+    assert 'Traceback' not in stderr
+
+
+@pytest.mark.dds
+def test_parameters_and_diagnostics_over_dds(start):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
+    from rclpy.parameter_client import AsyncParameterClient
+
+    process = start('gain:=2')
+    rclpy.init()
+    try:
+        node = Node('probe')
+        seen: list[DiagnosticArray] = []
+        node.create_subscription(DiagnosticArray, '/diagnostics', seen.append, 10)
+        client = AsyncParameterClient(node, 'example')
+        assert client.wait_for_services(20)
+
+        def set_value(name: str, value: object):
+            future = client.set_parameters([Parameter(name, value=value)])
+            rclpy.spin_until_future_complete(node, future, timeout_sec=10)
+            return future.result().results[0]
+
+        assert set_value('gain', 4.0).successful
+        refused = set_value('gain', 3.0)
+        assert not refused.successful
+        assert refused.reason == 'gain 3 is taken'
+        fixed = set_value('device', 'b')
+        assert not fixed.successful
+        assert 'device' in fixed.reason
+        seen.clear()
+        deadline = time.monotonic() + 10
+        while not seen and time.monotonic() < deadline:
+            rclpy.spin_once(node, timeout_sec=0.1)
+        status = seen[-1].status[0]
+        assert (status.name, status.hardware_id, status.message) == (
+            'example',
+            'serial-7',
+            'running',
+        )
+        assert {each.key: each.value for each in status.values} == {'gain': '4', 'frames': '3'}
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()
+    process.send_signal(signal.SIGTERM)
+    stdout, _ = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert 'closed' in stdout

@@ -1,0 +1,91 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The parameter schema."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, dataclass
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_node.parameters import ParameterError, build, parameter, specs
+
+
+@dataclass(frozen=True)
+class Example:
+    """One parameter of each type."""
+
+    device: str = parameter('davis346', 'What to open', choices=('davis346', 'virtual'))
+    exposure: int = parameter(5000, 'Exposure', unit='us', minimum=0, maximum=1_000_000)
+    interval: float = parameter(1e-3, 'Packet length', unit='s', minimum=1e-4, maximum=0.1)
+    enabled: bool = parameter(True, 'Whether it runs', read_only=True)
+
+
+def test_defaults_are_the_schema_defaults():
+    assert build(Example, {}) == Example('davis346', 5000, 1e-3, True)
+
+
+def test_instances_are_frozen():
+    with pytest.raises(FrozenInstanceError):
+        build(Example, {}).exposure = 1
+
+
+def test_specs_carry_what_ros_needs():
+    by_name = {spec.name: spec for spec in specs(Example)}
+    assert list(by_name) == ['device', 'exposure', 'interval', 'enabled']
+    assert by_name['exposure'].unit == 'us'
+    assert by_name['exposure'].maximum == 1_000_000
+    assert by_name['enabled'].read_only
+    assert by_name['device'].choices == ('davis346', 'virtual')
+
+
+@given(st.integers(0, 1_000_000), st.floats(1e-4, 0.1))
+def test_allowed_values_are_kept(exposure: int, interval: float):
+    built = build(Example, {'exposure': exposure, 'interval': interval})
+    assert (built.exposure, built.interval) == (exposure, interval)
+
+
+@given(st.one_of(st.integers(max_value=-1), st.integers(min_value=1_000_001)))
+def test_out_of_range_names_the_value_and_the_range(value: int):
+    with pytest.raises(ParameterError) as caught:
+        build(Example, {'exposure': value})
+    assert str(value) in str(caught.value)
+    assert '1000000' in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('exposure', 1.5),
+        ('exposure', True),
+        ('exposure', 'long'),
+        ('enabled', 1),
+        ('device', 3),
+        ('device', 'gelsight'),
+        ('interval', float('nan')),
+        ('interval', float('inf')),
+        ('interval', None),
+    ],
+)
+def test_wrong_values_are_refused_by_name(name: str, value: object):
+    with pytest.raises(ParameterError, match=name):
+        build(Example, {name: value})
+
+
+def test_a_whole_number_is_a_float_where_one_is_wanted():
+    @dataclass(frozen=True)
+    class Gain:
+        """One gain."""
+
+        gain: float = parameter(0.5, 'Gain', minimum=0, maximum=10)
+
+    built = build(Gain, {'gain': 2})
+    assert isinstance(built.gain, float)
+    assert built.gain == 2.0
+
+
+def test_unknown_names_list_the_known_ones():
+    with pytest.raises(ParameterError, match='exposure'):
+        build(Example, {'exposre': 1})

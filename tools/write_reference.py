@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Write config/*.yaml and docs/reference.md from the code that defines them.
+
+With `--check` nothing is written; the exit status tells whether the files are up to date.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from mixtac_alignment.alignment_parameters import AlignmentParameters
+from mixtac_bringup.recorder_parameters import RecorderParameters
+from mixtac_bringup.topics import TOPICS
+from mixtac_driver.driver_parameters import DriverParameters
+from mixtac_fger.fger_parameters import FgerParameters
+from mixtac_node.parameters import ParameterSpec, specs
+from mixtac_sim.virtual_sensor_parameters import VirtualSensorParameters
+from mixtac_slip_control.slip_control_parameters import SlipControlParameters
+
+ROOT = Path(__file__).resolve().parent.parent
+SCHEMAS: dict[str, type[Any]] = {
+    'driver': DriverParameters,
+    'virtual_sensor': VirtualSensorParameters,
+    'fger': FgerParameters,
+    'alignment': AlignmentParameters,
+    'slip_control': SlipControlParameters,
+    'recorder': RecorderParameters,
+}
+HEADER = (
+    '# SPDX-FileCopyrightText: 2026 Mixtac maintainers\n# SPDX-License-Identifier: Apache-2.0\n'
+)
+
+
+def scalar(value: object) -> str:
+    """Return a value as YAML."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return "'" + value.replace("'", "''") + "'"
+    return repr(value)
+
+
+def allowed(spec: ParameterSpec) -> str:
+    """Return the allowed values in words."""
+    if spec.choices:
+        return ', '.join(map(str, spec.choices))
+    if spec.minimum is None and spec.maximum is None:
+        return ''
+    low = '' if spec.minimum is None else f'{spec.minimum:g}'
+    high = '' if spec.maximum is None else f'{spec.maximum:g}'
+    return f'{low} .. {high}'
+
+
+def config(node: str, schema: type[Any]) -> str:
+    """Return the parameter file of a node."""
+    lines = [HEADER + f'# Parameters of the node {node}, at their defaults.', '']
+    lines += [f'/**/{node}:', '  ros__parameters:']
+    for spec in specs(schema):
+        notes = [spec.description]
+        if allowed(spec):
+            notes.append(f'Allowed: {allowed(spec)}{" " + spec.unit if spec.unit else ""}.')
+        elif spec.unit:
+            notes.append(f'Unit: {spec.unit}.')
+        if spec.read_only:
+            notes.append('Fixed while the node runs.')
+        lines += ['']
+        lines += [f'    # {line}' for note in notes for line in wrap(note)]
+        lines.append(f'    {spec.name}: {scalar(spec.default)}')
+    return '\n'.join(lines) + '\n'
+
+
+def wrap(text: str, width: int = 92) -> list[str]:
+    """Return text in lines."""
+    import textwrap
+
+    return textwrap.wrap(text, width)
+
+
+def reference() -> str:
+    """Return the page of topics and parameters."""
+    lines = ['# Topics and parameters', '']
+    lines += ['Written from the code by `make docs`; a test fails when it is out of date.', '']
+    lines += ['## Topics', '', 'Names without a leading slash are relative to the namespace.', '']
+    lines += ['| topic | type | QoS | what |', '|---|---|---|---|']
+    for topic in TOPICS:
+        reliability = 'reliable' if topic.reliable else 'best effort'
+        qos = f'{reliability}, depth {topic.depth}{", transient local" if topic.latched else ""}'
+        lines.append(f'| `{topic.name}` | `{topic.type_name}` | {qos} | {topic.description} |')
+    for node, schema in SCHEMAS.items():
+        lines += ['', f'## Parameters of `{node}`', '']
+        lines += ['| parameter | default | unit | allowed | at run time | what |']
+        lines += ['|---|---|---|---|---|---|']
+        for spec in specs(schema):
+            change = 'fixed' if spec.read_only else 'yes'
+            lines.append(
+                f'| `{spec.name}` | `{scalar(spec.default)}` | {spec.unit} | {allowed(spec)} '
+                f'| {change} | {spec.description} |'
+            )
+    return '\n'.join(lines) + '\n'
+
+
+def pages() -> dict[Path, str]:
+    """Return all generated files with their contents."""
+    written = {
+        ROOT / 'config' / f'{node}.yaml': config(node, schema) for node, schema in SCHEMAS.items()
+    }
+    written[ROOT / 'docs' / 'reference.md'] = reference()
+    return written
+
+
+def main() -> int:
+    """Write the files, or check them."""
+    check = '--check' in sys.argv[1:]
+    stale = [p for p, text in pages().items() if not p.exists() or p.read_text() != text]
+    for path in stale:
+        if check:
+            print(f'{path.relative_to(ROOT)} is out of date: run `make docs`')
+        else:
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(pages()[path])
+    return 1 if check and stale else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
