@@ -51,8 +51,8 @@ class BagWriter:
         self.written: dict[str, int] = {}
         self.dropped = 0
         self._types = typestore()
-        self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         try:
+            self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
         except (WriterError, OSError) as error:
             raise BagError(

@@ -147,5 +147,5 @@ def event_rate(streams: Streams, width_us: int = 10_000) -> tuple[NDArray[np.flo
     """Return window centres [s since the first force window] and event rates [1/s]."""
     start, end = int(streams.force_ns[0] // 1000), int(streams.force_ns[-1] // 1000)
     counts = counts_per_window(streams.event_t_us, start, end, width_us)
-    centres = (np.arange(len(counts)) + 0.5) * width_us / 1e6
-    return centres, counts * (1e6 / width_us)
+    centres = np.asarray((np.arange(len(counts)) + 0.5) * width_us / 1e6, np.float64)
+    return centres, np.asarray(counts * (1e6 / width_us), np.float64)

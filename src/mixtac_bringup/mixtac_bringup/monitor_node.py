@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from numpy.typing import NDArray
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 SERVICE_TIMEOUT_S = 20.0
 
@@ -132,6 +133,10 @@ class Monitor:
     def clock_pairs(self) -> NDArray[np.int64]:
         """Return (host, camera) clock pairs [ns], shape (N, 2), as the driver published them."""
         return np.array(self._clock_pairs, np.int64).reshape(-1, 2)
+
+    def publishers(self, topic: str) -> list[TopicEndpointInfo]:
+        """Return type and QoS of everybody who publishes an absolute topic."""
+        return list(self._node.get_publishers_info_by_topic(topic))
 
     def _spin(self) -> None:
         executor = EventsExecutor()

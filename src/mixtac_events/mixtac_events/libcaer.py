@@ -23,6 +23,10 @@ from mixtac_events.packets import DecodedPacket, EncodedPacket
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    Times = NDArray[np.int64]
+    Words = NDArray[np.uint16]
+    Flags = NDArray[np.bool_]
+
 NAME: Final = 'libcaer'
 MAX_COORDINATE: Final = (1 << 15) - 1
 MAX_STEP_US: Final = (1 << 30) - 1
@@ -108,7 +112,9 @@ def decode(payload: NDArray[np.uint8], time_base: int, *, width: int, height: in
 
 
 @njit(cache=True, nogil=True)
-def _encode_words(t, x, y, polarity, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _encode_words(
+    t: Times, x: Words, y: Words, polarity: Flags, words: NDArray[np.uint64]
+) -> tuple[int, int]:
     """Fill the words; return (0, 0) or (fault, event)."""
     before = t[0]
     for i in range(len(t)):
@@ -119,20 +125,30 @@ def _encode_words(t, x, y, polarity, words):  # type: ignore[no-untyped-def]  # 
         if x[i] > MAX_COORDINATE or y[i] > MAX_COORDINATE:
             return _OUTSIDE, i
         before = t[i]
-        data = (int(x[i]) << 17) | (int(y[i]) << 2) | (int(polarity[i]) << 1) | 1
+        data = (np.int64(x[i]) << 17) | (np.int64(y[i]) << 2) | (np.int64(polarity[i]) << 1) | 1
         words[i] = ((t[i] & _LOW_MASK) << 32) | data
     return 0, 0
 
 
 @njit(cache=True, nogil=True)
-def _decode_words(words, time_base, width, height, t, x, y, polarity):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _decode_words(
+    words: NDArray[np.uint64],
+    time_base: int,
+    width: int,
+    height: int,
+    t: Times,
+    x: Words,
+    y: Words,
+    polarity: Flags,
+) -> tuple[int, int, int, int]:
     """Fill the event arrays; return (events, last time, fault, word)."""
     n = 0
     start = time_base // 1000
-    before = int(words[0] >> np.uint64(32))
+    # Signed numbers throughout: numba keeps unsigned ones unsigned through differences.
+    before = np.int64(words[0] >> np.uint64(32))
     for i in range(len(words)):
-        data = int(words[i] & np.uint64(0xFFFFFFFF))
-        low = int(words[i] >> np.uint64(32))
+        data = np.int64(words[i] & np.uint64(0xFFFFFFFF))
+        low = np.int64(words[i] >> np.uint64(32))
         if low > _LOW_MASK:
             return n, 0, _NEGATIVE, i
         if before - low > MAX_STEP_US:

@@ -27,8 +27,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numba import njit
 
+from mixtac_events import libcaer_cmp_kernels as kernels
 from mixtac_events.arrays import Events
 from mixtac_events.errors import CodecError
 from mixtac_events.packets import DecodedPacket, EncodedPacket
@@ -37,22 +37,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NAME: Final = 'libcaer_cmp'
-MAX_COORDINATE: Final = (1 << 11) - 1
-MAX_SPAN_US: Final = (1 << 24) - 1
-
-_TIME_LOW: Final = 1 << 12
-_ADDR_X: Final = 2 << 12
-_ADDR_Y: Final = 3 << 12
-_VECT_BASE_Y: Final = 4 << 12
-_VECT_8: Final = 5 << 12
-_ON: Final = 1 << 11
-
-_UNSORTED: Final = -1
-_TOO_LONG: Final = -2
-_OUTSIDE: Final = -3
-_UNKNOWN_CODE: Final = -4
-_NO_COLUMN: Final = -5
-_NO_BASE: Final = -6
 
 
 def encode(events: Events, complete_until: int | None = None) -> EncodedPacket:
@@ -68,27 +52,27 @@ def encode(events: Events, complete_until: int | None = None) -> EncodedPacket:
     start = int(events.t[0])
     end = int(events.t[-1]) if complete_until is None else complete_until
     words = np.empty(4 * len(events) + 2, np.uint16)
-    used, at = _encode_words(events.t, events.x, events.y, events.polarity, end, words)
+    used, at = kernels.encode_words(events.t, events.x, events.y, events.polarity, end, words)
     if used < 0:
         raise _encode_error(used, events, at, end)
     return EncodedPacket(NAME, start * 1000, words[:used].view(np.uint8).copy())
 
 
 def _encode_error(fault: int, events: Events, at: int, end: int) -> CodecError:
-    if fault == _UNSORTED:
+    if fault == kernels.UNSORTED:
         before = int(events.t[at - 1])
         return CodecError(
             f'event {at} is at {events.t[at]} us, before the one at {before} us: sort events by t'
         )
-    if fault == _TOO_LONG:
+    if fault == kernels.TOO_LONG:
         last = int(events.t[at]) if at < len(events) else end
         return CodecError(
-            f'packet spans {last - int(events.t[0])} us; libcaer_cmp holds {MAX_SPAN_US} us: '
+            f'packet spans {last - int(events.t[0])} us; libcaer_cmp holds {kernels.MAX_SPAN_US} us: '
             'cut the stream into shorter packets'
         )
     return CodecError(
         f'event {at} lies at ({events.x[at]}, {events.y[at]}); libcaer_cmp holds coordinates up to '
-        f'{MAX_COORDINATE}: use the encoding libcaer for larger sensors'
+        f'{kernels.MAX_COORDINATE}: use the encoding libcaer for larger sensors'
     )
 
 
@@ -103,7 +87,7 @@ def decode(payload: NDArray[np.uint8], time_base: int, *, width: int, height: in
             f'libcaer_cmp payload of {payload.size} bytes: truncated, a word has 2 bytes'
         )
     words = payload.view(np.uint16)
-    count, at = _count_events(words)
+    count, at = kernels.count_events(words)
     if count < 0:
         raise _decode_error(count, words, at, width, height)
     events = Events(
@@ -112,7 +96,7 @@ def decode(payload: NDArray[np.uint8], time_base: int, *, width: int, height: in
         np.empty(count, np.uint16),
         np.empty(count, np.bool_),
     )
-    dt, at = _decode_words(
+    dt, at = kernels.decode_words(
         words, time_base // 1000, width, height, events.t, events.x, events.y, events.polarity
     )
     if dt < 0:
@@ -124,182 +108,15 @@ def _decode_error(
     fault: int, words: NDArray[np.uint16], at: int, width: int, height: int
 ) -> CodecError:
     where = f'libcaer_cmp word {at} (0x{int(words[at]):04x})'
-    if fault == _UNKNOWN_CODE:
+    if fault == kernels.UNKNOWN_CODE:
         return CodecError(
             f'{where} has unknown code {words[at] >> 12}: not libcaer_cmp, or damaged'
         )
-    if fault == _NO_COLUMN:
+    if fault == kernels.NO_COLUMN:
         return CodecError(f'{where} is an event before any column word: the packet lost its start')
-    if fault == _NO_BASE:
+    if fault == kernels.NO_BASE:
         return CodecError(f'{where} is a vector before any base word: the packet lost its start')
     return CodecError(
         f'{where} is an event outside the sensor of {width} x {height}: give the width and height '
         'of the camera that made the packet'
     )
-
-
-@njit(cache=True, nogil=True)
-def _encode_words(t, x, y, polarity, end, words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Write all events and the closing time; return (words, 0) or (fault, event)."""
-    count = len(t)
-    used = 0
-    dt = 0
-    column = -1
-    first = 0
-    while first < count:
-        now = t[first] - t[0]
-        if now < dt:
-            return _UNSORTED, first
-        if now > MAX_SPAN_US:
-            return _TOO_LONG, first
-        used = _write_time(words, used, dt, now)
-        dt = now
-        if x[first] != column:
-            column = x[first]
-            words[used] = _ADDR_X | column
-            used += 1
-        last = _end_of_run(t, x, y, polarity, first)
-        if column > MAX_COORDINATE or y[last - 1] > MAX_COORDINATE:
-            return _OUTSIDE, last - 1
-        used = _write_run(words, used, y, first, last, _ON if polarity[first] else 0)
-        first = last
-    if end - t[0] > MAX_SPAN_US:
-        return _TOO_LONG, count
-    return _write_time(words, used, dt, end - t[0]), 0
-
-
-@njit(cache=True, nogil=True)
-def _write_time(words, used, dt, now):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Write the time words that lead from `dt` to `now`; return the words used."""
-    if now == dt:
-        return used
-    if (now >> 12) != (dt >> 12):
-        words[used] = now >> 12
-        used += 1
-    words[used] = _TIME_LOW | (now & 0xFFF)
-    return used + 1
-
-
-@njit(cache=True, nogil=True)
-def _end_of_run(t, x, y, polarity, first):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return the end of the events from `first` on that differ only in a growing row."""
-    last = first + 1
-    while (
-        last < len(t)
-        and y[last] > y[last - 1]
-        and x[last] == x[first]
-        and t[last] == t[first]
-        and polarity[last] == polarity[first]
-    ):
-        last += 1
-    return last
-
-
-@njit(cache=True, nogil=True)
-def _write_run(words, used, y, first, last, on):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Write a run of one column, as vectors where they are shorter; return the words used.
-
-    Rows fall into blocks of 8. A chain of neighbouring blocks costs one word each and one for the
-    base; leaving a chain over an empty block costs as much as a new base, so that taking each
-    chain for itself is the shortest code.
-    """
-    while first < last:
-        start = y[first] >> 3
-        block = start
-        end = first + 1
-        while end < last and (y[end] >> 3) <= block + 1:
-            block = y[end] >> 3
-            end += 1
-        blocks = block - start + 1
-        if end - first > blocks + 1:
-            words[used] = _VECT_BASE_Y | on | (start << 3)
-            words[used + 1 : used + 1 + blocks] = _VECT_8
-            for i in range(first, end):
-                words[used + 1 + (y[i] >> 3) - start] |= 1 << (y[i] & 7)
-            used += 1 + blocks
-        else:
-            for i in range(first, end):
-                words[used] = _ADDR_Y | on | y[i]
-                used += 1
-        first = end
-    return used
-
-
-@njit(cache=True, nogil=True)
-def _count_events(words):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return (events, 0), or (fault, word) where the order of the words makes no sense."""
-    count = 0
-    column = False
-    base = False
-    for i in range(len(words)):
-        code = words[i] >> 12
-        if code == 3:
-            if not column:
-                return _NO_COLUMN, i
-            count += 1
-        elif code == 5:
-            if not (base and column):
-                return (_NO_BASE if column else _NO_COLUMN), i
-            for bit in range(8):
-                count += (words[i] >> bit) & 1
-        elif code > 5:
-            return _UNKNOWN_CODE, i
-        column = column or code == 2
-        base = base or code == 4
-    return count, 0
-
-
-@njit(cache=True, nogil=True)
-def _decode_words(words, start, width, height, t, x, y, polarity):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Fill the event arrays; return (final dt, 0) or (fault, word)."""
-    n = 0
-    high = 0
-    low = 0
-    column = 0
-    base = 0
-    base_on = False
-    for i in range(len(words)):
-        word = int(words[i])
-        code = word >> 12
-        if code == 3:
-            row = word & MAX_COORDINATE
-            if row >= height or column >= width:
-                return _OUTSIDE, i
-            t[n] = start + (high | low)
-            x[n] = column
-            y[n] = row
-            polarity[n] = (word & _ON) != 0
-            n += 1
-        elif code == 2:
-            column = word & MAX_COORDINATE
-        elif code == 1:
-            low = word & 0xFFF
-        elif code == 0:
-            high = (word & 0xFFF) << 12
-        elif code == 4:
-            base = word & MAX_COORDINATE
-            base_on = (word & _ON) != 0
-        else:
-            after = _decode_vector(word, n, width - column, height - base, y)
-            if after < 0:
-                return _OUTSIDE, i
-            for k in range(n, after):
-                t[k] = start + (high | low)
-                x[k] = column
-                y[k] += base
-                polarity[k] = base_on
-            n = after
-            base += 8
-    return high | low, 0
-
-
-@njit(cache=True, nogil=True)
-def _decode_vector(word, n, columns_left, rows_left, y):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Write the rows of a vector, counted from its base; return their end, or -1 outside."""
-    for bit in range(8):
-        if (word >> bit) & 1:
-            if bit >= rows_left or columns_left <= 0:
-                return -1
-            y[n] = bit
-            n += 1
-    return n

@@ -152,7 +152,7 @@ def counts_per_window(t: NDArray[np.int64], start: int, end: int, width: int) ->
             f'windows of {width} us from {start} to {end} us: give width > 0, end >= start'
         )
     counts = np.zeros((end - start) // width, np.int64)
-    _count(t, int(start), int(width), counts)
+    _count(np.ascontiguousarray(t, np.int64), int(start), int(width), counts)
     return counts
 
 
@@ -163,7 +163,7 @@ def _sorted(events: Events) -> Events:
 
 
 @njit(cache=True, nogil=True)
-def _count(t, start, width, counts):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _count(t: NDArray[np.int64], start: int, width: int, counts: NDArray[np.int64]) -> None:
     for now in t:
         index = (now - start) // width
         if 0 <= index < len(counts):

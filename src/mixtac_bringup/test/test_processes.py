@@ -1,0 +1,67 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Starting, watching and ending processes."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import psutil
+import pytest
+
+from mixtac_bringup.errors import GraphError
+from mixtac_bringup.processes import ProcessGroup
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+WAIT = [sys.executable, '-c', 'import time; time.sleep(60)']
+
+
+def wait_until(condition, seconds: float = 10.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert condition()
+
+
+def died(group: ProcessGroup) -> bool:
+    try:
+        group.check()
+    except GraphError:
+        return True
+    return False
+
+
+def test_a_group_ends_all_its_processes(tmp_path: Path):
+    before = {p.pid for p in psutil.Process().children()}
+    with ProcessGroup(tmp_path) as group:
+        group.start('one', WAIT)
+        group.start('two', WAIT)
+        group.check()
+        started = {p.pid for p in psutil.Process().children()} - before
+        assert len(started) == 2
+    assert not started & {p.pid for p in psutil.Process().children()}
+
+
+def test_a_dead_process_is_named_with_its_last_words(tmp_path: Path):
+    script = "import sys; print('error: no camera'); print('bye'); sys.exit(3)"
+    with ProcessGroup(tmp_path) as group:
+        group.start('driver', [sys.executable, '-c', script])
+        wait_until(lambda: died(group))
+        with pytest.raises(GraphError, match='driver ended with status 3: no camera'):
+            group.check()
+
+
+def test_a_process_that_ignores_sigint_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr('mixtac_bringup.processes.STOP_GRACE_S', 0.5)
+    script = (
+        'import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); '
+        "print('ready', flush=True); time.sleep(60)"
+    )
+    group = ProcessGroup(tmp_path)
+    group.start('deaf', [sys.executable, '-c', script])
+    wait_until(lambda: 'ready' in (tmp_path / 'deaf.log').read_text())
+    assert group.stop() == {'deaf': -9}

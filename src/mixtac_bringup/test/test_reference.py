@@ -1,0 +1,29 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Parameter files and tables agree with the code that defines them."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import pytest
+import yaml
+
+from mixtac_node.parameters import build
+
+pytest.importorskip('diagnostic_msgs', reason='needs ROS 2')
+ROOT = Path(__file__).resolve().parents[3]
+TOOL = runpy.run_path(str(ROOT / 'tools' / 'write_reference.py'))
+
+
+@pytest.mark.parametrize('path', TOOL['pages'](), ids=lambda path: path.name)
+def test_pages_are_up_to_date(path: Path):
+    assert path.read_text() == TOOL['pages']()[path], f'{path} is out of date: run make docs'
+
+
+@pytest.mark.parametrize('node', TOOL['SCHEMAS'])
+def test_parameter_files_hold_the_defaults(node: str):
+    content = yaml.safe_load((ROOT / 'config' / f'{node}.yaml').read_text())
+    schema = TOOL['SCHEMAS'][node]
+    assert build(schema, content[f'/**/{node}']['ros__parameters']) == schema()
