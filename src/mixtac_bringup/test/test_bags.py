@@ -114,7 +114,7 @@ def test_an_unknown_topic_lists_the_known_ones(bag: Path):
 
 
 def test_a_missing_bag_is_named(tmp_path: Path):
-    with pytest.raises(BagError, match='no bag at .*nowhere'):
+    with pytest.raises(BagError, match=r'no bag at .*nowhere'):
         BagFile(tmp_path / 'nowhere')
 
 

@@ -125,7 +125,7 @@ def reset_timestamps(protocol: Protocol, now_ns: Callable[[], int] = time.time_n
         [Write(Module.MUX, Mux.TIMESTAMP_RESET, 1), Write(Module.MUX, Mux.TIMESTAMP_RESET, 0)]
     )
     after = now_ns()
-    middle_us = round((before + after) / 2000)
+    middle_us = (before + after + 1000) // 2000
     return Origin(middle_us * 1000, (after - before) // 2 + 500)
 
 

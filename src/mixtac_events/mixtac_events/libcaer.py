@@ -165,4 +165,4 @@ def _decode_words(
         y[n] = row
         polarity[n] = (data & 2) != 0
         n += 1
-    return n, start + before, 0, 0
+    return n, int(start + before), 0, 0

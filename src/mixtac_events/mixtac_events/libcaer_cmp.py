@@ -67,8 +67,8 @@ def _encode_error(fault: int, events: Events, at: int, end: int) -> CodecError:
     if fault == kernels.TOO_LONG:
         last = int(events.t[at]) if at < len(events) else end
         return CodecError(
-            f'packet spans {last - int(events.t[0])} us; libcaer_cmp holds {kernels.MAX_SPAN_US} us: '
-            'cut the stream into shorter packets'
+            f'packet spans {last - int(events.t[0])} us; libcaer_cmp holds '
+            f'{kernels.MAX_SPAN_US} us: cut the stream into shorter packets'
         )
     return CodecError(
         f'event {at} lies at ({events.x[at]}, {events.y[at]}); libcaer_cmp holds coordinates up to '

@@ -193,7 +193,7 @@ def decode_words(
                 polarity[k] = base_on
             n = after
             base += 8
-    return high | low, 0
+    return int(high | low), 0
 
 
 @njit(cache=True, nogil=True)

@@ -42,3 +42,8 @@ class DecodedPacket:
 
     events: Events
     complete_until: int
+
+    @property
+    def start_us(self) -> int:
+        """First time the packet speaks of, camera clock [us]."""
+        return int(self.events.t[0]) if len(self.events) else self.complete_until

@@ -116,6 +116,7 @@ def test_round_trip_and_independent_decoder(encoding: str, events: Events, wait:
     packet = encode(events, encoding, complete_until=end)
     back = decode(packet.payload, encoding, packet.time_base)
     assert rows_of(back.events) == rows_of(events)
+    assert back.start_us == (int(events.t[0]) if len(events) else end)
     assert [a.dtype for a in (back.events.t, back.events.x, back.events.y)] == [
         np.int64,
         np.uint16,

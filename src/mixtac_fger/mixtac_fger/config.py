@@ -44,6 +44,8 @@ class FgerConfig:
         flow_regularisation: Added to the diagonal of the mean structure tensor of the box
             [1/bin^2, log units]: how much texture a displacement needs.
         reference_frames: No-contact frames averaged into the reference.
+        reference_stillness: Largest mean change of log contrast among these frames; a frame that
+            changed more restarts the reference, so that a moving contact does not become "nothing".
         grid_columns: Columns of the event grid.
         grid_rows: Rows of the event grid.
         gradient_flow: Sum polarity times log-gradient of the latest frame per cell and solve for
@@ -73,6 +75,7 @@ class FgerConfig:
     flow_radius: int = 3
     flow_regularisation: float = 1e-3
     reference_frames: int = 5
+    reference_stillness: float = 0.02
     grid_columns: int = 8
     grid_rows: int = 6
     gradient_flow: bool = True

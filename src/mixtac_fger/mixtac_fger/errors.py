@@ -19,3 +19,7 @@ class ImageError(MixtacError):
 
 class ConfigError(MixtacError):
     """A network configuration with impossible values."""
+
+
+class TareError(MixtacError):
+    """A request for a new zero that would be wrong now."""

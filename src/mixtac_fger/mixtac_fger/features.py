@@ -172,3 +172,14 @@ class WindowFeatures:
         )
         if not config.gradient_flow:
             out[..., :2] = 0.0
+
+
+def correction_lag(estimate_us: int, mid_us: int, window_us: int) -> int:
+    """Return how many windows before the estimate at `estimate_us` the one nearest `mid_us` is.
+
+    Args:
+        estimate_us: End of the latest window, camera clock [us].
+        mid_us: Centre of the exposure, camera clock [us].
+        window_us: Width of a window [us].
+    """
+    return max((estimate_us - mid_us + window_us // 2) // window_us, 0)

@@ -53,29 +53,26 @@ def string_descriptor(index: int, serial: str) -> bytes | None:
     return bytes((len(data) + 2, 3)) + data
 
 
-_NAMES = {
-    1: (
-        _DEVICE,
-        (
-            'bLength bDescriptorType bcdUSB bDeviceClass bDeviceSubClass bDeviceProtocol '
-            'bMaxPacketSize0 idVendor idProduct bcdDevice iManufacturer iProduct iSerialNumber '
-            'bNumConfigurations'
-        ),
-    ),
-    2: (
-        _CONFIGURATION,
-        'bLength bDescriptorType wTotalLength bNumInterfaces bConfigurationValue iConfiguration '
-        'bmAttributes bMaxPower',
-    ),
-    4: (
-        _INTERFACE,
-        'bLength bDescriptorType bInterfaceNumber bAlternateSetting bNumEndpoints '
-        'bInterfaceClass bInterfaceSubClass bInterfaceProtocol iInterface',
-    ),
-    5: (
-        _ENDPOINT,
-        'bLength bDescriptorType bEndpointAddress bmAttributes wMaxPacketSize bInterval',
-    ),
+_DEVICE_NAMES: Final = (
+    'bLength bDescriptorType bcdUSB bDeviceClass bDeviceSubClass bDeviceProtocol bMaxPacketSize0 '
+    'idVendor idProduct bcdDevice iManufacturer iProduct iSerialNumber bNumConfigurations'
+)
+_CONFIGURATION_NAMES: Final = (
+    'bLength bDescriptorType wTotalLength bNumInterfaces bConfigurationValue iConfiguration '
+    'bmAttributes bMaxPower'
+)
+_INTERFACE_NAMES: Final = (
+    'bLength bDescriptorType bInterfaceNumber bAlternateSetting bNumEndpoints bInterfaceClass '
+    'bInterfaceSubClass bInterfaceProtocol iInterface'
+)
+_ENDPOINT_NAMES: Final = (
+    'bLength bDescriptorType bEndpointAddress bmAttributes wMaxPacketSize bInterval'
+)
+_LAYOUTS: Final = {
+    1: (_DEVICE, _DEVICE_NAMES),
+    2: (_CONFIGURATION, _CONFIGURATION_NAMES),
+    4: (_INTERFACE, _INTERFACE_NAMES),
+    5: (_ENDPOINT, _ENDPOINT_NAMES),
 }
 
 
@@ -88,7 +85,7 @@ def parse(data: bytes) -> list[SimpleNamespace]:
     found = []
     offset = 0
     while offset + 2 <= len(data) and data[offset] >= 2:
-        known = _NAMES.get(data[offset + 1])
+        known = _LAYOUTS.get(data[offset + 1])
         if known is not None:
             layout, names = known
             values = layout.unpack_from(data, offset)

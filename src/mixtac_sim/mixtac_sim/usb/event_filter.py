@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mixtac_events.arrays import Events
 
+from mixtac_events.arrays import Events
 from mixtac_sim.usb.registers import HEIGHT, WIDTH, Dvs, Module
 
 if TYPE_CHECKING:

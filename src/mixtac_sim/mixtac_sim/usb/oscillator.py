@@ -19,11 +19,11 @@ class Oscillator:
     host's monotonic clock, camera time from the last timestamp reset.
 
     Args:
-        skew_ppm: How much faster than true time the camera counts [1e-6].
+        skew_ppm: How much faster than true time the camera counts [1e-6], kept to 1e-9.
     """
 
     def __init__(self, skew_ppm: float) -> None:
-        self.skew_ppm = skew_ppm
+        self._skew_ppb = round(skew_ppm * 1000)
         self.origin_us = 0
 
     def reset(self, true_us: int) -> None:
@@ -33,7 +33,7 @@ class Oscillator:
     def to_camera(self, true_us: NDArray[np.int64]) -> NDArray[np.int64]:
         """Convert true times [us, int64 array] to camera time, rounded down to whole us."""
         elapsed = true_us - np.int64(self.origin_us)
-        drift = np.floor(elapsed * (self.skew_ppm * 1e-6)).astype(np.int64)
+        drift = elapsed * self._skew_ppb // 1_000_000_000
         return np.asarray(elapsed + drift, np.int64)
 
     def now(self, true_us: int) -> int:

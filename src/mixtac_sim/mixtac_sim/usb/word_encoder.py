@@ -15,8 +15,9 @@ import numpy as np
 from numba import njit
 
 if TYPE_CHECKING:
-    from mixtac_events.arrays import Events
     from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
 
 TIMESTAMP_RESET_WORD: Final = 0x0001
 _WRAP_US: Final = 0x8000
@@ -90,7 +91,9 @@ class Blocks:
 
 
 @njit(cache=True, nogil=True)
-def _reordered(words, end, order):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _reordered(
+    words: NDArray[np.uint16], end: NDArray[np.int64], order: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
     out = np.empty_like(words)
     ends = np.empty_like(end)
     n = 0
@@ -101,11 +104,11 @@ def _reordered(words, end, order):  # type: ignore[no-untyped-def]  # noqa: ANN0
             out[n] = words[i]
             n += 1
         ends[k] = n
-    return out, ends
+    return ends, out
 
 
 @njit(cache=True, nogil=True)
-def _wrap(t, state, coalesce, out, n):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _wrap(t: int, state: NDArray[np.int64], coalesce: bool, out: NDArray[np.uint16], n: int) -> int:
     while t - state[_BASE] >= _WRAP_US:
         count = min((t - state[_BASE]) // _WRAP_US, _MAX_WRAPS) if coalesce else 1
         state[_BASE] += count * _WRAP_US
@@ -116,7 +119,9 @@ def _wrap(t, state, coalesce, out, n):  # type: ignore[no-untyped-def]  # noqa: 
 
 
 @njit(cache=True, nogil=True)
-def _stamp(t, state, coalesce, out, n):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _stamp(
+    t: int, state: NDArray[np.int64], coalesce: bool, out: NDArray[np.uint16], n: int
+) -> int:
     n = _wrap(t, state, coalesce, out, n)
     # The FPGA's time never runs backwards: a late word takes the time of the one before it.
     if t > state[_LAST]:
@@ -127,7 +132,10 @@ def _stamp(t, state, coalesce, out, n):  # type: ignore[no-untyped-def]  # noqa:
 
 
 @njit(cache=True, nogil=True)
-def _event(t, row, column, on, state, coalesce, out, n):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _row(
+    t: int, row: int, state: NDArray[np.int64], coalesce: bool, out: NDArray[np.uint16], n: int
+) -> int:
+    # Several events of one row at one time share the row word.
     if row != state[_ROW] or max(t, state[_LAST]) != state[_ROW_TIME]:
         n = _stamp(t, state, coalesce, out, n)
         state[_ROW] = row
@@ -135,24 +143,23 @@ def _event(t, row, column, on, state, coalesce, out, n):  # type: ignore[no-unty
         state[_ROWS_SENT] += 1
         out[n] = _ROW_WORD | row
         n += 1
-    out[n] = _COLUMN_WORD | column | (_ON if on else 0)
-    return n + 1
+    return n
 
 
 @njit(cache=True, nogil=True)
-def _encode(  # type: ignore[no-untyped-def]  # noqa: ANN202
-    t,
-    row,
-    column,
-    on,
-    block_t,
-    stamped,
-    end,
-    words,
-    state,
-    coalesce,
-    out,  # noqa: ANN001
-):
+def _encode(
+    t: NDArray[np.int64],
+    row: NDArray[np.uint16],
+    column: NDArray[np.uint16],
+    on: NDArray[np.bool_],
+    block_t: NDArray[np.int64],
+    stamped: NDArray[np.bool_],
+    end: NDArray[np.int64],
+    words: NDArray[np.uint16],
+    state: NDArray[np.int64],
+    coalesce: bool,
+    out: NDArray[np.uint16],
+) -> int:
     n = 0
     block = 0
     start = 0
@@ -166,7 +173,9 @@ def _encode(  # type: ignore[no-untyped-def]  # noqa: ANN202
             start = end[block]
             block += 1
         if i < len(t):
-            n = _event(t[i], row[i], column[i], on[i], state, coalesce, out, n)
+            n = _row(t[i], row[i], state, coalesce, out, n)
+            out[n] = _COLUMN_WORD | column[i] | (_ON if on[i] else 0)
+            n += 1
     return n
 
 

@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the alignment node."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mixtac_alignment.impulses import ImpulseSettings
+from mixtac_node.parameters import parameter
+
+
+@dataclass(frozen=True)
+class AlignmentParameters:
+    """What the alignment node subscribes to, remembers and takes for an impulse."""
+
+    reference_topic: str = parameter(
+        '/ft_sensor/wrench',
+        'WrenchStamped topic of the reference force sensor; its stamps are the reference clock.',
+        read_only=True,
+    )
+    reference_axis: str = parameter(
+        'z',
+        'Axis of the wrench along which taps press; the sign does not matter.',
+        choices=('x', 'y', 'z'),
+    )
+    history: float = parameter(
+        120.0,
+        'Time that is remembered; both taps must lie within it when ~/fit is called.',
+        unit='s',
+        minimum=5.0,
+        maximum=3600.0,
+        read_only=True,
+    )
+    reference_rate: float = parameter(
+        2000.0,
+        'Highest rate of the reference sensor; sizes its history.',
+        unit='Hz',
+        minimum=10.0,
+        maximum=10000.0,
+        read_only=True,
+    )
+    min_force: float = parameter(
+        0.2,
+        'Smallest force peak of a tap. Lower finds gentler taps, and more that are none.',
+        unit='N',
+        minimum=0.01,
+        maximum=100.0,
+    )
+    max_width: float = parameter(
+        0.06,
+        'Longest force peak or event trough of a tap, at half its height. Presses are longer.',
+        unit='s',
+        minimum=0.005,
+        maximum=0.5,
+    )
+    min_burst_rate: float = parameter(
+        5e4,
+        'How far the event rate of both bursts of a tap rises over the trough between them.',
+        unit='1/s',
+        minimum=1e3,
+        maximum=1e7,
+    )
+    min_baseline: float = parameter(
+        2.0,
+        'Shortest time between the first and the last tap. The drift is known to about 1 ms over '
+        'this time.',
+        unit='s',
+        minimum=0.5,
+        maximum=3600.0,
+    )
+    max_drift: float = parameter(
+        500.0,
+        'Largest believable clock drift; crystals stay within 100.',
+        unit='ppm',
+        minimum=1.0,
+        maximum=10000.0,
+    )
+    use_all: bool = parameter(
+        False,
+        'Fit all strong taps by least squares, not only the first and the last.',
+    )
+
+    def settings(self) -> ImpulseSettings:
+        """Return what the core needs of these."""
+        return ImpulseSettings(
+            min_force=self.min_force,
+            max_width_s=self.max_width,
+            min_burst_rate=self.min_burst_rate,
+            min_baseline_s=self.min_baseline,
+            max_drift=self.max_drift * 1e-6,
+        )

@@ -1,0 +1,222 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+r"""The linear map from the camera clock to the reference clock, with its uncertainty.
+
+The paper's relation (section Aligning Data) is :math:`t_F = a\,t_E + b`. At epoch times, 1.7e9 s,
+a change of `a` by one ppb moves `b` by 1.7 s: `a` and `b` lose their digits to each other. The fit
+is therefore kept about two epochs near the middle of the anchors, all in seconds:
+
+.. math:: t_F - T_F = a\,(t_E - T_E) + b
+
+with :math:`T_E` (`camera_epoch_us`) and :math:`T_F` (`reference_epoch_s`) whole seconds, so that
+differences to them are exact. `paper_offset_s` is the `b` of the paper's relation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mixtac_alignment.errors import DriftError, NoImpulseError, ShortBaselineError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+MAX_DRIFT: Final = 5e-4
+"""Largest believable ``|a - 1|``: two uncompensated crystals differ by up to 1e-4."""
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """One physical moment on both clocks.
+
+    Attributes:
+        camera_us: Camera clock [us].
+        reference_s: Reference clock [s].
+        std_s: Standard deviation of the pairing [s], both sides together.
+    """
+
+    camera_us: int
+    reference_s: float
+    std_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClockFit:
+    """A map from the camera clock to the reference clock.
+
+    Attributes:
+        a: Rate of the reference clock per camera clock.
+        b: Offset about the epochs [s].
+        covariance: 2 x 2, of (a, b) about the epochs; units [1, s; s, s^2].
+        camera_epoch_us: Camera clock [us], a whole second.
+        reference_epoch_s: Reference clock [s], a whole second.
+        anchors: Anchors used, in the order of time.
+        residuals_s: Per anchor, its reference time minus the fitted one [s].
+        method: How the fit was made.
+    """
+
+    a: float
+    b: float
+    covariance: NDArray[np.float64]
+    camera_epoch_us: int
+    reference_epoch_s: float
+    anchors: tuple[Anchor, ...]
+    residuals_s: NDArray[np.float64]
+    method: str
+
+    def to_reference(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return camera times [us] on the reference clock [s]."""
+        return self.reference_epoch_s + self._offset_s(t_us)
+
+    def to_reference_ns(self, t_us: int | NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return camera times [us] on the reference clock [ns], exact to a ns at epoch times."""
+        offset = np.rint(self._offset_s(t_us) * 1e9).astype(np.int64)
+        return np.int64(round(self.reference_epoch_s)) * np.int64(1_000_000_000) + offset
+
+    def to_camera(self, t_s: float | NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return reference times [s] on the camera clock [us, rounded]."""
+        seconds = (np.asarray(t_s, np.float64) - self.reference_epoch_s - self.b) / self.a
+        return np.int64(self.camera_epoch_us) + np.rint(seconds * 1e6).astype(np.int64)
+
+    def std_at(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the standard deviation [s] of `to_reference` at camera times [us]."""
+        dt = self._since_epoch_s(t_us)
+        c = self.covariance
+        variance = c[0, 0] * dt**2 + 2.0 * c[0, 1] * dt + c[1, 1]
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    @property
+    def residual_rms_s(self) -> float:
+        """Root mean square of the residuals [s]; 0 for two anchors."""
+        return float(np.sqrt(np.mean(self.residuals_s**2)))
+
+    @property
+    def drift_ppm(self) -> float:
+        """Drift of the reference clock against the camera clock [1e-6]."""
+        return (self.a - 1.0) * 1e6
+
+    @property
+    def paper_offset_s(self) -> float:
+        """The `b` of ``t_F = a t_E + b`` [s], with the rounding of float64 at epoch times."""
+        return self.reference_epoch_s + self.b - self.a * self.camera_epoch_us * 1e-6
+
+    def with_anchors(self, anchors: Iterable[Anchor]) -> ClockFit:
+        """Return the same map with other anchors on record."""
+        return replace(self, anchors=tuple(anchors))
+
+    def summary(self) -> str:
+        """Return one line for people."""
+        middle_us = self.anchors[0].camera_us // 2 + self.anchors[-1].camera_us // 2
+        return (
+            f'{len(self.anchors)} anchors over '
+            f'{(self.anchors[-1].camera_us - self.anchors[0].camera_us) * 1e-6:.1f} s: drift '
+            f'{self.drift_ppm:+.1f} +- {1e6 * float(np.sqrt(self.covariance[0, 0])):.1f} ppm, '
+            f'+- {1e3 * float(self.std_at(middle_us)):.2f} ms in the middle, residual '
+            f'{1e3 * self.residual_rms_s:.3f} ms rms'
+        )
+
+    def _since_epoch_s(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+        since = np.asarray(t_us, np.int64) - np.int64(self.camera_epoch_us)
+        return since.astype(np.float64) * 1e-6
+
+    def _offset_s(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+        return self.a * self._since_epoch_s(t_us) + self.b
+
+
+def fit_clock(
+    anchors: Sequence[Anchor],
+    *,
+    min_baseline_s: float = 1.0,
+    max_drift: float = MAX_DRIFT,
+    method: str | None = None,
+) -> ClockFit:
+    """Fit the clock map to anchors: exactly for two, by weighted least squares for more.
+
+    The covariance follows from the anchors' own standard deviations; where more than two anchors
+    scatter by more than these, it grows with the scatter.
+
+    Args:
+        anchors: At least two, any order.
+        min_baseline_s: Shortest time between the first and the last anchor [s].
+        max_drift: Largest believable ``|a - 1|``, besides three standard deviations of `a`.
+        method: Name of the method; by default that of the solution.
+
+    Raises:
+        NoImpulseError: Fewer than two anchors.
+        ShortBaselineError: All anchors within `min_baseline_s`.
+        DriftError: The drift is not believable.
+    """
+    ordered = tuple(sorted(anchors, key=lambda anchor: anchor.camera_us))
+    if len(ordered) < 2:
+        raise NoImpulseError(
+            f'{len(ordered)} anchor for a clock map: it takes two impulses, one at the beginning '
+            'and one at the end'
+        )
+    _require_baseline(ordered, min_baseline_s)
+    camera_epoch_us, x = _camera_about_epoch(ordered)
+    reference = np.array([anchor.reference_s for anchor in ordered])
+    reference_epoch_s = float(np.floor(reference.mean()))
+    y = reference - reference_epoch_s
+    std = np.array([anchor.std_s for anchor in ordered])
+    (a, b), covariance = _solve(x, y, std)
+    residuals = y - (a * x + b)
+    if len(ordered) > 2:
+        covariance *= max(1.0, float(np.sum((residuals / std) ** 2)) / (len(ordered) - 2))
+    fit = ClockFit(
+        a=a,
+        b=b,
+        covariance=covariance,
+        camera_epoch_us=camera_epoch_us,
+        reference_epoch_s=reference_epoch_s,
+        anchors=ordered,
+        residuals_s=residuals,
+        method=method or ('two_impulse' if len(ordered) == 2 else 'least_squares'),
+    )
+    _require_drift(fit, max_drift)
+    return fit
+
+
+def _camera_about_epoch(anchors: tuple[Anchor, ...]) -> tuple[int, NDArray[np.float64]]:
+    times = [anchor.camera_us for anchor in anchors]
+    epoch_us = sum(times) // len(times) // 1_000_000 * 1_000_000
+    return epoch_us, np.array([t - epoch_us for t in times], np.float64) * 1e-6
+
+
+def _solve(
+    x: NDArray[np.float64], y: NDArray[np.float64], std: NDArray[np.float64]
+) -> tuple[tuple[float, float], NDArray[np.float64]]:
+    """Return (a, b) and their covariance, solved about the weighted means for precision."""
+    w = 1.0 / std**2
+    x0, y0 = float(np.average(x, weights=w)), float(np.average(y, weights=w))
+    if len(x) == 2:
+        a = float((y[1] - y[0]) / (x[1] - x[0]))
+    else:
+        a = float(np.sum(w * (x - x0) * (y - y0)) / np.sum(w * (x - x0) ** 2))
+    var_a = 1.0 / float(np.sum(w * (x - x0) ** 2))
+    var_mean = 1.0 / float(np.sum(w))
+    covariance = np.array([[var_a, -x0 * var_a], [-x0 * var_a, var_mean + x0**2 * var_a]])
+    return (a, y0 - a * x0), covariance
+
+
+def _require_baseline(anchors: tuple[Anchor, ...], min_baseline_s: float) -> None:
+    baseline_s = (anchors[-1].camera_us - anchors[0].camera_us) * 1e-6
+    if baseline_s < min_baseline_s or baseline_s <= 0.0:
+        raise ShortBaselineError(
+            f'anchors span {baseline_s:.3f} s, less than {min_baseline_s:g} s: tap once at the '
+            'beginning and once at the end of the recording'
+        )
+
+
+def _require_drift(fit: ClockFit, max_drift: float) -> None:
+    allowed = max_drift + 3.0 * float(np.sqrt(fit.covariance[0, 0]))
+    if not abs(fit.a - 1.0) <= allowed:
+        raise DriftError(
+            f'clock drift of {fit.drift_ppm:.0f} ppm; working clocks stay within '
+            f'{1e6 * allowed:.0f} ppm here: the anchors belong to different impulses, or samples '
+            'were lost; record again with two sharp taps'
+        )

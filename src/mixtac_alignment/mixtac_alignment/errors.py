@@ -1,0 +1,29 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Why two clocks could not be aligned."""
+
+from mixtac_events.errors import MixtacError
+
+
+class AlignmentError(MixtacError):
+    """Two recordings whose clocks cannot be aligned; the text says what to do."""
+
+
+class NoImpulseError(AlignmentError):
+    """Fewer than two impulses in one of the recordings, or none that match."""
+
+
+class AmbiguousImpulsesError(AlignmentError):
+    """Impulses that match in more than one way."""
+
+
+class SaturatedImpulseError(AlignmentError):
+    """An impulse cut off by the range of the force sensor: its peak has no time."""
+
+
+class ShortBaselineError(AlignmentError):
+    """Anchors too close to each other for their uncertainty."""
+
+
+class DriftError(AlignmentError):
+    """A clock drift that no pair of working clocks has."""

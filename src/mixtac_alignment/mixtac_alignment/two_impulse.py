@@ -1,0 +1,119 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The clock map from two synchronising impulses (paper, section Aligning Data)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
+from mixtac_alignment.errors import AlignmentError, NoImpulseError, SaturatedImpulseError
+from mixtac_alignment.event_troughs import find_event_impulses
+from mixtac_alignment.force_peaks import find_force_impulses
+from mixtac_alignment.impulses import Impulse, ImpulseSettings
+from mixtac_alignment.pairing import ImpulsePair, pair_impulses
+from mixtac_alignment.rate_history import EventCounts
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+STRONG: Final = 0.3
+"""Pairs with this part of the strongest one's weight are synchronising impulses."""
+
+
+def fit_two_impulses(
+    events_t_us: NDArray[np.int64],
+    force_t_s: NDArray[np.float64],
+    force_N: NDArray[np.float64],
+    settings: ImpulseSettings | None = None,
+) -> ClockFit:
+    """Fit the clock map to the first and the last impulse of a recording.
+
+    Args:
+        events_t_us: Event times, camera clock [us], ``int64``.
+        force_t_s: Force sample times, reference clock [s], increasing, ``float64``.
+        force_N: Normal force [N], either sign, ``float64``.
+        settings: What counts as an impulse.
+
+    Raises:
+        NoImpulseError: Fewer than two impulses in one recording, or none that match.
+        AmbiguousImpulsesError: More than one way to match.
+        SaturatedImpulseError: An impulse went over the range of the force sensor.
+        ShortBaselineError: The impulses are too close to each other.
+        DriftError: The drift is not believable.
+        AlignmentError: Arrays that are no recording.
+    """
+    return fit_counts(EventCounts.of(events_t_us), force_t_s, force_N, settings)
+
+
+def fit_counts(
+    counts: EventCounts,
+    force_t_s: NDArray[np.float64],
+    force_N: NDArray[np.float64],
+    settings: ImpulseSettings | None = None,
+    *,
+    use_all: bool = False,
+) -> ClockFit:
+    """Fit the clock map to impulses, from event counts instead of events.
+
+    Args:
+        counts: Event counts, camera clock.
+        force_t_s: As `fit_two_impulses`.
+        force_N: As `fit_two_impulses`.
+        settings: As `fit_two_impulses`.
+        use_all: Fit all strong impulses by least squares instead of the first and the last.
+
+    Raises:
+        AlignmentError: As `fit_two_impulses`.
+    """
+    chosen = settings or ImpulseSettings()
+    if len(force_t_s) == 0:
+        raise AlignmentError('no force recorded: check the topic of the reference sensor')
+    start_s = float(np.floor(force_t_s[0]))
+    reference = find_force_impulses(force_t_s - start_s, force_N, chosen)
+    camera = find_event_impulses(counts, chosen)
+    _require_two(reference, 'force', f'tap so that the force passes {chosen.min_force:g} N')
+    _require_two(camera, 'event rate', 'tap sharply on the gel, and check for lost packets')
+    pairs = _synchronising(pair_impulses(camera, reference, chosen))
+    used = pairs if use_all else (pairs[0], pairs[-1])
+    return fit_clock(
+        [_anchor(pair, counts.start_us, start_s) for pair in used],
+        min_baseline_s=chosen.min_baseline_s,
+        max_drift=chosen.max_drift,
+    )
+
+
+def _synchronising(pairs: tuple[ImpulsePair, ...]) -> tuple[ImpulsePair, ...]:
+    least = STRONG * max(pair.weight for pair in pairs)
+    strong = tuple(pair for pair in pairs if pair.weight >= least)
+    if len(strong) < 2:
+        raise NoImpulseError(
+            'only one strong impulse is in both recordings: tap once at the beginning and once at '
+            'the end, about equally hard'
+        )
+    for pair in strong:
+        if pair.reference.saturated:
+            raise SaturatedImpulseError(
+                f'the force peak {pair.reference.time_s:.3f} s into the recording is cut off at '
+                'the range of the force sensor: tap more gently'
+            )
+    return strong
+
+
+def _anchor(pair: ImpulsePair, camera_start_us: int, reference_start_s: float) -> Anchor:
+    return Anchor(
+        camera_us=camera_start_us + round(pair.camera.time_s * 1e6),
+        reference_s=reference_start_s + pair.reference.time_s,
+        std_s=float(np.hypot(pair.camera.std_s, pair.reference.std_s)),
+    )
+
+
+def _require_two(impulses: list[Impulse], where: str, remedy: str) -> None:
+    if len(impulses) < 2:
+        times = ', '.join(f'{impulse.time_s:.2f} s' for impulse in impulses) or 'none'
+        raise NoImpulseError(
+            f'found {len(impulses)} impulses in the {where} ({times}), two are needed: {remedy}, '
+            'once at the beginning and once at the end'
+        )

@@ -1,0 +1,154 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The alignment node as a process of its own, over real topics."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from mixtac_alignment.fit_message import from_fields
+from mixtac_events.arrays import Events
+from mixtac_events.codec import encode
+
+rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
+pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
+pytest.importorskip('event_camera_msgs.msg', reason='needs the built workspace')
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+pytestmark = pytest.mark.dds
+PACKET_US = 10_000
+
+
+@pytest.fixture
+def process(ros_domain: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    """Run the node; ended by its pid."""
+    command = [sys.executable, '-m', 'mixtac_alignment.alignment_node']
+    started = subprocess.Popen(command, env=ros_domain, text=True, stderr=subprocess.PIPE)
+    yield started
+    started.terminate()
+    _, errors = started.communicate(timeout=20)
+    assert started.returncode == 0, errors
+
+
+@pytest.fixture
+def peer(ros_domain: dict[str, str]) -> Iterator[Peer]:
+    """Yield the test's own end of the topics."""
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=int(ros_domain['ROS_DOMAIN_ID']))
+    made = Peer(context)
+    yield made
+    made.node.destroy_node()
+    context.try_shutdown()
+
+
+class Peer:
+    """Plays a recording, asks for the fit and receives it."""
+
+    def __init__(self, context: Any) -> None:
+        from event_camera_msgs.msg import EventPacket
+        from geometry_msgs.msg import WrenchStamped
+        from rclpy.executors import SingleThreadedExecutor
+        from std_srvs.srv import Trigger
+
+        from mixtac_msgs.msg import ClockFit
+        from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED
+
+        self.node = rclpy.create_node('peer', context=context, namespace='mixtac')
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+        self.fits: list[Any] = []
+        self._packet, self._wrench, self._trigger = EventPacket, WrenchStamped, Trigger
+        self._fit_type, self._latched = ClockFit, QOS_LATCHED
+        self._events = self.node.create_publisher(EventPacket, 'events', QOS_EVENTS)
+        self._force = self.node.create_publisher(WrenchStamped, '/ft_sensor/wrench', QOS_FORCE)
+        self._client = self.node.create_client(Trigger, 'alignment/fit')
+
+    def ready(self) -> bool:
+        deadline = time.monotonic() + 40.0
+        while time.monotonic() < deadline:
+            self.executor.spin_once(timeout_sec=0.1)
+            matched = self._events.get_subscription_count() and self._force.get_subscription_count()
+            if matched and self._client.service_is_ready():
+                time.sleep(0.5)  # the other side may not have matched yet
+                return True
+        return False
+
+    def fit(self) -> Any:
+        future = self._client.call_async(self._trigger.Request())
+        self.executor.spin_until_future_complete(future, timeout_sec=20.0)
+        return future.result()
+
+    def receive_late(self) -> Any:
+        """Subscribe after the fact: the fit is latched."""
+        self.node.create_subscription(self._fit_type, 'clock_fit', self.fits.append, self._latched)
+        deadline = time.monotonic() + 20.0
+        while not self.fits and time.monotonic() < deadline:
+            self.executor.spin_once(timeout_sec=0.1)
+        return self.fits[-1]
+
+    def play(self, t_us: np.ndarray, force_s: np.ndarray, force: np.ndarray) -> None:
+        """Publish packets and force samples side by side, faster than real time."""
+        borders = np.arange(t_us[0], t_us[-1] + PACKET_US, PACKET_US)
+        cuts = np.searchsorted(t_us, borders)
+        shares = np.linspace(0, len(force_s), len(borders)).astype(int)
+        for i in range(len(borders) - 1):
+            self._send_packet(i, t_us[cuts[i] : cuts[i + 1]], int(borders[i + 1]))
+            for k in range(shares[i], shares[i + 1]):
+                self._send_force(float(force_s[k]), float(force[k]))
+            time.sleep(0.004)
+
+    def _send_packet(self, sequence: int, t_us: np.ndarray, until: int) -> None:
+        n = len(t_us)
+        x, y = np.arange(n) % 346, np.arange(n) % 260
+        events = Events(t_us, x.astype(np.uint16), y.astype(np.uint16), np.ones(n, np.bool_))
+        packet = encode(events, complete_until=until)
+        message = self._packet(
+            width=346,
+            height=260,
+            seq=sequence,
+            time_base=packet.time_base,
+            encoding=packet.encoding,
+        )
+        message.events.frombytes(packet.payload)
+        self._events.publish(message)
+
+    def _send_force(self, t_s: float, force: float) -> None:
+        message = self._wrench()
+        message.header.stamp.sec = int(t_s)
+        message.header.stamp.nanosec = round((t_s - int(t_s)) * 1e9)
+        message.wrench.force.z = -force
+        self._force.publish(message)
+
+
+def test_the_node_fits_and_latches_the_clock_map(
+    scene: Any, process: subprocess.Popen[str], peer: Peer
+) -> None:
+    assert peer.ready()
+    assert process.poll() is None
+    refused = peer.fit()
+    assert not refused.success
+    assert 'no ' in refused.message
+    case = scene(taps_s=(1.0, 5.5), seconds=6.5, presses=False, tap_s=0.02, rate_hz=400.0)
+    peer.play(*case.recording())
+    time.sleep(0.3)
+    answer = peer.fit()
+    assert answer.success, answer.message
+    message = peer.receive_late()
+    fit = from_fields(
+        {name: getattr(message, name) for name in message.get_fields_and_field_types()}
+    )
+    times = np.array([case.camera_us(t) for t in case.taps_s])
+    error = fit.to_reference(times) - case.reference_s(np.array(case.taps_s))
+    assert np.abs(error).max() < 2e-3
+    assert message.method == 'two_impulse'
+    assert message.message == answer.message
+    assert message.header.stamp.sec > 0
+    assert len(message.camera_anchors) == 2

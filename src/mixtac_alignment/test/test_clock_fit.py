@@ -1,0 +1,139 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The clock map: exactness at epoch times, uncertainty, refusals."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
+from mixtac_alignment.errors import DriftError, NoImpulseError, ShortBaselineError
+
+EPOCH_US = 1_700_000_000_000_000
+
+
+def exact_reference_ns(fit: ClockFit, t_us: int) -> Fraction:
+    """Return the map evaluated without rounding [ns]."""
+    since = Fraction(t_us - fit.camera_epoch_us, 10**6)
+    seconds = Fraction(fit.reference_epoch_s) + Fraction(fit.a) * since + Fraction(fit.b)
+    return seconds * 10**9
+
+
+@given(
+    start_us=st.sampled_from([0, 12_345_678, EPOCH_US + 987_654]),
+    baseline_us=st.integers(5_000_000, 3_600_000_000),
+    reference_s=st.sampled_from([0.0, 1_690_000_000.25]) | st.floats(0.0, 1e6),
+    drift=st.floats(-4e-4, 4e-4),
+)
+def test_two_anchors_are_met_exactly(
+    start_us: int, baseline_us: int, reference_s: float, drift: float
+) -> None:
+    second_s = reference_s + baseline_us * 1e-6 * (1.0 + drift)
+    anchors = [
+        Anchor(start_us + baseline_us, second_s, 1e-3),
+        Anchor(start_us, reference_s, 1e-3),
+    ]
+    fit = fit_clock(anchors)
+    assert fit.method == 'two_impulse'
+    digits = max(1e-9, 4.0 * float(np.spacing(second_s)))
+    assert np.abs(fit.residuals_s).max() <= digits
+    assert abs(fit.a - (1.0 + drift)) <= 4.0 * digits / (baseline_us * 1e-6)
+    for anchor in anchors:
+        assert abs(float(fit.to_reference(anchor.camera_us)) - anchor.reference_s) <= digits
+        assert abs(int(fit.to_camera(anchor.reference_s)) - anchor.camera_us) <= 1 + digits * 1e6
+
+
+@given(
+    since_us=st.lists(st.integers(-10_000_000, 60_000_000), min_size=1, max_size=20),
+    drift=st.floats(-1e-4, 1e-4),
+)
+def test_the_map_is_exact_to_a_nanosecond_at_epoch_times(since_us: list[int], drift: float) -> None:
+    fit = fit_clock(
+        [
+            Anchor(EPOCH_US + 100, 1_690_000_000.5, 1e-3),
+            Anchor(EPOCH_US + 25_000_100, 1_690_000_000.5 + 25.0 * (1.0 + drift), 1e-3),
+        ]
+    )
+    times = np.array(since_us, np.int64) + EPOCH_US
+    for t, mapped in zip(times.tolist(), fit.to_reference_ns(times).tolist(), strict=True):
+        assert abs(mapped - exact_reference_ns(fit, t)) <= 1
+    ordered = np.sort(times)
+    assert np.all(np.diff(fit.to_reference_ns(ordered)) >= 0)
+    assert np.abs(fit.to_camera(fit.to_reference(times)) - times).max() <= 1
+
+
+def test_uncertainty_is_that_of_the_anchors_and_grows_outside() -> None:
+    fit = fit_clock([Anchor(EPOCH_US, 5.0, 1e-3), Anchor(EPOCH_US + 20_000_000, 25.0, 1e-3)])
+    middle, first, last, after = (
+        float(fit.std_at(EPOCH_US + s * 1_000_000)) for s in (10, 0, 20, 60)
+    )
+    assert first == pytest.approx(1e-3)
+    assert last == pytest.approx(1e-3)
+    assert middle == pytest.approx(1e-3 / np.sqrt(2.0))
+    assert after > 3e-3
+    assert np.sqrt(fit.covariance[0, 0]) == pytest.approx(np.sqrt(2.0) * 1e-3 / 20.0)
+    assert fit.residual_rms_s < 1e-9
+
+
+def test_least_squares_agrees_with_a_plain_solution_and_its_covariance_with_scatter() -> None:
+    rng = np.random.default_rng(1)
+    std = 1e-3
+    errors_a = []
+    z = []
+    for _ in range(300):
+        t_us = EPOCH_US + np.sort(rng.integers(0, 60_000_000, 8))
+        t_us[-1] = t_us[0] + 50_000_000
+        since = (t_us - EPOCH_US) * 1e-6
+        truth = 100.0 + (1.0 + 5e-5) * since
+        reference = truth + rng.normal(0.0, std, 8)
+        fit = fit_clock(
+            [Anchor(int(t), float(r), std) for t, r in zip(t_us, reference, strict=True)]
+        )
+        slope, _ = np.polyfit(since, reference, 1)
+        errors_a.append(abs(fit.a - slope))
+        at = EPOCH_US + 30_000_000
+        z.append((float(fit.to_reference(at)) - 130.0 - 5e-5 * 30.0) / float(fit.std_at(at)))
+    assert max(errors_a) < 1e-10
+    assert fit.method == 'least_squares'
+    assert 0.75 < np.std(z) < 1.1
+
+
+def test_covariance_grows_when_anchors_scatter_more_than_they_claim() -> None:
+    times = [0, 10, 20, 30, 40]
+    scatter = [0.004, -0.004, 0.004, -0.004, 0.004]
+    claimed = [Anchor(t * 1_000_000, t + s, 1e-4) for t, s in zip(times, scatter, strict=True)]
+    fit = fit_clock(claimed)
+    assert float(fit.std_at(20_000_000)) > 1e-3
+    assert fit.residual_rms_s == pytest.approx(0.004, rel=0.1)
+
+
+def test_weights_favour_the_sharper_anchors() -> None:
+    sharp = [Anchor(0, 0.0, 1e-4), Anchor(20_000_000, 20.0, 1e-4)]
+    fit = fit_clock([*sharp, Anchor(10_000_000, 10.01, 1e-2)])
+    assert abs(fit.residuals_s[0]) < 1e-5
+    assert fit.residuals_s[1] == pytest.approx(0.01, abs=1e-4)
+
+
+def test_the_offset_of_the_paper() -> None:
+    fit = fit_clock([Anchor(2_000_000, 7.0, 1e-3), Anchor(12_000_000, 17.001, 1e-3)])
+    for t_us in (0, 5_000_000, 30_000_000):
+        expected = fit.a * t_us * 1e-6 + fit.paper_offset_s
+        assert float(fit.to_reference(t_us)) == pytest.approx(expected, abs=1e-12)
+    assert fit.drift_ppm == pytest.approx(100.0)
+    assert '+100.0' in fit.summary()
+
+
+def test_refusals_name_the_reason() -> None:
+    with pytest.raises(NoImpulseError, match='two impulses'):
+        fit_clock([Anchor(0, 0.0, 1e-3)])
+    with pytest.raises(ShortBaselineError, match=r'0\.500 s'):
+        fit_clock([Anchor(0, 0.0, 1e-3), Anchor(500_000, 0.5, 1e-3)])
+    with pytest.raises(ShortBaselineError):
+        fit_clock([Anchor(0, 0.0, 1e-3), Anchor(0, 0.0, 1e-3)], min_baseline_s=0.0)
+    with pytest.raises(DriftError, match='1000 ppm'):
+        fit_clock([Anchor(0, 0.0, 1e-5), Anchor(10_000_000, 10.01, 1e-5)])

@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The ring of force samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_alignment.force_history import ForceHistory
+
+
+@given(steps=st.lists(st.integers(-3, 300_000_000), max_size=80), capacity=st.integers(1, 30))
+def test_the_ring_holds_the_latest_increasing_samples(steps: list[int], capacity: int) -> None:
+    history = ForceHistory(span_s=2.0, capacity=capacity)
+    kept: list[int] = []
+    now = 1_700_000_000_000_000_000
+    for i, step in enumerate(steps):
+        now += step
+        history.push(now, (float(i), 0.0, now / 1e9))
+        if not kept or now > kept[-1]:
+            kept.append(now)
+    t, force = history.snapshot('z')
+    recent = [k for k in kept[-capacity:] if k >= kept[-1] - 2_000_000_000]
+    assert np.array_equal(t, np.array(recent, np.int64) / 1e9)
+    assert np.array_equal(force, t)
+    assert history.out_of_order == len(steps) - len(kept)
+
+
+def test_a_restarted_clock_starts_over_and_no_number_is_dropped() -> None:
+    history = ForceHistory(span_s=10.0, capacity=100)
+    history.push(5_000_000_000, (1.0, 2.0, 3.0))
+    history.push(5_100_000_000, (1.0, float('nan'), 3.0))
+    assert (len(history.snapshot('x')[0]), history.out_of_order) == (1, 1)
+    history.push(100, (4.0, 5.0, 6.0))
+    t, force = history.snapshot('y')
+    assert (t.tolist(), force.tolist(), history.restarts) == ([1e-7], [5.0], 1)

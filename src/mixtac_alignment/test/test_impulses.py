@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Impulses in each recording alone, and the vertex between samples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_alignment.event_troughs import find_event_impulses
+from mixtac_alignment.force_peaks import find_force_impulses
+from mixtac_alignment.impulses import Impulse, strongest, vertex
+from mixtac_alignment.rate_history import EventCounts
+
+
+@given(
+    at=st.floats(-0.9, 0.9),
+    curvature=st.floats(0.01, 1e6) | st.floats(-1e6, -0.01),
+    n=st.integers(3, 40),
+    start=st.floats(-1e4, 1e4),
+)
+def test_the_vertex_of_a_parabola_is_exact(
+    at: float, curvature: float, n: int, start: float
+) -> None:
+    t = start + np.linspace(-1.0, 1.0, n)
+    found, std = vertex(t, 3.0 + curvature * (t - start - at) ** 2)
+    assert found == pytest.approx(start + at, abs=1e-5)
+    assert std < 1e-4
+
+
+@given(values=st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=30))
+def test_the_vertex_stays_within_the_samples(values: list[float]) -> None:
+    t = np.arange(len(values)) * 1e-3
+    found, std = vertex(t, np.array(values))
+    assert t[0] <= found <= t[-1]
+    assert np.isfinite(std)
+    assert std >= 0.0
+
+
+def test_only_the_strongest_of_neighbours_counts() -> None:
+    impulses = [
+        Impulse(t, 1e-4, s, 0.01) for t, s in ((0.0, 1.0), (0.1, 3.0), (0.2, 2.0), (1.0, 1))
+    ]
+    assert [i.time_s for i in strongest(impulses, 0.15)] == [0.1, 1.0]
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_force_peaks_lie_between_the_samples(scene: Any, seed: int) -> None:
+    case = scene(seed=seed, noise=0.01, tap_s=0.016, drift=0.0, reference_start_s=0.0)
+    _, t, force = case.recording()
+    found = find_force_impulses(t, force)
+    assert [i.time_s for i in found] == pytest.approx(case.taps_s, abs=3e-4)
+    assert not any(i.saturated for i in found)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_event_troughs_are_finer_than_a_millisecond(scene: Any, seed: int) -> None:
+    case = scene(seed=seed, tap_s=0.016)
+    events, _, _ = case.recording()
+    counts = EventCounts.of(events)
+    found = find_event_impulses(counts)
+    times = [counts.start_us + i.time_s * 1e6 for i in found]
+    assert times == pytest.approx([case.camera_us(t) for t in case.taps_s], abs=600)
+
+
+def test_slow_presses_are_no_impulses(scene: Any) -> None:
+    events, t, force = scene(taps_s=(), heights=()).recording()
+    assert find_force_impulses(t - t[0], force) == []
+    assert find_event_impulses(EventCounts.of(events)) == []
+
+
+def test_a_saturated_readout_widens_the_uncertainty(scene: Any) -> None:
+    weak, strong = (
+        find_event_impulses(EventCounts.of(scene(events_per_newton=k).recording()[0]))
+        for k in (5e3, 3e4)
+    )
+    assert max(i.std_s for i in weak) < 1e-3 < min(i.std_s for i in strong)

@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Sequences side by side for training, and the mirror images that double them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mixtac_fger.network import FrameSlots
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mixtac_fger.config import FgerConfig
+    from mixtac_fger.dataset import Sample
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sequences:
+    """B trials side by side, padded at their ends to T windows.
+
+    Attributes:
+        event_features: float16 [T, B, grid rows, grid columns, 4].
+        force: Labels [N], float32 [T, B].
+        valid: False in the padding, bool [T, B].
+        slots: Frames by index into `frame_inputs`.
+        frame_inputs: All frames of all trials, float16 [N, channels, rows, columns].
+        frame_force: Mean label per exposure [N], float32 [N].
+        frame_trial: Which trial each frame belongs to, int64 [N].
+    """
+
+    event_features: Tensor
+    force: Tensor
+    valid: Tensor
+    slots: FrameSlots
+    frame_inputs: Tensor
+    frame_force: Tensor
+    frame_trial: Tensor
+
+
+def stack(samples: Sequence[Sample]) -> Sequences:
+    """Put trials side by side."""
+    length = max(len(sample.force) for sample in samples)
+    counts = [len(sample.frame_force) for sample in samples]
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+
+    def padded(name: str, fill: int = 0) -> Tensor:
+        arrays = [getattr(sample, name) for sample in samples]
+        out = np.full((length, len(arrays), *arrays[0].shape[1:]), fill, arrays[0].dtype)
+        for column, array in enumerate(arrays):
+            out[: len(array), column] = array
+        return torch.from_numpy(out)
+
+    index = padded('slots', -1)
+    shifted = torch.where(index >= 0, index + torch.from_numpy(starts), -1)
+    lengths = torch.tensor([len(sample.force) for sample in samples])
+    return Sequences(
+        event_features=padded('event_features'),
+        force=padded('force'),
+        valid=torch.arange(length)[:, None] < lengths[None],
+        slots=FrameSlots(shifted, padded('lags')),
+        frame_inputs=torch.from_numpy(np.concatenate([s.frame_inputs for s in samples])),
+        frame_force=torch.from_numpy(np.concatenate([s.frame_force for s in samples])),
+        frame_trial=torch.repeat_interleave(torch.arange(len(samples)), torch.tensor(counts)),
+    )
+
+
+def mirror_frames(frames: Tensor, config: FgerConfig, columns: bool, rows: bool) -> Tensor:
+    """Return network inputs [..., channels, rows, columns] as a mirrored sensor would give them."""
+    axes = [axis for axis, wanted in ((-2, rows), (-1, columns)) if wanted]
+    turned = {'flow_x': columns, 'flow_y': rows}
+    signs = [-1.0 if turned.get(name, False) else 1.0 for name in config.frame_channels]
+    return frames.flip(axes) * torch.tensor(signs, dtype=frames.dtype)[:, None, None]
+
+
+def mirror_events(features: Tensor, columns: bool, rows: bool) -> Tensor:
+    """Return grid features [..., rows, columns, 4] as a mirrored sensor would give them."""
+    axes = [axis for axis, wanted in ((-3, rows), (-2, columns)) if wanted]
+    signs = [-1.0 if columns else 1.0, -1.0 if rows else 1.0, 1.0, 1.0]
+    return features.flip(axes) * torch.tensor(signs, dtype=features.dtype)

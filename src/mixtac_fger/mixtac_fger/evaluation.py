@@ -1,0 +1,75 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Judging a model on trials through the same code that runs live."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mixtac_fger.metrics import Metrics, measure
+from mixtac_fger.streaming import ForceEstimator
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from mixtac_fger.dataset import ForceLabel, RecordedTrial
+    from mixtac_fger.weights import LoadedModel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """Estimates of one trial.
+
+    Attributes:
+        t_us: End of each window, camera clock [us].
+        force: Estimate [N].
+        frames_only: Force of the latest frame, held [N].
+        truth: True force [N].
+    """
+
+    t_us: NDArray[np.int64]
+    force: NDArray[np.float64]
+    frames_only: NDArray[np.float64]
+    truth: NDArray[np.float32]
+
+
+def stream(model: LoadedModel, trial: RecordedTrial, label: ForceLabel) -> Run:
+    """Feed a trial to the live estimator in order of arrival.
+
+    Args:
+        model: Network with its weights.
+        trial: Events and frames; frames are handed over at `arrival_us`.
+        label: True force on the camera clock.
+    """
+    estimator = ForceEstimator(model)
+    width = model.config.window_us
+    middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
+    ends = np.arange(width, int(label.t_us[-1]) + 1, width)
+    cuts = np.searchsorted(trial.events.t, [0, *ends])
+    arrived = np.searchsorted(trial.arrival_us, ends, side='right')
+    done = 0
+    rows = []
+    for index, end in enumerate(ends):
+        for frame in range(done, arrived[index]):
+            estimator.push_frame(trial.frames[frame], int(middle[frame]))
+        done = max(done, int(arrived[index]))
+        events = trial.events[cuts[index] : cuts[index + 1]]
+        for t_us, force in estimator.push_events(events, int(end)):
+            rows.append((t_us, force, estimator.status().frame_force))
+    table = np.array(rows, np.float64).reshape(-1, 3)
+    t_us = table[:, 0].astype(np.int64)
+    return Run(t_us, table[:, 1], table[:, 2], label.at(t_us))
+
+
+def summarise(runs: Iterable[Run]) -> dict[str, Any]:
+    """Return the pooled figures of runs: fused, and frames only."""
+    kept = list(runs)
+    truth = np.concatenate([run.truth for run in kept])
+    fused: Metrics = measure(truth, np.concatenate([run.force for run in kept]))
+    frames = measure(truth, np.concatenate([run.frames_only for run in kept]))
+    return fused.to_dict() | {'trials': len(kept), 'frames_only_mae': round(frames.mae, 4)}

@@ -1,0 +1,133 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""From a camera frame to what the streaming estimator needs of it, against a kept reference."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from mixtac_fger.features import EventGuide, FramePreparation
+from mixtac_fger.errors import TareError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_fger.network import FgerNetwork
+
+    F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EncodedFrame:
+    """A frame as the recurrent path uses it.
+
+    Attributes:
+        mid_us: Centre of the exposure, camera clock [us].
+        feature: f_frame, float32 [frame_size].
+        guide: What events are multiplied with from now on.
+        force: Frames-only force [N].
+    """
+
+    mid_us: int
+    feature: F32
+    guide: EventGuide
+    force: float
+
+
+class FrameEncoder:
+    """Runs the frame network and keeps the no-contact reference; may be called from any thread.
+
+    The reference is the mean of the first `FgerConfig.reference_frames` frames that do not change.
+    Until it is complete there is nothing to compare with and frames give nothing.
+
+    Args:
+        network: In evaluation mode.
+    """
+
+    def __init__(self, network: FgerNetwork) -> None:
+        self._network = network.frame
+        self._config = network.config
+        self._preparation = FramePreparation(network.config)
+        self._lock = threading.Lock()
+        self._recent: deque[F32] = deque(maxlen=network.config.reference_frames)
+        self._reference: F32 | None = None
+        self._disturbances = 0
+
+    @property
+    def reference_complete(self) -> bool:
+        """Whether there is a reference."""
+        return self._reference is not None
+
+    @property
+    def reference_progress(self) -> int:
+        """Still frames at hand for the reference, up to `FgerConfig.reference_frames`."""
+        return len(self._recent)
+
+    @property
+    def disturbances(self) -> int:
+        """How often motion restarted the reference."""
+        return self._disturbances
+
+    def encode(
+        self, image: NDArray[np.uint16] | NDArray[np.uint8], mid_us: int
+    ) -> EncodedFrame | None:
+        """Encode a frame; None while the reference is being collected.
+
+        Args:
+            image: Intensity, [height, width], any number of bits.
+            mid_us: Centre of the exposure, camera clock [us].
+
+        Raises:
+            ImageError: The image has another size.
+        """
+        with self._lock:
+            contrast = self._preparation.contrast(image)
+            self._remember(contrast.coarse)
+            if self._reference is None:
+                return None
+            inputs = self._preparation.network_input(contrast, self._reference)
+            with torch.inference_mode():
+                feature = self._network(torch.from_numpy(inputs)[None])
+                force = float(self._network.force(feature)[0])
+            guide = self._preparation.guide(contrast)
+            return EncodedFrame(mid_us, feature[0].numpy().copy(), guide, force)
+
+    def renew_reference(self) -> None:
+        """Make the latest frames the reference.
+
+        Raises:
+            TareError: There are too few frames since the last motion.
+        """
+        with self._lock:
+            if not self._full():
+                wanted = self._config.reference_frames
+                raise TareError(
+                    f'{len(self._recent)} of {wanted} still frames at hand: keep the sensor'
+                    ' untouched and try again'
+                )
+            self._reference = np.mean(self._recent, axis=0, dtype=np.float32)
+
+    def forget_reference(self) -> None:
+        """Start over: the next still frames become the reference."""
+        with self._lock:
+            self._reference = None
+            self._recent.clear()
+
+    def _full(self) -> bool:
+        return len(self._recent) == self._config.reference_frames
+
+    def _remember(self, coarse: F32) -> None:
+        if self._recent:
+            change = np.mean(np.abs(coarse - np.mean(self._recent, axis=0)))
+            if change > self._config.reference_stillness:
+                self._recent.clear()
+                self._disturbances += self._reference is None
+        self._recent.append(coarse)
+        if self._reference is None and self._full():
+            self._reference = np.mean(self._recent, axis=0, dtype=np.float32)

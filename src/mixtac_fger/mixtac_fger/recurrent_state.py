@@ -1,0 +1,77 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The recurrent path as it runs live: fixed memory, no torch."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_fger.packet_step import (
+    advance,
+    correction,
+    correction_weights,
+    step_state,
+    step_weights,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_fger.network import FgerNetwork
+
+    F32 = NDArray[np.float32]
+
+
+class RecurrentPath:
+    """State of the recurrent path: LSTM, force estimate and the estimates of the recent past.
+
+    Args:
+        network: Weights are copied out of it.
+    """
+
+    def __init__(self, network: FgerNetwork) -> None:
+        self._config = network.config
+        self._weights = step_weights(network)
+        self._correction = correction_weights(network)
+        self._state = step_state(self._weights)
+        self._history = np.zeros(network.config.history_windows, np.float32)
+        self._newest = 0
+
+    @property
+    def force(self) -> float:
+        """Present estimate [N]."""
+        return float(self._state.force[0])
+
+    def clear(self) -> None:
+        """Forget everything: no force, no memory."""
+        for part in self._state:
+            part[:] = 0.0
+        self._history[:] = 0.0
+
+    def correct(self, frame_feature: F32, lag: int) -> None:
+        """Correct the estimate and its past by a frame.
+
+        Args:
+            frame_feature: f_frame of the frame.
+            lag: Windows between the last estimate and the centre of the exposure.
+        """
+        size = len(self._history)
+        if self._config.correction_point != 'exposure_centre':
+            lag = 0
+        then = self._history[(self._newest - min(max(lag, 0), size - 1)) % size]
+        change = correction(then, frame_feature, self._correction)
+        self._history += np.float32(change)
+        self._state.force[0] += change
+
+    def step(self, features: F32) -> float:
+        """Advance by one window and return the force [N] at its end.
+
+        Args:
+            features: Grid features, float32 [grid rows, grid columns, 4].
+        """
+        advance(features, self._weights, self._state)
+        self._newest = (self._newest + 1) % len(self._history)
+        self._history[self._newest] = self._state.force[0]
+        return float(self._state.force[0])

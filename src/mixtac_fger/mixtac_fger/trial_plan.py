@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Which simulated trials to train on and which to judge by; the seeds never meet."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+TRAINING_PROFILES = (
+    'dynamic',
+    'impact',
+    'press',
+    'oscillation',
+    'impact',
+    'dynamic',
+    'static',
+    'demo',
+)
+"""Taken in turn. Impacts come twice: they are short, and a net that saw none misses them."""
+EVALUATION_PROFILES = ('press', 'oscillation', 'impact', 'dynamic', 'static', 'demo')
+TRAINING_DEVICES = 100_000
+"""First device seed of training; 100,000 seeds from here on are training's."""
+TRAINING_TRIALS = 100_000
+"""First trial seed of training."""
+UNSEEN = 500_000
+"""First device and trial seed of evaluation."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrialSpec:
+    """One simulated trial.
+
+    Attributes:
+        device_seed: Which sensor: beads, gel, lamp, pixels.
+        trial_seed: Which day: contact point, speeds, noise, clocks.
+        profile: Force profile of `mixtac_sim.profiles`.
+        seconds: Length.
+    """
+
+    device_seed: int
+    trial_seed: int
+    profile: str
+    seconds: float
+
+    @property
+    def name(self) -> str:
+        """A file name for what belongs to the trial."""
+        return f'{self.profile}_d{self.device_seed}_t{self.trial_seed}_{self.seconds:g}s'
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON-ready values."""
+        return asdict(self)
+
+
+def training_plan(trials: int, gels: int, seconds: float, seed: int) -> list[TrialSpec]:
+    """Return `trials` trials over `gels` sensors, profiles in turn.
+
+    Args:
+        trials: Number of trials.
+        gels: Number of different sensors.
+        seconds: Length of a trial.
+        seed: Shifts all seeds: another seed gives other sensors and other days.
+    """
+    first = TRAINING_DEVICES + 1000 * (seed % 100)
+    return [
+        TrialSpec(
+            device_seed=first + index % gels,
+            trial_seed=TRAINING_TRIALS + 1000 * (seed % 100) + index,
+            profile=TRAINING_PROFILES[(index + index // gels) % len(TRAINING_PROFILES)],
+            seconds=seconds,
+        )
+        for index in range(trials)
+    ]
+
+
+def evaluation_plan(
+    devices: list[int], seconds: float, seed: int, profiles: tuple[str, ...] = EVALUATION_PROFILES
+) -> list[TrialSpec]:
+    """Return one trial per profile and sensor with trial seeds that training never uses."""
+    return [
+        TrialSpec(device, UNSEEN + 10_000 * seed + 100 * row + column, profile, seconds)
+        for row, device in enumerate(devices)
+        for column, profile in enumerate(profiles)
+    ]
+
+
+def unseen_devices(count: int, seed: int) -> list[int]:
+    """Return device seeds that training never uses."""
+    return [UNSEEN + 1000 * seed + index for index in range(count)]

@@ -1,0 +1,28 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Installs mixtac_fger with its models."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'mixtac_fger'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        (f'share/{PACKAGE}/models', sorted(glob('models/*.safetensors') + glob('models/*.md'))),
+    ],
+    install_requires=['setuptools'],
+    zip_safe=True,
+    maintainer='Mixtac maintainers',
+    maintainer_email='maintainers@mixtac.example.org',
+    description='Normal force from frames and events',
+    license='Apache-2.0',
+    entry_points={'console_scripts': ['fger_node = mixtac_fger.fger_node:main']},
+)

@@ -1,0 +1,198 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The live estimator against the batch network, and its behaviour when things go wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from mixtac_events.arrays import Events
+
+from mixtac_fger.batches import stack
+from mixtac_fger.dataset import Sample, make_sample
+from mixtac_fger.errors import ImageError, TareError
+from mixtac_fger.evaluation import stream
+from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.training import estimate
+
+
+def still_frames(estimator: ForceEstimator, trial, count: int = 5) -> None:
+    for index in range(count):
+        estimator.push_frame(trial.frames[0], index * 40_000 + 5000)
+
+
+def noise_events(start_us: int, end_us: int, count: int, seed: int = 0) -> Events:
+    random = np.random.default_rng(seed)
+    return Events(
+        np.sort(random.integers(start_us, end_us, count)),
+        random.integers(0, 346, count).astype(np.uint16),
+        random.integers(0, 260, count).astype(np.uint16),
+        random.random(count) > 0.5,
+    )
+
+
+def test_streaming_equals_the_batch_network(model, config, trial):
+    sample = make_sample(config, trial, trial.label, {})
+    exact = {name: getattr(sample, name) for name in Sample.__slots__}
+    exact['event_features'] = exact['event_features'].astype(np.float32)
+    force, _ = estimate(model.network, stack([Sample(**exact)]))
+    run = stream(model, trial, trial.label)
+    assert np.array_equal(run.t_us, sample.window_end_us)
+    # Samples keep features and inputs as float16; the exact comparison is in the next test.
+    assert np.abs(run.force - force[:, 0].numpy()).max() < 2e-2
+    assert np.ptp(run.force) > 0.05
+
+
+def test_streaming_equals_the_batch_network_exactly(model, config, trial, monkeypatch):
+    monkeypatch.setattr('mixtac_fger.dataset.STORED', np.float32)
+    sample = make_sample(config, trial, trial.label, {})
+    force, _ = estimate(model.network, stack([sample]))
+    run = stream(model, trial, trial.label)
+    assert np.abs(run.force - force[:, 0].numpy()).max() < 1e-5
+
+
+def test_windows_come_every_two_milliseconds_whatever_the_packets(model, trial):
+    whole, split = ForceEstimator(model), ForceEstimator(model)
+    for estimator in (whole, split):
+        still_frames(estimator, trial)
+    events = noise_events(200_000, 260_000, 3000)
+    expected = whole.push_events(events, 260_000)
+    parts = []
+    for start in range(200_000, 260_000, 700):
+        end = min(start + 700, 260_000)
+        parts += split.push_events(events.between(start, end), end)
+    assert [end for end, _ in expected] == list(range(202_000, 260_001, 2000))
+    assert parts == expected
+
+
+def test_without_a_frame_there_is_no_output_and_a_reason(model, trial):
+    estimator = ForceEstimator(model)
+    assert estimator.push_events(noise_events(0, 10_000, 50), 10_000) == []
+    assert 'reference: 0 of 5' in estimator.status().reason
+    still_frames(estimator, trial, 4)
+    assert estimator.push_events(Events.empty(), 20_000) == []
+    assert 'reference: 4 of 5' in estimator.status().reason
+    still_frames(estimator, trial, 1)
+    assert len(estimator.push_events(Events.empty(), 30_000)) == 5
+    assert estimator.status().ready
+
+
+def test_motion_restarts_the_reference(model, trial):
+    estimator = ForceEstimator(model)
+    pressed = trial.frames[np.argmax(np.ptp(trial.frames - trial.frames[0], axis=(1, 2)))]
+    for index, image in enumerate([trial.frames[0]] * 3 + [pressed] * 4):
+        estimator.push_frame(np.roll(image, 3 * (image is pressed), axis=1), index * 40_000)
+    reason = estimator.status().reason
+    assert '4 of 5' in reason
+    assert 'restarted 1 times' in reason
+
+
+def test_a_gap_is_counted_and_the_state_kept(model, trial):
+    estimator = ForceEstimator(model)
+    still_frames(estimator, trial)
+    before = estimator.push_events(noise_events(200_000, 230_000, 3000), 230_000)[-1][1]
+    after = estimator.push_events(Events.empty(), 9_000_000)
+    assert estimator.status().gaps == 1
+    assert after[-1][0] == 9_000_000
+    assert before != 0.0
+    assert after[0][1] != 0.0
+
+
+def test_a_clock_that_goes_back_resets_and_recovers(model, trial):
+    estimator = ForceEstimator(model)
+    still_frames(estimator, trial)
+    start = 5_000_000
+    assert estimator.push_events(Events.empty(), start)  == []
+    assert estimator.push_events(Events.empty(), start + 10_000)
+    assert estimator.push_events(Events.empty(), 10_000) == []
+    assert estimator.status().resets == 1
+    assert 'frame' in estimator.status().reason
+    estimator.push_frame(trial.frames[0], 9000)
+    assert [end for end, _ in estimator.push_events(Events.empty(), 16_000)][-1] == 16_000
+
+
+def test_numbers_that_are_not_finite_never_leave(model, trial):
+    estimator = ForceEstimator(model)
+    still_frames(estimator, trial)
+    estimator.push_events(Events.empty(), 200_000)
+    estimator._path._state.cell[:] = np.nan
+    assert estimator.push_events(Events.empty(), 210_000) == []
+    assert estimator.status().resets == 1
+    estimator.push_frame(trial.frames[0], 209_000)
+    assert np.isfinite([force for _, force in estimator.push_events(Events.empty(), 220_000)]).all()
+
+
+@pytest.mark.parametrize('level', [0, 65535])
+def test_black_and_saturated_frames_give_finite_forces(model, trial, level):
+    estimator = ForceEstimator(model)
+    still_frames(estimator, trial)
+    estimator.push_frame(np.full((260, 346), level, np.uint16), 250_000)
+    forces = estimator.push_events(noise_events(250_000, 300_000, 100_000), 300_000)
+    assert len(forces) == 25
+    assert np.isfinite([force for _, force in forces]).all()
+
+
+def test_events_outside_the_sensor_are_ignored(model, trial):
+    estimator = ForceEstimator(model)
+    still_frames(estimator, trial)
+    far = np.full(10, 60_000, np.uint16)
+    events = Events(np.arange(10, dtype=np.int64), far, far, np.ones(10, bool))
+    quiet = ForceEstimator(model)
+    still_frames(quiet, trial)
+    assert estimator.push_events(events, 4000) == quiet.push_events(
+        Events(np.array([0]), far[:1], far[:1], np.ones(1, bool)), 4000
+    )
+
+
+def test_tare_refuses_in_contact_and_zeroes_otherwise(model, trial):
+    estimator = ForceEstimator(model)
+    with pytest.raises(TareError, match='reference'):
+        estimator.tare()
+    still_frames(estimator, trial)
+    forces = estimator.push_events(noise_events(200_000, 240_000, 20_000), 240_000)
+    assert max(abs(force) for _, force in forces) > 0.15
+    with pytest.raises(TareError, match='contact'):
+        estimator.tare()
+    lenient = ForceEstimator(model, contact_threshold_n=1e6)
+    still_frames(lenient, trial)
+    lenient.push_events(noise_events(200_000, 240_000, 20_000), 240_000)
+    lenient.tare()
+    fresh = ForceEstimator(model)
+    still_frames(fresh, trial)
+    fresh.push_events(Events.empty(), 240_000)
+    fresh._path.clear()
+    assert lenient.push_events(Events.empty(), 242_000) == fresh.push_events(
+        Events.empty(), 242_000
+    )
+
+
+def test_reset_starts_over(model, trial):
+    estimator = ForceEstimator(model)
+    still_frames(estimator, trial)
+    estimator.push_events(Events.empty(), 200_000)
+    estimator.reset()
+    assert 'reference: 0 of 5' in estimator.status().reason
+
+
+def test_an_image_of_another_size_is_refused(model):
+    with pytest.raises(ImageError, match='260 rows'):
+        ForceEstimator(model).push_frame(np.zeros((240, 346), np.uint16), 0)
+
+
+def test_frames_in_the_background_give_the_same_forces(model, trial):
+    direct, background = ForceEstimator(model), ForceEstimator(model, background_frames=True)
+    threads = torch.get_num_threads()
+    try:
+        for index in range(5):
+            for estimator in (direct, background):
+                estimator.push_frame(trial.frames[0], index * 40_000)
+            while background._worker._inbox.qsize():
+                pass
+        background._worker._inbox.put(None)
+        background._worker._thread.join(10)
+        events = noise_events(200_000, 220_000, 500)
+        assert background.push_events(events, 220_000) == direct.push_events(events, 220_000)
+        assert background.status().frames == 1
+    finally:
+        torch.set_num_threads(threads)

@@ -1,0 +1,274 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Contact of an indenter with the layer on its mesh, in time.
+
+A fixed grid of 125 us carries every command; a falling body is integrated in sixteenths of it.
+The layer rests on the mesh, a spring in series, so an indenter at position p (from the free
+skin, inwards) leaves the layer the depth d = p - F / k_mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from mixtac_sim.viscoelasticity import PronySeries, force_terms, relax
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from mixtac_sim.elastomer import ForceLaw
+
+STEP_US = 125
+"""Spacing of the command grid [us]."""
+SUBSTEPS = 16
+"""Steps of a falling body per grid step (7.8 us, a thousandth of a contact)."""
+GRAVITY = 9.80665
+"""Standard gravity [m/s2]."""
+
+
+class Mode(IntEnum):
+    """What a command's target means."""
+
+    FREE = 0
+    """Nothing touches; the skin recovers. The target is ignored."""
+    FORCE = 1
+    """Normal force [N]."""
+    POSITION = 2
+    """Position of the indenter from the free skin, inwards [mm]."""
+    HOLD = 3
+    """The indenter stays where the previous command left it. The target is ignored."""
+    DROP = 4
+    """The indenter's mass falls, from ``-target`` mm at the first such command."""
+    LIFT = 5
+    """The falling mass is also lifted by the target force [N]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContactPath:
+    """What happened on the command grid; entry k is the state at the end of step k.
+
+    Attributes:
+        force_n: Normal force [n] [N].
+        elastic_n: Elastic part of it [n] [N], which fixes the shape of the layer.
+        depth_mm: Indentation of the layer [n] [mm].
+        position_mm: Position of the indenter [n] [mm], inwards from the free skin.
+    """
+
+    force_n: NDArray[np.float64]
+    elastic_n: NDArray[np.float64]
+    depth_mm: NDArray[np.float64]
+    position_mm: NDArray[np.float64]
+
+
+class Contact:
+    """State of the contact, advanced along commands.
+
+    Args:
+        laws: Elastic force law of each indenter.
+        masses_g: Mass of each indenter [g].
+        prony: Relaxation of the layer.
+        mesh_n_per_mm: Stiffness of the mesh [N/mm]; 1 to 10 (estimate).
+    """
+
+    def __init__(
+        self,
+        laws: Sequence[ForceLaw],
+        masses_g: Sequence[float],
+        prony: PronySeries,
+        mesh_n_per_mm: float,
+    ) -> None:
+        self._steps = np.array([law.step_mm for law in laws])
+        self._tables = np.stack([law.force_n for law in laws])
+        self._masses = 1e-3 * np.array(masses_g, dtype=np.float64)
+        step_s = 1e-6 * STEP_US
+        self._updates = np.stack([prony.update(step_s), prony.update(step_s / SUBSTEPS)])
+        self._mesh = float(mesh_n_per_mm)
+        self._branches = np.zeros(len(prony.weights))
+        self._state = np.zeros(5)  # elastic N, position mm, velocity mm/s, previous mode, depth mm
+
+    def advance(
+        self,
+        modes: NDArray[np.int8],
+        targets: NDArray[np.float64],
+        indenters: NDArray[np.int8],
+    ) -> ContactPath:
+        """Carry out one command per grid step.
+
+        Args:
+            modes: ``Mode`` of each step [n].
+            targets: Target at the end of each step [n]; its unit depends on the mode.
+            indenters: Index of the indenter of each step [n].
+        """
+        path = np.empty((4, len(modes)))
+        _advance(
+            self._state,
+            self._branches,
+            self._updates,
+            self._tables,
+            self._steps,
+            self._masses,
+            self._mesh,
+            modes,
+            targets,
+            indenters,
+            path,
+        )
+        return ContactPath(*path)
+
+
+@njit(cache=True, nogil=True)
+def _elastic(table: NDArray[np.float64], step: float, depth: float) -> tuple[float, float]:
+    """Return elastic force [N] and its slope [N/mm] at a depth; linear beyond the table."""
+    if depth <= 0.0:
+        return 0.0, table[1] / step
+    k = min(int(depth / step), table.size - 2)
+    slope = (table[k + 1] - table[k]) / step
+    return table[k] + slope * (depth - k * step), slope
+
+
+@njit(cache=True, nogil=True)
+def _depth(table: NDArray[np.float64], step: float, elastic: float) -> float:
+    """Return the depth [mm] of an elastic force."""
+    if elastic <= 0.0:
+        return 0.0
+    k = min(np.searchsorted(table, elastic), table.size - 1)
+    k = max(k, 1)
+    return (k - 1 + (elastic - table[k - 1]) / (table[k] - table[k - 1])) * step
+
+
+@njit(cache=True, nogil=True)
+def _pressed_depth(
+    table: NDArray[np.float64],
+    step: float,
+    position: float,
+    guess: float,
+    carried: float,
+    gain: float,
+    mesh: float,
+) -> float:
+    """Solve depth + force(depth) / mesh = position by Newton's method within a bracket."""
+    low, high = -10.0, position + max(0.0, -carried) / mesh
+    depth = min(max(guess, low), high)
+    for _ in range(40):
+        elastic, slope = _elastic(table, step, depth)
+        excess = depth + (carried + gain * elastic) / mesh - position
+        if abs(excess) < 1e-9:
+            break
+        if excess > 0.0:
+            high = depth
+        else:
+            low = depth
+        depth -= excess / (1.0 + gain * slope / mesh)
+        if not low < depth < high:
+            depth = 0.5 * (low + high)
+    return depth
+
+
+@njit(cache=True, nogil=True)
+def _step_force(
+    state: NDArray[np.float64],
+    branches: NDArray[np.float64],
+    update: NDArray[np.float64],
+    table: NDArray[np.float64],
+    step: float,
+    mesh: float,
+    force: float,
+) -> float:
+    """Advance one step under a commanded force; return the force [N]."""
+    carried, gain = force_terms(branches, update, state[0])
+    elastic = max((force - carried) / gain, 0.0)
+    relax(branches, update, elastic - state[0])
+    state[0] = elastic
+    state[4] = _depth(table, step, elastic)
+    state[1] = state[4] + force / mesh
+    return force
+
+
+@njit(cache=True, nogil=True)
+def _step_position(
+    state: NDArray[np.float64],
+    branches: NDArray[np.float64],
+    update: NDArray[np.float64],
+    table: NDArray[np.float64],
+    step: float,
+    mesh: float,
+    position: float,
+) -> float:
+    """Advance one step with the indenter at a position; return the force [N], never a pull."""
+    carried, gain = force_terms(branches, update, state[0])
+    depth = _pressed_depth(table, step, position, state[4], carried, gain, mesh)
+    elastic, _ = _elastic(table, step, depth)
+    force = carried + gain * elastic
+    if depth <= 0.0 or force <= 0.0:
+        _step_force(state, branches, update, table, step, mesh, 0.0)
+        state[1] = position
+        return 0.0
+    relax(branches, update, elastic - state[0])
+    state[0], state[1], state[4] = elastic, position, depth
+    return force
+
+
+@njit(cache=True, nogil=True)
+def _step_fall(
+    state: NDArray[np.float64],
+    branches: NDArray[np.float64],
+    update: NDArray[np.float64],
+    table: NDArray[np.float64],
+    step: float,
+    mesh: float,
+    mass: float,
+    lift: float,
+) -> float:
+    """Advance a grid step of a falling body; return the mean force over it [N]."""
+    short = 1e-6 * STEP_US / SUBSTEPS
+    total = 0.0
+    velocity = state[2]
+    for _ in range(SUBSTEPS):
+        position = state[1] + velocity * short
+        force = _step_position(state, branches, update, table, step, mesh, position)
+        velocity += 1e3 * (GRAVITY - (force + lift) / mass) * short
+        total += force
+    state[2] = velocity
+    return total / SUBSTEPS
+
+
+@njit(cache=True, nogil=True)
+def _advance(
+    state: NDArray[np.float64],
+    branches: NDArray[np.float64],
+    updates: NDArray[np.float64],
+    tables: NDArray[np.float64],
+    steps: NDArray[np.float64],
+    masses: NDArray[np.float64],
+    mesh: float,
+    modes: NDArray[np.int8],
+    targets: NDArray[np.float64],
+    indenters: NDArray[np.int8],
+    path: NDArray[np.float64],
+) -> None:
+    """Carry out the commands; see ``Contact.advance``."""
+    for k in range(modes.size):
+        mode, tool = modes[k], indenters[k]
+        table, step = tables[tool], steps[tool]
+        if mode >= Mode.DROP:
+            if state[3] < Mode.DROP:
+                state[1], state[2] = -targets[k], 0.0
+            lift = targets[k] if mode == Mode.LIFT else 0.0
+            force = _step_fall(
+                state, branches, updates[1], table, step, mesh, masses[tool], lift
+            )
+        elif mode == Mode.POSITION or mode == Mode.HOLD:  # noqa: PLR1714 (numba: plain compares)
+            position = targets[k] if mode == Mode.POSITION else state[1]
+            force = _step_position(state, branches, updates[0], table, step, mesh, position)
+        else:
+            wanted = max(targets[k], 0.0) if mode == Mode.FORCE else 0.0
+            force = _step_force(state, branches, updates[0], table, step, mesh, wanted)
+        state[3] = mode
+        path[0, k], path[1, k], path[2, k], path[3, k] = force, state[0], state[4], state[1]

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Force and contact radius of an indenter pressed into the sensing layer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.layer_contact import ALPHA, punch_factor, solve_contact
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_sim.indenter import Indenter
+
+DEPTHS = 2049
+"""Rows of the depth table: the step is below 2 um, where the force is below 0.1 mN."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """The sensing layer, bonded to the mesh, incompressible and linear elastic.
+
+    Attributes:
+        modulus_kpa: Young's modulus after relaxation [kPa]; 100 to 300 for Shore A-5 (estimate).
+        thickness_mm: From the skin to the mesh [mm]; not stated in the paper, 3 to 6 (estimate).
+    """
+
+    modulus_kpa: float
+    thickness_mm: float
+
+    def __post_init__(self) -> None:
+        """Refuse layers without stiffness or thickness.
+
+        Raises:
+            SimulationError: A value is not positive.
+        """
+        if self.modulus_kpa <= 0.0 or self.thickness_mm <= 0.0:
+            msg = f'layer of {self.modulus_kpa} kPa and {self.thickness_mm} mm; both must be > 0'
+            raise SimulationError(msg)
+
+    @property
+    def force_scale_n(self) -> float:
+        """Return E h^2 [N], the layer's unit of force."""
+        return 1e-3 * self.modulus_kpa * self.thickness_mm**2
+
+
+@dataclass(frozen=True, slots=True)
+class ForceLaw:
+    """Elastic force against depth of one indenter on one layer, equally spaced in depth.
+
+    Attributes:
+        step_mm: Spacing of the depths [mm], from 0.
+        force_n: Elastic force [2049] [N].
+        radius_mm: Contact radius [2049] [mm].
+    """
+
+    step_mm: float
+    force_n: NDArray[np.float64]
+    radius_mm: NDArray[np.float64]
+
+    def force_at(self, depth_mm: float) -> float:
+        """Return the elastic force [N] at a depth [mm]."""
+        return float(np.interp(depth_mm, self._depths(), self.force_n))
+
+    def depth_at(self, force_n: float) -> float:
+        """Return the depth [mm] of an elastic force [N]."""
+        return float(np.interp(force_n, self.force_n, self._depths()))
+
+    def _depths(self) -> NDArray[np.float64]:
+        return self.step_mm * np.arange(len(self.force_n))
+
+
+def force_law(layer: Layer, indenter: Indenter) -> ForceLaw:
+    """Return the force law of an indenter on a layer.
+
+    Depths reach 3.2 mm for a flat face; for a sphere they end where the contact is 2.5
+    thicknesses wide, or 60 % of the sphere's radius if that comes first. Linear elasticity
+    understates forces beyond about 20 % strain.
+    """
+    if indenter.shape == 'flat':
+        return _flat_law(layer, indenter.radius_mm)
+    return _sphere_law(layer, indenter.radius_mm)
+
+
+def _flat_law(layer: Layer, radius_mm: float) -> ForceLaw:
+    """Return the linear law F = 2 a E* kappa(a / h) depth."""
+    depth = np.linspace(0.0, 3.2, DEPTHS)
+    factor = punch_factor(radius_mm / layer.thickness_mm)
+    stiffness = 8.0 / 3.0 * 1e-3 * layer.modulus_kpa * radius_mm * factor
+    return ForceLaw(float(depth[1]), stiffness * depth, np.full(DEPTHS, radius_mm))
+
+
+def _sphere_law(layer: Layer, radius_mm: float) -> ForceLaw:
+    """Return the law of a sphere, Hertz's for small contacts and steeper as the base is felt."""
+    contact = solve_contact('sphere')
+    widest = min(ALPHA[-1], 0.6 * radius_mm / layer.thickness_mm)
+    alpha = np.linspace(0.0, widest, 4 * DEPTHS)
+    unit = (alpha * layer.thickness_mm) ** 2 / radius_mm
+    # Half-space limits d = a^2 / R and int omega dx = 2 / 3 close the table at alpha = 0.
+    knots = np.append(0.0, ALPHA)
+    depth = unit * np.interp(alpha, knots, np.append(1.0, contact.depth))
+    load = unit * np.interp(alpha, knots, np.append(2.0 / 3.0, contact.load))
+    force = 8.0 / 3.0 * 1e-3 * layer.modulus_kpa * alpha * layer.thickness_mm * load
+    even = np.linspace(0.0, depth[-1], DEPTHS)
+    radius = np.interp(even, depth, alpha * layer.thickness_mm)
+    return ForceLaw(float(even[1]), np.interp(even, depth, force), radius)

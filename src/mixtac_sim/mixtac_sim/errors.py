@@ -1,0 +1,9 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of the simulated sensor."""
+
+from mixtac_events.errors import MixtacError
+
+
+class SimulationError(MixtacError):
+    """A request that the simulated sensor cannot honour."""

@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""How the virtual camera's USB transfers travel over a Unix socket; standard library only.
+
+A request is `REQUEST` (operation, bmRequestType or endpoint, bRequest, wValue, wIndex, data length,
+timeout in ms where 0 means none, session), followed by that many bytes where data go to the device.
+A reply is `REPLY` (0 or an errno value, length), followed by that many bytes. One request at a time
+travels on a connection; a host opens one connection for control and one for each endpoint, all
+under one session number of its choice, so that the interface belongs to the session.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    import socket
+
+REQUEST: Final = struct.Struct('<BBBxHHIIQ')
+REPLY: Final = struct.Struct('<iI')
+CONTROL: Final = 1
+READ: Final = 2
+CLAIM: Final = 3
+RELEASE: Final = 4
+RESET: Final = 5
+MAX_TRANSFER: Final = 16 << 20
+DIRECTION_IN: Final = 0x80
+
+
+class TransferError(OSError):
+    """The device refused a transfer; ``errno`` says why. Broken connections are other errors."""
+
+
+def default_socket_path() -> str:
+    """Return where a virtual sensor of this user and ROS domain listens."""
+    folder = os.environ.get('XDG_RUNTIME_DIR') or '/tmp'  # noqa: S108 - sockets have mode 0600
+    domain = os.environ.get('ROS_DOMAIN_ID') or '0'
+    return str(Path(folder) / f'mixtac-virtual-{os.getuid()}-{domain}.sock')
+
+
+def receive_into(connection: socket.socket, view: memoryview) -> None:
+    """Fill the view from the connection.
+
+    Raises:
+        ConnectionError: The other side closed it.
+    """
+    while view.nbytes:
+        count = connection.recv_into(view)
+        if count == 0:
+            raise ConnectionResetError('the other side closed the connection')
+        view = view[count:]
+
+
+def receive(connection: socket.socket, count: int) -> bytes:
+    """Return exactly ``count`` bytes.
+
+    Raises:
+        ConnectionError: The other side closed it.
+    """
+    data = bytearray(count)
+    receive_into(connection, memoryview(data))
+    return bytes(data)
+
+
+def call(
+    connection: socket.socket,
+    operation: int,
+    *,
+    kind: int = 0,
+    request: int = 0,
+    value: int = 0,
+    index: int = 0,
+    data: bytes = b'',
+    wanted: int = 0,
+    timeout_ms: int = 0,
+    session: int = 0,
+) -> bytes:
+    """Send one request and wait for its reply.
+
+    Args:
+        connection: A connected socket that nobody else uses meanwhile.
+        operation: `CONTROL`, `READ`, `CLAIM`, `RELEASE` or `RESET`.
+        kind: ``bmRequestType`` or endpoint address.
+        request: ``bRequest``.
+        value: ``wValue``.
+        index: ``wIndex``.
+        data: Data to the device.
+        wanted: How many bytes are wanted from it, where none are sent.
+        timeout_ms: Longest wait [ms], 0 for ever.
+        session: Number of the host session.
+
+    Returns:
+        The data of the reply.
+
+    Raises:
+        TransferError: The device refused.
+        ConnectionError: The server is gone.
+    """
+    length = len(data) or wanted
+    header = REQUEST.pack(operation, kind, request, value, index, length, timeout_ms, session)
+    connection.sendall(header + data)
+    status, size = REPLY.unpack(receive(connection, REPLY.size))
+    answer = receive(connection, size)
+    if status:
+        raise TransferError(status, os.strerror(status))
+    return answer

@@ -1,0 +1,28 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Installs mixtac_sim."""
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'mixtac_sim'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+    ],
+    install_requires=['setuptools'],
+    zip_safe=True,
+    maintainer='Mixtac maintainers',
+    maintainer_email='maintainers@mixtac.example.org',
+    description='The virtual Mixtac sensor and its virtual USB camera',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': ['virtual_sensor_node = mixtac_sim.virtual_sensor_node:main'],
+        'mixtac.usb_backends': ['virtual = mixtac_sim.usb.backend:open_backend'],
+    },
+)

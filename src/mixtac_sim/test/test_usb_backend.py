@@ -1,0 +1,203 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Plain pyusb on a virtual camera, in process and over the socket."""
+
+from __future__ import annotations
+
+import array
+import errno
+import os
+import stat
+import struct
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import usb.core
+import usb.util
+
+from mixtac_events.errors import MixtacError
+from mixtac_sim.usb import wire
+from mixtac_sim.usb.backend import open_backend
+from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.errors import NoVirtualSensorError, VirtualUsbError
+from mixtac_sim.usb.in_process import in_process_backend
+from mixtac_sim.usb.server import UsbServer
+
+
+@pytest.fixture
+def device():
+    return VirtualDavis346('V0000042')
+
+
+@pytest.fixture
+def path(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path))
+    monkeypatch.setenv('ROS_DOMAIN_ID', '17')
+    return wire.default_socket_path()
+
+
+@pytest.fixture
+def server(device, path):
+    server = UsbServer(device, path)
+    yield server
+    server.close()
+
+
+@pytest.fixture(params=['in_process', 'socket'])
+def backend(request, device):
+    if request.param == 'in_process':
+        return in_process_backend(device)
+    request.getfixturevalue('server')
+    return open_backend('virtual')
+
+
+def find(backend):
+    camera = usb.core.find(idVendor=0x152A, idProduct=0x841A, backend=backend)
+    assert camera is not None
+    return camera
+
+
+def start(camera):
+    for module, param in ((0, 3), (9, 0), (0, 1), (0, 0)):
+        camera.ctrl_transfer(0x40, 0xBF, module, param, struct.pack('>I', 1))
+
+
+def test_pyusb_finds_configures_and_describes_the_camera(backend):
+    assert usb.core.find(idVendor=0x152A, idProduct=0x841B, backend=backend) is None
+    camera = find(backend)
+    assert camera.serial_number == 'V0000042'
+    assert (camera.manufacturer, camera.product) == ('iniVation', 'DAVIS346')
+    assert camera.bcdDevice == 6
+    camera.set_configuration()
+    configuration = camera.get_active_configuration()
+    endpoints = [e.bEndpointAddress for e in configuration[(0, 0)]]
+    assert endpoints == [0x82, 0x81]
+    usb.util.claim_interface(camera, 0)
+    camera.clear_halt(0x82)
+    usb.util.dispose_resources(camera)
+
+
+def test_control_and_data(backend, device):
+    camera = find(backend)
+    camera.set_configuration(1)
+    start(camera)
+    value = camera.ctrl_transfer(0xC0, 0xBF, 6, 0, 4)
+    assert bytes(value) == struct.pack('>I', 18)
+    words = np.random.default_rng(1).integers(0, 1 << 16, 60_000).astype(np.uint16)
+    device.feed(words)
+    data = b''
+    buffer = array.array('B', bytes(8192))
+    while len(data) < words.nbytes:
+        data += buffer[: camera.read(0x82, buffer, 1000)].tobytes()
+    assert data == words.astype('<u2').tobytes()
+    usb.util.dispose_resources(camera)
+
+
+def test_failures_have_pyusb_errors(backend, device):
+    camera = find(backend)
+    camera.set_configuration()
+    with pytest.raises(usb.core.USBTimeoutError) as timeout:
+        camera.read(0x82, 64, 5)
+    assert timeout.value.errno == errno.ETIMEDOUT
+    with pytest.raises(usb.core.USBError) as stall:
+        camera.ctrl_transfer(0x40, 0xB1, 2, 0, None)
+    assert stall.value.errno == errno.EPIPE
+    other = find(backend)
+    with pytest.raises(usb.core.USBError) as busy:
+        usb.util.claim_interface(other, 0)
+    assert busy.value.errno == errno.EBUSY
+    usb.util.dispose_resources(other)
+    device.unplug()
+    with pytest.raises(usb.core.USBError) as gone:
+        camera.read(0x82, 64, 1000)
+    assert gone.value.errno == errno.ENODEV
+
+
+def test_control_works_while_a_read_waits(backend, device):
+    camera = find(backend)
+    camera.set_configuration()
+    start(camera)
+    results = []
+    thread = threading.Thread(target=lambda: results.append(bytes(camera.read(0x82, 64, 0))))
+    thread.start()
+    for _ in range(3):
+        assert bytes(camera.ctrl_transfer(0xC0, 0xBF, 6, 0, 4)) == struct.pack('>I', 18)
+    device.feed(np.array([1, 2], np.uint16))
+    thread.join(10.0)
+    assert results == [b'\1\0\2\0']
+
+
+def test_server_end_is_a_disconnect(server):
+    camera = find(open_backend('virtual'))
+    camera.set_configuration()
+    errors = []
+
+    def host():
+        try:
+            camera.read(0x82, 64, 0)
+        except usb.core.USBError as error:
+            errors.append(error.errno)
+
+    thread = threading.Thread(target=host)
+    thread.start()
+    server.close()
+    thread.join(10.0)
+    assert errors == [errno.ENODEV]
+    with pytest.raises(usb.core.USBError) as gone:
+        camera.ctrl_transfer(0xC0, 0xBF, 6, 0, 4)
+    assert gone.value.errno == errno.ENODEV
+    assert not Path(server.path).exists()
+
+
+def test_a_closed_host_gives_the_camera_back(server):
+    for _ in range(3):
+        camera = find(open_backend(f'virtual:{server.path}'))
+        camera.set_configuration()
+        usb.util.claim_interface(camera, 0)
+        usb.util.dispose_resources(camera)
+
+
+def test_socket_is_private_and_stale_ones_are_replaced(device, path):
+    first = UsbServer(device, path)
+    assert stat.S_IMODE(Path(path).stat().st_mode) == 0o600
+    with pytest.raises(VirtualUsbError, match='already listens'):
+        UsbServer(device, path)
+    first.close()
+    import socket
+
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(path)
+    second = UsbServer(VirtualDavis346('V0000043'), path)
+    assert find(open_backend('virtual')).serial_number == 'V0000043'
+    second.close()
+
+
+def test_without_a_server_one_clear_line(path):
+    with pytest.raises(NoVirtualSensorError) as failure:
+        open_backend('virtual')
+    message = str(failure.value)
+    assert path in message
+    assert 'virtual_sensor_node' in message
+    assert '\n' not in message
+    assert isinstance(failure.value, MixtacError)
+
+
+def test_socket_path_names_user_and_domain(path):
+    assert Path(path).name == f'mixtac-virtual-{os.getuid()}-17.sock'
+
+
+def test_garbage_on_the_socket_ends_only_that_connection(server):
+    import socket
+
+    with socket.socket(socket.AF_UNIX) as rude:
+        rude.connect(server.path)
+        rude.sendall(b'\xff' * 64)
+        rude.settimeout(5.0)
+        try:
+            answer = rude.recv(64)
+        except ConnectionResetError:
+            answer = b''
+        assert answer == b''
+    assert find(open_backend('virtual')).serial_number == 'V0000042'

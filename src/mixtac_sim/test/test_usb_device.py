@@ -1,0 +1,193 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The virtual camera's control requests and endpoints."""
+
+from __future__ import annotations
+
+import struct
+import threading
+
+import numpy as np
+import pytest
+
+from mixtac_sim.usb import descriptors
+from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.errors import UsbBusy, UsbGone, UsbStall, UsbTimeout
+
+
+@pytest.fixture
+def device():
+    return VirtualDavis346('V0000042')
+
+
+def write(device, module, param, value):
+    device.control(0x40, 0xBF, module, param, struct.pack('>I', value))
+
+
+def read(device, module, param):
+    return struct.unpack('>I', device.control(0xC0, 0xBF, module, param, 4))[0]
+
+
+def start(device):
+    for module, param in ((0, 3), (9, 0), (0, 1), (0, 0)):
+        write(device, module, param, 1)
+
+
+def test_identity_registers(device):
+    expected = {
+        (6, 0): 18, (6, 7): 1, (6, 1): 5, (6, 2): 1, (6, 4): 30, (6, 5): 80, (6, 6): 1008,
+        (1, 0): 260, (1, 1): 346, (1, 2): 4, (2, 0): 260, (2, 1): 346, (2, 2): 4,
+        (2, 6): 1, (3, 0): 2, (1, 10): 1, (1, 40): 1, (1, 60): 1, (1, 80): 1, (0, 80): 1,
+    }  # fmt: skip
+    assert {key: read(device, *key) for key in expected} == expected
+
+
+def test_written_registers_echo_and_read_only_ones_stay(device):
+    for module, param, value in ((5, 10, 17023), (5, 142, 1), (2, 12, 0xFFFFFFFF), (77, 3, 5)):
+        write(device, module, param, value)
+        assert read(device, module, param) == value
+    write(device, 6, 0, 99)
+    write(device, 1, 82, 99)
+    assert (read(device, 6, 0), read(device, 1, 82)) == (18, 0)
+
+
+def test_many_writes_in_one_request(device):
+    entries = ((5, 0, 411), (5, 36, 33808), (1, 41, 7))
+    device.control(0x40, 0xC2, 3, 0, b''.join(struct.pack('>BBI', *entry) for entry in entries))
+    assert [read(device, module, param) for module, param, _ in entries] == [411, 33808, 7]
+
+
+def test_exposure_and_interval_in_microseconds(device):
+    assert (device.exposure_us, device.frame_interval_us) == (4000, 40_000)
+    write(device, 2, 12, 241_920)
+    write(device, 2, 13, 604_800)
+    assert (device.exposure_us, device.frame_interval_us) == (8000, 20_000)
+
+
+@pytest.mark.parametrize(
+    'request_',
+    [
+        (0x40, 0xB1, 2, 0, b''),
+        (0x40, 0xC6, 0, 0, b''),
+        (0x40, 0xBF, 1, 3, b'\0\1'),
+        (0x40, 0xC2, 2, 0, b'\0' * 6),
+        (0xC0, 0xC2, 0, 0, 4),
+        (0xC0, 0x10, 0, 0, 4),
+        (0x80, 6, 0x0F00, 0, 5),
+        (0x80, 6, 0x0309, 0, 5),
+        (0x00, 9, 2, 0, b''),
+    ],
+)
+def test_unknown_requests_stall(device, request_):
+    with pytest.raises(UsbStall):
+        device.control(*request_)
+
+
+def test_descriptors_are_those_of_the_camera(device):
+    data = device.control(0x80, 6, 0x0100, 0, 64)
+    assert len(data) == 18
+    (parsed,) = descriptors.parse(data)
+    assert (parsed.idVendor, parsed.idProduct, parsed.bcdDevice) == (0x152A, 0x841A, 6)
+    data = device.control(0x80, 6, 0x0200, 0, 4096)
+    configuration, interface, *endpoints = descriptors.parse(data)
+    assert configuration.wTotalLength == len(data)
+    assert interface.bNumEndpoints == 2
+    assert [(e.bEndpointAddress, e.bmAttributes & 3) for e in endpoints] == [(0x82, 2), (0x81, 3)]
+    assert device.control(0x80, 6, 0x0200, 0, 9) == data[:9]
+    serial = device.control(0x80, 6, 0x0303, 0x0409, 255)
+    assert serial[2:].decode('utf-16-le') == 'V0000042'
+    assert (serial[0], serial[1]) == (len(serial), 3)
+
+
+def test_serial_number_fits_libcaer():
+    serials = {descriptors.serial_number(seed) for seed in (0, 1, 7, 10**6)}
+    assert len(serials) == 4
+    assert all(len(serial) <= descriptors.MAX_SERIAL_LENGTH for serial in serials)
+
+
+def test_standard_requests(device):
+    assert device.control(0x80, 8, 0, 0, 1) == b'\1'
+    device.control(0x00, 9, 0, 0, b'')
+    assert device.control(0x80, 8, 0, 0, 1) == b'\0'
+    assert device.control(0x02, 1, 0, 0x82, b'') == b''
+    assert device.control(0x01, 11, 0, 0, b'') == b''
+
+
+def test_raw_words_pass_only_while_running(device):
+    words = np.arange(5, dtype=np.uint16)
+    assert not device.feed(words)
+    start(device)
+    write(device, 9, 1, 0)
+    assert device.feed(words)
+    assert device.read_bulk(0x82, 7, 1.0) == words.astype('<u2').tobytes()[:6]
+    assert device.read_bulk(0x82, 64, 1.0) == words.astype('<u2').tobytes()[6:]
+    device.feed(words)
+    write(device, 9, 0, 0)
+    with pytest.raises(UsbTimeout):
+        device.read_bulk(0x82, 64, 0.0)
+
+
+def test_short_packet_only_after_the_early_packet_delay(device):
+    start(device)
+    write(device, 9, 1, 80 * 1008 * 3600)  # an hour
+    device.feed(np.arange(4, dtype=np.uint16))
+    with pytest.raises(UsbTimeout):
+        device.read_bulk(0x82, 64, 0.01)
+    assert len(device.read_bulk(0x82, 8, 0.01)) == 8
+    write(device, 9, 1, 80 * 1008 // 1000)  # a microsecond
+    device.feed(np.arange(4, dtype=np.uint16))
+    assert len(device.read_bulk(0x82, 64, 5.0)) == 8
+
+
+def test_debug_endpoint_never_answers_and_others_do_not_exist(device):
+    start(device)
+    device.feed(np.arange(4, dtype=np.uint16))
+    with pytest.raises(UsbTimeout):
+        device.read_bulk(0x81, 64, 0.01)
+    with pytest.raises(UsbStall):
+        device.read_bulk(0x83, 64, 0.01)
+
+
+def test_a_waiting_read_ends_when_data_come_or_the_camera_goes(device):
+    start(device)
+    results = []
+
+    def host():
+        results.append(device.read_bulk(0x82, 64, None))
+        with pytest.raises(UsbGone):
+            device.read_bulk(0x82, 64, None)
+        results.append('gone')
+
+    thread = threading.Thread(target=host)
+    thread.start()
+    device.feed(np.arange(3, dtype=np.uint16))
+    while not results:
+        thread.join(0.01)
+    device.unplug()
+    thread.join(5.0)
+    assert results == [b'\0\0\1\0\2\0', 'gone']
+    with pytest.raises(UsbGone):
+        read(device, 6, 0)
+
+
+def test_interface_belongs_to_one_session(device):
+    device.claim('a')
+    device.claim('a')
+    with pytest.raises(UsbBusy):
+        device.claim('b')
+    device.release('b')
+    with pytest.raises(UsbBusy):
+        device.claim('b')
+    device.release('a')
+    device.claim('b')
+
+
+def test_port_reset_brings_power_up_values_back(device):
+    start(device)
+    write(device, 5, 10, 1)
+    device.feed(np.arange(4, dtype=np.uint16))
+    device.reset()
+    assert read(device, 5, 10) == 0
+    assert not device.streaming
+    with pytest.raises(UsbTimeout):
+        device.read_bulk(0x82, 64, 0.0)
