@@ -15,7 +15,7 @@ from mixtac_alignment.impulses import Impulse, ImpulseSettings, strongest, verte
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-TOP: Final = 0.75
+TOP: Final = 0.9
 """Part of the height above which samples belong to the top of a peak."""
 NOISE_FACTOR: Final = 8.0
 """Peaks stand out of the noise by this many standard deviations."""

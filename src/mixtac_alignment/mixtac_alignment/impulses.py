@@ -6,8 +6,9 @@ An impulse is a sharp tap on the sensor. The force sensor sees a short peak; the
 bursts of events, loading and unloading, with a trough between them where the silicone stands still
 at its largest deformation. Force peak and event trough are the same moment (paper, section Aligning
 Data). What stands between them and the true moment stays in the offset `b`: the delay of the force
-sensor's filter (1.5 to 3 ms for a 800 Hz stream) and the pixels' own delay, which moves the trough
-late because a pixel must come back by two thresholds before it fires again.
+sensor's filter (1.5 to 3 ms for a 800 Hz stream), the lag of the silicone's force before its
+deformation, and the latency of the pixels. The module `stillness` says which moment of the trough
+is taken.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Impulse:
     """An impulse in one recording.
 
     Attributes:
-        time_s: Peak or trough [s], relative to the start of the recording, on its clock.
+        time_s: Peak or moment of stillness [s] since the start of the recording, on its clock.
         std_s: Standard deviation of `time_s` [s].
         strength: Sharpness, comparable within one recording only.
         width_s: Width at half height [s].

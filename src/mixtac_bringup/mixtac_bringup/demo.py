@@ -14,6 +14,7 @@ import numpy as np
 
 from mixtac_bringup import evaluation
 from mixtac_bringup.bag_reader import BagFile
+from mixtac_bringup.demo_phases import phases
 from mixtac_bringup.errors import GraphError
 from mixtac_bringup.figure import draw_run
 from mixtac_bringup.graph import sensor_graph
@@ -102,7 +103,7 @@ def run_demo(
         truth_ns, truth_n = bag.wrenches(f'/{NAMESPACE}/truth/wrench')
     comparison = evaluation.compare(streams)
     latency = evaluation.latency_ms(arrival, stamp, pairs)
-    rate = evaluation.event_rate(streams)
+    rate = evaluation.event_rate(streams, comparison)
     report = DemoReport(
         seconds=seconds,
         seed=seed,
@@ -122,10 +123,9 @@ def run_demo(
         packet_hz=streams.packets / (np.ptp(streams.force_ns) / 1e9),
         lost_packets=streams.lost_packets,
         dropped=dropped,
-        clock_drift_ppm=(comparison.fit.a - 1) * 1e6,
+        clock_drift_ppm=comparison.fit.drift_ppm,
     )
-    spans = _phases(seconds, seed, comparison)
-    draw_run(out / 'demo.png', comparison, rate, spans, _title(report))
+    draw_run(out / 'demo.png', comparison, rate, phases(seconds, seed), _title(report))
     text = json.dumps(asdict(report), indent=1)
     (out / 'demo.json').write_text(text + '\n')
     if json_file is not None:

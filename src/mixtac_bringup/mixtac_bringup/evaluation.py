@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from mixtac_bringup.bag_reader import BagFile
 
 WINDOW_NS = 2_000_000
+EDGE_US = 50_000
+"""Half a synchronising impulse: what is compared begins and ends with whole impulses."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,8 @@ class Comparison:
 
     Attributes:
         fit: The clock fit that brought the reference to the camera clock.
-        time_s: Sample times [s] since the first.
+        start_us: Camera clock at time 0 below [us].
+        time_s: Sample times [s].
         estimate_n: Estimated force [N].
         reference_n: Reference force at the same times [N].
         mae_n: Mean absolute error [N].
@@ -60,6 +63,7 @@ class Comparison:
     """
 
     fit: ClockFit
+    start_us: int
     time_s: NDArray[np.float64]
     estimate_n: NDArray[np.float64]
     reference_n: NDArray[np.float64]
@@ -97,15 +101,16 @@ def compare(streams: Streams) -> Comparison:
     """
     fit = fit_two_impulses(streams.event_t_us, streams.reference_ns / 1e9, streams.reference_n)
     reference_us = fit.to_camera(streams.reference_ns / 1e9)
-    force_us = streams.force_ns / 1e3
-    first_us, last_us = fit.camera_anchors_us[0] - 50e3, fit.camera_anchors_us[-1] + 50e3
+    force_us = streams.force_ns // 1000
+    first_us, last_us = fit.anchors[0].camera_us - EDGE_US, fit.anchors[-1].camera_us + EDGE_US
     inside = (force_us >= first_us) & (force_us <= last_us)
     estimate = streams.force_n[inside]
     reference = np.interp(force_us[inside], reference_us, streams.reference_n)
     error = np.abs(estimate - reference)
     return Comparison(
         fit=fit,
-        time_s=(force_us[inside] - force_us[inside][0]) / 1e6,
+        start_us=first_us,
+        time_s=(force_us[inside] - first_us) / 1e6,
         estimate_n=estimate,
         reference_n=reference,
         mae_n=float(error.mean()),
@@ -143,9 +148,11 @@ def latency_ms(
     return np.asarray((arrival_ns - stamp_ns - offset) / 1e6, np.float64)
 
 
-def event_rate(streams: Streams, width_us: int = 10_000) -> tuple[NDArray[np.float64], ...]:
-    """Return window centres [s since the first force window] and event rates [1/s]."""
-    start, end = int(streams.force_ns[0] // 1000), int(streams.force_ns[-1] // 1000)
-    counts = counts_per_window(streams.event_t_us, start, end, width_us)
-    centres = np.asarray((np.arange(len(counts)) + 0.5) * width_us / 1e6, np.float64)
-    return centres, np.asarray(counts * (1e6 / width_us), np.float64)
+def event_rate(
+    streams: Streams, comparison: Comparison, width_us: int = 10_000
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return window centres [s, as in the comparison] and event rates [1/s]."""
+    end_us = comparison.start_us + int(comparison.time_s[-1] * 1e6)
+    counts = counts_per_window(streams.event_t_us, comparison.start_us, end_us, width_us)
+    centres = (np.arange(len(counts)) + 0.5) * width_us / 1e6
+    return np.asarray(centres, np.float64), np.asarray(counts * (1e6 / width_us), np.float64)

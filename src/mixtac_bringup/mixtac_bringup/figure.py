@@ -21,7 +21,7 @@ REFERENCE_COLOUR, ESTIMATE_COLOUR, EVENT_COLOUR = '#1f4e8c', '#e07b00', '#5a5a5a
 def draw_run(
     path: Path,
     comparison: Comparison,
-    rate: tuple[NDArray[np.float64], ...],
+    rate: tuple[NDArray[np.float64], NDArray[np.float64]],
     spans: list[tuple[str, float, float]],
     title: str,
 ) -> None:

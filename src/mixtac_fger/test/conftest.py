@@ -94,4 +94,7 @@ def model(config: FgerConfig) -> LoadedModel:
     with torch.no_grad():
         network.event.scale.copy_(torch.tensor([2.0, 2.0, 3.0, 3.0]))
         network.frame.scale.mul_(0.3)
+        for part in (network.event, network.increment, network.correction):
+            for parameter in part.parameters():
+                parameter.mul_(2.5)
     return LoadedModel(network, ModelCard())

@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from mixtac_sim.viscoelasticity import PronySeries, force_terms, relax
+from mixtac_sim.contact_steps import (
+    STEP_US,
+    SUBSTEPS,
+    step_fall,
+    step_force,
+    step_position,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,14 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_sim.elastomer import ForceLaw
-
-STEP_US = 125
-"""Spacing of the command grid [us]."""
-SUBSTEPS = 16
-"""Steps of a falling body per grid step (7.8 us, a thousandth of a contact)."""
-GRAVITY = 9.80665
-"""Standard gravity [m/s2]."""
-
+    from mixtac_sim.viscoelasticity import PronySeries
 
 class Mode(IntEnum):
     """What a command's target means."""
@@ -91,7 +90,8 @@ class Contact:
         self._updates = np.stack([prony.update(step_s), prony.update(step_s / SUBSTEPS)])
         self._mesh = float(mesh_n_per_mm)
         self._branches = np.zeros(len(prony.weights))
-        self._state = np.zeros(5)  # elastic N, position mm, velocity mm/s, previous mode, depth mm
+        self._state = np.zeros(4)
+        self._last_mode = np.zeros(1, np.int8)
 
     def advance(
         self,
@@ -109,6 +109,7 @@ class Contact:
         path = np.empty((4, len(modes)))
         _advance(
             self._state,
+            self._last_mode,
             self._branches,
             self._updates,
             self._tables,
@@ -124,124 +125,9 @@ class Contact:
 
 
 @njit(cache=True, nogil=True)
-def _elastic(table: NDArray[np.float64], step: float, depth: float) -> tuple[float, float]:
-    """Return elastic force [N] and its slope [N/mm] at a depth; linear beyond the table."""
-    if depth <= 0.0:
-        return 0.0, table[1] / step
-    k = min(int(depth / step), table.size - 2)
-    slope = (table[k + 1] - table[k]) / step
-    return table[k] + slope * (depth - k * step), slope
-
-
-@njit(cache=True, nogil=True)
-def _depth(table: NDArray[np.float64], step: float, elastic: float) -> float:
-    """Return the depth [mm] of an elastic force."""
-    if elastic <= 0.0:
-        return 0.0
-    k = min(np.searchsorted(table, elastic), table.size - 1)
-    k = max(k, 1)
-    return (k - 1 + (elastic - table[k - 1]) / (table[k] - table[k - 1])) * step
-
-
-@njit(cache=True, nogil=True)
-def _pressed_depth(
-    table: NDArray[np.float64],
-    step: float,
-    position: float,
-    guess: float,
-    carried: float,
-    gain: float,
-    mesh: float,
-) -> float:
-    """Solve depth + force(depth) / mesh = position by Newton's method within a bracket."""
-    low, high = -10.0, position + max(0.0, -carried) / mesh
-    depth = min(max(guess, low), high)
-    for _ in range(40):
-        elastic, slope = _elastic(table, step, depth)
-        excess = depth + (carried + gain * elastic) / mesh - position
-        if abs(excess) < 1e-9:
-            break
-        if excess > 0.0:
-            high = depth
-        else:
-            low = depth
-        depth -= excess / (1.0 + gain * slope / mesh)
-        if not low < depth < high:
-            depth = 0.5 * (low + high)
-    return depth
-
-
-@njit(cache=True, nogil=True)
-def _step_force(
-    state: NDArray[np.float64],
-    branches: NDArray[np.float64],
-    update: NDArray[np.float64],
-    table: NDArray[np.float64],
-    step: float,
-    mesh: float,
-    force: float,
-) -> float:
-    """Advance one step under a commanded force; return the force [N]."""
-    carried, gain = force_terms(branches, update, state[0])
-    elastic = max((force - carried) / gain, 0.0)
-    relax(branches, update, elastic - state[0])
-    state[0] = elastic
-    state[4] = _depth(table, step, elastic)
-    state[1] = state[4] + force / mesh
-    return force
-
-
-@njit(cache=True, nogil=True)
-def _step_position(
-    state: NDArray[np.float64],
-    branches: NDArray[np.float64],
-    update: NDArray[np.float64],
-    table: NDArray[np.float64],
-    step: float,
-    mesh: float,
-    position: float,
-) -> float:
-    """Advance one step with the indenter at a position; return the force [N], never a pull."""
-    carried, gain = force_terms(branches, update, state[0])
-    depth = _pressed_depth(table, step, position, state[4], carried, gain, mesh)
-    elastic, _ = _elastic(table, step, depth)
-    force = carried + gain * elastic
-    if depth <= 0.0 or force <= 0.0:
-        _step_force(state, branches, update, table, step, mesh, 0.0)
-        state[1] = position
-        return 0.0
-    relax(branches, update, elastic - state[0])
-    state[0], state[1], state[4] = elastic, position, depth
-    return force
-
-
-@njit(cache=True, nogil=True)
-def _step_fall(
-    state: NDArray[np.float64],
-    branches: NDArray[np.float64],
-    update: NDArray[np.float64],
-    table: NDArray[np.float64],
-    step: float,
-    mesh: float,
-    mass: float,
-    lift: float,
-) -> float:
-    """Advance a grid step of a falling body; return the mean force over it [N]."""
-    short = 1e-6 * STEP_US / SUBSTEPS
-    total = 0.0
-    velocity = state[2]
-    for _ in range(SUBSTEPS):
-        position = state[1] + velocity * short
-        force = _step_position(state, branches, update, table, step, mesh, position)
-        velocity += 1e3 * (GRAVITY - (force + lift) / mass) * short
-        total += force
-    state[2] = velocity
-    return total / SUBSTEPS
-
-
-@njit(cache=True, nogil=True)
 def _advance(
     state: NDArray[np.float64],
+    last_mode: NDArray[np.int8],
     branches: NDArray[np.float64],
     updates: NDArray[np.float64],
     tables: NDArray[np.float64],
@@ -258,17 +144,17 @@ def _advance(
         mode, tool = modes[k], indenters[k]
         table, step = tables[tool], steps[tool]
         if mode >= Mode.DROP:
-            if state[3] < Mode.DROP:
+            if last_mode[0] < Mode.DROP:
                 state[1], state[2] = -targets[k], 0.0
             lift = targets[k] if mode == Mode.LIFT else 0.0
-            force = _step_fall(
+            force = step_fall(
                 state, branches, updates[1], table, step, mesh, masses[tool], lift
             )
         elif mode == Mode.POSITION or mode == Mode.HOLD:  # noqa: PLR1714 (numba: plain compares)
             position = targets[k] if mode == Mode.POSITION else state[1]
-            force = _step_position(state, branches, updates[0], table, step, mesh, position)
+            force = step_position(state, branches, updates[0], table, step, mesh, position)
         else:
             wanted = max(targets[k], 0.0) if mode == Mode.FORCE else 0.0
-            force = _step_force(state, branches, updates[0], table, step, mesh, wanted)
-        state[3] = mode
-        path[0, k], path[1, k], path[2, k], path[3, k] = force, state[0], state[4], state[1]
+            force = step_force(state, branches, updates[0], table, step, mesh, wanted)
+        last_mode[0] = mode
+        path[0, k], path[1, k], path[2, k], path[3, k] = force, state[0], state[3], state[1]

@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import errno
 import importlib.util
-import queue
 import secrets
 import socket
 import struct
@@ -92,24 +91,38 @@ class Endpoint:
         self.camera = camera
         self.address = address
         self.done = done
-        self.waiting = queue.Queue()
+        self.changed = threading.Condition()
+        self.waiting = deque()
         self.discarded = set()
         threading.Thread(target=self.serve, daemon=True).start()
 
     def submit(self, urb, length):
-        self.waiting.put((urb, length))
+        with self.changed:
+            self.waiting.append((urb, length))
+            self.changed.notify()
+
+    def discard(self, address):
+        """Return whether the URB was still on its way; it then comes back as unlinked."""
+        with self.changed:
+            found = any(urb.client_addr == address for urb, _ in self.waiting)
+            if found:
+                self.discarded.add(address)
+            return found
 
     def serve(self):
         connection = self.camera.connect()
         while True:
-            urb, length = self.waiting.get()
-            self.done.append((urb, *self.read(connection, urb.client_addr, length)))
+            with self.changed:
+                self.changed.wait_for(lambda: self.waiting)
+                urb, length = self.waiting[0]
+            result = self.read(connection, urb.client_addr, length)
+            with self.changed:
+                self.waiting.popleft()
+                self.discarded.discard(urb.client_addr)
+                self.done.append((urb, *result))
 
     def read(self, connection, address, length):
-        while True:
-            if address in self.discarded:
-                self.discarded.remove(address)
-                return -errno.ENOENT, b''
+        while address not in self.discarded:
             status, data = self.camera.call(
                 connection,
                 self.camera.wire.READ,
@@ -119,6 +132,7 @@ class Endpoint:
             )
             if status != -errno.ETIMEDOUT:
                 return status, data
+        return -errno.ENOENT, b''
 
 
 class UsbFs(UMockdev.IoctlBase):
@@ -172,12 +186,8 @@ class UsbFs(UMockdev.IoctlBase):
 
     def discard(self, client):
         address = struct.unpack('<Q', bytes(client.get_arg().retrieve())[:8])[0]
-        for endpoint in self.endpoints.values():
-            if any(urb.client_addr == address for urb, _ in list(endpoint.waiting.queue)):
-                endpoint.discarded.add(address)
-                return 0
-            endpoint.discarded.add(address)
-        return 0
+        found = any(endpoint.discard(address) for endpoint in self.endpoints.values())
+        return 0 if found else -errno.EINVAL
 
     def reap(self, client):
         if not self.done:

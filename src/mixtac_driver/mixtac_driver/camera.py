@@ -1,0 +1,331 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The DAVIS346 as an object: open it, start it, take what it sees."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from mixtac_driver import sequences
+from mixtac_driver.clock_map import ClockMap
+from mixtac_driver.configuration import Configuration, changed_writes, register_writes
+from mixtac_driver.connection import Connection
+from mixtac_driver.decoder import DEFAULT_CAPACITY, DecodedBatch, StreamDecoder
+from mixtac_driver.errors import DriverError, StreamError
+from mixtac_driver.identity import Identity, read_identity, read_is_master
+from mixtac_driver.sequences import Origin
+from mixtac_driver.transport import BulkReader, Transfer, TransportCounters
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from types import TracebackType
+
+    from mixtac_driver.decoder_state import DecoderCounters
+
+POLL_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSettings:
+    """How data are taken from the camera.
+
+    Attributes:
+        transfer_size: Bytes asked for per read.
+        queue_size: Bytes that may wait to be decoded.
+        event_capacity: Events per batch.
+        silence_s: Time without any data [s] after which the stream counts as dead; a running
+            camera sends time wraps every 33 ms.
+        confirmation_s: Time [s] within which the camera has to confirm the reset of its clock.
+    """
+
+    transfer_size: int = 65536
+    queue_size: int = 32 << 20
+    event_capacity: int = DEFAULT_CAPACITY
+    silence_s: float = 3.0
+    confirmation_s: float = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraBatch:
+    """A stretch of what the camera saw.
+
+    Attributes:
+        decoded: Events, frames, inertial samples and edges [us on the camera clock since its
+            reset]. The events are views that the next batch overwrites.
+        origin: Add `origin.us` to those times to get them on the epoch-based camera clock, which
+            never goes back, not even when the camera's own clock is reset.
+        arrival_ns: Host time of the transfer's arrival [ns since the Unix epoch].
+    """
+
+    decoded: DecodedBatch
+    origin: Origin
+    arrival_ns: int
+
+    @property
+    def time_us(self) -> int:
+        """Time that the stream has reached [us, epoch-based camera clock]."""
+        return self.decoded.time_us + self.origin.us
+
+
+class Davis346:
+    """A DAVIS346 camera, as a context manager that opens and closes it.
+
+    `batches` is for one thread; `apply`, `stop` and the properties may be used from others.
+
+    Args:
+        device: Device string (see `mixtac_driver.backend`).
+        serial: Serial number, or empty for the only camera.
+        configuration: Settings.
+        stream: How data are taken.
+        backend: A pyusb backend to use instead of the one that `device` names.
+        now_ns: Host clock [ns since the Unix epoch].
+
+    Attributes:
+        clock: Map from the camera's clock [us since its reset] to the host's.
+        clock_resets: Resets of the camera's clock that this driver did not ask for.
+        transfers_before_start: Transfers thrown away because the clock was not yet reset.
+    """
+
+    def __init__(
+        self,
+        device: str = 'davis346',
+        *,
+        serial: str = '',
+        configuration: Configuration | None = None,
+        stream: StreamSettings | None = None,
+        backend: Any = None,  # noqa: ANN401
+        now_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.clock = ClockMap()
+        self.clock_resets = 0
+        self.transfers_before_start = 0
+        self._device, self._serial, self._backend = device, serial, backend
+        self._configuration = configuration or Configuration()
+        self._configuration.check()
+        self._stream = stream or StreamSettings()
+        self._now_ns = now_ns
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._connection: Connection | None = None
+        self._identity: Identity | None = None
+        self._reader: BulkReader | None = None
+        self._decoder: StreamDecoder | None = None
+        self._origin: Origin | None = None
+        self._resets_seen = 0
+        self._latest_us = 0
+
+    def __enter__(self) -> Davis346:
+        """Open the camera."""
+        self.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Stop and close the camera."""
+        self.close()
+
+    @property
+    def identity(self) -> Identity:
+        """What the camera is.
+
+        Raises:
+            DriverError: It was not opened.
+        """
+        if self._identity is None:
+            raise DriverError('the camera is not open: call open() or use it in a with statement')
+        return self._identity
+
+    @property
+    def origin(self) -> Origin | None:
+        """Host time at which the camera's clock read zero; None before it said so."""
+        return self._origin if self._resets_seen else None
+
+    @property
+    def transport_counters(self) -> TransportCounters:
+        """What the USB reader did since the start."""
+        return self._reader.counters if self._reader else TransportCounters()
+
+    @property
+    def decoder_counters(self) -> DecoderCounters | None:
+        """What the decoder saw and dropped since the start; None before it."""
+        return self._decoder.counters if self._decoder else None
+
+    def open(self) -> None:
+        """Find, claim, identify and configure the camera.
+
+        Raises:
+            UnknownDeviceError: Nothing is known by that device string.
+            NoCameraError: No such camera is attached.
+            UnsupportedCameraError: It is none that this driver speaks to.
+            UsbError: A request failed.
+        """
+        connection = Connection(self._device, self._serial, self._backend)
+        try:
+            self._identity = read_identity(
+                connection.protocol, bcd_device=connection.bcd_device, serial=connection.serial
+            )
+            with self._lock:
+                writes = register_writes(self._configuration, self._identity)
+                connection.protocol.write_each(writes)
+                self._connection = connection
+        except DriverError:
+            connection.close()
+            raise
+
+    def start(self) -> None:
+        """Start streaming and reset the camera's clock.
+
+        Raises:
+            UsbError: A request failed.
+            DriverError: The camera is not open.
+        """
+        identity, connection = self.identity, self._opened()
+        self._stopping.clear()
+        self.clock.restart()
+        self._resets_seen, self._latest_us = 0, 0
+        self._decoder = StreamDecoder(
+            identity.geometry,
+            imu_flips=identity.imu_flips,
+            imu_type=identity.imu_type,
+            capacity=self._stream.event_capacity,
+        )
+        reader = self._reader = BulkReader(
+            connection.read_data,
+            connection.clear_halt,
+            transfer_size=self._stream.transfer_size,
+            queue_size=self._stream.queue_size,
+            now_ns=self._now_ns,
+        )
+
+        def begin_reading() -> None:
+            connection.clear_halt()
+            reader.start()
+
+        with self._lock:
+            sequences.start(connection.protocol, self._configuration, begin_reading)
+            self._origin = sequences.reset_timestamps(connection.protocol, self._now_ns)
+
+    def batches(self) -> Iterator[CameraBatch]:
+        """Yield what the camera sees from the reset of its clock on, until it is stopped.
+
+        Raises:
+            DisconnectedError: The camera went away.
+            StreamError: No data came for too long, or the reset was not confirmed.
+        """
+        reader, deadline_s = self._reader, time.monotonic() + self._stream.confirmation_s
+        heard_s = time.monotonic()
+        while reader is not None and not self._stopping.is_set():
+            transfer = reader.get(POLL_S)
+            now_s = time.monotonic()
+            if transfer is not None:
+                heard_s = now_s
+                yield from self._decode(transfer)
+            elif now_s - heard_s > self._stream.silence_s and not self._stopping.is_set():
+                raise StreamError(
+                    f'no data for {self._stream.silence_s:g} s: the stream died; '
+                    'check the cable and the power of the USB port'
+                )
+            if not self._resets_seen and now_s > deadline_s:
+                raise StreamError(
+                    'the camera did not confirm the reset of its clock within '
+                    f'{self._stream.confirmation_s:g} s; plug it anew'
+                )
+
+    def apply(self, configuration: Configuration) -> None:
+        """Change settings; those that only count at the next start wait for it.
+
+        Raises:
+            ConfigurationError: A setting is out of range; nothing was changed.
+            UsbError: A request failed.
+        """
+        configuration.check()
+        with self._lock:
+            if self._connection is not None:
+                old = register_writes(self._configuration, self.identity)
+                new = register_writes(configuration, self.identity)
+                self._connection.protocol.write_each(changed_writes(old, new))
+            self._configuration = configuration
+
+    def request_stop(self) -> None:
+        """Make `batches` end soon; returns at once."""
+        self._stopping.set()
+
+    def stop(self) -> None:
+        """Stop streaming.
+
+        Raises:
+            UsbError: A request failed, as it does when the camera is gone.
+            StreamError: The read in progress does not return.
+        """
+        self.request_stop()
+        reader = self._reader
+        if reader is not None and self._connection is not None:
+            with self._lock:
+                sequences.stop(self._connection.protocol, reader.stop)
+
+    def close(self) -> None:
+        """Stop if need be and give the camera back; harmless when it is gone."""
+        try:
+            self.stop()
+        except DriverError:
+            # Gone or stuck: it cannot be told to stop, and the handle below is given back.
+            self.request_stop()
+        with self._lock:
+            connection, self._connection = self._connection, None
+            self._reader = None
+        if connection is not None:
+            connection.close()
+
+    def _opened(self) -> Connection:
+        if self._connection is None:
+            raise DriverError('the camera is closed: call open() first')
+        return self._connection
+
+    def _decode(self, transfer: Transfer) -> Iterator[CameraBatch]:
+        decoder, origin_asked = self._decoder, self._origin
+        if decoder is None or origin_asked is None:
+            # Filled before the clock was reset: its times mean nothing.
+            self.transfers_before_start += 1
+            return
+        if transfer.gap.size:
+            decoder.skip(transfer.gap)
+        for batch in decoder.push(transfer.data, short_packet=transfer.short_packet):
+            self._follow_resets(batch, transfer.arrival_ns)
+            if not self._resets_seen or self._origin is None:
+                continue
+            out = CameraBatch(batch, self._origin, transfer.arrival_ns)
+            self._latest_us = out.time_us
+            yield out
+        if self._resets_seen:
+            self.clock.add(decoder.time_us, transfer.arrival_ns)
+        else:
+            self.transfers_before_start += 1
+
+    def _follow_resets(self, batch: DecodedBatch, arrival_ns: int) -> None:
+        if batch.resets == self._resets_seen:
+            return
+        asked_for = self._resets_seen == 0
+        self._resets_seen = batch.resets
+        if asked_for:
+            return
+        self.clock_resets += 1
+        self.clock.restart()
+        # The best guess there is, but never so that published time would go back.
+        origin_us = max(arrival_ns // 1000 - batch.time_us, self._latest_us + 1)
+        delay_us = self._configuration.early_packet_delay_us
+        self._origin = Origin(origin_us * 1000, delay_us * 1000)
+
+    def refresh_master(self) -> bool:
+        """Ask the camera again whether it runs on its own clock; changes with the sync cable.
+
+        Raises:
+            UsbError: The request failed.
+        """
+        return read_is_master(self._opened().protocol)

@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Camera clock to host clock, from the times at which data arrive.
+
+Data arrive some time after the camera stamped them, never before: the true relation of the two
+clocks lies below all pairs (camera time, arrival), and the quickest arrivals lie close to it. The
+map is the line below all recent pairs that is closest to them on average; it passes through two
+corners of their lower convex hull (Moon, Skelly, Towsley: "Estimation and removal of clock skew
+from network delay measurements", INFOCOM 1999). What it cannot see is the smallest delay itself,
+which stays in the offset.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+BUCKET_US = 1_000_000
+BUCKETS = 60
+SKEW_AFTER_US = 10_000_000
+"""Shorter spans say more about the delays than about the skew."""
+MOST_SKEW = 500e-6
+STEP_US = 10_000.0
+STEP_BUCKETS = 3
+
+
+class Point(NamedTuple):
+    """A pair, relative to the first one.
+
+    Attributes:
+        t: Camera time [us].
+        delay: Host time less camera time [us].
+    """
+
+    t: float
+    delay: float
+
+
+@dataclass(frozen=True, slots=True)
+class ClockEstimate:
+    """The map in figures.
+
+    Attributes:
+        offset_us: Host time less camera time [us], at the middle of the pairs.
+        skew_ppm: How much faster the host's clock runs [1e-6].
+        residual_us: RMS distance of the quickest arrivals per second above the line [us].
+        span_s: Time over which pairs were collected [s].
+        pairs: Pairs used since the last restart.
+        steps: Restarts because one of the clocks jumped.
+    """
+
+    offset_us: float
+    skew_ppm: float
+    residual_us: float
+    span_s: float
+    pairs: int
+    steps: int
+
+
+class ClockMap:
+    """A running map from the camera's clock [us] to the host's [ns since the Unix epoch]."""
+
+    def __init__(self) -> None:
+        self._steps = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all pairs, as after a reset of the camera's clock."""
+        self._origin: tuple[int, int] | None = None
+        self._buckets: deque[Point] = deque(maxlen=BUCKETS)
+        self._current: Point | None = None
+        self._bucket = 0
+        self._pairs = 0
+        self._late_buckets = 0
+        self._line = (0.0, 0.0, 0.0)
+
+    @property
+    def ready(self) -> bool:
+        """True once there is a pair to map by."""
+        return self._origin is not None
+
+    def add(self, camera_us: int, host_ns: int) -> None:
+        """Take a pair.
+
+        Args:
+            camera_us: Camera time of the newest data of a transfer; does not decrease.
+            host_ns: Host time of its arrival.
+        """
+        if self._origin is None:
+            self._origin = (camera_us, host_ns)
+        point = self._relative(camera_us, host_ns)
+        excess = self._excess(point)
+        if self._pairs and excess < -STEP_US:
+            self._step(camera_us, host_ns)
+            return
+        self._pairs += 1
+        self._collect(point)
+        if excess < 0:
+            self._fit()
+        elif self._late_buckets >= STEP_BUCKETS:
+            self._step(camera_us, host_ns)
+
+    def to_host_ns(self, camera_us: int) -> int:
+        """Return the host time [ns] of a camera time [us]; needs `ready`."""
+        origin_us, origin_ns = self._origin or (0, 0)
+        t = camera_us - origin_us
+        return origin_ns + t * 1000 + round(self._value(float(t)) * 1000)
+
+    def to_camera_us(self, host_ns: int) -> int:
+        """Return the camera time [us] of a host time [ns]; needs `ready`."""
+        origin_us, origin_ns = self._origin or (0, 0)
+        elapsed = (host_ns - origin_ns) / 1000
+        middle, level, slope = self._line
+        return origin_us + round((elapsed - level + slope * middle) / (1 + slope))
+
+    def estimate(self) -> ClockEstimate:
+        """Return the map in figures; needs `ready`."""
+        origin_us, origin_ns = self._origin or (0, 0)
+        points = self._points()
+        above = np.array([self._excess(p) for p in points] or [0.0])
+        _, level, slope = self._line
+        return ClockEstimate(
+            offset_us=origin_ns / 1000 - origin_us + level,
+            skew_ppm=slope * 1e6,
+            residual_us=float(np.sqrt(np.mean(above**2))),
+            span_s=(points[-1].t - points[0].t) / 1e6 if points else 0.0,
+            pairs=self._pairs,
+            steps=self._steps,
+        )
+
+    def _relative(self, camera_us: int, host_ns: int) -> Point:
+        origin_us, origin_ns = self._origin or (0, 0)
+        t = camera_us - origin_us
+        return Point(float(t), (host_ns - origin_ns) / 1000 - t)
+
+    def _value(self, t: float) -> float:
+        middle, level, slope = self._line
+        return level + slope * (t - middle)
+
+    def _excess(self, point: Point) -> float:
+        return point.delay - self._value(point.t)
+
+    def _points(self) -> list[Point]:
+        return [*self._buckets, *([self._current] if self._current else [])]
+
+    def _step(self, camera_us: int, host_ns: int) -> None:
+        self._steps += 1
+        self.restart()
+        self.add(camera_us, host_ns)
+
+    def _collect(self, point: Point) -> None:
+        bucket = int(point.t // BUCKET_US)
+        if self._current is not None and bucket != self._bucket:
+            late = self._excess(self._current) > STEP_US
+            self._late_buckets = self._late_buckets + 1 if late else 0
+            self._buckets.append(self._current)
+            self._current = None
+            self._fit()
+        self._bucket = bucket
+        if self._current is None or self._excess(point) < self._excess(self._current):
+            self._current = point
+
+    def _fit(self) -> None:
+        points = self._points()
+        middle = sum(p.t for p in points) / len(points)
+        slope = 0.0
+        if points[-1].t - points[0].t >= SKEW_AFTER_US:
+            slope = min(max(_slope_below(points, middle), -MOST_SKEW), MOST_SKEW)
+        level = min(p.delay - slope * (p.t - middle) for p in points)
+        self._line = (middle, level, slope)
+
+
+def _slope_below(points: list[Point], middle: float) -> float:
+    """Return the slope of the edge of the lower hull over `middle`; `points` are sorted."""
+    hull: list[Point] = []
+    for point in points:
+        while len(hull) > 1 and _turns_down(hull[-2], hull[-1], point):
+            hull.pop()
+        hull.append(point)
+    for left, right in zip(hull, hull[1:], strict=False):
+        if right.t >= middle:
+            return (right.delay - left.delay) / (right.t - left.t)
+    return 0.0
+
+
+def _turns_down(a: Point, b: Point, c: Point) -> bool:
+    return (b.delay - a.delay) * (c.t - a.t) >= (c.delay - a.delay) * (b.t - a.t)

@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Cutting the events into packets on a fixed grid of camera time, so that time always progresses.
+
+A packet is closed as soon as the stream is known to have passed the end of its cell of the grid;
+it then says so, which lets consumers close their own windows at once. Where nothing happened, an
+empty packet says that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_events.arrays import Events
+from mixtac_events.codec import encode
+
+if TYPE_CHECKING:
+    from mixtac_events.packets import EncodedPacket
+
+MOST_BYTES_PER_EVENT = 8
+"""Either encoding: a time in two words, a column and a row; or 64 bits."""
+LONGEST_ANNOUNCEMENT_US = 1 << 23
+"""Times in `libcaer_cmp` are relative to the first event and end after 2^24 us."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Packet:
+    """One encoded packet.
+
+    Attributes:
+        encoded: Encoding, time base and payload.
+        arrival_ns: Host time at which the first transfer in it arrived [ns since the Unix epoch].
+        events: Number of events.
+        start_us: Camera time of the first event; of the end of silence in an empty packet.
+        complete_until_us: Camera time before which no further event will follow.
+    """
+
+    encoded: EncodedPacket
+    arrival_ns: int
+    events: int
+    start_us: int
+    complete_until_us: int
+
+
+class Packetizer:
+    """Cuts a stream of events into packets.
+
+    Args:
+        encoding: One of `mixtac_events.codec.ENCODINGS`.
+        period_us: Grid of camera time [us] and longest time that events of a packet span.
+        most_bytes: Longest payload [bytes].
+    """
+
+    def __init__(self, encoding: str, period_us: int, most_bytes: int) -> None:
+        self._encoding = encoding
+        self._period_us = period_us
+        self._most_events = max(most_bytes // MOST_BYTES_PER_EVENT, 1)
+        self._pending: list[Events] = []
+        self._pending_arrival_ns = 0
+        self._complete_us: int | None = None
+
+    def push(self, events: Events, time_us: int, arrival_ns: int) -> list[Packet]:
+        """Take events and return the packets that they close.
+
+        Args:
+            events: Events on the camera clock [us], in order; not before those already taken.
+            time_us: Camera time that the stream has reached; later events are not before it.
+            arrival_ns: Host time of their arrival.
+        """
+        held = sum(map(len, self._pending))
+        events = Events.concatenate([*self._pending, events])
+        closed_us = time_us // self._period_us * self._period_us
+        packets = self._cut(events, held, closed_us, arrival_ns)
+        taken = sum(packet.events for packet in packets)
+        if taken >= held:
+            self._pending_arrival_ns = arrival_ns
+        rest = events[taken:]
+        # The events handed in may be views into an array that is soon written again.
+        self._pending = [_copied(rest)] if len(rest) else []
+        if self._complete_us is None:
+            self._complete_us = closed_us
+        if closed_us > self._complete_us:
+            packets.append(self._packet(rest[:0], closed_us, arrival_ns))
+        return packets
+
+    def _cut(self, events: Events, held: int, closed_us: int, arrival_ns: int) -> list[Packet]:
+        ready = int(np.searchsorted(events.t, closed_us))
+        cells = events.t[:ready] // self._period_us
+        starts = np.concatenate(([0], np.flatnonzero(np.diff(cells)) + 1, [ready]))
+        packets = []
+        for start, end in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+            for first in range(start, end, self._most_events):
+                last = min(first + self._most_events, end)
+                arrival = self._pending_arrival_ns if first < held else arrival_ns
+                until = self._complete_after(events, last, ready, closed_us)
+                packets.append(self._packet(events[first:last], until, arrival))
+        # The open cell is cut by size only.
+        first = ready
+        while len(events) - first >= self._most_events:
+            last = first + self._most_events
+            arrival = self._pending_arrival_ns if first < held else arrival_ns
+            packets.append(self._packet(events[first:last], int(events.t[last - 1]), arrival))
+            first = last
+        return packets
+
+    def _complete_after(self, events: Events, last: int, ready: int, closed_us: int) -> int:
+        """Return the grid time up to which nothing follows the event before `last`."""
+        latest = int(events.t[last - 1])
+        if last < ready:
+            following = int(events.t[last])
+            closed_us = max(following // self._period_us * self._period_us, latest)
+        return min(closed_us, latest + LONGEST_ANNOUNCEMENT_US)
+
+    def _packet(self, events: Events, until_us: int, arrival_ns: int) -> Packet:
+        encoded = encode(events, self._encoding, complete_until=until_us)
+        start_us = int(events.t[0]) if len(events) else until_us
+        # Of all packets with events, only those in libcaer_cmp carry how far they reach.
+        silent = len(events) and self._encoding != 'libcaer_cmp'
+        self._complete_us = int(events.t[-1]) if silent else until_us
+        return Packet(encoded, arrival_ns, len(events), start_us, self._complete_us)
+
+
+def _copied(events: Events) -> Events:
+    return Events(*(np.array(f) for f in (events.t, events.x, events.y, events.polarity)))

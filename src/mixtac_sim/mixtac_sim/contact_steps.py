@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Single steps of a contact under a commanded force, a commanded position or a falling mass.
+
+The state of a contact is an array: elastic force [N], position of the indenter [mm], its velocity
+[mm/s] (falling bodies only) and indentation of the layer [mm].
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from mixtac_sim.viscoelasticity import force_terms, relax
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+STEP_US = 125
+"""Spacing of the command grid [us]."""
+SUBSTEPS = 16
+"""Steps of a falling body per grid step (7.8 us, a thousandth of a contact)."""
+GRAVITY = 9.80665
+"""Standard gravity [m/s2]."""
+
+
+@njit(cache=True, nogil=True)
+def _elastic(table: NDArray[np.float64], step: float, depth: float) -> tuple[float, float]:
+    """Return elastic force [N] and its slope [N/mm] at a depth; linear beyond the table."""
+    if depth <= 0.0:
+        return 0.0, table[1] / step
+    k = min(int(depth / step), table.size - 2)
+    slope = (table[k + 1] - table[k]) / step
+    return table[k] + slope * (depth - k * step), slope
+
+
+@njit(cache=True, nogil=True)
+def _depth(table: NDArray[np.float64], step: float, elastic: float) -> float:
+    """Return the depth [mm] of an elastic force."""
+    if elastic <= 0.0:
+        return 0.0
+    k = min(np.searchsorted(table, elastic), table.size - 1)
+    k = max(k, 1)
+    return (k - 1 + (elastic - table[k - 1]) / (table[k] - table[k - 1])) * step
+
+
+@njit(cache=True, nogil=True)
+def _pressed_depth(
+    table: NDArray[np.float64],
+    step: float,
+    position: float,
+    guess: float,
+    carried: float,
+    gain: float,
+    mesh: float,
+) -> float:
+    """Solve depth + force(depth) / mesh = position by Newton's method within a bracket."""
+    low, high = -10.0, position + max(0.0, -carried) / mesh
+    depth = min(max(guess, low), high)
+    for _ in range(40):
+        elastic, slope = _elastic(table, step, depth)
+        excess = depth + (carried + gain * elastic) / mesh - position
+        if abs(excess) < 1e-9:
+            break
+        if excess > 0.0:
+            high = depth
+        else:
+            low = depth
+        depth -= excess / (1.0 + gain * slope / mesh)
+        if not low < depth < high:
+            depth = 0.5 * (low + high)
+    return depth
+
+
+@njit(cache=True, nogil=True)
+def step_force(
+    state: NDArray[np.float64],
+    branches: NDArray[np.float64],
+    update: NDArray[np.float64],
+    table: NDArray[np.float64],
+    step: float,
+    mesh: float,
+    force: float,
+) -> float:
+    """Advance one step under a commanded force; return the force [N]."""
+    carried, gain = force_terms(branches, update, state[0])
+    elastic = max((force - carried) / gain, 0.0)
+    relax(branches, update, elastic - state[0])
+    state[0] = elastic
+    state[3] = _depth(table, step, elastic)
+    state[1] = state[3] + force / mesh
+    return force
+
+
+@njit(cache=True, nogil=True)
+def step_position(
+    state: NDArray[np.float64],
+    branches: NDArray[np.float64],
+    update: NDArray[np.float64],
+    table: NDArray[np.float64],
+    step: float,
+    mesh: float,
+    position: float,
+) -> float:
+    """Advance one step with the indenter at a position; return the force [N], never a pull."""
+    carried, gain = force_terms(branches, update, state[0])
+    depth = _pressed_depth(table, step, position, state[3], carried, gain, mesh)
+    elastic, _ = _elastic(table, step, depth)
+    force = carried + gain * elastic
+    if depth <= 0.0 or force <= 0.0:
+        step_force(state, branches, update, table, step, mesh, 0.0)
+        state[1] = position
+        return 0.0
+    relax(branches, update, elastic - state[0])
+    state[0], state[1], state[3] = elastic, position, depth
+    return force
+
+
+@njit(cache=True, nogil=True)
+def step_fall(
+    state: NDArray[np.float64],
+    branches: NDArray[np.float64],
+    update: NDArray[np.float64],
+    table: NDArray[np.float64],
+    step: float,
+    mesh: float,
+    mass: float,
+    lift: float,
+) -> float:
+    """Advance a grid step of a falling body; return the mean force over it [N]."""
+    short = 1e-6 * STEP_US / SUBSTEPS
+    total = 0.0
+    velocity = state[2]
+    for _ in range(SUBSTEPS):
+        position = state[1] + velocity * short
+        force = step_position(state, branches, update, table, step, mesh, position)
+        velocity += 1e3 * (GRAVITY - (force + lift) / mass) * short
+        total += force
+    state[2] = velocity
+    return total / SUBSTEPS
