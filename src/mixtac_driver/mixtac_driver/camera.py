@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mixtac_driver import sequences
+from mixtac_driver.clock_epochs import ClockEpochs
 from mixtac_driver.clock_map import ClockMap
 from mixtac_driver.configuration import Configuration, changed_writes, register_writes
 from mixtac_driver.connection import Connection
 from mixtac_driver.decoder import DEFAULT_CAPACITY, DecodedBatch, StreamDecoder
 from mixtac_driver.errors import DriverError, StreamError
 from mixtac_driver.identity import Identity, read_identity, read_is_master
-from mixtac_driver.sequences import Origin
 from mixtac_driver.transport import BulkReader, Transfer, TransportCounters
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from mixtac_driver.decoder_state import DecoderCounters
+    from mixtac_driver.sequences import Origin
 
 POLL_S = 0.1
 
@@ -85,8 +86,6 @@ class Davis346:
 
     Attributes:
         clock: Map from the camera's clock [us since its reset] to the host's.
-        clock_resets: Resets of the camera's clock that this driver did not ask for.
-        transfers_before_start: Transfers thrown away because the clock was not yet reset.
     """
 
     def __init__(
@@ -100,8 +99,6 @@ class Davis346:
         now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.clock = ClockMap()
-        self.clock_resets = 0
-        self.transfers_before_start = 0
         self._device, self._serial, self._backend = device, serial, backend
         self._configuration = configuration or Configuration()
         self._configuration.check()
@@ -113,9 +110,7 @@ class Davis346:
         self._identity: Identity | None = None
         self._reader: BulkReader | None = None
         self._decoder: StreamDecoder | None = None
-        self._origin: Origin | None = None
-        self._resets_seen = 0
-        self._latest_us = 0
+        self._epochs: ClockEpochs | None = None
 
     def __enter__(self) -> Davis346:
         """Open the camera."""
@@ -145,7 +140,12 @@ class Davis346:
     @property
     def origin(self) -> Origin | None:
         """Host time at which the camera's clock read zero; None before it said so."""
-        return self._origin if self._resets_seen else None
+        return self._epochs.origin if self._epochs else None
+
+    @property
+    def clock_resets(self) -> int:
+        """Resets of the camera's clock since the start that this driver did not ask for."""
+        return self._epochs.unasked if self._epochs else 0
 
     @property
     def transport_counters(self) -> TransportCounters:
@@ -189,7 +189,6 @@ class Davis346:
         identity, connection = self.identity, self._opened()
         self._stopping.clear()
         self.clock.restart()
-        self._resets_seen, self._latest_us = 0, 0
         self._decoder = StreamDecoder(
             identity.geometry,
             imu_flips=identity.imu_flips,
@@ -210,7 +209,8 @@ class Davis346:
 
         with self._lock:
             sequences.start(connection.protocol, self._configuration, begin_reading)
-            self._origin = sequences.reset_timestamps(connection.protocol, self._now_ns)
+            asked = sequences.reset_timestamps(connection.protocol, self._now_ns)
+            self._epochs = ClockEpochs(asked, self._configuration.early_packet_delay_us)
 
     def batches(self) -> Iterator[CameraBatch]:
         """Yield what the camera sees from the reset of its clock on, until it is stopped.
@@ -232,7 +232,7 @@ class Davis346:
                     f'no data for {self._stream.silence_s:g} s: the stream died; '
                     'check the cable and the power of the USB port'
                 )
-            if not self._resets_seen and now_s > deadline_s:
+            if self.origin is None and now_s > deadline_s:
                 raise StreamError(
                     'the camera did not confirm the reset of its clock within '
                     f'{self._stream.confirmation_s:g} s; plug it anew'
@@ -289,38 +289,20 @@ class Davis346:
         return self._connection
 
     def _decode(self, transfer: Transfer) -> Iterator[CameraBatch]:
-        decoder, origin_asked = self._decoder, self._origin
-        if decoder is None or origin_asked is None:
-            # Filled before the clock was reset: its times mean nothing.
-            self.transfers_before_start += 1
+        decoder, epochs = self._decoder, self._epochs
+        if decoder is None or epochs is None:
             return
         if transfer.gap.size:
             decoder.skip(transfer.gap)
+        resets_before = epochs.unasked
         for batch in decoder.push(transfer.data, short_packet=transfer.short_packet):
-            self._follow_resets(batch, transfer.arrival_ns)
-            if not self._resets_seen or self._origin is None:
-                continue
-            out = CameraBatch(batch, self._origin, transfer.arrival_ns)
-            self._latest_us = out.time_us
-            yield out
-        if self._resets_seen:
+            origin = epochs.follow(batch.resets, batch.time_us, transfer.arrival_ns)
+            if origin is not None:
+                yield CameraBatch(batch, origin, transfer.arrival_ns)
+        if epochs.unasked != resets_before:
+            self.clock.restart()
+        if epochs.origin is not None:
             self.clock.add(decoder.time_us, transfer.arrival_ns)
-        else:
-            self.transfers_before_start += 1
-
-    def _follow_resets(self, batch: DecodedBatch, arrival_ns: int) -> None:
-        if batch.resets == self._resets_seen:
-            return
-        asked_for = self._resets_seen == 0
-        self._resets_seen = batch.resets
-        if asked_for:
-            return
-        self.clock_resets += 1
-        self.clock.restart()
-        # The best guess there is, but never so that published time would go back.
-        origin_us = max(arrival_ns // 1000 - batch.time_us, self._latest_us + 1)
-        delay_us = self._configuration.early_packet_delay_us
-        self._origin = Origin(origin_us * 1000, delay_us * 1000)
 
     def refresh_master(self) -> bool:
         """Ask the camera again whether it runs on its own clock; changes with the sync cable.

@@ -3,8 +3,8 @@
 """Contact of an indenter with the layer on its mesh, in time.
 
 A fixed grid of 125 us carries every command; a falling body is integrated in sixteenths of it.
-The layer rests on the mesh, a spring in series, so an indenter at position p (from the free
-skin, inwards) leaves the layer the depth d = p - F / k_mesh.
+Positions count from the free skin, inwards; the skin recovers from a dent with the times of its
+relaxation, so a second contact may begin below the free skin.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numba import njit
 from mixtac_sim.contact_steps import (
     STEP_US,
     SUBSTEPS,
+    dent,
     step_fall,
     step_force,
     step_position,
@@ -56,7 +57,7 @@ class ContactPath:
     Attributes:
         force_n: Normal force [n] [N].
         elastic_n: Elastic part of it [n] [N], which fixes the shape of the layer.
-        depth_mm: Indentation of the layer [n] [mm].
+        depth_mm: Depth of the dent, layer and mesh together [n] [mm].
         position_mm: Position of the indenter [n] [mm], inwards from the free skin.
     """
 
@@ -73,7 +74,6 @@ class Contact:
         laws: Elastic force law of each indenter.
         masses_g: Mass of each indenter [g].
         prony: Relaxation of the layer.
-        mesh_n_per_mm: Stiffness of the mesh [N/mm]; 1 to 10 (estimate).
     """
 
     def __init__(
@@ -81,16 +81,14 @@ class Contact:
         laws: Sequence[ForceLaw],
         masses_g: Sequence[float],
         prony: PronySeries,
-        mesh_n_per_mm: float,
     ) -> None:
         self._steps = np.array([law.step_mm for law in laws])
         self._tables = np.stack([law.force_n for law in laws])
         self._masses = 1e-3 * np.array(masses_g, dtype=np.float64)
         step_s = 1e-6 * STEP_US
         self._updates = np.stack([prony.update(step_s), prony.update(step_s / SUBSTEPS)])
-        self._mesh = float(mesh_n_per_mm)
         self._branches = np.zeros(len(prony.weights))
-        self._state = np.zeros(4)
+        self._state = np.zeros(3)
         self._last_mode = np.zeros(1, np.int8)
 
     def advance(
@@ -115,7 +113,6 @@ class Contact:
             self._tables,
             self._steps,
             self._masses,
-            self._mesh,
             modes,
             targets,
             indenters,
@@ -133,7 +130,6 @@ def _advance(
     tables: NDArray[np.float64],
     steps: NDArray[np.float64],
     masses: NDArray[np.float64],
-    mesh: float,
     modes: NDArray[np.int8],
     targets: NDArray[np.float64],
     indenters: NDArray[np.int8],
@@ -148,13 +144,14 @@ def _advance(
                 state[1], state[2] = -targets[k], 0.0
             lift = targets[k] if mode == Mode.LIFT else 0.0
             force = step_fall(
-                state, branches, updates[1], table, step, mesh, masses[tool], lift
+                state, branches, updates[1], table, step, masses[tool], lift
             )
         elif mode == Mode.POSITION or mode == Mode.HOLD:  # noqa: PLR1714 (numba: plain compares)
             position = targets[k] if mode == Mode.POSITION else state[1]
-            force = step_position(state, branches, updates[0], table, step, mesh, position)
+            force = step_position(state, branches, updates[0], table, step, position)
         else:
             wanted = max(targets[k], 0.0) if mode == Mode.FORCE else 0.0
-            force = step_force(state, branches, updates[0], table, step, mesh, wanted)
+            force = step_force(state, branches, updates[0], table, step, wanted)
         last_mode[0] = mode
-        path[0, k], path[1, k], path[2, k], path[3, k] = force, state[0], state[3], state[1]
+        path[0, k], path[1, k], path[3, k] = force, state[0], state[1]
+        path[2, k] = dent(table, step, state[0])

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Single steps of a contact under a commanded force, a commanded position or a falling mass.
 
-The state of a contact is an array: elastic force [N], position of the indenter [mm], its velocity
-[mm/s] (falling bodies only) and indentation of the layer [mm].
+The state of a contact is an array: elastic force [N], position of the indenter [mm] and its
+velocity [mm/s] (falling bodies only). The depth of the dent follows from the elastic force.
 """
 
 from __future__ import annotations
@@ -27,51 +27,22 @@ GRAVITY = 9.80665
 
 
 @njit(cache=True, nogil=True)
-def _elastic(table: NDArray[np.float64], step: float, depth: float) -> tuple[float, float]:
-    """Return elastic force [N] and its slope [N/mm] at a depth; linear beyond the table."""
+def _elastic(table: NDArray[np.float64], step: float, depth: float) -> float:
+    """Return the elastic force [N] at a depth [mm]; linear beyond the table."""
     if depth <= 0.0:
-        return 0.0, table[1] / step
+        return 0.0
     k = min(int(depth / step), table.size - 2)
-    slope = (table[k + 1] - table[k]) / step
-    return table[k] + slope * (depth - k * step), slope
+    return table[k] + (table[k + 1] - table[k]) * (depth / step - k)
 
 
 @njit(cache=True, nogil=True)
-def _depth(table: NDArray[np.float64], step: float, elastic: float) -> float:
-    """Return the depth [mm] of an elastic force."""
+def dent(table: NDArray[np.float64], step: float, elastic: float) -> float:
+    """Return the depth [mm] of the dent that belongs to an elastic force [N]."""
     if elastic <= 0.0:
         return 0.0
     k = min(np.searchsorted(table, elastic), table.size - 1)
     k = max(k, 1)
     return (k - 1 + (elastic - table[k - 1]) / (table[k] - table[k - 1])) * step
-
-
-@njit(cache=True, nogil=True)
-def _pressed_depth(
-    table: NDArray[np.float64],
-    step: float,
-    position: float,
-    guess: float,
-    carried: float,
-    gain: float,
-    mesh: float,
-) -> float:
-    """Solve depth + force(depth) / mesh = position by Newton's method within a bracket."""
-    low, high = -10.0, position + max(0.0, -carried) / mesh
-    depth = min(max(guess, low), high)
-    for _ in range(40):
-        elastic, slope = _elastic(table, step, depth)
-        excess = depth + (carried + gain * elastic) / mesh - position
-        if abs(excess) < 1e-9:
-            break
-        if excess > 0.0:
-            high = depth
-        else:
-            low = depth
-        depth -= excess / (1.0 + gain * slope / mesh)
-        if not low < depth < high:
-            depth = 0.5 * (low + high)
-    return depth
 
 
 @njit(cache=True, nogil=True)
@@ -81,7 +52,6 @@ def step_force(
     update: NDArray[np.float64],
     table: NDArray[np.float64],
     step: float,
-    mesh: float,
     force: float,
 ) -> float:
     """Advance one step under a commanded force; return the force [N]."""
@@ -89,8 +59,7 @@ def step_force(
     elastic = max((force - carried) / gain, 0.0)
     relax(branches, update, elastic - state[0])
     state[0] = elastic
-    state[3] = _depth(table, step, elastic)
-    state[1] = state[3] + force / mesh
+    state[1] = dent(table, step, elastic)
     return force
 
 
@@ -101,20 +70,18 @@ def step_position(
     update: NDArray[np.float64],
     table: NDArray[np.float64],
     step: float,
-    mesh: float,
     position: float,
 ) -> float:
     """Advance one step with the indenter at a position; return the force [N], never a pull."""
     carried, gain = force_terms(branches, update, state[0])
-    depth = _pressed_depth(table, step, position, state[3], carried, gain, mesh)
-    elastic, _ = _elastic(table, step, depth)
+    elastic = _elastic(table, step, position)
     force = carried + gain * elastic
-    if depth <= 0.0 or force <= 0.0:
-        step_force(state, branches, update, table, step, mesh, 0.0)
+    if position <= 0.0 or force <= 0.0:
+        step_force(state, branches, update, table, step, 0.0)
         state[1] = position
         return 0.0
     relax(branches, update, elastic - state[0])
-    state[0], state[1], state[3] = elastic, position, depth
+    state[0], state[1] = elastic, position
     return force
 
 
@@ -125,7 +92,6 @@ def step_fall(
     update: NDArray[np.float64],
     table: NDArray[np.float64],
     step: float,
-    mesh: float,
     mass: float,
     lift: float,
 ) -> float:
@@ -135,7 +101,7 @@ def step_fall(
     velocity = state[2]
     for _ in range(SUBSTEPS):
         position = state[1] + velocity * short
-        force = step_position(state, branches, update, table, step, mesh, position)
+        force = step_position(state, branches, update, table, step, position)
         velocity += 1e3 * (GRAVITY - (force + lift) / mass) * short
         total += force
     state[2] = velocity

@@ -51,7 +51,7 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class ForceLaw:
-    """Elastic force against depth of one indenter on one layer, equally spaced in depth.
+    """Elastic force of one indenter on one layer and mesh, equally spaced in depth.
 
     Attributes:
         step_mm: Spacing of the depths [mm], from 0.
@@ -63,40 +63,55 @@ class ForceLaw:
     force_n: NDArray[np.float64]
     radius_mm: NDArray[np.float64]
 
+    @property
+    def depths_mm(self) -> NDArray[np.float64]:
+        """Return the depths [2049] [mm]: travel of the indenter from first touch."""
+        return self.step_mm * np.arange(len(self.force_n))
+
     def force_at(self, depth_mm: float) -> float:
         """Return the elastic force [N] at a depth [mm]."""
-        return float(np.interp(depth_mm, self._depths(), self.force_n))
+        return float(np.interp(depth_mm, self.depths_mm, self.force_n))
 
     def depth_at(self, force_n: float) -> float:
         """Return the depth [mm] of an elastic force [N]."""
-        return float(np.interp(force_n, self.force_n, self._depths()))
+        return float(np.interp(force_n, self.force_n, self.depths_mm))
 
-    def _depths(self) -> NDArray[np.float64]:
-        return self.step_mm * np.arange(len(self.force_n))
+    def radius_at(self, force_n: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """Return the contact radius [mm] under elastic forces [N]."""
+        return np.asarray(np.interp(force_n, self.force_n, self.radius_mm))
 
 
-def force_law(layer: Layer, indenter: Indenter) -> ForceLaw:
-    """Return the force law of an indenter on a layer.
+def force_law(layer: Layer, indenter: Indenter, mesh_n_per_mm: float = np.inf) -> ForceLaw:
+    """Return the force law of an indenter on a layer that rests on a springy mesh.
 
-    Depths reach 3.2 mm for a flat face; for a sphere they end where the contact is 2.5
-    thicknesses wide, or 60 % of the sphere's radius if that comes first. Linear elasticity
-    understates forces beyond about 20 % strain.
+    The mesh is a spring in series, 1 to 10 N/mm (estimate). Layer depths reach 3.2 mm for a flat
+    face; for a sphere they end where the contact is 2.5 thicknesses or 60 % of the sphere's
+    radius wide. Linear elasticity understates forces beyond about 20 % strain.
     """
     if indenter.shape == 'flat':
-        return _flat_law(layer, indenter.radius_mm)
-    return _sphere_law(layer, indenter.radius_mm)
+        depth, force, radius = _flat_law(layer, indenter.radius_mm)
+    else:
+        depth, force, radius = _sphere_law(layer, indenter.radius_mm)
+    travel = depth + force / mesh_n_per_mm
+    even = np.linspace(0.0, travel[-1], DEPTHS)
+    return ForceLaw(
+        float(even[1]), np.interp(even, travel, force), np.interp(even, travel, radius)
+    )
 
 
-def _flat_law(layer: Layer, radius_mm: float) -> ForceLaw:
-    """Return the linear law F = 2 a E* kappa(a / h) depth."""
+_Law = tuple['NDArray[np.float64]', 'NDArray[np.float64]', 'NDArray[np.float64]']
+
+
+def _flat_law(layer: Layer, radius_mm: float) -> _Law:
+    """Return layer depth, force and radius of a flat face: F = 2 a E* kappa(a / h) depth."""
     depth = np.linspace(0.0, 3.2, DEPTHS)
     factor = punch_factor(radius_mm / layer.thickness_mm)
     stiffness = 8.0 / 3.0 * 1e-3 * layer.modulus_kpa * radius_mm * factor
-    return ForceLaw(float(depth[1]), stiffness * depth, np.full(DEPTHS, radius_mm))
+    return depth, stiffness * depth, np.full(DEPTHS, radius_mm)
 
 
-def _sphere_law(layer: Layer, radius_mm: float) -> ForceLaw:
-    """Return the law of a sphere, Hertz's for small contacts and steeper as the base is felt."""
+def _sphere_law(layer: Layer, radius_mm: float) -> _Law:
+    """Return those of a sphere, Hertz's for small contacts and steeper as the base is felt."""
     contact = solve_contact('sphere')
     widest = min(ALPHA[-1], 0.6 * radius_mm / layer.thickness_mm)
     alpha = np.linspace(0.0, widest, 4 * DEPTHS)
@@ -106,6 +121,4 @@ def _sphere_law(layer: Layer, radius_mm: float) -> ForceLaw:
     depth = unit * np.interp(alpha, knots, np.append(1.0, contact.depth))
     load = unit * np.interp(alpha, knots, np.append(2.0 / 3.0, contact.load))
     force = 8.0 / 3.0 * 1e-3 * layer.modulus_kpa * alpha * layer.thickness_mm * load
-    even = np.linspace(0.0, depth[-1], DEPTHS)
-    radius = np.interp(even, depth, alpha * layer.thickness_mm)
-    return ForceLaw(float(even[1]), np.interp(even, depth, force), radius)
+    return depth, force, alpha * layer.thickness_mm

@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mixtac_events.arrays import Events
 
 import mixtac_sim.usb.wire
+from mixtac_events.arrays import Events
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.imu_words import ImuReading
 from mixtac_sim.usb.server import UsbServer
@@ -211,9 +211,7 @@ def dv_pixels(frame):
 def test_neuromorphic_drivers_sees_the_script(umockdev, tmp_path):
     result = run_client('neuromorphic', tmp_path)
     np.testing.assert_array_equal(result.seen['events'], expected_events(result.script))
-    np.testing.assert_array_equal(
-        result.seen['frame_times'], expected_frame_times(result.script)
-    )
+    np.testing.assert_array_equal(result.seen['frame_times'], expected_frame_times(result.script))
     for image, frame in zip(result.seen['frames'], result.script.frames, strict=True):
         np.testing.assert_array_equal(image, neuromorphic_pixels(frame))
     check_imu(result, gravity=9.80665, degree=np.pi / 180)

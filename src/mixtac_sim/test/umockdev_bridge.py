@@ -42,6 +42,7 @@ SET_INTERFACE, SET_CONFIGURATION, CLEAR_HALT, RESET = 0x80085504, 0x80045505, 0x
 # Zero-length packets, no packet size limit, reap after disconnect: what a plain host offers.
 CAPABILITY_BITS = 0x01 | 0x04 | 0x10
 POLL_MS = 10
+SETTLE_S = 0.1
 
 
 def load_wire(path):
@@ -111,6 +112,7 @@ class Endpoint:
 
     def serve(self):
         connection = self.camera.connect()
+        self.settle()
         while True:
             with self.changed:
                 self.changed.wait_for(lambda: self.waiting)
@@ -120,6 +122,18 @@ class Endpoint:
                 self.waiting.popleft()
                 self.discarded.discard(urb.client_addr)
                 self.done.append((urb, *result))
+
+    def settle(self):
+        """Wait until the client has queued its first URBs.
+
+        A kernel queues dozens in microseconds, before the first can complete; here each takes a
+        round trip between processes, and clients that rely on the order would be confused.
+        """
+        with self.changed:
+            count = 0
+            while count != len(self.waiting) or not count:
+                count = len(self.waiting)
+                self.changed.wait_for(lambda: len(self.waiting) > count, SETTLE_S)  # noqa: B023
 
     def read(self, connection, address, length):
         while address not in self.discarded:
@@ -153,7 +167,9 @@ class UsbFs(UMockdev.IoctlBase):
             REAP_NO_WAIT: self.reap,
             CAPABILITIES: self.capabilities,
             GET_DRIVER: lambda _: -errno.ENODATA,
-            CLAIM: lambda _: self.camera.call(self.camera.control_channel, self.camera.wire.CLAIM)[0],
+            CLAIM: lambda _: self.camera.call(self.camera.control_channel, self.camera.wire.CLAIM)[
+                0
+            ],
             RELEASE: lambda _: 0,
             SET_INTERFACE: lambda _: 0,
             SET_CONFIGURATION: lambda _: 0,
@@ -243,7 +259,7 @@ def describe(camera):
             'E: MAJOR=189',
             'E: MINOR=1',
             f'E: ID_SERIAL_SHORT={texts[2]}',
-            *(f'A: {name}={value}' for name, value in attributes.items()),
+            *(f'A: {name}={value}\\n' for name, value in attributes.items()),
             f'H: descriptors={(device + configuration).hex()}',
             '',
             '',

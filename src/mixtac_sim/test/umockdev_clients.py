@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import sys
 import time
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,7 @@ def columns(t, x, y, polarity):
 
 
 def neuromorphic(seen):
-    """Acceleration in m/s^2, turn rate in rad/s; y is counted from the bottom nowhere."""
+    """Acceleration in m/s^2, turn rate in rad/s."""
     import neuromorphic_drivers as nd
 
     with nd.open(iterator_timeout=0.1) as device:
@@ -79,6 +80,9 @@ def dv(seen):
     import dv_processing
 
     camera = dv_processing.io.camera.DAVIS()
+    # It takes the exposure from the register words of the frame, and changes it by itself.
+    camera.setAutoExposure(False)
+    camera.setExposureDuration(timedelta(milliseconds=4))
     offset = camera.getTimestampOffset()
     offset_us = (offset.days * 86_400 + offset.seconds) * 1_000_000 + offset.microseconds
     while not seen.done():
@@ -93,8 +97,10 @@ def dv(seen):
             exposure_us = round(frame.exposure.total_seconds() * 1e6)
             seen.frame_times.append((-1, start, start + exposure_us, -1))
         for sample in camera.getNextImuBatch() or ():
-            values = (*sample.getAccelerations(), *sample.getAngularVelocities())
-            seen.imu.append((sample.timestamp - offset_us, *values, sample.temperature))
+            acceleration = (sample.accelerometerX, sample.accelerometerY, sample.accelerometerZ)
+            rate = (sample.gyroscopeX, sample.gyroscopeY, sample.gyroscopeZ)
+            time_us = sample.timestamp - offset_us
+            seen.imu.append((time_us, *acceleration, *rate, sample.temperature))
         if events is None and frame is None:
             time.sleep(0.002)
 

@@ -1,0 +1,262 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The camera object on a fake USB camera: opening, streaming, faults."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import time
+
+import numpy as np
+import pytest
+from davis_fake import FakeBackend, FakeCamera
+from usb.core import USBError
+
+from mixtac_driver.camera import Davis346, StreamSettings
+from mixtac_driver.configuration import Configuration
+from mixtac_driver.errors import (
+    DisconnectedError,
+    NoCameraError,
+    StreamError,
+    UnsupportedCameraError,
+    UsbError,
+)
+
+QUICK = StreamSettings(silence_s=0.3, confirmation_s=0.3)
+
+
+@pytest.fixture(autouse=True)
+def quick_settling(monkeypatch):
+    monkeypatch.setattr('mixtac_driver.sequences.BIASES_SETTLE_S', 0.01)
+    monkeypatch.setattr('mixtac_driver.sequences.LOGIC_SETTLE_S', 0.01)
+
+
+def opened(fake, **kwargs):
+    return Davis346(backend=FakeBackend(fake), **kwargs)
+
+
+def test_open_reads_what_the_camera_is():
+    fake = FakeCamera()
+    with opened(fake) as camera:
+        identity = camera.identity
+    assert (identity.serial, identity.chip, identity.logic) == ('00000123', 'DAVIS346B', (18, 1))
+    assert identity.clocks.adc == pytest.approx(30.24)
+    assert (identity.geometry.width, identity.geometry.height) == (346, 260)
+    reads = [entry[1:] for entry in fake.log if entry[0] == 'read']
+    assert reads[:5] == [(6, 0), (6, 7), (6, 1), (6, 2), (1, 10)]
+    assert fake.handles == 0
+    assert not fake.claimed
+
+
+def test_unconfigured_camera_is_configured():
+    fake = FakeCamera()
+    fake.configuration = 0
+    with opened(fake):
+        assert ('configuration', 1) in fake.log
+
+
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [
+        ({'registers': {(6, 0): 17}}, 'logic 17.1'),
+        ({'registers': {(6, 7): 0}}, 'logic 18.0'),
+        ({'registers': {(6, 1): 2}}, 'DAVIS240C'),
+        ({'registers': {(6, 1): 77}}, 'chip 77'),
+        ({'registers': {(6, 6): 0}}, 'clocks'),
+        ({'registers': {(2, 0): 1000}}, '1000 x 346'),
+        ({'bcd_device': 0x0005}, 'firmware 0.5'),
+        ({'bcd_device': 0x0100}, 'firmware 1.0'),
+    ],
+)
+def test_cameras_of_another_kind_are_refused_and_given_back(change, words):
+    fake = FakeCamera(**change)
+    with pytest.raises(UnsupportedCameraError, match=words):
+        opened(fake).open()
+    assert fake.handles == 0
+    assert not fake.claimed
+
+
+def test_no_camera_names_the_virtual_one():
+    with pytest.raises(NoCameraError, match='device:=virtual'):
+        Davis346(backend=FakeBackend()).open()
+
+
+def test_serial_picks_a_camera():
+    fakes = [FakeCamera('A'), FakeCamera('B')]
+    backend = FakeBackend(*fakes)
+    with Davis346(serial='B', backend=backend) as camera:
+        assert camera.identity.serial == 'B'
+        assert fakes[1].claimed
+    with pytest.raises(NoCameraError, match='A, B'):
+        Davis346(backend=backend).open()
+    with pytest.raises(NoCameraError, match="'C'"):
+        Davis346(serial='C', backend=backend).open()
+
+
+@pytest.mark.parametrize(
+    ('number', 'words'), [(errno.EACCES, 'udev'), (errno.EPERM, 'udev'), (errno.EIO, 'opening')]
+)
+def test_camera_that_may_not_be_opened(number, words):
+    fake = FakeCamera()
+    fake.open_error = USBError('refused', -3, number)
+    with pytest.raises(UsbError, match=words):
+        opened(fake).open()
+
+
+def test_camera_in_use_says_so():
+    fake = FakeCamera()
+    fake.claimed = True
+    with pytest.raises(UsbError, match='in use'):
+        opened(fake).open()
+    assert fake.handles == 0
+
+
+def test_start_and_stop_write_in_the_order_the_camera_knows():
+    fake = FakeCamera()
+    with opened(fake) as camera:
+        fake.log.clear()
+        camera.start()
+        started = list(fake.log)
+        fake.log.clear()
+        camera.stop()
+        stopped = fake.writes()
+    quiet = [(1, 3, 0), (2, 4, 0), (3, 2, 0), (3, 3, 0), (3, 4, 0)]
+    quiet += [(4, 0, 0), (0, 0, 0), (0, 1, 0), (9, 0, 0)]
+    run = [(0, 3, 1), (9, 0, 1), (0, 1, 1), (0, 0, 1)]
+    run += [(1, 3, 1), (2, 4, 1), (3, 2, 1), (3, 3, 1), (3, 4, 1), (4, 0, 1)]
+    assert started == [
+        *(('write', *w) for w in [*quiet, (0, 3, 0)]),
+        ('clear_halt', 0x82),
+        *(('write', *w) for w in run),
+        ('many', 2),
+        ('write', 0, 2, 1),
+        ('write', 0, 2, 0),
+    ]
+    assert stopped == [*quiet, (0, 3, 0)]
+
+
+def test_events_come_on_the_epoch_based_clock_and_only_after_the_reset():
+    fake = FakeCamera()
+    with opened(fake, stream=QUICK) as camera:
+        before = time.time_ns()
+        fake.send([0x8005, 0x1001, 0x2002])
+        camera.start()
+        after = time.time_ns()
+        fake.send([0x8007, 0x1003, 0x3004])
+        batch = next(b for b in camera.batches() if len(b.decoded.events))
+        assert batch.decoded.events.t.tolist() == [7]
+        assert batch.decoded.events.x.tolist() == [3]
+        assert before <= batch.origin.host_ns <= after
+        assert batch.origin.uncertainty_ns < 50_000_000
+        assert batch.time_us == batch.origin.us + 7
+
+
+def test_disabled_sensors_are_not_started():
+    fake = FakeCamera()
+    configuration = Configuration(aps_enabled=False, imu_gyroscope_enabled=False)
+    with opened(fake, configuration=configuration) as camera:
+        camera.start()
+        started = fake.writes()
+    assert (1, 3, 1) in started
+    assert (2, 4, 1) not in started
+    assert (3, 3, 1) not in started
+
+
+def test_unplugging_ends_the_batches_with_a_named_error():
+    fake = FakeCamera()
+    with opened(fake) as camera:
+        camera.start()
+        batches = camera.batches()
+        next(batches)
+        fake.unplug()
+        with pytest.raises(DisconnectedError, match='unplugged'):
+            list(batches)
+    assert fake.handles == 0
+
+
+def test_silence_ends_the_batches_with_a_named_error():
+    fake = FakeCamera()
+    with opened(fake, stream=QUICK) as camera:
+        camera.start()
+        with pytest.raises(StreamError, match='no data for 0.3 s'):
+            list(camera.batches())
+
+
+def test_camera_that_does_not_confirm_the_reset_is_an_error():
+    fake = FakeCamera()
+    fake.answers_reset = False
+    with opened(fake, stream=QUICK) as camera:
+        camera.start()
+        for _ in range(100):
+            fake.send([0x8001])
+        with pytest.raises(StreamError, match='confirm'):
+            for _ in camera.batches():
+                pytest.fail('nothing may come before the reset')
+
+
+def test_stalled_endpoint_is_set_going_again():
+    fake = FakeCamera()
+    with opened(fake) as camera:
+        fake.bulk_errors.put(USBError('pipe', -9, errno.EPIPE))
+        camera.start()
+        fake.send([0x8001])
+        assert list(itertools.islice(camera.batches(), 1))
+        assert fake.log.count(('clear_halt', 0x82)) == 2
+        assert camera.transport_counters.stalls == 1
+
+
+def test_reset_on_the_sync_cable_does_not_set_published_time_back():
+    fake = FakeCamera()
+    with opened(fake) as camera:
+        camera.start()
+        fake.send([0x7002, 0x8010, 0x1001, 0x2001, 1, 0x8003, 0x1001, 0x2002])
+        times, deadline = [], time.monotonic() + 5
+        for batch in camera.batches():
+            times += (batch.decoded.events.t + batch.origin.us).tolist()
+            if len(times) == 2 or time.monotonic() > deadline:
+                break
+        assert times[1] > times[0]
+        assert camera.clock_resets == 1
+        assert abs(times[1] - time.time_ns() // 1000) < 5_000_000
+
+
+def test_restart_after_stop_streams_again():
+    fake = FakeCamera()
+    with opened(fake) as camera:
+        for _ in range(2):
+            camera.start()
+            assert next(iter(camera.batches())).decoded.resets == 1
+            camera.stop()
+
+
+def test_settings_are_changed_while_open_and_kept_while_not():
+    fake = FakeCamera()
+    camera = opened(fake)
+    camera.apply(Configuration(aps_exposure_us=1000))
+    with camera:
+        assert fake.registers[2, 12] == 30240
+        fake.log.clear()
+        camera.apply(Configuration(aps_exposure_us=2000, aps_frame_interval_us=20000))
+        assert fake.writes() == [(2, 12, 60480), (2, 13, 604800)]
+
+
+def test_request_stop_ends_waiting_batches():
+    fake = FakeCamera()
+    with opened(fake) as camera:
+        camera.start()
+        batches = camera.batches()
+        next(batches)
+        camera.request_stop()
+        assert not list(batches)
+
+
+def test_clock_map_follows_arrivals():
+    fake = FakeCamera()
+    with opened(fake) as camera:
+        camera.start()
+        fake.send([0x8064])
+        list(itertools.islice(camera.batches(), 2))
+        camera.request_stop()
+        assert camera.clock.ready
+        assert np.isfinite(camera.clock.estimate().offset_us)
