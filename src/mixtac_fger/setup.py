@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Installs mixtac_fger with its models."""
 
-from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
@@ -16,7 +16,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
-        (f'share/{PACKAGE}/models', sorted(glob('models/*.safetensors') + glob('models/*.md'))),
+        (f'share/{PACKAGE}/models', sorted(map(str, Path('models').glob('*.*')))),
     ],
     install_requires=['setuptools'],
     zip_safe=True,

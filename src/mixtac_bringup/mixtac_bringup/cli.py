@@ -60,22 +60,17 @@ def up(
     seconds: Annotated[float, typer.Option(min=0, help='How long; 0 until Ctrl-C.')] = 0,
     record: Annotated[OptionalPath, typer.Option(help='Record to this new bag folder.')] = None,
     autostart: Annotated[bool, typer.Option(help='Configure and activate the estimator.')] = True,
+    play: Annotated[
+        bool, typer.Option(help='Play the scenario again and again (virtual device only).')
+    ] = True,
 ) -> None:
     """Run the sensor's nodes with their parameter files, as sensor.launch.py does."""
-    from mixtac_bringup.up import run_graph
+    from mixtac_bringup.up import UpOptions, run_graph
 
     if graph != 'sensor':
         raise typer.BadParameter(f'{graph!r}: choose sensor', param_hint='GRAPH')
-    run_graph(
-        Console(),
-        device,
-        namespace,
-        params_file,
-        log_level,
-        seconds,
-        record,
-        autostart=autostart,
-    )
+    options = UpOptions(device, namespace, params_file, log_level, seconds, record, autostart, play)
+    run_graph(Console(), options)
 
 
 @app.command()

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 NAMESPACE = 'mixtac'
-FIRST_FORCE_TIMEOUT_S = 60.0
 SETTLE_S = 1.0
+START_UP_S = 60.0
 TAIL_S = 1.0
 
 
@@ -157,15 +157,17 @@ def _run_graph(
     console.print('starting virtual sensor, driver, estimator and recorder')
     with (
         ProcessGroup(out / 'log') as processes,
-        Monitor(NAMESPACE, seconds + FIRST_FORCE_TIMEOUT_S) as monitor,
+        Monitor(NAMESPACE, seconds + START_UP_S) as monitor,
     ):
         for node in nodes:
             processes.start(node.name, node.command(NAMESPACE))
         for node in nodes:
             if node.lifecycle:
-                monitor.bring_up(node.name, processes.check)
+                monitor.bring_up(node.name, processes)
         monitor.listen()
-        _wait_for_force(monitor, processes)
+        monitor.wait_for_force(processes.check)
+        # The first half second after discovery is often lost, which says nothing of the sensor.
+        time.sleep(SETTLE_S)
         monitor.trigger('virtual_sensor/play', processes.check)
         first = monitor.force_count
         LiveView(console, monitor, NAMESPACE).show(seconds + TAIL_S, processes.check)
@@ -177,18 +179,6 @@ def _run_graph(
     if failed:
         raise GraphError(f'nodes did not end cleanly: {failed}; see {out / "log"}')
     return dropped, pairs, arrival, stamp
-
-
-def _wait_for_force(monitor: Monitor, processes: ProcessGroup) -> None:
-    deadline = time.monotonic() + FIRST_FORCE_TIMEOUT_S
-    while monitor.force_count == 0:
-        time.sleep(0.1)
-        processes.check()
-        if time.monotonic() > deadline:
-            said = monitor.diagnostics.get(f'{NAMESPACE}/fger', {}).get('message', 'nothing')
-            raise GraphError(f'no force within {FIRST_FORCE_TIMEOUT_S:.0f} s; fger says: {said}')
-    # The first half second after discovery is often lost, which says nothing of the sensor.
-    time.sleep(SETTLE_S)
 
 
 def _dropped(monitor: Monitor) -> int:

@@ -86,6 +86,11 @@ def config_file(name: str) -> Path:
     return Path(get_package_share_directory('mixtac_bringup')) / 'config' / name
 
 
+def is_virtual(device: str) -> bool:
+    """Tell whether a device is the virtual sensor."""
+    return device.partition(':')[0] == 'virtual'
+
+
 def sensor_graph(
     device: str,
     *,
@@ -102,7 +107,7 @@ def sensor_graph(
         virtual_sensor: Overrides of the virtual sensor's parameters.
     """
     nodes = []
-    if device.partition(':')[0] == 'virtual':
+    if is_virtual(device):
         nodes.append(
             NodeSpec(
                 'mixtac_sim',

@@ -29,12 +29,20 @@ class LifecycleClient:
         node: Node that calls the services.
         target: Fully qualified name of the lifecycle node.
         alive: Called while waiting; raises when the process behind the node has ended.
+        reason: Returns the last error that the node logged, empty where that is not known.
     """
 
-    def __init__(self, node: Node, target: str, alive: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        target: str,
+        alive: Callable[[], None],
+        reason: Callable[[], str] = str,
+    ) -> None:
         self._node = node
         self._target = target
         self._alive = alive
+        self._reason = reason
         self._change = node.create_client(ChangeState, f'{target}/change_state')
         self._get = node.create_client(GetState, f'{target}/get_state')
 
@@ -66,10 +74,8 @@ class LifecycleClient:
         reply = self._call(self._change, request)
         state = self._call(self._get, GetState.Request()).current_state
         if not reply.success or state.id != goal:
-            raise GraphError(
-                f'{self._target} could not be {done} and is {state.label}: its own error line '
-                'says why'
-            )
+            why = self._reason() or 'its own log says why'
+            raise GraphError(f'{self._target} could not be {done}: {why}')
 
     def _call(self, client: Any, request: Any) -> Any:  # noqa: ANN401
         future = client.call_async(request)

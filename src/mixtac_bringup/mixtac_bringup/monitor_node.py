@@ -30,7 +30,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+    from mixtac_bringup.processes import ProcessGroup
+
 SERVICE_TIMEOUT_S = 20.0
+FIRST_FORCE_TIMEOUT_S = 60.0
 
 
 class Monitor:
@@ -79,13 +82,18 @@ class Monitor:
         self._node.destroy_node()
         rclpy.try_shutdown()
 
-    def bring_up(self, name: str, alive: Callable[[], None]) -> None:
-        """Configure and activate a lifecycle node of the namespace; before `listen`.
+    def bring_up(self, name: str, processes: ProcessGroup) -> None:
+        """Configure and activate a lifecycle node of these processes; before `listen`.
 
         Raises:
             GraphError: That failed.
         """
-        LifecycleClient(self._node, f'{self._namespace}/{name}', alive).bring_up()
+        LifecycleClient(
+            self._node,
+            f'{self._namespace}/{name}',
+            processes.check,
+            lambda: processes.last_error(name),
+        ).bring_up()
 
     def listen(self) -> None:
         """Subscribe and start receiving."""
@@ -119,6 +127,24 @@ class Monitor:
         reply = future.result()
         if not reply.success:
             raise GraphError(f'{self._namespace}/{service}: {reply.message}')
+
+    def wait_for_force(self, check: Callable[[], None]) -> None:
+        """Wait, while listening, until the estimator publishes.
+
+        Args:
+            check: Called while waiting; raises when a process has ended.
+
+        Raises:
+            GraphError: No force came; with what the estimator says of itself.
+        """
+        deadline = time.monotonic() + FIRST_FORCE_TIMEOUT_S
+        while self.force_count == 0:
+            time.sleep(0.05)
+            check()
+            if time.monotonic() > deadline:
+                name = f'{self._namespace}/fger'.lstrip('/')
+                said = self.diagnostics.get(name, {}).get('message', 'nothing')
+                raise GraphError(f'no force in {FIRST_FORCE_TIMEOUT_S:.0f} s; fger says: {said}')
 
     @property
     def force_count(self) -> int:

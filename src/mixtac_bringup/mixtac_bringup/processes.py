@@ -4,10 +4,14 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
+import sys
+import threading
 import time
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import IO, TYPE_CHECKING
 
 from mixtac_bringup.errors import GraphError
 
@@ -16,20 +20,53 @@ if TYPE_CHECKING:
     from types import TracebackType
 
 STOP_GRACE_S = 8.0
+_FATAL = re.compile(r'^error: (?P<text>.*)')
+_LOGGED = re.compile(r'^\[(ERROR|FATAL)\] \[[^]]*\] \[[^]]*\]: (?P<text>.*)')
+
+
+@dataclass
+class _Member:
+    """A running process and the thread that passes on what it says.
+
+    Attributes:
+        process: The process.
+        reader: Thread that reads its output until it ends.
+        last_error: The last line it called an error.
+    """
+
+    process: subprocess.Popen[str]
+    reader: threading.Thread = field(init=False)
+    last_error: str = ''
+
+    def read(self, name: str, sink: IO[str]) -> None:
+        """Pass the output on and remember the last error.
+
+        The one line with which a process ends itself is held back: the group reports it.
+        """
+        assert self.process.stdout is not None  # noqa: S101  (always piped)
+        for line in self.process.stdout:
+            fatal, logged = _FATAL.match(line), _LOGGED.match(line)
+            if fatal or logged:
+                self.last_error = (fatal or logged)['text'].strip()  # type: ignore[index]
+            if not fatal or sink is not sys.stderr:
+                sink.write(line if sink is not sys.stderr else f'[{name}] {line}')
+                sink.flush()
+        if sink is not sys.stderr:
+            sink.close()
 
 
 class ProcessGroup:
     """The processes of a graph.
 
     Args:
-        log_dir: Folder for one log file per process, or None to let them write to the terminal.
+        log_dir: Folder for one log file per process, or None to pass their output on to stderr.
         env: Environment of the processes; None for this process's own.
     """
 
     def __init__(self, log_dir: Path | None = None, env: dict[str, str] | None = None) -> None:
         self._log_dir = log_dir
         self._env = env
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._members: dict[str, _Member] = {}
 
     def __enter__(self) -> ProcessGroup:
         """Return the group."""
@@ -50,21 +87,25 @@ class ProcessGroup:
         In a session of its own, so that a Ctrl-C in the terminal reaches this process first and
         the nodes are ended in order.
         """
-        if self._log_dir is None:
-            self._processes[name] = subprocess.Popen(
-                command, env=self._env, stdin=subprocess.DEVNULL, start_new_session=True
-            )
-            return
-        self._log_dir.mkdir(parents=True, exist_ok=True)
-        with (self._log_dir / f'{name}.log').open('wb') as log:
-            self._processes[name] = subprocess.Popen(
+        sink: IO[str] = sys.stderr
+        if self._log_dir is not None:
+            self._log_dir.mkdir(parents=True, exist_ok=True)
+            sink = (self._log_dir / f'{name}.log').open('w')
+        member = _Member(
+            subprocess.Popen(
                 command,
                 env=self._env,
                 stdin=subprocess.DEVNULL,
-                stdout=log,
+                stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
+                text=True,
+                errors='replace',
                 start_new_session=True,
             )
+        )
+        member.reader = threading.Thread(target=member.read, args=(name, sink), daemon=True)
+        member.reader.start()
+        self._members[name] = member
 
     def check(self) -> None:
         """Raise if a process has ended.
@@ -72,10 +113,16 @@ class ProcessGroup:
         Raises:
             GraphError: Names the process and its last words.
         """
-        for name, process in self._processes.items():
-            code = process.poll()
+        for name, member in self._members.items():
+            code = member.process.poll()
             if code is not None:
-                raise GraphError(self._obituary(name, code))
+                member.reader.join(1.0)
+                said = f': {member.last_error}' if member.last_error else ''
+                raise GraphError(f'{name} ended with status {code}{said}')
+
+    def last_error(self, name: str) -> str:
+        """Return the last line that a process called an error, or an empty string."""
+        return self._members[name].last_error
 
     def stop(self, name: str | None = None) -> dict[str, int]:
         """End one process or all, newest first: SIGINT, then SIGKILL after a grace time.
@@ -83,33 +130,19 @@ class ProcessGroup:
         Returns:
             Exit status by name.
         """
-        names = [name] if name is not None else list(reversed(self._processes))
+        names = [name] if name is not None else list(reversed(self._members))
         for each in names:
-            if self._processes[each].poll() is None:
-                self._processes[each].send_signal(signal.SIGINT)
-        codes = {}
+            if self._members[each].process.poll() is None:
+                self._members[each].process.send_signal(signal.SIGINT)
         deadline = time.monotonic() + STOP_GRACE_S
-        for each in names:
-            codes[each] = _wait(self._processes.pop(each), deadline)
-        return codes
-
-    def last_line(self, name: str) -> str:
-        """Return the last error line that a process logged, or an empty string."""
-        if self._log_dir is None:
-            return ''
-        text = (self._log_dir / f'{name}.log').read_text(errors='replace')
-        lines = [line for line in text.splitlines() if line.strip()]
-        errors = [line for line in lines if 'error' in line.lower()]
-        return (errors or lines or [''])[-1].strip()
-
-    def _obituary(self, name: str, code: int) -> str:
-        said = self.last_line(name).removeprefix('error: ')
-        return f'{name} ended with status {code}' + (f': {said}' if said else '')
+        return {each: _wait(self._members.pop(each), deadline) for each in names}
 
 
-def _wait(process: subprocess.Popen[bytes], deadline: float) -> int:
+def _wait(member: _Member, deadline: float) -> int:
     try:
-        return process.wait(max(0.1, deadline - time.monotonic()))
+        code = member.process.wait(max(0.1, deadline - time.monotonic()))
     except subprocess.TimeoutExpired:
-        process.kill()
-        return process.wait()
+        member.process.kill()
+        code = member.process.wait()
+    member.reader.join(1.0)
+    return code

@@ -34,7 +34,7 @@ def graph(module_ros_domain, tmp_path_factory) -> Iterator[Monitor]:
     ):
         for node in sensor_graph('virtual', virtual_sensor={'scenario': 'idle'}):
             processes.start(node.name, node.command('mixtac'))
-        monitor.bring_up('fger', processes.check)
+        monitor.bring_up('fger', processes)
         monitor.listen()
         deadline = time.monotonic() + 60
         while monitor.force_count < 500 and time.monotonic() < deadline:

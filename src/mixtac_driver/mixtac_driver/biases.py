@@ -80,9 +80,7 @@ class CurrentBias:
             ConfigurationError: A field is out of range.
         """
         flags = self.enabled | self.n_type << 1 | self.normal << 2 | self.normal_level << 3
-        return (
-            flags | _field('fine', self.fine, 255) << 4 | _field('coarse', self.coarse, 7) << 12
-        )
+        return flags | _field('fine', self.fine, 255) << 4 | _field('coarse', self.coarse, 7) << 12
 
     @classmethod
     def decode(cls, value: int) -> CurrentBias:

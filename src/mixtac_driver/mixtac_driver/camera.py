@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mixtac_driver import sequences
@@ -14,9 +13,10 @@ from mixtac_driver.clock_epochs import ClockEpochs
 from mixtac_driver.clock_map import ClockMap
 from mixtac_driver.configuration import Configuration, changed_writes, register_writes
 from mixtac_driver.connection import Connection
-from mixtac_driver.decoder import DEFAULT_CAPACITY, DecodedBatch, StreamDecoder
+from mixtac_driver.decoder import StreamDecoder
 from mixtac_driver.errors import DriverError, StreamError
 from mixtac_driver.identity import Identity, read_identity, read_is_master
+from mixtac_driver.stream import CameraBatch, StreamSettings
 from mixtac_driver.transport import BulkReader, Transfer, TransportCounters
 
 if TYPE_CHECKING:
@@ -27,48 +27,6 @@ if TYPE_CHECKING:
     from mixtac_driver.sequences import Origin
 
 POLL_S = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class StreamSettings:
-    """How data are taken from the camera.
-
-    Attributes:
-        transfer_size: Bytes asked for per read.
-        queue_size: Bytes that may wait to be decoded.
-        event_capacity: Events per batch.
-        silence_s: Time without any data [s] after which the stream counts as dead; a running
-            camera sends time wraps every 33 ms.
-        confirmation_s: Time [s] within which the camera has to confirm the reset of its clock.
-    """
-
-    transfer_size: int = 65536
-    queue_size: int = 32 << 20
-    event_capacity: int = DEFAULT_CAPACITY
-    silence_s: float = 3.0
-    confirmation_s: float = 3.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraBatch:
-    """A stretch of what the camera saw.
-
-    Attributes:
-        decoded: Events, frames, inertial samples and edges [us on the camera clock since its
-            reset]. The events are views that the next batch overwrites.
-        origin: Add `origin.us` to those times to get them on the epoch-based camera clock, which
-            never goes back, not even when the camera's own clock is reset.
-        arrival_ns: Host time of the transfer's arrival [ns since the Unix epoch].
-    """
-
-    decoded: DecodedBatch
-    origin: Origin
-    arrival_ns: int
-
-    @property
-    def time_us(self) -> int:
-        """Time that the stream has reached [us, epoch-based camera clock]."""
-        return self.decoded.time_us + self.origin.us
 
 
 class Davis346:
@@ -136,6 +94,16 @@ class Davis346:
         if self._identity is None:
             raise DriverError('the camera is not open: call open() or use it in a with statement')
         return self._identity
+
+    @property
+    def known_identity(self) -> Identity | None:
+        """What the camera is, or was when last open; None before."""
+        return self._identity
+
+    @property
+    def is_open(self) -> bool:
+        """True between `open` and `close`."""
+        return self._connection is not None
 
     @property
     def origin(self) -> Origin | None:
@@ -210,7 +178,9 @@ class Davis346:
         with self._lock:
             sequences.start(connection.protocol, self._configuration, begin_reading)
             asked = sequences.reset_timestamps(connection.protocol, self._now_ns)
-            self._epochs = ClockEpochs(asked, self._configuration.early_packet_delay_us)
+            latest_us = self._epochs.latest_us if self._epochs else 0
+            delay_us = self._configuration.early_packet_delay_us
+            self._epochs = ClockEpochs(asked, delay_us, latest_us)
 
     def batches(self) -> Iterator[CameraBatch]:
         """Yield what the camera sees from the reset of its clock on, until it is stopped.

@@ -17,18 +17,20 @@ class ClockEpochs:
     Args:
         asked: Host time of the reset that was asked for.
         delay_us: Time that data may wait in the camera [us]: the error of an estimated origin.
+        latest_us: Time published before, by an earlier stream [us, epoch-based camera clock].
 
     Attributes:
         unasked: Resets that came without being asked for.
+        latest_us: Latest time handed out [us, epoch-based camera clock].
     """
 
-    def __init__(self, asked: Origin, delay_us: int) -> None:
+    def __init__(self, asked: Origin, delay_us: int, latest_us: int = 0) -> None:
         self.unasked = 0
+        self.latest_us = latest_us
         self._origin = asked
         self._delay_us = delay_us
         self._confirmed = False
         self._resets = 0
-        self._latest_us = 0
 
     @property
     def origin(self) -> Origin | None:
@@ -48,14 +50,21 @@ class ClockEpochs:
             self._reset(time_us, arrival_ns)
         if not self._confirmed:
             return None
-        self._latest_us = max(self._latest_us, time_us + self._origin.us)
+        self.latest_us = max(self.latest_us, time_us + self._origin.us)
         return self._origin
 
     def _reset(self, time_us: int, arrival_ns: int) -> None:
         if not self._confirmed:
             earliest_ns = self._origin.host_ns - self._origin.uncertainty_ns
             self._confirmed = arrival_ns >= earliest_ns
-            return
-        self.unasked += 1
-        origin_us = max(arrival_ns // 1000 - time_us, self._latest_us + 1)
-        self._origin = Origin(origin_us * 1000, self._delay_us * 1000)
+            uncertainty_us = self._origin.uncertainty_ns / 1000
+            self._set(self._origin.us, uncertainty_us)
+        else:
+            self.unasked += 1
+            self._set(arrival_ns // 1000 - time_us, self._delay_us)
+
+    def _set(self, wanted_us: int, uncertainty_us: float) -> None:
+        # A camera whose clock is fast has published times that the host has yet to reach.
+        late_us = max(self.latest_us + 1 - wanted_us, 0)
+        uncertainty_ns = round((uncertainty_us + late_us) * 1000)
+        self._origin = Origin((wanted_us + late_us) * 1000, uncertainty_ns)

@@ -30,12 +30,12 @@ from mixtac_driver.readings import (
 from mixtac_events.arrays import Events
 
 if TYPE_CHECKING:
-    from collections.abc import Buffer, Iterator
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
     from mixtac_driver.identity import Geometry
-    from mixtac_driver.wrap_count import Gap
+    from mixtac_driver.wrap_count import Gap, Octets
 
 DEFAULT_CAPACITY = 32768
 SAMPLE_CAPACITY = 256
@@ -117,7 +117,7 @@ class StreamDecoder:
         """Time that the stream has reached [us, camera clock]."""
         return int(self._state[s.TIME])
 
-    def push(self, data: Buffer, *, short_packet: bool = True) -> Iterator[DecodedBatch]:
+    def push(self, data: Octets, *, short_packet: bool = True) -> Iterator[DecodedBatch]:
         """Decode the bytes of one transfer.
 
         Args:
@@ -167,7 +167,7 @@ class StreamDecoder:
             self._state[s.TIME] = self._state[s.WRAP_BASE]
         self._counters[s.C_BYTES_LOST] += gap.size
 
-    def _words(self, data: Buffer, *, short_packet: bool) -> NDArray[np.uint16]:
+    def _words(self, data: Octets, *, short_packet: bool) -> NDArray[np.uint16]:
         octets = np.frombuffer(data, np.uint8)
         if self._half_word:
             octets = np.concatenate((np.frombuffer(self._half_word, np.uint8), octets))
@@ -177,7 +177,7 @@ class StreamDecoder:
             self._counters[s.C_BYTES_DROPPED] += 1
         elif odd:
             self._half_word = octets[-1:].tobytes()
-        words = octets[: len(octets) - odd].view('<u2')
+        words: NDArray[np.uint16] = octets[: len(octets) - odd].view('<u2')
         # One array type, whatever the buffer: the kernel is compiled once, not while data wait.
         words = words if words.flags.aligned else words.copy()
         words.flags.writeable = False

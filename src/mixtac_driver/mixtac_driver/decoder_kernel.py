@@ -164,12 +164,27 @@ def _reset(state: Array, counters: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _frame_special(code: Int, state: Array, counters: Array) -> Int:
+    """Take a special word of frames; return FRAME where one is complete, or DONE."""
+    if code in {8, 9}:
+        aps_frame_start(code == 8, state, counters)
+    elif code == 10:
+        return FRAME if aps_frame_end(state, counters) else DONE
+    elif code in {11, 12}:
+        aps_column_start(code - 11, state, counters)
+    elif code == 13:
+        aps_column_end(state, counters)
+    else:
+        aps_mark(EXPOSURE_START if code == 14 else EXPOSURE_END, state, counters)
+    return DONE
+
+
+@njit(cache=True, nogil=True)
 def _special(
     code: Int,
     state: Array,
     counters: Array,
     imu_t: Array,
-    imu_raw: Array,
     edge_t: Array,
     edge_code: Array,
 ) -> Int:
@@ -177,7 +192,9 @@ def _special(
     if code == 1:
         _reset(state, counters)
         return RESET
-    counters[C_SPECIALS] += 1
+    if 8 <= code <= 15:
+        counters[C_SPECIALS] += 1
+        return _frame_special(code, state, counters)
     if code in {2, 3, 4, 16, 17}:
         edge_t[state[EDGES]] = state[TIME]
         edge_code[state[EDGES]] = code
@@ -186,22 +203,11 @@ def _special(
     elif code == 5:
         imu_start(state, counters)
     elif code == 7:
-        imu_end(state, counters, imu_t, imu_raw)
-    elif code in {8, 9}:
-        aps_frame_start(code == 8, state, counters)
-    elif code == 10:
-        return FRAME if aps_frame_end(state, counters) else DONE
-    elif code in {11, 12}:
-        aps_column_start(code - 11, state, counters)
-    elif code == 13:
-        aps_column_end(state, counters)
-    elif code == 14:
-        aps_mark(EXPOSURE_START, state, counters)
-    elif code == 15:
-        aps_mark(EXPOSURE_END, state, counters)
+        imu_end(state, counters, imu_t)
     else:
-        counters[C_SPECIALS] -= 1
         counters[C_SPECIALS_UNKNOWN] += 1
+        return DONE
+    counters[C_SPECIALS] += 1
     return DONE
 
 
@@ -281,9 +287,7 @@ def decode_words(
             continue
         i += 1
         if kind == 0:
-            reason = _special(
-                word & 0xFFF, state, counters, imu_t, imu_raw, edge_t, edge_code
-            )
+            reason = _special(word & 0xFFF, state, counters, imu_t, edge_t, edge_code)
             if reason != DONE:
                 return i, n, reason
         elif kind == 7:

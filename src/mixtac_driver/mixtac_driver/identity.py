@@ -83,16 +83,22 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """Blocks that a build of the logic may lack."""
+    """Blocks that a build of the logic may lack, and the colour filter of the pixels.
+
+    Attributes:
+        color_filter: 0 monochrome, 1 .. 8 a colour filter.
+    """
 
     pixel_filter: bool = True
     background_activity: bool = True
     roi: bool = True
     skip: bool = True
     polarity: bool = True
+    dvs_statistics: bool = True
+    color_filter: int = 0
     global_shutter: bool = True
     generator: bool = True
-    statistics: bool = True
+    mux_statistics: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +113,6 @@ class Identity:
         is_master: False where another camera's clock drives this one.
         clocks: Clocks for converting times to cycles.
         geometry: Pixel arrays.
-        color_filter: 0 monochrome, 1 .. 8 a colour filter.
         imu_type: 0 none, 1 MPU6050, 2 MPU9250.
         imu_flips: True per axis (x, y, z) where the unit is mounted the other way round.
         features: Blocks the logic has.
@@ -120,7 +125,6 @@ class Identity:
     is_master: bool
     clocks: Clocks
     geometry: Geometry
-    color_filter: int
     imu_type: int
     imu_flips: tuple[bool, bool, bool]
     features: Features
@@ -165,7 +169,7 @@ def read_identity(protocol: Protocol, *, bcd_device: int, serial: str) -> Identi
     logic = _check_logic(info(SystemInfo.LOGIC_VERSION), info(SystemInfo.LOGIC_PATCH))
     chip = _check_chip(info(SystemInfo.CHIP_IDENTIFIER))
     is_master = bool(info(SystemInfo.DEVICE_IS_MASTER))
-    features, color_filter = _read_features(protocol)
+    features = _read_features(protocol)
     geometry = _read_geometry(protocol)
     imu_type = protocol.read(Module.IMU, Imu.TYPE)
     clocks = _read_clocks(protocol)
@@ -178,7 +182,6 @@ def read_identity(protocol: Protocol, *, bcd_device: int, serial: str) -> Identi
         is_master=is_master,
         clocks=clocks,
         geometry=geometry,
-        color_filter=color_filter,
         imu_type=imu_type,
         imu_flips=(bool(imu_orientation & 4), bool(imu_orientation & 2), bool(imu_orientation & 1)),
         features=features,
@@ -208,26 +211,23 @@ def _check_chip(identifier: int) -> str:
     return name
 
 
-def _read_features(protocol: Protocol) -> tuple[Features, int]:
+def _read_features(protocol: Protocol) -> Features:
     def has(module: Module, parameter: int) -> bool:
         return bool(protocol.read(module, parameter))
 
-    dvs = [
-        has(Module.DVS, parameter)
-        for parameter in (
-            Dvs.HAS_PIXEL_FILTER,
-            Dvs.HAS_BACKGROUND_ACTIVITY_FILTER,
-            Dvs.HAS_ROI,
-            Dvs.HAS_SKIP,
-            Dvs.HAS_POLARITY,
-        )
-    ]
-    statistics = has(Module.DVS, Dvs.HAS_STATISTICS)
-    color_filter = protocol.read(Module.APS, Aps.COLOR_FILTER)
-    global_shutter = has(Module.APS, Aps.HAS_GLOBAL_SHUTTER)
-    generator = has(Module.EXTERNAL_INPUT, ExternalInput.HAS_GENERATOR)
-    statistics = has(Module.MUX, Mux.HAS_STATISTICS) and statistics
-    return Features(*dvs, global_shutter, generator, statistics), color_filter
+    # Arguments are evaluated as they stand, which is the order of the reads.
+    return Features(
+        pixel_filter=has(Module.DVS, Dvs.HAS_PIXEL_FILTER),
+        background_activity=has(Module.DVS, Dvs.HAS_BACKGROUND_ACTIVITY_FILTER),
+        roi=has(Module.DVS, Dvs.HAS_ROI),
+        skip=has(Module.DVS, Dvs.HAS_SKIP),
+        polarity=has(Module.DVS, Dvs.HAS_POLARITY),
+        dvs_statistics=has(Module.DVS, Dvs.HAS_STATISTICS),
+        color_filter=protocol.read(Module.APS, Aps.COLOR_FILTER),
+        global_shutter=has(Module.APS, Aps.HAS_GLOBAL_SHUTTER),
+        generator=has(Module.EXTERNAL_INPUT, ExternalInput.HAS_GENERATOR),
+        mux_statistics=has(Module.MUX, Mux.HAS_STATISTICS),
+    )
 
 
 def _read_geometry(protocol: Protocol) -> Geometry:

@@ -83,7 +83,7 @@ def imu_byte(data: Int, state: Array, counters: Array, raw: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def imu_end(state: Array, counters: Array, t_out: Array, raw: Array) -> None:
+def imu_end(state: Array, counters: Array, t_out: Array) -> None:
     """Finish the sample; its time is that of its end."""
     if state[IMU_INDEX] == IMU_OUTSIDE:
         counters[C_IMU_UNEXPECTED] += 1

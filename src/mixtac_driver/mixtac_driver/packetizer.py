@@ -124,4 +124,4 @@ class Packetizer:
 
 
 def _copied(events: Events) -> Events:
-    return Events(*(np.array(f) for f in (events.t, events.x, events.y, events.polarity)))
+    return Events(events.t.copy(), events.x.copy(), events.y.copy(), events.polarity.copy())

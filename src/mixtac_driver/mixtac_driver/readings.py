@@ -117,6 +117,4 @@ def inertial_samples(
 
 
 NO_EDGES = Edges(np.empty(0, np.int64), np.empty(0, np.uint8))
-NO_SAMPLES = InertialSamples(
-    np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty(0)
-)
+NO_SAMPLES = InertialSamples(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))

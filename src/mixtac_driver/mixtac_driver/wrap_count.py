@@ -11,7 +11,11 @@ import numpy as np
 from numba import njit
 
 if TYPE_CHECKING:
-    from collections.abc import Buffer
+    from array import array
+
+    from numpy.typing import NDArray
+
+    Octets = bytes | bytearray | memoryview | array[int] | NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +50,7 @@ def _count(words: Any) -> tuple[int, int]:  # noqa: ANN401
     return wraps, resets
 
 
-def gap_of(data: Buffer) -> Gap:
+def gap_of(data: Octets) -> Gap:
     """Return the gap that throwing these bytes away leaves."""
     octets = np.frombuffer(data, np.uint8)
     wraps, resets = _count(octets[: len(octets) // 2 * 2].view('<u2'))

@@ -158,7 +158,9 @@ class Oracle:
             info, rest = self.imu[0], self.imu[1:]
 
             def take(n):
-                out = [int.from_bytes(rest[2 * i : 2 * i + 2], 'big', signed=True) for i in range(n)]
+                out = [
+                    int.from_bytes(rest[2 * i : 2 * i + 2], 'big', signed=True) for i in range(n)
+                ]
                 del rest[: 2 * n]
                 return out
 

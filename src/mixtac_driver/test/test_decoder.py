@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 import pytest
 from davis_oracle import Oracle
@@ -50,7 +52,7 @@ def frames(draw):
     resets = [column(11) for _ in range(columns)]
     signals = [column(12) for _ in range(columns)]
     if draw(st.booleans()):
-        body = [8, *sum(resets, []), *draw(stamps()), 14, *draw(stamps()), 15, *sum(signals, [])]
+        body = [8, *chain(*resets), *draw(stamps()), 14, *draw(stamps()), 15, *chain(*signals)]
     else:
         pairs = zip(resets, signals, strict=True)
         body = [9, 14, *(w for pair in pairs for w in pair[0] + pair[1]), 15]
@@ -72,9 +74,7 @@ def imu_samples(draw):
 
 
 def event_rows():
-    columns = st.integers(0, 270).flatmap(
-        lambda a: st.sampled_from([0x2000 | a, 0x3000 | a])
-    )
+    columns = st.integers(0, 270).flatmap(lambda a: st.sampled_from([0x2000 | a, 0x3000 | a]))
     return st.builds(
         lambda row, xs: [0x1000 | row, *xs], st.integers(0, 350), st.lists(columns, max_size=9)
     )
@@ -311,7 +311,7 @@ def long_stream(rng, geometry, chunk_count=1500):
             for kind in [11] * columns + [12] * columns
         ]
         exposure = 0x6000 | rng.integers(0, 1024, 3)
-        return [8, *exposure, *region_words(x0, y0, x1, y1), *sum(parts, []), 14, 15, 10]
+        return [8, *exposure, *region_words(x0, y0, x1, y1), *chain(*parts), 14, 15, 10]
 
     def imu():
         info = int(rng.integers(32, 256))
@@ -363,11 +363,13 @@ def test_long_damaged_streams_in_small_pieces(seed):
 def test_regions_that_leave_the_array_are_cut_to_it(region, place, size):
     width, height = size
     columns = [[kind, *[0x4200] * width, 13] for kind in [11] * height + [12] * height]
-    found = decode([8, *region_words(*region), *sum(columns, []), 10])
+    found = decode([8, *region_words(*region), *chain(*columns), 10])
     assert len(found.frames) == 1
     assert found.frames[0][2] == place
     assert np.shape(found.frames[0][5]) == size[::-1]
-    assert found.decoder.counters.roi_outside == (region[0] > 340 or region[1] > 259 or 400 in region)
+    assert found.decoder.counters.roi_outside == (
+        region[0] > 340 or region[1] > 259 or 400 in region
+    )
 
 
 def test_events_after_lost_bytes_wait_for_a_row():

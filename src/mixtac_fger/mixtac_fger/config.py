@@ -158,4 +158,8 @@ class FgerConfig:
             raise ConfigError(
                 f'FgerConfig fields {odd} are missing or unknown: train the model anew'
             )
-        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+        fields: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in values.items()
+        }
+        return cls(**fields)

@@ -5,20 +5,21 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from mixtac_fger.errors import DatasetError
-from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag
+from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mixtac_events.arrays import Events
     from numpy.typing import NDArray
 
+    from mixtac_events.arrays import Events
     from mixtac_fger.config import FgerConfig
 
 STORED = np.float16
@@ -26,7 +27,7 @@ STORED = np.float16
 
 
 class RecordedTrial(Protocol):
-    """What a trial must offer: `mixtac_sim.trial.Trial` does. All times on the camera clock [us]."""
+    """What a trial must offer, as `mixtac_sim.trial.Trial` does; camera clock [us]."""
 
     events: Events
     frames: NDArray[np.uint16]
@@ -47,16 +48,16 @@ class ForceLabel:
     t_us: NDArray[np.float64]
     force: NDArray[np.float64]
 
-    def at(self, t_us: NDArray[np.int64]) -> NDArray[np.float32]:
+    def at(self, t_us: NDArray[np.integer]) -> NDArray[np.float32]:
         """Return the force at times on the camera clock."""
-        return np.interp(t_us, self.t_us, self.force).astype(np.float32)
+        return np.asarray(np.interp(t_us, self.t_us, self.force), np.float32)
 
     def mean(self, start_us: NDArray[np.int64], end_us: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the mean force from `start_us` to `end_us` (trapezoids on the curve's samples)."""
         steps = np.diff(self.t_us) * 0.5 * (self.force[1:] + self.force[:-1])
         integral = np.concatenate([[0.0], np.cumsum(steps)])
         start, end = (np.interp(t, self.t_us, integral) for t in (start_us, end_us))
-        return ((end - start) / np.maximum(end_us - start_us, 1)).astype(np.float32)
+        return np.asarray((end - start) / np.maximum(end_us - start_us, 1), np.float32)
 
 
 def true_force(truth: NDArray[np.void]) -> ForceLabel:
@@ -65,7 +66,10 @@ def true_force(truth: NDArray[np.void]) -> ForceLabel:
 
 
 def aligned_force(
-    reference_t_us: NDArray[np.floating], force: NDArray[np.floating], scale: float, offset_us: float
+    reference_t_us: NDArray[np.floating],
+    force: NDArray[np.floating],
+    scale: float,
+    offset_us: float,
 ) -> ForceLabel:
     """Return the label of a reference sensor's samples after alignment.
 
@@ -75,7 +79,8 @@ def aligned_force(
         scale: a of the fit t_reference = a t_camera + b.
         offset_us: b of the fit [us].
     """
-    return ForceLabel((reference_t_us - offset_us) / scale, force.astype(np.float64))
+    t_us = np.asarray((reference_t_us - offset_us) / scale, np.float64)
+    return ForceLabel(t_us, force.astype(np.float64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,7 +175,7 @@ def _features(
     preparation, window = FramePreparation(config), WindowFeatures(config)
     contrasts = [preparation.contrast(frame) for frame in trial.frames]
     kept = config.reference_frames
-    reference = np.mean([c.coarse for c in contrasts[:kept]], axis=0, dtype=np.float32)
+    reference = mean_contrast([c.coarse for c in contrasts[:kept]])
     inputs = np.stack([preparation.network_input(c, reference) for c in contrasts[kept - 1 :]])
     out = np.zeros(window.shape, np.float32)
     features = np.empty((len(ends), *window.shape), STORED)
@@ -203,11 +208,18 @@ _ARRAYS = (
     'frame_inputs',
     'frame_force',
 )
-_SIGNAL = (
-    'width height window_us frame_bin gradient_bin log_floor frame_channels flow_radius'
-    ' flow_regularisation reference_frames grid_columns grid_rows gradient_flow'
-    ' cell_regularisation flow_limit'
-).split()
+_UNSEEN_BY_SAMPLES = {
+    'reference_stillness',
+    'event_hidden',
+    'event_size',
+    'frame_widths',
+    'frame_size',
+    'lstm_size',
+    'mlp_size',
+    'correction_point',
+    'history_windows',
+}
+"""Fields of the configuration that do not change what a sample holds."""
 
 
 def load_sample(path: Path, config: FgerConfig) -> Sample:
@@ -220,10 +232,10 @@ def load_sample(path: Path, config: FgerConfig) -> Sample:
         with np.load(path, allow_pickle=False) as file:
             header = json.loads(str(file['header']))
             arrays = {name: file[name] for name in _ARRAYS}
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise DatasetError(f'sample {path} cannot be read ({error}): generate it anew') from error
     wanted = config.to_dict()
-    for name in _SIGNAL:
+    for name in set(wanted) - _UNSEEN_BY_SAMPLES:
         if header['config'].get(name) != wanted[name]:
             raise DatasetError(
                 f'sample {path} was prepared with {name} = {header["config"].get(name)}, but'

@@ -54,16 +54,16 @@ def stream(model: LoadedModel, trial: RecordedTrial, label: ForceLabel) -> Run:
     arrived = np.searchsorted(trial.arrival_us, ends, side='right')
     done = 0
     rows = []
-    for index, end in enumerate(ends):
+    for index, end in enumerate(ends.tolist()):
         for frame in range(done, arrived[index]):
             estimator.push_frame(trial.frames[frame], int(middle[frame]))
         done = max(done, int(arrived[index]))
         events = trial.events[cuts[index] : cuts[index + 1]]
-        for t_us, force in estimator.push_events(events, int(end)):
+        for t_us, force in estimator.push_events(events, end):
             rows.append((t_us, force, estimator.status().frame_force))
     table = np.array(rows, np.float64).reshape(-1, 3)
-    t_us = table[:, 0].astype(np.int64)
-    return Run(t_us, table[:, 1], table[:, 2], label.at(t_us))
+    times = table[:, 0].astype(np.int64)
+    return Run(times, table[:, 1], table[:, 2], label.at(times))
 
 
 def summarise(runs: Iterable[Run]) -> dict[str, Any]:

@@ -15,9 +15,11 @@ from mixtac_fger.event_kernels import cell_solvers, grid_features
 from mixtac_fger.frame_kernels import bin_mean, displacement, gradients, log_contrast
 
 if TYPE_CHECKING:
-    from mixtac_events.arrays import Events
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
+    from mixtac_events.arrays import Events
     from mixtac_fger.config import FgerConfig
 
     F32 = NDArray[np.float32]
@@ -131,6 +133,11 @@ class FramePreparation:
             'flow_y': self._flow[1],
         }
         return np.stack([channels[name] for name in config.frame_channels])
+
+
+def mean_contrast(parts: Iterable[F32]) -> F32:
+    """Return the mean of log contrasts: a reference."""
+    return np.asarray(np.mean(list(parts), axis=0), np.float32)
 
 
 def bin_cells(config: FgerConfig) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from mixtac_fger.features import EventGuide, FramePreparation
 from mixtac_fger.errors import TareError
+from mixtac_fger.features import EventGuide, FramePreparation, mean_contrast
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -111,7 +111,7 @@ class FrameEncoder:
                     f'{len(self._recent)} of {wanted} still frames at hand: keep the sensor'
                     ' untouched and try again'
                 )
-            self._reference = np.mean(self._recent, axis=0, dtype=np.float32)
+            self._reference = mean_contrast(self._recent)
 
     def forget_reference(self) -> None:
         """Start over: the next still frames become the reference."""
@@ -124,10 +124,10 @@ class FrameEncoder:
 
     def _remember(self, coarse: F32) -> None:
         if self._recent:
-            change = np.mean(np.abs(coarse - np.mean(self._recent, axis=0)))
+            change = np.mean(np.abs(coarse - mean_contrast(self._recent)))
             if change > self._config.reference_stillness:
                 self._recent.clear()
                 self._disturbances += self._reference is None
         self._recent.append(coarse)
         if self._reference is None and self._full():
-            self._reference = np.mean(self._recent, axis=0, dtype=np.float32)
+            self._reference = mean_contrast(self._recent)

@@ -58,8 +58,8 @@ def gradients(image: F32, spacing: float, along_x: F32, along_y: F32) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _box_sum(field: F32, radius: int, scratch: F32, out: F32) -> None:
-    """Sum of `field` over a box of 2 radius + 1, cut at the border; separable running sums."""
+def _sum_along_rows(field: F32, radius: int, out: F32) -> None:
+    """Write the sums of 2 radius + 1 neighbours in a row, cut at the border."""
     rows, columns = field.shape
     for row in range(rows):
         total = np.float32(0.0)
@@ -70,19 +70,22 @@ def _box_sum(field: F32, radius: int, scratch: F32, out: F32) -> None:
                 total += field[row, column + radius]
             if column - radius > 0:
                 total -= field[row, column - radius - 1]
-            scratch[row, column] = total
-    for column in range(columns):
-        out[0, column] = np.float32(0.0)
-        for row in range(min(radius + 1, rows)):
-            out[0, column] += scratch[row, column]
-    for row in range(1, rows):
-        for column in range(columns):
-            total = out[row - 1, column]
-            if row + radius < rows:
-                total += scratch[row + radius, column]
-            if row - radius > 0:
-                total -= scratch[row - radius - 1, column]
             out[row, column] = total
+
+
+@njit(cache=True, nogil=True)
+def _sum_along_columns(field: F32, radius: int, out: F32) -> None:
+    """Write the sums of 2 radius + 1 neighbours in a column, cut at the border."""
+    rows = field.shape[0]
+    out[0] = np.float32(0.0)
+    for row in range(min(radius + 1, rows)):
+        out[0] += field[row]
+    for row in range(1, rows):
+        out[row] = out[row - 1]
+        if row + radius < rows:
+            out[row] += field[row + radius]
+        if row - radius > 0:
+            out[row] -= field[row - radius - 1]
 
 
 @njit(cache=True, nogil=True)
@@ -115,8 +118,8 @@ def displacement(
             work[3, row, column] = gx * change
             work[4, row, column] = gy * change
     for index in range(5):
-        _box_sum(work[index], radius, work[7], work[8])
-        work[index] = work[8]
+        _sum_along_rows(work[index], radius, work[7])
+        _sum_along_columns(work[7], radius, work[index])
     ridge = np.float32(regularisation * (2 * radius + 1) ** 2)
     for row in range(rows):
         for column in range(columns):

@@ -18,9 +18,16 @@ if TYPE_CHECKING:
 
     from mixtac_fger.frame_encoder import EncodedFrame, FrameEncoder
 
+    Image = NDArray[np.uint8] | NDArray[np.uint16]
+
 
 class FrameWorker:
     """Encodes the latest frame in the background; at most one waits, newer ones replace it.
+
+    Attributes:
+        dropped: Frames replaced by a newer one before they were encoded.
+        refused: Frames of a size that the model does not read.
+        problem: Why the latest of these was refused.
 
     Args:
         encoder: Shared with the owner for its reference.
@@ -28,14 +35,15 @@ class FrameWorker:
 
     def __init__(self, encoder: FrameEncoder) -> None:
         self._encoder = encoder
-        self._inbox: queue.Queue[tuple[NDArray[np.uint16], int] | None] = queue.Queue()
+        self._inbox: queue.Queue[tuple[Image, int] | None] = queue.Queue()
         self._outbox: queue.SimpleQueue[EncodedFrame] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name='fger_frames', daemon=True)
         self.dropped = 0
-        self.error: ImageError | None = None
+        self.refused = 0
+        self.problem = ''
         self._thread.start()
 
-    def push(self, image: NDArray[np.uint16], mid_us: int) -> None:
+    def push(self, image: Image, mid_us: int) -> None:
         """Hand over a frame; the caller must not change `image` afterwards."""
         try:
             while self._inbox.get_nowait() is not None:
@@ -64,7 +72,8 @@ class FrameWorker:
             try:
                 encoded = self._encoder.encode(*job)
             except ImageError as error:
-                self.error = error
+                self.refused += 1
+                self.problem = str(error)
                 continue
             if encoded is not None:
                 self._outbox.put(encoded)

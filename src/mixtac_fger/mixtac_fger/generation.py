@@ -16,11 +16,10 @@ from mixtac_fger.errors import DatasetError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mixtac_sim.trial import Trial
-
     from mixtac_fger.config import FgerConfig
     from mixtac_fger.dataset import Sample
     from mixtac_fger.trial_plan import TrialSpec
+    from mixtac_sim.trial import Trial
 
 
 def simulate(spec: TrialSpec) -> Trial:
@@ -74,5 +73,7 @@ def _make(spec: TrialSpec, config: FgerConfig, folder: Path) -> Path:
         load_sample(path, config)
     except DatasetError:
         trial = simulate(spec)
-        save_sample(path, make_sample(config, trial, true_force(trial.truth), spec.to_dict()), config)
+        save_sample(
+            path, make_sample(config, trial, true_force(trial.truth), spec.to_dict()), config
+        )
     return path

@@ -12,9 +12,11 @@ import numpy as np
 from mixtac_fger.errors import ImageError
 
 if TYPE_CHECKING:
-    from collections.abc import Buffer
+    from array import array
 
     from numpy.typing import NDArray
+
+    Buffer = bytes | bytearray | memoryview | array[int]
 
 _TYPES = {'mono8': np.uint8, '8UC1': np.uint8, 'mono16': np.uint16, '16UC1': np.uint16}
 

@@ -38,7 +38,7 @@ class Metrics:
     peak_estimate: float
 
     def to_dict(self) -> dict[str, float]:
-        """Return the figures by name, rounded to 0.1 mN; a figure that does not exist is left out."""
+        """Return the figures by name, rounded to 0.1 mN, without those that do not exist."""
         values = asdict(self)
         return {name: round(value, 4) for name, value in values.items() if np.isfinite(value)}
 

@@ -16,7 +16,7 @@ def shipped_models() -> Path:
         from ament_index_python.packages import get_package_share_directory
 
         return Path(get_package_share_directory('mixtac_fger')) / 'models'
-    except (ImportError, LookupError):
+    except (ImportError, LookupError, OSError):  # no ROS, or none that knows this package
         return Path(__file__).resolve().parents[1] / 'models'
 
 

@@ -42,11 +42,11 @@ class FrameSlots(NamedTuple):
     """Which frame becomes available at which window.
 
     Attributes:
-        index: Row of the frame features, -1 where no frame becomes available, int64 [T, B].
+        frame: Row of the frame features, -1 where no frame becomes available, int64 [T, B].
         lag: Windows between the last estimate and the centre of the exposure, int64 [T, B].
     """
 
-    index: Tensor
+    frame: Tensor
     lag: Tensor
 
 
@@ -60,6 +60,8 @@ class FrameNetwork(nn.Module):
     def __init__(self, config: FgerConfig) -> None:
         super().__init__()
         channels = len(config.frame_channels)
+        self.mean: Tensor
+        self.scale: Tensor
         self.register_buffer('mean', torch.zeros(channels, 1, 1))
         self.register_buffer('scale', torch.ones(channels, 1, 1))
         layers: list[nn.Module] = []
@@ -90,6 +92,7 @@ class EventNetwork(nn.Module):
 
     def __init__(self, config: FgerConfig) -> None:
         super().__init__()
+        self.scale: Tensor
         self.register_buffer('scale', torch.ones(CELL_FEATURES))
         self.hidden = nn.Linear(config.event_inputs, config.event_hidden)
         self.output = nn.Linear(config.event_hidden, config.event_size)
@@ -145,13 +148,13 @@ class FgerNetwork(nn.Module):
             Force [N] at the end of each window, [T, B], and the state after the last.
         """
         drive = self.gates_event(self.event(event_features))
-        arrivals = (slots.index >= 0).any(dim=1).tolist()
+        arrivals = (slots.frame >= 0).any(dim=1).tolist()
         hidden, cell, offset = state.hidden, state.cell, state.offset
         past = list(state.history.unbind(0))
         forces = []
         for window, arrival in enumerate(arrivals):
             if arrival:
-                here = FrameSlots(slots.index[window], slots.lag[window])
+                here = FrameSlots(slots.frame[window], slots.lag[window])
                 offset = offset + self._correction(past, offset, frame_features, here)
             estimate = (past[-1] + offset)[:, None]
             gates = drive[window] + self.gates_force(estimate) + self.gates_hidden(hidden)
@@ -173,9 +176,9 @@ class FgerNetwork(nn.Module):
         recent = torch.stack(past[-depth:])
         row = (depth - 1 - slots.lag).clamp(0, depth - 1)
         then = recent.gather(0, row[None])[0] + offset
-        features = frame_features[slots.index.clamp(min=0)]
+        features = frame_features[slots.frame.clamp(min=0)]
         fusion = torch.cat([then[:, None], features], dim=1)
-        return torch.where(slots.index >= 0, self.correction(fusion)[:, 0], 0.0)
+        return torch.where(slots.frame >= 0, self.correction(fusion)[:, 0], 0.0)
 
 
 def _perceptron(inputs: int, hidden: int) -> nn.Sequential:
@@ -188,7 +191,7 @@ def count_parameters(network: nn.Module) -> int:
 
 
 def operations_per_cycle(network: FgerNetwork, cycle_us: int = 40_000) -> int:
-    """Return the floating-point operations (2 per multiply-add) per frame interval of `cycle_us`."""
+    """Return floating-point operations (2 per multiply-add) per frame interval of `cycle_us`."""
     config = network.config
     rows, columns = config.frame_shape
     total = 0

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from numba import njit
@@ -70,7 +70,8 @@ class StepState(NamedTuple):
 
 def step_weights(network: FgerNetwork) -> StepWeights:
     """Return copies of the recurrent path's weights in the layout of the compiled step."""
-    event, increment = network.event, network.increment
+    event = network.event
+    increment = cast('Any', network.increment)
     return StepWeights(
         event_scale=_array(event.scale),
         event_hidden=_array(event.hidden.weight.T),
@@ -90,14 +91,14 @@ def step_weights(network: FgerNetwork) -> StepWeights:
 
 def correction_weights(network: FgerNetwork) -> CorrectionWeights:
     """Return copies of MLP_corr's weights in the layout of the compiled step."""
-    hidden, _, output = network.correction
+    hidden, _, output = cast('Any', network.correction)
     return CorrectionWeights(
         _array(hidden.weight.T), _array(hidden.bias), _array(output.weight[0]), _array(output.bias)
     )
 
 
-def _array(tensor: object) -> F32:
-    return np.ascontiguousarray(tensor.detach().numpy(), np.float32).copy()  # type: ignore[attr-defined]
+def _array(tensor: Any) -> F32:  # noqa: ANN401
+    return np.array(tensor.detach().numpy(), np.float32, order='C')
 
 
 def step_state(weights: StepWeights) -> StepState:
@@ -133,7 +134,7 @@ def _relu(values: F32) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _sigmoid(value: float) -> float:
+def _sigmoid(value: np.float32) -> Any:  # noqa: ANN401
     return np.float32(1.0) / (np.float32(1.0) + np.exp(-value))
 
 
@@ -178,7 +179,7 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
 
 
 @njit(cache=True, nogil=True)
-def correction(force: float, frame_feature: F32, weights: CorrectionWeights) -> float:
+def correction(force: float, frame_feature: F32, weights: CorrectionWeights) -> Any:  # noqa: ANN401
     """Return MLP_corr of an estimate [N] and a frame feature: the correction [N]."""
     total = weights.output_bias[0]
     for column in range(weights.hidden.shape[1]):

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mixtac_events.windows import RESTART_US, WindowSlicer
 
+from mixtac_events.windows import RESTART_US, WindowSlicer
 from mixtac_fger.errors import TareError
 from mixtac_fger.features import WindowFeatures, correction_lag
 from mixtac_fger.frame_encoder import FrameEncoder
@@ -30,9 +30,9 @@ from mixtac_fger.frame_worker import FrameWorker
 from mixtac_fger.recurrent_state import RecurrentPath
 
 if TYPE_CHECKING:
-    from mixtac_events.arrays import Events
     from numpy.typing import NDArray
 
+    from mixtac_events.arrays import Events
     from mixtac_fger.frame_encoder import EncodedFrame
     from mixtac_fger.weights import LoadedModel
 
@@ -51,6 +51,7 @@ class EstimatorStatus:
         estimates: Forces given so far.
         frames: Frames applied so far.
         frames_dropped: Frames replaced by a newer one before they were encoded.
+        bad_frames: Frames of a size that the model does not read (background only).
         gaps: Stretches of windows that were skipped as nothing arrived.
         late_events: Events dropped since their window was closed.
         resets: Times the clock went backwards or the state was not finite.
@@ -64,6 +65,7 @@ class EstimatorStatus:
     estimates: int
     frames: int
     frames_dropped: int
+    bad_frames: int
     gaps: int
     late_events: int
     resets: int
@@ -112,8 +114,8 @@ class ForceEstimator:
             mid_us: Centre of the exposure, camera clock [us].
 
         Raises:
-            ImageError: The image has another size (without `background_frames`; with it the
-                next `push_events` raises).
+            ImageError: The image has another size (with `background_frames` it is counted in
+                `EstimatorStatus.bad_frames` instead).
         """
         if self._worker is not None:
             self._worker.push(image, mid_us)
@@ -131,11 +133,9 @@ class ForceEstimator:
 
         Returns:
             (window end [us], force [N]) in order; empty until the estimator is ready.
-
-        Raises:
-            ImageError: A frame handed over before has a size that the model does not read.
         """
-        self._collect_frames()
+        if self._worker is not None:
+            self._encoded.extend(self._worker.results())
         if self._newest_us is not None and complete_until_us < self._newest_us - RESTART_US:
             self._restart()
         newest = self._newest_us
@@ -184,6 +184,7 @@ class ForceEstimator:
             estimates=self._estimates,
             frames=self._frames,
             frames_dropped=self._worker.dropped if self._worker else 0,
+            bad_frames=self._worker.refused if self._worker else 0,
             gaps=self._gaps,
             late_events=self._slicer.late_events,
             resets=self._resets,
@@ -192,20 +193,15 @@ class ForceEstimator:
         )
 
     def _reason(self) -> str:
-        if not self._encoder.reference_complete:
-            wanted, again = self._config.reference_frames, self._encoder.disturbances
-            moved = f', restarted {again} times by motion' if again else ''
-            progress = f'{self._encoder.reference_progress} of {wanted} still frames{moved}'
-            return f'waiting for the no-contact reference: {progress}'
-        return 'waiting for a frame' if self._frame is None else ''
-
-    def _collect_frames(self) -> None:
-        if self._worker is None:
-            return
-        if self._worker.error is not None:
-            error, self._worker.error = self._worker.error, None
-            raise error
-        self._encoded.extend(self._worker.results())
+        encoder = self._encoder
+        if encoder.reference_complete:
+            return 'waiting for a frame' if self._frame is None else ''
+        progress = f'{encoder.reference_progress} of {self._config.reference_frames} still frames'
+        if encoder.disturbances:
+            progress += f', restarted {encoder.disturbances} times by motion'
+        if self._worker is not None and self._worker.problem:
+            progress += f'; {self._worker.problem}'
+        return f'waiting for the no-contact reference: {progress}'
 
     def _window(self, end_us: int, events: Events) -> tuple[int, float] | None:
         self._windows += 1

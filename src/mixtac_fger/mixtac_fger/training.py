@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import torch
@@ -62,19 +63,21 @@ class Trainer:
         for epoch in range(settings.frame_epochs):
             total = 0.0
             order = torch.randperm(len(labels), generator=self._random)
-            for rows in order.split(settings.frame_batch):
+            for rows in torch.split(order, settings.frame_batch):
                 inputs = mirror_frames(frames[rows].float(), self.network.config, *self._flips())
                 force = self.network.frame.force(self.network.frame(inputs))
                 loss = smooth_l1_loss(force, labels[rows], beta=settings.loss_knee_n)
                 self._update(loss, optimiser, schedule)
-                total += float(loss) * len(rows) / len(labels)
+                total += loss.item() * len(rows) / len(labels)
             self._report('frames', epoch + 1, settings.frame_epochs, total)
 
     def train_recurrent(self, sequences: Sequences) -> None:
         """Stage 2: events, LSTM and corrections on the frozen frame network."""
         settings = self._settings
         flips = [(c, r) for c in (False, True) for r in (False, True)]
-        encoded = {f: encode(self.network, sequences, *f) for f in flips[: 4 if settings.mirror else 1]}
+        encoded = {
+            f: encode(self.network, sequences, *f) for f in flips[: 4 if settings.mirror else 1]
+        }
         trained = nn.ModuleList(m for m in self.network.children() if m is not self.network.frame)
         self._train_sequences(
             'recurrent',
@@ -90,11 +93,9 @@ class Trainer:
         settings = self._settings
 
         def encode_now(flip: tuple[bool, bool], slots: FrameSlots) -> tuple[Tensor, FrameSlots]:
-            used, index = torch.unique(slots.index.clamp(min=0), return_inverse=True)
-            inputs = mirror_frames(
-                sequences.frame_inputs[used].float(), self.network.config, *flip
-            )
-            local = torch.where(slots.index >= 0, index, -1)
+            used, index = torch.unique(slots.frame.clamp(min=0), return_inverse=True)
+            inputs = mirror_frames(sequences.frame_inputs[used].float(), self.network.config, *flip)
+            local = torch.where(slots.frame >= 0, index, -1)
             return self.network.frame(inputs), FrameSlots(local, slots.lag)
 
         self._train_sequences(
@@ -127,7 +128,7 @@ class Trainer:
                 loss = self._loss(force, sequences, slice(start, stop))
                 self._update(loss, optimiser, schedule)
                 state = state.detached()
-                total += float(loss) * (stop - start) / length
+                total += loss.item() * (stop - start) / length
             self._report(stage, epoch + 1, epochs, total)
 
     def _chunks(self, length: int) -> Iterator[tuple[int, int]]:
@@ -135,7 +136,7 @@ class Trainer:
         size = self._settings.chunk_windows
         first = int(torch.randint(size // 2, size + 1, (1,), generator=self._random))
         borders = [0, *range(min(first, length), length, size), length]
-        yield from ((a, b) for a, b in zip(borders, borders[1:], strict=False) if b > a)
+        yield from ((a, b) for a, b in pairwise(borders) if b > a)
 
     def _loss(self, force: Tensor, sequences: Sequences, windows: slice) -> Tensor:
         valid = sequences.valid[windows]
@@ -205,7 +206,7 @@ def encode(
     network: FgerNetwork, sequences: Sequences, columns: bool = False, rows: bool = False
 ) -> Tensor:
     """Return f_frame of all frames, [N, frame_size], optionally of their mirror images."""
-    parts = sequences.frame_inputs.split(_ENCODE_BATCH)
+    parts = torch.split(sequences.frame_inputs, _ENCODE_BATCH)
     flipped = (mirror_frames(part.float(), network.config, columns, rows) for part in parts)
     return torch.cat([network.frame(part) for part in flipped])
 

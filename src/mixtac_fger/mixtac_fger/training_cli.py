@@ -54,7 +54,9 @@ def train(
     plan = training_plan(trials, min(gels, trials), seconds, seed)
     started = time.monotonic()
     network = _fit(plan, settings, data, jobs)
-    training = _provenance(plan, settings) | {'minutes': round((time.monotonic() - started) / 60, 1)}
+    training = _provenance(plan, settings) | {
+        'minutes': round((time.monotonic() - started) / 60, 1)
+    }
     model = LoadedModel(network, ModelCard(training))
     seen = [plan[index].device_seed for index in range(0, len(plan), max(len(plan) // 3, 1))][:3]
     metrics = {
@@ -150,7 +152,15 @@ def _provenance(plan: list[TrialSpec], settings: TrainingSettings) -> dict[str, 
 
 def _show(console: Console, title: str, figures: dict[str, Any]) -> None:
     table = Table(title=title, title_justify='left')
-    columns = ('mae', 'rmse', 'r2', 'frames_only_mae', 'constant_mae', 'peak_truth', 'peak_estimate')
+    columns = (
+        'mae',
+        'rmse',
+        'r2',
+        'frames_only_mae',
+        'constant_mae',
+        'peak_truth',
+        'peak_estimate',
+    )
     table.add_column('profile')
     for name in columns:
         table.add_column(name.replace('_', ' '), justify='right')

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from mixtac_events.arrays import Events
 
+from mixtac_events.arrays import Events
+from mixtac_fger.batches import Sequences, stack
 from mixtac_fger.config import FgerConfig
-from mixtac_fger.dataset import ForceLabel
+from mixtac_fger.dataset import ForceLabel, make_sample
 from mixtac_fger.network import FgerNetwork
 from mixtac_fger.weights import LoadedModel, ModelCard
 
@@ -32,6 +33,12 @@ class ToyTrial:
     exposure_end_us: np.ndarray
     arrival_us: np.ndarray
     label: ForceLabel
+
+    @property
+    def truth(self) -> np.ndarray:
+        truth = np.zeros(len(self.label.t_us), [('t_us', 'i8'), ('fz', 'f8')])
+        truth['t_us'], truth['fz'] = self.label.t_us, self.label.force
+        return truth
 
 
 def texture(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -61,16 +68,19 @@ def toy_trial(seconds: float, seed: int) -> ToyTrial:
         y, x = np.nonzero(crossings)
         reference[y, x] += crossings[y, x] * THRESHOLD
         t = np.full(len(x), now - STEP_US // 2)
-        kept.append(
-            Events(t, x.astype(np.uint16), y.astype(np.uint16), crossings[y, x] > 0)
-        )
+        kept.append(Events(t, x.astype(np.uint16), y.astype(np.uint16), crossings[y, x] > 0))
     start = np.arange(5000, t_us[-1] - 25_000, INTERVAL_US)
     middle = np.interp(start + EXPOSURE_US / 2, t_us, force)
     frames = np.stack([np.exp(base + change * newton) for newton in middle])
     label = ForceLabel(t_us.astype(np.float64), force)
     arrival = start + EXPOSURE_US + 9000
     return ToyTrial(
-        Events.concatenate(kept), frames.astype(np.uint16), start, start + EXPOSURE_US, arrival, label
+        Events.concatenate(kept),
+        frames.astype(np.uint16),
+        start,
+        start + EXPOSURE_US,
+        arrival,
+        label,
     )
 
 
@@ -96,5 +106,13 @@ def model(config: FgerConfig) -> LoadedModel:
         network.frame.scale.mul_(0.3)
         for part in (network.event, network.increment, network.correction):
             for parameter in part.parameters():
-                parameter.mul_(2.5)
+                parameter.mul_(4.0)
     return LoadedModel(network, ModelCard())
+
+
+@pytest.fixture(scope='session')
+def toy_sequences(config: FgerConfig) -> list[Sequences]:
+    """Two sets of toy trials: five to train on and two others."""
+    trials = [toy_trial(1.6, seed) for seed in range(7)]
+    samples = [make_sample(config, trial, trial.label, {}) for trial in trials]
+    return [stack(samples[:5]), stack(samples[5:])]

@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 import torch
-from mixtac_events.arrays import Events
 
+from mixtac_events.arrays import Events
 from mixtac_fger.batches import stack
 from mixtac_fger.dataset import make_sample
 from mixtac_fger.errors import ImageError, TareError
@@ -94,7 +96,7 @@ def test_a_clock_that_goes_back_resets_and_recovers(model, trial):
     estimator = ForceEstimator(model)
     still_frames(estimator, trial)
     start = 5_000_000
-    assert estimator.push_events(Events.empty(), start)  == []
+    assert estimator.push_events(Events.empty(), start) == []
     assert estimator.push_events(Events.empty(), start + 10_000)
     assert estimator.push_events(Events.empty(), 10_000) == []
     assert estimator.status().resets == 1
@@ -151,7 +153,7 @@ def test_tare_refuses_in_contact_and_zeroes_otherwise(model, trial):
     lenient.tare()
     fresh = ForceEstimator(model)
     still_frames(fresh, trial)
-    fresh.push_events(Events.empty(), 240_000)
+    fresh.push_events(noise_events(200_000, 240_000, 100), 240_000)
     fresh._path.clear()
     assert lenient.push_events(Events.empty(), 242_000) == fresh.push_events(
         Events.empty(), 242_000
@@ -179,7 +181,7 @@ def test_frames_in_the_background_give_the_same_forces(model, trial):
             for estimator in (direct, background):
                 estimator.push_frame(trial.frames[0], index * 40_000)
             while background._worker._inbox.qsize():
-                pass
+                time.sleep(0.001)
         background._worker._inbox.put(None)
         background._worker._thread.join(10)
         events = noise_events(200_000, 220_000, 500)

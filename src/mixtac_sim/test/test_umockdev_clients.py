@@ -31,7 +31,7 @@ pytestmark = pytest.mark.umockdev
 
 HERE = Path(__file__).parent
 DEBIAN_PYTHON = '/usr/bin/python3'
-MODULES = {'neuromorphic': 'neuromorphic_drivers', 'dv': 'dv_processing'}
+MODULES = {'neuromorphic': 'neuromorphic_drivers', 'dv': 'dv_processing', 'libcaer': 'event_camera_drivers'}
 DURATION_US = 1_000_000
 LEAD_US = 300_000
 
@@ -160,6 +160,7 @@ def run_client(client, folder):
     camera = Camera(folder)
     out = folder / 'seen.npz'
     counts = (len(script.events), len(script.frames), len(script.readings))
+    counts = counts if client != 'libcaer' else (len(script.events), 0, 0)
     process = subprocess.Popen(
         [
             *('umockdev-wrapper', DEBIAN_PYTHON, str(HERE / 'umockdev_bridge.py')),
@@ -228,6 +229,11 @@ def test_dv_processing_sees_the_script(umockdev, tmp_path):
         np.testing.assert_array_equal(image.reshape(260, 346), dv_pixels(frame))
     check_imu(result, gravity=1.0, degree=1.0)
     assert result.losses['events_dropped'] == 0
+
+
+def test_libcaer_sees_the_events(umockdev, tmp_path):
+    result = run_client('libcaer', tmp_path)
+    np.testing.assert_array_equal(result.seen['events'], expected_events(result.script))
 
 
 def check_imu(result, *, gravity, degree):

@@ -4,7 +4,7 @@
 
 Run by an interpreter that has the driver::
 
-    python umockdev_clients.py neuromorphic|dv OUT.npz READY EVENTS FRAMES SAMPLES
+    python umockdev_clients.py neuromorphic|dv|libcaer OUT.npz READY EVENTS FRAMES SAMPLES
 
 It touches READY when the camera streams and ends when it has seen that many events, frames and
 inertial samples, or has waited long enough for the tester to see what is missing.
@@ -105,10 +105,22 @@ def dv(seen):
             time.sleep(0.002)
 
 
+def libcaer(seen):
+    """Events only: the Python wrapper hands nothing else on."""
+    import event_camera_drivers
+
+    camera = event_camera_drivers.InivationCamera(buffer_size=1)
+    for e in camera:
+        if len(e):
+            seen.events.append(columns(e['t'], e['x'], e['y'], e['on']))
+        if seen.done():
+            return
+
+
 def main():
     client, out, ready, *wanted = sys.argv[1:]
     seen = Seen(Path(ready), [int(count) for count in wanted])
-    {'neuromorphic': neuromorphic, 'dv': dv}[client](seen)
+    {'neuromorphic': neuromorphic, 'dv': dv, 'libcaer': libcaer}[client](seen)
     seen.save(out)
 
 

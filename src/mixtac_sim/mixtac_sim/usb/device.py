@@ -18,7 +18,7 @@ from mixtac_sim.usb.errors import UsbBusy, UsbGone, UsbStall, UsbTimeout
 from mixtac_sim.usb.event_filter import is_filter_register
 from mixtac_sim.usb.fifo import ByteFifo
 from mixtac_sim.usb.oscillator import Oscillator
-from mixtac_sim.usb.registers import Aps, Board, Dvs, Module, Mux, RegisterFile, Usb
+from mixtac_sim.usb.registers import Aps, Board, Dvs, Imu, Module, Mux, RegisterFile, Usb
 from mixtac_sim.usb.stream import StreamAssembler
 
 if TYPE_CHECKING:
@@ -128,6 +128,14 @@ class VirtualDavis346:
     def frame_interval_us(self) -> int:
         """Time between frame starts that the host asked for [us]; 0 as fast as possible."""
         return self.board.adc_cycles_to_us(self.register(Module.APS, Aps.FRAME_INTERVAL))
+
+    @property
+    def imu_interval_us(self) -> int:
+        """Time between inertial samples that the host asked for [us]; 0 while they are off."""
+        with self._condition:
+            settings = self._stream.imu_settings()
+            divider = self._registers.read(Module.IMU, Imu.SAMPLE_RATE_DIVIDER)
+            return 1000 * (1 + divider) if settings.running and self._stream.running else 0
 
     @property
     def clock_origin_us(self) -> int:

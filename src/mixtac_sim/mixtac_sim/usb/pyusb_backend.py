@@ -10,10 +10,11 @@ import threading
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
-from mixtac_sim.usb import descriptors
-from mixtac_sim.usb.errors import UsbBusy, UsbGone, UsbStall, UsbTimeout, VirtualUsbError
 from usb.backend import IBackend
 from usb.core import USBError, USBTimeoutError
+
+from mixtac_sim.usb import descriptors
+from mixtac_sim.usb.errors import UsbBusy, UsbGone, UsbStall, UsbTimeout, VirtualUsbError
 
 if TYPE_CHECKING:
     from array import array

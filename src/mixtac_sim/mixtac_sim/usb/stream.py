@@ -131,7 +131,7 @@ class StreamAssembler:
         parts = [self._readout]
         while self._frames and self._frames[0].frame_start_us < true_us:
             parts.append(self._begin_frame(self._frames.popleft()))
-        settings = self._imu_settings()
+        settings = self.imu_settings()
         while self._readings and self._readings[0].t_us < true_us:
             reading = self._readings.popleft()
             if settings.running and reading.t_us >= self._oscillator.origin_us:
@@ -167,7 +167,9 @@ class StreamAssembler:
             orientation=self._board.aps_orientation,
         )
 
-    def _imu_settings(self) -> ImuSettings:
+    def imu_settings(self) -> ImuSettings:
+        """Return what the registers ask of the inertial unit."""
+
         def read(param: int) -> int:
             return self._registers.read(Module.IMU, param)
 

@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""From what the camera saw to ROS messages; stamps are on the epoch-based camera clock."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import TYPE_CHECKING
+
+import numpy as np
+from event_camera_msgs.msg import EventPacket
+from sensor_msgs.msg import CameraInfo, Image, Imu, TimeReference
+
+from mixtac_node.base_node import ns_to_stamp, us_to_stamp
+
+if TYPE_CHECKING:
+    from mixtac_driver.identity import Identity
+    from mixtac_driver.packetizer import Packet
+    from mixtac_driver.readings import Frame, InertialSamples
+
+BIT_SHIFT = 6
+"""From 10-bit values to the upper bits of 16, as libcaer_driver does."""
+BAYER = {1: 'rggb', 2: 'grbg', 3: 'gbrg', 4: 'bggr'}
+
+
+def event_packet(
+    packet: Packet, sequence: int, size: tuple[int, int], frame_id: str
+) -> EventPacket:
+    """Return the message of a packet; its header's stamp is the host time of arrival.
+
+    Args:
+        packet: The packet.
+        sequence: Number of the packet.
+        size: Width and height of the event array.
+        frame_id: Frame of the camera.
+    """
+    message = EventPacket()
+    message.header.stamp = ns_to_stamp(packet.arrival_ns)
+    message.header.frame_id = frame_id
+    message.width, message.height = size
+    message.seq = sequence
+    message.time_base = packet.encoded.time_base
+    message.encoding = packet.encoded.encoding
+    message.is_bigendian = False
+    # Assigning the array goes through every element; this is one copy.
+    message.events.frombytes(packet.encoded.payload)
+    return message
+
+
+def image(frame: Frame, origin_us: int, color_filter: int, frame_id: str) -> Image:
+    """Return the message of a frame; its stamp is the middle of the exposure.
+
+    Args:
+        frame: The frame.
+        origin_us: Origin of the camera's clock [us since the Unix epoch].
+        color_filter: Colour filter of the camera, 0 for none.
+        frame_id: Frame of the camera.
+    """
+    message = Image()
+    message.header.stamp = us_to_stamp(frame.middle_us + origin_us)
+    message.header.frame_id = frame_id
+    message.height, message.width = frame.image.shape
+    message.encoding = image_encoding(color_filter, frame.x, frame.y)
+    message.is_bigendian = sys.byteorder == 'big'
+    message.step = 2 * message.width
+    message.data.frombytes(np.left_shift(frame.image, BIT_SHIFT).data)
+    return message
+
+
+def image_encoding(color_filter: int, x: int, y: int) -> str:
+    """Return the ROS encoding of a frame whose first pixel is (x, y) of the array."""
+    pattern = BAYER.get(color_filter)
+    if pattern is None:
+        return 'mono16'
+    rows = [pattern[0:2], pattern[2:4]]
+    rows = rows[::-1] if y % 2 else rows
+    return 'bayer_' + ''.join(row[::-1] if x % 2 else row for row in rows) + '16'
+
+
+def camera_info(frame: Frame, identity: Identity, image_message: Image) -> CameraInfo:
+    """Return the camera information that goes with an image: sizes and region, no calibration."""
+    message = CameraInfo()
+    message.header = image_message.header
+    message.width, message.height = identity.geometry.width, identity.geometry.height
+    height, width = frame.image.shape
+    if (width, height) != (message.width, message.height):
+        message.roi.x_offset, message.roi.y_offset = frame.x, frame.y
+        message.roi.width, message.roi.height = width, height
+    return message
+
+
+def imu(samples: InertialSamples, index: int, origin_us: int, frame_id: str) -> Imu:
+    """Return the message of one inertial sample; what was not measured is marked (REP-145).
+
+    Args:
+        samples: The samples.
+        index: Which of them.
+        origin_us: Origin of the camera's clock [us since the Unix epoch].
+        frame_id: Frame of the unit.
+    """
+    message = Imu()
+    message.header.stamp = us_to_stamp(int(samples.t[index]) + origin_us)
+    message.header.frame_id = frame_id
+    message.orientation_covariance[0] = -1.0
+    parts = (
+        (samples.acceleration, message.linear_acceleration, message.linear_acceleration_covariance),
+        (samples.angular_velocity, message.angular_velocity, message.angular_velocity_covariance),
+    )
+    for values, vector, covariance in parts:
+        x, y, z = values[index].tolist()
+        if math.isnan(x):
+            covariance[0] = -1.0
+        else:
+            vector.x, vector.y, vector.z = x, y, z
+    return message
+
+
+def camera_clock(host_ns: int, camera_us: int, source: str) -> TimeReference:
+    """Return the camera clock at a host time.
+
+    Args:
+        host_ns: Host time [ns since the Unix epoch].
+        camera_us: Epoch-based camera clock at that time [us].
+        source: Serial number of the camera.
+    """
+    message = TimeReference()
+    message.header.stamp = ns_to_stamp(host_ns)
+    message.time_ref = us_to_stamp(camera_us)
+    message.source = source
+    return message

@@ -1,0 +1,159 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Bias encodings against the values that libcaer sends, and the order of the register writes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from davis_fake import FakeBackend, FakeCamera
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_driver.biases import (
+    DEFAULT_BIASES,
+    CurrentBias,
+    ShiftedSourceBias,
+    VoltageBias,
+    with_current,
+)
+from mixtac_driver.camera import Davis346
+from mixtac_driver.configuration import (
+    Configuration,
+    Region,
+    changed_writes,
+    cycles,
+    register_writes,
+)
+from mixtac_driver.errors import ConfigurationError
+
+SENT = {
+    0: 411, 1: 405, 2: 480, 3: 449, 4: 469, 8: 23119, 9: 32126, 10: 17023, 11: 24575, 12: 16415,
+    13: 26895, 14: 9133, 15: 4365, 16: 16797, 17: 24909, 18: 28095, 19: 20813, 20: 31, 21: 25549,
+    22: 21279, 23: 26047, 24: 17677, 25: 31117, 26: 24575, 27: 24575, 34: 24559, 35: 33808,
+    36: 33808,
+}  # fmt: skip
+
+
+@pytest.fixture(scope='module')
+def identity():
+    with Davis346(backend=FakeBackend(FakeCamera())) as camera:
+        return camera.identity
+
+
+def test_default_biases_are_those_libcaer_sends():
+    assert {address: bias.encode() for address, bias in DEFAULT_BIASES.values()} == SENT
+    assert [address for address, _ in DEFAULT_BIASES.values()] == sorted(SENT)
+
+
+@given(st.integers(0, 63), st.integers(0, 7))
+def test_voltage_biases_come_back(voltage, current):
+    bias = VoltageBias(voltage, current)
+    assert bias.encode() < 1 << 9
+    assert VoltageBias.decode(bias.encode()) == bias
+
+
+@given(st.integers(0, 7), st.integers(0, 255), *[st.booleans()] * 4)
+def test_current_biases_come_back(coarse, fine, n_type, enabled, normal, level):
+    bias = CurrentBias(coarse, fine, n_type, enabled, normal, level)
+    assert bias.encode() < 1 << 15
+    assert CurrentBias.decode(bias.encode()) == bias
+
+
+@given(st.integers(0, 63), st.integers(0, 63), st.integers(0, 2), st.integers(0, 2))
+def test_shifted_sources_come_back(reference, regulator, mode, level):
+    bias = ShiftedSourceBias(reference, regulator, mode, level)
+    assert bias.encode() < 1 << 16
+    assert ShiftedSourceBias.decode(bias.encode()) == bias
+
+
+@given(st.integers(0, 6), st.integers(1, 254))
+def test_current_grows_with_either_step(coarse, fine):
+    here = with_current('PrBp', coarse, fine).current_pa()
+    assert with_current('PrBp', coarse, fine + 1).current_pa() > here
+    assert with_current('PrBp', coarse + 1, fine).current_pa() > here
+
+
+@pytest.mark.parametrize(
+    'bias',
+    [
+        VoltageBias(64, 0),
+        VoltageBias(0, -1),
+        CurrentBias(8, 0, n_type=True),
+        CurrentBias(0, 256, n_type=True),
+        ShiftedSourceBias(64, 0),
+        ShiftedSourceBias(0, 0, mode=3),
+    ],
+)
+def test_values_that_do_not_fit_are_refused(bias):
+    with pytest.raises(ConfigurationError, match='outside'):
+        bias.encode()
+
+
+@pytest.mark.parametrize('name', ['ApsCas', 'Nonsense'])
+def test_only_current_biases_take_a_current(name):
+    with pytest.raises(ConfigurationError, match='coarse-fine biases are LocalBufBn'):
+        with_current(name, 1, 1)
+
+
+def test_default_writes_are_the_102_of_libcaer_in_its_order(identity):
+    chip = [*((p, 0) for p in range(128, 136)), (136, 1), (137, 0), (138, 1)]
+    chip += [(140, 0), (141, 0), (143, 1), (144, 0)]
+    pixels = [(11 + k, (260, 346)[k % 2]) for k in range(16)]
+    dvs = [(4, 0), (5, 0), *pixels, (31, 1), (32, 8), (33, 0), (34, 1), (41, 0), (42, 0)]
+    dvs += [(43, 345), (44, 259), (51, 0), (52, 5), (61, 0), (62, 0), (63, 0)]
+    aps = [(7, 1), (8, 0), (9, 0), (10, 345), (11, 259), (12, 120960), (13, 1209600)]
+    imu = [(5, 0), (6, 1), (7, 1), (9, 1), (10, 1)]
+    external = [(1, 0), (2, 0), (3, 1), (4, 1), (5, 1210), (11, 0), (12, 1), (13, 1210), (14, 605)]
+    expected = [
+        *((5, *w) for w in [*SENT.items(), *chip]),
+        (0, 4, 1),
+        (0, 5, 1),
+        *((1, *w) for w in dvs),
+        (2, 5, 1),
+        (5, 142, 1),
+        *((2, *w) for w in aps),
+        *((3, *w) for w in imu),
+        *((4, *w) for w in [*external, (15, 0), (16, 0)]),
+        (9, 1, 80640),
+    ]
+    writes = register_writes(Configuration(), identity)
+    assert [tuple(map(int, w)) for w in writes] == expected
+    assert len(writes) == 102
+
+
+def test_blocks_the_logic_lacks_are_left_alone(identity):
+    features = replace(identity.features, roi=False, pixel_filter=False, generator=False)
+    lacking = replace(identity, features=features, imu_type=1)
+    addresses = {w[:2] for w in register_writes(Configuration(), lacking)}
+    assert not addresses & {(1, 41), (1, 11), (4, 11), (3, 9)}
+
+
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [
+        ({'aps_exposure_us': 1 << 22}, 'aps_exposure_us'),
+        ({'aps_frame_interval_us': -1}, 'aps_frame_interval_us'),
+        ({'roi': Region(5, 0, 4, 259)}, 'roi columns 5 .. 4'),
+        ({'aps_roi': Region(0, 0, 346, 259)}, 'aps_roi'),
+        ({'pixel_filter': ((0, 0),) * 9}, '9 pixels'),
+        ({'pixel_filter': ((0, 260),)}, 'pixel_filter'),
+        ({'biases': {'Foo': VoltageBias(1, 1)}}, 'Foo'),
+        ({'biases': {'ApsCas': VoltageBias(99, 1)}}, 'voltage = 99'),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(identity, change, words):
+    with pytest.raises(ConfigurationError, match=words):
+        register_writes(Configuration(**change), identity)
+
+
+@given(st.integers(0, 4_194_303), st.integers(0, 4_194_303))
+def test_only_what_changed_is_written(first, second):
+    with Davis346(backend=FakeBackend(FakeCamera())) as camera:
+        identity = camera.identity
+    old, new = (
+        register_writes(Configuration(aps_exposure_us=us), identity) for us in (first, second)
+    )
+    changed = changed_writes(old, new)
+    assert changed == ([] if first == second else [(2, 12, cycles(second, 30.24))])

@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The camera object on the virtual camera: what goes in comes out."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip('mixtac_sim.usb.device')
+
+from virtual_scene import Scene
+
+from mixtac_driver.camera import Davis346
+from mixtac_driver.configuration import Configuration
+from mixtac_driver.errors import DisconnectedError
+from mixtac_driver.readings import STANDARD_GRAVITY
+from mixtac_events.arrays import Events
+from mixtac_sim.usb.in_process import in_process_backend
+
+
+@pytest.fixture
+def scene():
+    scene = Scene()
+    yield scene
+    scene.close()
+
+
+OPEN = Configuration(background_activity_filter_enabled=False)
+
+
+def camera_on(scene, configuration=OPEN):
+    return Davis346(backend=in_process_backend(scene.device), configuration=configuration)
+
+
+def copied(events):
+    return Events(events.t.copy(), events.x.copy(), events.y.copy(), events.polarity.copy())
+
+
+def test_events_frames_and_samples_come_out_as_they_went_in(scene):
+    with camera_on(scene) as camera:
+        camera.start()
+        started = time.monotonic()
+        parts, frames, imu, times = [], [], [], []
+        for batch in camera.batches():
+            parts.append(copied(batch.decoded.events))
+            frames += batch.decoded.frames
+            imu.append(batch.decoded.imu)
+            times.append(batch.time_us)
+            if time.monotonic() > started + 1.2:
+                break
+        counters, transport = camera.decoder_counters, camera.transport_counters
+    got, given = Events.concatenate(parts), Events.concatenate(scene.given)
+    assert len(got) > 10_000
+    # The reset of the camera's clock leaves one unknown: where in the scene it happened.
+    first = next(
+        k
+        for k in range(len(given) - 200)
+        if (given.x[k : k + 200] == got.x[:200]).all()
+        and (given.y[k : k + 200] == got.y[:200]).all()
+    )
+    matched = given[first : first + len(got)]
+    np.testing.assert_array_equal(got.x, matched.x)
+    np.testing.assert_array_equal(got.y, matched.y)
+    np.testing.assert_array_equal(got.polarity, matched.polarity)
+    assert len(set((matched.t - got.t).tolist())) == 1
+    assert times == sorted(times)
+    assert len(frames) > 20
+    for frame in frames:
+        assert any((frame.image == sent).all() for sent in scene.frames)
+        assert frame.exposure_end_us - frame.exposure_start_us == 4000
+    g = np.concatenate([part.acceleration for part in imu])
+    assert len(g) > 150
+    np.testing.assert_allclose(g[:, 2], STANDARD_GRAVITY, rtol=2e-3)
+    rotation = np.concatenate([part.angular_velocity for part in imu])
+    np.testing.assert_allclose(rotation[:, 1], np.pi / 2, rtol=2e-3)
+    assert counters.frames_dropped <= 1
+    assert (counters.specials_unknown, counters.misc_unknown, counters.events_outside) == (0, 0, 0)
+    assert (transport.dropped_transfers, transport.stalls) == (0, 0)
+
+
+def test_published_time_is_host_time(scene):
+    with camera_on(scene) as camera:
+        camera.start()
+        deadline = time.monotonic() + 0.5
+        for batch in camera.batches():
+            late_s = (batch.arrival_ns / 1000 - batch.time_us) / 1e6
+            assert -0.005 < late_s < 0.5
+            if time.monotonic() > deadline:
+                break
+        estimate = camera.clock.estimate()
+        assert abs(estimate.offset_us - camera.origin.us) < 20_000
+
+
+def test_unplugging_is_named_and_a_replugged_camera_streams(scene):
+    with camera_on(scene) as camera:
+        camera.start()
+        batches = camera.batches()
+        next(batches)
+        scene.device.unplug()
+        with pytest.raises(DisconnectedError):
+            list(batches)
+
+
+def test_sensors_that_are_off_send_nothing(scene):
+    configuration = Configuration(
+        aps_enabled=False,
+        imu_accelerometer_enabled=False,
+        imu_gyroscope_enabled=False,
+        imu_temperature_enabled=False,
+    )
+    with camera_on(scene, configuration) as camera:
+        camera.start()
+        deadline = time.monotonic() + 0.3
+        for batch in camera.batches():
+            assert not batch.decoded.frames
+            assert not len(batch.decoded.imu.t)
+            if time.monotonic() > deadline:
+                break

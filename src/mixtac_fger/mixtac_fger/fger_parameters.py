@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the force estimator node."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mixtac_fger.model_files import DEFAULT_MODEL
+from mixtac_node.parameters import parameter
+
+
+@dataclass(frozen=True)
+class FgerParameters:
+    """What the node can be told; changes apply at the next configure."""
+
+    model: str = parameter(
+        DEFAULT_MODEL,
+        'Network weights: the path of a .safetensors file, or the name of a model that comes with'
+        ' mixtac_fger.',
+    )
+    frame_id: str = parameter(
+        'mixtac_contact', 'Frame of the published force: z points from the contact into the gel.'
+    )
+    contact_threshold: float = parameter(
+        0.15,
+        'Forces above this count as contact, in which ~/tare refuses.',
+        unit='N',
+        minimum=0.01,
+        maximum=10.0,
+    )
+    stale_frame_age: float = parameter(
+        0.5,
+        'Frames older than this make the diagnostics warn: without them the force drifts.',
+        unit='s',
+        minimum=0.05,
+        maximum=60.0,
+    )

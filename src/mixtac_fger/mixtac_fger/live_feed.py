@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""From message fields to the estimator: decoding, counting losses, timing."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mixtac_events.codec import decode
+from mixtac_events.errors import CodecError
+from mixtac_fger.errors import ImageError
+from mixtac_fger.image import pixels
+from mixtac_fger.streaming import EstimatorStatus, ForceEstimator
+from mixtac_node.rates import RateMeter, RecentValues
+
+if TYPE_CHECKING:
+    from array import array
+
+    from mixtac_fger.weights import LoadedModel
+
+
+@dataclass(frozen=True, slots=True)
+class FeedStatus:
+    """The estimator's status and the losses before it.
+
+    Attributes:
+        estimator: Of the estimator.
+        rate_hz: Forces per second since the previous status.
+        step_p50_ms: Median time of a window, packet decoding included.
+        step_p99_ms: 99th percentile of it.
+        lost_packets: Event packets missing by their sequence numbers.
+        bad_messages: Packets and images that could not be read.
+        problem: The latest reason for one, empty if there was none.
+    """
+
+    estimator: EstimatorStatus
+    rate_hz: float
+    step_p50_ms: float
+    step_p99_ms: float
+    lost_packets: int
+    bad_messages: int
+    problem: str
+
+
+class LiveFeed:
+    """Feeds an estimator with the contents of messages; never raises on bad ones.
+
+    Args:
+        model: Network with its weights.
+        contact_threshold_n: See `ForceEstimator`.
+    """
+
+    def __init__(self, model: LoadedModel, contact_threshold_n: float) -> None:
+        self.estimator = ForceEstimator(
+            model, background_frames=True, contact_threshold_n=contact_threshold_n
+        )
+        self._size = (model.config.width, model.config.height)
+        self._sequence: int | None = None
+        self._lost_packets = 0
+        self._bad_messages = 0
+        self._problem = ''
+        self._rate = RateMeter()
+        self._durations = RecentValues()
+
+    def packet(
+        self, sequence: int, encoding: str, time_base: int, size: tuple[int, int], data: array[int]
+    ) -> list[tuple[int, float]]:
+        """Take an event packet and return (window end [us], force [N]) of the windows it closes.
+
+        Args:
+            sequence: Number of the packet.
+            encoding: See `mixtac_events.codec`.
+            time_base: Sensor time [ns] of the packet.
+            size: Width and height of the sensor.
+            data: Payload.
+        """
+        started = time.perf_counter()
+        self._count_losses(sequence)
+        if size != self._size:
+            self._refuse(f'events of a {size} sensor: the model reads {self._size}')
+            return []
+        try:
+            packet = decode(data, encoding, time_base, width=size[0], height=size[1])
+            forces = self.estimator.push_events(packet.events, packet.complete_until)
+        except (CodecError, ImageError) as error:
+            self._refuse(str(error))
+            return []
+        if forces:
+            self._durations.add((time.perf_counter() - started) * 1e3 / len(forces))
+            self._rate.add(len(forces))
+        return forces
+
+    def image(
+        self,
+        data: array[int],
+        encoding: str,
+        size: tuple[int, int],
+        step: int,
+        big_endian: bool,
+        mid_us: int,
+    ) -> None:
+        """Take an image.
+
+        Args:
+            data: Rows of `step` bytes; not to be changed afterwards.
+            encoding: mono8 or mono16.
+            size: Width and height.
+            step: Bytes per row.
+            big_endian: Byte order of 16-bit pixels.
+            mid_us: Centre of the exposure, camera clock [us].
+        """
+        try:
+            width, height = size
+            image = pixels(data, encoding, height, width, step, big_endian=big_endian)
+            self.estimator.push_frame(image, mid_us)
+        except ImageError as error:
+            self._refuse(str(error))
+
+    def status(self) -> FeedStatus:
+        """Return the figures; the rate is that since the previous call."""
+        return FeedStatus(
+            estimator=self.estimator.status(),
+            rate_hz=self._rate.read(time.monotonic()),
+            step_p50_ms=self._durations.quantile(0.5),
+            step_p99_ms=self._durations.quantile(0.99),
+            lost_packets=self._lost_packets,
+            bad_messages=self._bad_messages,
+            problem=self._problem,
+        )
+
+    def close(self) -> None:
+        """End the estimator's thread."""
+        self.estimator.close()
+
+    def _count_losses(self, sequence: int) -> None:
+        if self._sequence is not None and sequence > self._sequence:
+            self._lost_packets += sequence - self._sequence - 1
+        self._sequence = sequence
+
+    def _refuse(self, problem: str) -> None:
+        self._bad_messages += 1
+        self._problem = problem

@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What the node does with message fields: losses, bad messages, and the status it reports."""
+
+from __future__ import annotations
+
+import time
+from array import array
+
+import numpy as np
+import pytest
+
+from mixtac_events.arrays import Events
+from mixtac_events.codec import encode
+from mixtac_fger.live_feed import LiveFeed
+from mixtac_fger.warm_up import warm_up
+
+SIZE = (346, 260)
+
+
+@pytest.fixture
+def feed(model, trial):
+    feed = LiveFeed(model, 0.15)
+    image = array('B', trial.frames[0].tobytes())
+    for index in range(5):
+        feed.image(image, 'mono16', SIZE, 692, False, index * 40_000)
+        while feed.estimator._worker._inbox.qsize():
+            time.sleep(0.001)
+    while not feed.estimator._worker._outbox.qsize():
+        time.sleep(0.001)
+    yield feed
+    feed.close()
+
+
+def packet(feed: LiveFeed, sequence: int, until_us: int) -> list[tuple[int, float]]:
+    events = Events(
+        np.arange(until_us - 900, until_us, 100, dtype=np.int64),
+        np.full(9, 5, np.uint16),
+        np.full(9, 5, np.uint16),
+        np.ones(9, np.bool_),
+    )
+    encoded = encode(events, complete_until=until_us)
+    data = array('B', encoded.payload.tobytes())
+    return feed.packet(sequence, encoded.encoding, encoded.time_base, SIZE, data)
+
+
+def test_packets_become_forces_and_losses_are_counted(feed):
+    forces = []
+    for sequence in (7, 8, 11, 12):
+        forces += packet(feed, sequence, 200_000 + 1000 * sequence)
+    assert [end for end, _ in forces] == [208_000, 210_000, 212_000]
+    status = feed.status()
+    assert status.lost_packets == 2
+    assert status.bad_messages == 0
+    assert 0 < status.step_p50_ms <= status.step_p99_ms
+
+
+def test_a_restarted_publisher_is_no_loss(feed):
+    for sequence in (1000, 0, 1):
+        packet(feed, sequence, 300_000 + sequence)
+    assert feed.status().lost_packets == 0
+
+
+@pytest.mark.parametrize(
+    ('encoding', 'size', 'data', 'text'),
+    [
+        ('evt3', SIZE, bytes(8), 'evt3'),
+        ('libcaer_cmp', (640, 480), bytes(8), '640'),
+        ('libcaer_cmp', SIZE, bytes(7), ''),
+    ],
+)
+def test_bad_packets_are_counted_and_explained(feed, encoding, size, data, text):
+    assert feed.packet(1, encoding, 0, size, array('B', data)) == []
+    assert feed.status().bad_messages == 1
+    assert text in feed.status().problem
+    assert packet(feed, 2, 203_000) == []
+    assert packet(feed, 3, 204_000)
+
+
+def test_bad_images_are_counted_and_explained(feed):
+    feed.image(array('B', bytes(12)), 'rgb8', (2, 2), 6, False, 0)
+    assert 'rgb8' in feed.status().problem
+    feed.image(array('B', bytes(12)), 'mono8', (4, 3), 4, False, 0)
+    while not feed.status().estimator.bad_frames:
+        time.sleep(0.001)
+    assert feed.status().bad_messages == 1
+    assert packet(feed, 1, 205_000) == []
+    assert packet(feed, 2, 206_500)
+
+
+def test_warming_up_leaves_the_model_alone(model):
+    before = {name: tensor.clone() for name, tensor in model.network.state_dict().items()}
+    warm_up(model)
+    assert all(bool((before[k] == v).all()) for k, v in model.network.state_dict().items())

@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the DVS pixels and the spread between pixels of one chip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mixtac_sim.array_geometry import PADDED, PIXELS
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.random_streams import stream
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class PixelSettings:
+    """What the biases set, the same for all pixels of a nominal chip.
+
+    Attributes:
+        threshold_on: Rise of log-e intensity per ON event; 0.18 to 0.42 for DAVIS346 biases.
+        threshold_off: Fall per OFF event; up to 1.6 times the other way or this.
+        source_follower_hz: Corner that caps the pixel's bandwidth [Hz]; 100 to 1000.
+        hz_per_lux: Photoreceptor corner per illuminance of the chip [Hz/lx]; 1.6 to 4.
+        refractory_us: Blind time after an event [us]; 3 to 500.
+        leak_hz: Rate of ON events from junction leak [Hz]; about 0.1.
+        leak_hz_per_lux: Rate of ON events from parasitic light [Hz/lx].
+        shot_hz: Rate of noise events in the dark [Hz], both polarities together.
+        shot_lux: Illuminance that halves the noise [lx].
+    """
+
+    threshold_on: float = 0.25
+    threshold_off: float = 0.31
+    source_follower_hz: float = 590.0
+    hz_per_lux: float = 2.5
+    refractory_us: float = 100.0
+    leak_hz: float = 0.08
+    leak_hz_per_lux: float = 0.001
+    shot_hz: float = 1.0
+    shot_lux: float = 4.0
+
+    def __post_init__(self) -> None:
+        """Refuse values without meaning.
+
+        Raises:
+            SimulationError: A threshold or corner that is not positive, or a negative rate.
+        """
+        positive = (
+            self.threshold_on,
+            self.threshold_off,
+            self.source_follower_hz,
+            self.hz_per_lux,
+            self.shot_lux,
+        )
+        rates = (self.refractory_us, self.leak_hz, self.leak_hz_per_lux, self.shot_hz)
+        if min(positive) <= 0.0 or min(rates) < 0.0:
+            msg = f'{self}: thresholds, corners and shot_lux must be > 0, times and rates >= 0'
+            raise SimulationError(msg)
+
+
+class PixelSpread(NamedTuple):
+    """How the pixels of one chip differ; factors over padded pixels, float32.
+
+    Attributes:
+        on: ON threshold over nominal.
+        off: OFF threshold over nominal.
+        leak: Leak over nominal.
+        hot_pixel: Numbers of the hot pixels [n], int64.
+        hot_hz: Their rates [n] [Hz].
+    """
+
+    on: NDArray[np.float32]
+    off: NDArray[np.float32]
+    leak: NDArray[np.float32]
+    hot_pixel: NDArray[np.int64]
+    hot_hz: NDArray[np.float64]
+
+
+def draw_spread(device_seed: int, mismatch: float) -> PixelSpread:
+    """Return the spread of a chip.
+
+    Args:
+        device_seed: Seed of the device.
+        mismatch: Standard deviation of a threshold over its nominal value; 0.1 to 0.2 (v2e: 0.03
+            of 0.2).
+    """
+    rng = stream(device_seed, 'pixels')
+    on = np.maximum(rng.normal(1.0, mismatch, PADDED), 0.3)
+    off = np.maximum(rng.normal(1.0, mismatch, PADDED), 0.3)
+    leak = 10.0 ** rng.normal(0.0, 0.1, PADDED)  # decades, as in v2e
+    hot = rng.choice(PIXELS, size=int(rng.integers(10, 120)), replace=False)
+    rates = 10.0 ** rng.uniform(0.7, 2.3, size=len(hot))  # 5 to 200 Hz (estimate)
+    on[PIXELS:] = off[PIXELS:] = 1e6  # what pads the last tile never fires
+    return PixelSpread(
+        on.astype(np.float32), off.astype(np.float32), leak.astype(np.float32), hot, rates
+    )

@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What the array sees besides beads: light and its falloff, the black skin, the steel mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mixtac_sim.array_geometry import HEIGHT, PADDED, PIXELS, WIDTH
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_sim.optics import Lens
+
+MESH_PITCH_MM = 1.08
+"""Aperture 0.9 mm and wire 0.18 mm (paper, section 3.1)."""
+MESH_WIRE_MM = 0.18
+"""Thickness of the wires [mm] (paper)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lighting:
+    """Light and reflectances of a device (all estimates).
+
+    Attributes:
+        lux: Illuminance of the array under a white scene on the axis [lx].
+        tilt: Relative change of the light per 10 mm to the right and downwards.
+        bowl: Relative change of the light at 10 mm from the axis.
+        skin: Reflectance of the black skin.
+        bead: Reflectance of a fully opaque bead.
+        wire: Reflectance of the mesh.
+        glare: Veiling glare as a reflectance.
+        mesh_angle: Rotation of the mesh [rad].
+        mesh_shift_mm: Shift of the mesh [mm].
+        corner_px: Distance from the axis [px] where the lens's image circle begins to end.
+    """
+
+    lux: float
+    tilt: tuple[float, float]
+    bowl: float
+    skin: float
+    bead: float
+    wire: float
+    glare: float
+    mesh_angle: float
+    mesh_shift_mm: tuple[float, float]
+    corner_px: float
+
+
+class Scene(NamedTuple):
+    """Light on the array as floor + gain * cover, with cover = 0 (no bead) to 1 (all bead).
+
+    Attributes:
+        floor: Illuminance without beads [padded pixels] [lx], float32.
+        gain: Change from no bead to bead [padded pixels] [lx], float32.
+    """
+
+    floor: NDArray[np.float32]
+    gain: NDArray[np.float32]
+
+
+def build_scene(lens: Lens, lighting: Lighting) -> Scene:
+    """Return the light on the array for a device at rest.
+
+    The mesh lies on the camera's side of the beads and hides them; it is drawn at rest, although
+    it sags by a tenth of a millimetre under 1 N.
+    """
+    slope_x, slope_y = lens.pixel_slopes()
+    light = _light(lens, lighting, slope_x, slope_y)
+    open_share = _open_share(lens, lighting, slope_x, slope_y)
+    wires = lighting.wire * (1.0 - open_share)
+    floor = light * (open_share * lighting.skin + wires) + lighting.lux * lighting.glare
+    gain = light * open_share * (lighting.bead - lighting.skin)
+    return Scene(_padded(floor), _padded(gain))
+
+
+def _padded(image: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return an image as a flat array of whole tiles, repeated beyond its end."""
+    flat = np.empty(PADDED, np.float32)
+    flat[:PIXELS] = image.ravel()
+    flat[PIXELS:] = flat[PIXELS - 1]
+    return flat
+
+
+def _light(
+    lens: Lens, lighting: Lighting, slope_x: NDArray[np.float64], slope_y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the light of a white scene [lx]: LEDs, cos^4 and the end of the image circle."""
+    square = slope_x**2 + slope_y**2
+    reach = 0.1 * float(lens.distance_mm(0.0))
+    lamps = 1.0 + lighting.bowl * reach**2 * square
+    lamps += reach * (lighting.tilt[0] * slope_x + lighting.tilt[1] * slope_y)
+    rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
+    off_axis = np.hypot(columns - lens.centre_px[0], rows - lens.centre_px[1])
+    circle = 1.0 / (1.0 + np.exp((off_axis - lighting.corner_px) / 9.0))
+    return np.asarray(lighting.lux * np.maximum(lamps, 0.1) / (1.0 + square) ** 2 * circle)
+
+
+def _open_share(
+    lens: Lens, lighting: Lighting, slope_x: NDArray[np.float64], slope_y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the share of each pixel's view that the mesh leaves open."""
+    distance = float(lens.distance_mm(lens.thickness_mm))
+    blur = float(np.hypot(lens.softness_px, lens.blur_px(lens.thickness_mm)))
+    blur_mm = blur * distance / lens.image_distance_px
+    cos, sin = np.cos(lighting.mesh_angle), np.sin(lighting.mesh_angle)
+    x = distance * (cos * slope_x + sin * slope_y) + lighting.mesh_shift_mm[0]
+    y = distance * (cos * slope_y - sin * slope_x) + lighting.mesh_shift_mm[1]
+    return (1.0 - _wire_cover(x, blur_mm)) * (1.0 - _wire_cover(y, blur_mm))
+
+
+def _wire_cover(place_mm: NDArray[np.float64], blur_mm: float) -> NDArray[np.float64]:
+    """Return how much of a blur disc is covered by the nearest of a set of parallel wires."""
+    off = np.abs((place_mm + 0.5 * MESH_PITCH_MM) % MESH_PITCH_MM - 0.5 * MESH_PITCH_MM)
+    far = np.minimum(off + 0.5 * blur_mm, 0.5 * MESH_WIRE_MM)
+    near = np.maximum(off - 0.5 * blur_mm, -0.5 * MESH_WIRE_MM)
+    return np.clip((far - near) / blur_mm, 0.0, 1.0)

@@ -1,0 +1,257 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The virtual sensor in real time: simulation, virtual camera and reference force side by side.
+
+The simulation runs a little ahead of the clock, because a frame must be known before its readout
+begins; the camera, the truth and the reference hand everything over when its time has come.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from threading import Event, Lock, Thread
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
+    from mixtac_sim.inertial_unit import InertialUnit
+    from mixtac_sim.live_profile import LiveProfile
+    from mixtac_sim.segments import Profile
+    from mixtac_sim.simulation_clock import SimulationClock
+    from mixtac_sim.usb.aps_words import Frame
+    from mixtac_sim.usb.device import VirtualDavis346
+
+PERIOD_S: Final = 0.001
+_CHUNK_US: Final = 4000
+# A frame's readout takes a few milliseconds before and after its exposure.
+_READOUT_US: Final = 25_000
+_MAX_BEHIND_US: Final = 250_000
+_MAX_BATCHES: Final = 2048
+
+
+class Output(Protocol):
+    """What the simulation returns for a span of time (see `mixtac_sim.sensor.SensorOutput`)."""
+
+    @property
+    def events(self) -> Events: ...  # noqa: D102
+    @property
+    def frames(self) -> Sequence[Frame]: ...  # noqa: D102
+    @property
+    def truth(self) -> NDArray[Any]: ...  # noqa: D102
+
+
+class Simulation(Protocol):
+    """What is needed of `mixtac_sim.sensor.TactileSensor`."""
+
+    def advance(self, until_us: int) -> Output:
+        """Simulate up to a time [us]."""
+
+    def set_aps(self, exposure_us: int, interval_us: int) -> None:
+        """Change exposure and frame interval [us] of the frames to come."""
+
+
+class Reference(Protocol):
+    """What is needed of `mixtac_sim.reference.ReferenceSensor`."""
+
+    def process(
+        self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Measure a wrench; return sample times and values."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrenchBatch:
+    """A few wrench samples.
+
+    Attributes:
+        stamp_ns: int64 times [ns]: host time for the truth, the reference's clock for its samples;
+            both count from the Unix epoch.
+        wrench: float64 ``[n, 6]``, forces [N] and torques [N m].
+    """
+
+    stamp_ns: NDArray[np.int64]
+    wrench: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorState:
+    """Figures for diagnostics.
+
+    Attributes:
+        simulated_us: How far the simulation is [us, simulated time].
+        overruns: How often the host could not keep up and time stood still.
+        lost_us: How long it stood still altogether [us].
+        playing: Whether a scenario is under way.
+        streaming: Whether a host reads the camera.
+        batches_dropped: Batches of truth or reference that nobody fetched.
+    """
+
+    simulated_us: int
+    overruns: int
+    lost_us: int
+    playing: bool
+    streaming: bool
+    batches_dropped: int
+
+
+class VirtualSensor:
+    """Runs the parts in one thread of its own.
+
+    Args:
+        simulation: The tactile sensor, made with ``profile``.
+        profile: What touches it.
+        device: The camera, made with ``clock.now_us``.
+        reference: The reference force sensor.
+        inertial: The camera's inertial unit.
+        clock: Simulated time.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        profile: LiveProfile,
+        device: VirtualDavis346,
+        reference: Reference,
+        inertial: InertialUnit,
+        clock: SimulationClock,
+    ) -> None:
+        self._simulation = simulation
+        self._profile = profile
+        self.device = device
+        self._reference = reference
+        self._inertial = inertial
+        self._clock = clock
+        self._simulated_us = 0
+        self._overruns = 0
+        self._aps = (0, 0)
+        self._pending: deque[NDArray[Any]] = deque()
+        self._lock = Lock()
+        self._truth: deque[WrenchBatch] = deque()
+        self._references: deque[WrenchBatch] = deque()
+        self._dropped = 0
+        self._stop = Event()
+        self._thread: Thread | None = None
+
+    def start(self) -> None:
+        """Prepare the first moments (which compiles), then let time run in a thread."""
+        self.step()
+        self._clock.start()
+        self._thread = Thread(target=self._run, name='virtual-sensor', daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop time and unplug the camera."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(5.0)
+        self.device.unplug()
+
+    def play(self, scenario: Profile) -> int:
+        """Play a scenario as soon as possible; it replaces one that is playing.
+
+        Returns:
+            When it starts [us, simulated time].
+        """
+        start_us = self._simulated_us + 2 * _CHUNK_US
+        self._profile.play(scenario, start_us)
+        return start_us
+
+    def take_truth(self) -> list[WrenchBatch]:
+        """Return the true wrench at 1 kHz since the last call, stamped in host time."""
+        return self._take(self._truth)
+
+    def take_reference(self) -> list[WrenchBatch]:
+        """Return what the reference sensor measured since the last call, stamped by itself."""
+        return self._take(self._references)
+
+    def state(self) -> SensorState:
+        """Return figures for diagnostics."""
+        end_us = self._profile.end_us()
+        return SensorState(
+            simulated_us=self._simulated_us,
+            overruns=self._overruns,
+            lost_us=self._clock.lost_us,
+            playing=end_us is not None and self._clock.now_us() < end_us,
+            streaming=self.device.streaming,
+            batches_dropped=self._dropped,
+        )
+
+    def step(self) -> None:
+        """Bring simulation, camera, truth and reference up to now."""
+        self._follow_registers()
+        lead_us = self._aps[0] + _READOUT_US
+        while True:
+            now_us = self._clock.now_us()
+            behind_us = now_us - self._simulated_us
+            if behind_us > _MAX_BEHIND_US:
+                self._clock.lose(behind_us)
+                self._overruns += 1
+                continue
+            due_us = min(now_us, self._simulated_us)
+            self.device.advance(due_us)
+            self._release(due_us)
+            if self._simulated_us >= now_us + lead_us:
+                return
+            self._simulate()
+
+    def _run(self) -> None:
+        deadline = time.monotonic()
+        while not self._stop.is_set():
+            self.step()
+            deadline = max(deadline + PERIOD_S, time.monotonic())
+            self._stop.wait(deadline - time.monotonic())
+
+    def _follow_registers(self) -> None:
+        wanted = (self.device.exposure_us, self.device.frame_interval_us)
+        if wanted != self._aps:
+            self._aps = wanted
+            self._simulation.set_aps(*wanted)
+
+    def _simulate(self) -> None:
+        self._simulated_us += _CHUNK_US
+        out = self._simulation.advance(self._simulated_us)
+        readings = self._inertial.readings(self._simulated_us, self.device.imu_interval_us)
+        self.device.submit(out.events, out.frames, readings)
+        if len(out.truth):
+            self._pending.append(out.truth)
+
+    def _release(self, until_us: int) -> None:
+        """Hand over the truth, and what the reference makes of it, up to a time."""
+        while self._pending and self._pending[0]['t_us'][0] < until_us:
+            truth = self._pending.popleft()
+            due = int(np.searchsorted(truth['t_us'], until_us))
+            if due < len(truth):
+                self._pending.appendleft(truth[due:])
+            self._hand_over(truth[:due])
+
+    def _hand_over(self, truth: NDArray[Any]) -> None:
+        t_us = truth['t_us'].astype(np.int64)
+        wrench = np.zeros((len(truth), 6))
+        for column, name in enumerate(('fx', 'fy', 'fz')):
+            wrench[:, column] = truth[name]
+        self._put(self._truth, WrenchBatch(self._clock.to_epoch_ns(t_us), wrench))
+        sample_ns, measured = self._reference.process(t_us, wrench)
+        if len(sample_ns):
+            epoch_ns = self._clock.to_epoch_ns(np.zeros(1, np.int64))[0]
+            self._put(self._references, WrenchBatch(sample_ns + epoch_ns, measured))
+
+    def _put(self, queue: deque[WrenchBatch], batch: WrenchBatch) -> None:
+        with self._lock:
+            queue.append(batch)
+            if len(queue) > _MAX_BATCHES:
+                queue.popleft()
+                self._dropped += 1
+
+    def _take(self, queue: deque[WrenchBatch]) -> list[WrenchBatch]:
+        with self._lock:
+            batches = list(queue)
+            queue.clear()
+        return batches

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The virtual sensor as a node: camera on a socket, reference force and truth on topics."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Any, Final
+
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from mixtac_events.errors import MixtacError
+from mixtac_node.base_node import QOS_FORCE, declare, ns_to_stamp, run
+from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from mixtac_sim.profiles import make_profile
+from mixtac_sim.usb.server import UsbServer
+from mixtac_sim.usb.wire import default_socket_path
+from mixtac_sim.virtual_sensor_factory import make_virtual_sensor
+from mixtac_sim.virtual_sensor_parameters import VirtualSensorParameters
+
+if TYPE_CHECKING:
+    from mixtac_sim.virtual_sensor import WrenchBatch
+
+# Samples go out in small batches, as real force sensors' drivers do: it saves wake-ups.
+PUBLISH_PERIOD_S: Final = 0.004
+
+
+class VirtualSensorNode(Node):  # type: ignore[misc]
+    """Runs a virtual sensor, serves its camera and publishes what a bench would measure.
+
+    Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time), both best
+    effort. Service ``~/play`` plays the scenario.
+
+    Raises:
+        MixtacError: A parameter is not allowed, or the socket is taken.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('virtual_sensor', namespace='mixtac')
+        self._parameters = declare(self, VirtualSensorParameters, self._change)
+        self._plays = 0
+        self._stop = Event()
+        self._sensor = make_virtual_sensor(
+            device_seed=self._parameters.device_seed,
+            seed=self._parameters.seed,
+            skew_ppm=self._parameters.skew_ppm,
+        )
+        self._scenario(self._parameters)
+        path = self._parameters.socket or default_socket_path()
+        self._server = UsbServer(self._sensor.device, path)
+        self._reference = self.create_publisher(
+            WrenchStamped, self._parameters.reference_topic, QOS_FORCE
+        )
+        self._truth = self.create_publisher(WrenchStamped, 'truth/wrench', QOS_FORCE)
+        self._service = self.create_service(Trigger, '~/play', self._on_play)
+        self._diagnostics = DiagnosticsPublisher(self, self._sensor.device.serial, self._status)
+        self._sensor.start()
+        self._thread = Thread(target=self._publish_all, name='publish', daemon=True)
+        self._thread.start()
+        self.get_logger().info(
+            f'virtual sensor {self._sensor.device.serial} on {path}; device:=virtual reads it'
+        )
+
+    def close(self) -> None:
+        """End threads, remove the socket."""
+        self._stop.set()
+        self._thread.join(5.0)
+        self._sensor.close()
+        self._server.close()
+
+    def _scenario(self, parameters: VirtualSensorParameters) -> Any:  # noqa: ANN401
+        # Every repetition is another trial, as it would be on a bench.
+        seed = parameters.seed + self._plays
+        return make_profile(parameters.scenario, seed, parameters.seconds)
+
+    def _change(self, parameters: VirtualSensorParameters) -> None:
+        self._scenario(parameters)
+        self._parameters = dataclasses.replace(parameters)
+
+    def _play(self) -> None:
+        self._sensor.play(self._scenario(self._parameters))
+        self._plays += 1
+
+    def _on_play(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            self._play()
+        except MixtacError as error:
+            response.success, response.message = False, str(error)
+        else:
+            seconds, name = self._parameters.seconds, self._parameters.scenario
+            response.success, response.message = True, f'playing {name} for {seconds} s'
+        return response
+
+    def _publish_all(self) -> None:
+        while not self._stop.wait(PUBLISH_PERIOD_S):
+            for batch in self._sensor.take_reference():
+                _publish(self._reference, batch, self._parameters.reference_frame_id)
+            for batch in self._sensor.take_truth():
+                _publish(self._truth, batch, self._parameters.truth_frame_id)
+            self._play_by_itself()
+
+    def _play_by_itself(self) -> None:
+        state = self._sensor.state()
+        first = self._parameters.play_on_start and not self._plays and state.streaming
+        again = self._parameters.loop and self._plays and not state.playing
+        if first or again:
+            self._play()
+
+    def _status(self) -> Status:
+        state = self._sensor.state()
+        losses = self._sensor.device.losses
+        lossless = not any(losses.values()) and not state.overruns
+        doing = f'playing {self._parameters.scenario}' if state.playing else 'idle'
+        host = 'camera read by a host' if state.streaming else 'camera not read'
+        return Status(
+            OK if lossless else WARN,
+            f'SIMULATED sensor, {doing}, {host}'
+            + ('' if lossless else '; this machine did not keep up, see the figures'),
+            {
+                'simulated': True,
+                'scenario': self._parameters.scenario,
+                'plays': self._plays,
+                'socket': self._server.path,
+                **dataclasses.asdict(state),
+                **losses,
+            },
+        )
+
+
+def _publish(publisher: Any, batch: WrenchBatch, frame_id: str) -> None:  # noqa: ANN401
+    message = WrenchStamped()
+    message.header.frame_id = frame_id
+    force, torque = message.wrench.force, message.wrench.torque
+    for stamp_ns, wrench in zip(batch.stamp_ns.tolist(), batch.wrench.tolist(), strict=True):
+        message.header.stamp = ns_to_stamp(stamp_ns)
+        force.x, force.y, force.z, torque.x, torque.y, torque.z = wrench
+        publisher.publish(message)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(VirtualSensorNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,234 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The real-time loop, on a clock of the test's own and a simulation that is known exactly."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from mixtac_events.arrays import Events
+from mixtac_sim.contact import Mode
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.indenter import Indenter
+from mixtac_sim.inertial_unit import InertialUnit
+from mixtac_sim.live_profile import LiveProfile
+from mixtac_sim.segments import Profile, Segment
+from mixtac_sim.simulation_clock import SimulationClock
+from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.errors import UsbTimeout
+from mixtac_sim.virtual_sensor import VirtualSensor
+
+TRUTH = np.dtype(
+    [('t_us', '<i8'), ('fx', '<f8'), ('fy', '<f8'), ('fz', '<f8'), ('depth_mm', '<f8')]
+)
+EPOCH_NS = 1_700_000_000_000_000_000
+
+
+@dataclass
+class Out:
+    """What the simulation returns."""
+
+    events: Events
+    frames: list
+    truth: np.ndarray
+
+
+class OneEventPerMillisecond:
+    """Counts time; its force is its time in seconds."""
+
+    def __init__(self):
+        self.until = 0
+        self.aps = []
+        self.steps = []
+
+    def set_aps(self, exposure_us, interval_us):
+        self.aps.append((exposure_us, interval_us))
+
+    def advance(self, until_us):
+        assert until_us > self.until
+        t = np.arange(-(-self.until // 1000) * 1000, until_us, 1000, dtype=np.int64)
+        self.steps.append(until_us - self.until)
+        self.until = until_us
+        ones = np.ones(len(t), np.uint16)
+        truth = np.zeros(len(t), TRUTH)
+        truth['t_us'] = t
+        truth['fz'] = t * 1e-6
+        return Out(Events(t, ones, ones, ones.astype(bool)), [], truth)
+
+
+class Echo:
+    """A reference that returns what it is given, a day late."""
+
+    def process(self, t_us, wrench):
+        return t_us * 1000 + 86_400_000_000_000, wrench
+
+
+class Host:
+    """A monotonic clock that the test turns."""
+
+    def __init__(self):
+        self.ns = 5_000
+
+    def __call__(self):
+        return self.ns
+
+
+@pytest.fixture
+def host():
+    return Host()
+
+
+@pytest.fixture
+def simulation():
+    return OneEventPerMillisecond()
+
+
+@pytest.fixture
+def clock(host):
+    return SimulationClock(host, lambda: EPOCH_NS)
+
+
+@pytest.fixture
+def sensor(simulation, clock):
+    device = VirtualDavis346('V0000001', clock=clock.now_us)
+    for module, param in ((0, 3), (9, 0), (0, 1), (0, 0), (1, 3), (2, 4), (3, 2)):
+        device.control(0x40, 0xBF, module, param, struct.pack('>I', 1))
+    device.control(0x40, 0xBF, 9, 1, struct.pack('>I', 0))
+    sensor = VirtualSensor(simulation, LiveProfile(), device, Echo(), InertialUnit(1), clock)
+    sensor.step()
+    clock.start()
+    return sensor
+
+
+def words(device):
+    try:
+        return np.frombuffer(device.read_bulk(0x82, 1 << 22, 0.0), '<u2')
+    except UsbTimeout:
+        return np.empty(0, np.uint16)
+
+
+def run_for(sensor, host, seconds, period=0.001):
+    for _ in range(round(seconds / period)):
+        host.ns += round(period * 1e9)
+        sensor.step()
+
+
+def test_everything_goes_out_when_its_time_has_come(sensor, simulation, host):
+    assert len(words(sensor.device)) == 0
+    assert sensor.take_truth() == []
+    run_for(sensor, host, 0.5)
+    data = words(sensor.device)
+    # ON events are words 0x3..., inertial samples start with special 5.
+    assert np.count_nonzero(data >> 12 == 3) == 500
+    assert np.count_nonzero(data == 5) == 500
+    # The simulation is ahead by exposure and readout, not by more than a chunk beyond.
+    assert 500_000 + 25_000 <= simulation.until <= 500_000 + 4000 + 25_000 + 4000
+    truth = sensor.take_truth()
+    stamps = np.concatenate([batch.stamp_ns for batch in truth])
+    np.testing.assert_array_equal(stamps, EPOCH_NS + np.arange(500) * 1_000_000)
+    force = np.concatenate([batch.wrench for batch in truth])
+    np.testing.assert_allclose(force[:, 2], np.arange(500) * 1e-3)
+    reference = np.concatenate([batch.stamp_ns for batch in sensor.take_reference()])
+    np.testing.assert_array_equal(reference, stamps + 86_400_000_000_000)
+    assert sensor.take_truth() == []
+
+
+def test_a_short_stall_is_caught_up_and_a_long_one_counted(sensor, host):
+    run_for(sensor, host, 0.1)
+    words(sensor.device)
+    run_for(sensor, host, 0.2, period=0.2)
+    assert sensor.state().overruns == 0
+    assert np.count_nonzero(words(sensor.device) >> 12 == 3) == 200
+    run_for(sensor, host, 5.0, period=5.0)
+    state = sensor.state()
+    assert state.overruns == 1
+    assert 4_500_000 < state.lost_us < 5_000_000
+    # Time goes on where it stood, and host stamps take the loss into account.
+    sensor.take_truth()
+    run_for(sensor, host, 0.1)
+    stamps = np.concatenate([batch.stamp_ns for batch in sensor.take_truth()])
+    np.testing.assert_array_equal(np.diff(stamps), 1_000_000)
+    assert 5_300_000_000 <= stamps[0] - EPOCH_NS <= 5_301_000_000
+
+
+def test_exposure_and_interval_follow_the_registers(sensor, simulation, host):
+    assert simulation.aps == [(4000, 40_000)]
+    sensor.device.control(0x40, 0xBF, 2, 12, struct.pack('>I', 302_400))
+    run_for(sensor, host, 0.002)
+    assert simulation.aps[1:] == [(10_000, 40_000)]
+
+
+def test_unfetched_batches_are_bounded_and_counted(sensor, host):
+    run_for(sensor, host, 3.0)
+    truth = sensor.take_truth()
+    assert len(truth) == 2048
+    assert sensor.state().batches_dropped > 0
+    last = truth[-1].stamp_ns[-1]
+    assert last == EPOCH_NS + 2_999_000_000
+
+
+def press(name='press', tool=None):
+    segment = Segment(0.0, 0.5, Mode.FORCE, (0.0, 0.25), (0.0, 1.0), **(tool or {}))
+    return Profile(name, 1.0, (segment,))
+
+
+def test_live_profile_plays_from_any_step_in_any_cut():
+    live, scenario = LiveProfile(), press()
+    live.play(scenario, 10_060)
+    start = 81
+    whole = [live.commands(0, 9000)]
+    parts = [live.commands(first, 100) for first in range(0, 9000, 100)]
+    modes, targets, _ = (np.concatenate(column) for column in zip(*parts, strict=True))
+    np.testing.assert_array_equal(modes, whole[0][0])
+    np.testing.assert_allclose(targets, whole[0][1])
+    expected = scenario.commands(0, 9000 - start)
+    np.testing.assert_array_equal(modes[start:], expected[0])
+    np.testing.assert_allclose(targets[start:], expected[1])
+    assert not modes[:start].any()
+    assert live.end_us() == start * 125 + 1_000_000
+
+
+def test_live_profile_refuses_tools_the_sensor_does_not_know():
+    with pytest.raises(SimulationError, match='30'):
+        LiveProfile().play(press(tool={'indenter': Indenter('sphere', 30.0)}), 0)
+
+
+def test_playing_ends_with_the_scenario(sensor, host):
+    assert not sensor.state().playing
+    start_us = sensor.play(press())
+    assert start_us >= sensor.state().simulated_us
+    run_for(sensor, host, 0.5)
+    assert sensor.state().playing
+    run_for(sensor, host, 0.6)
+    assert not sensor.state().playing
+
+
+def test_inertial_unit_keeps_its_rate_through_any_cut():
+    unit = InertialUnit(3)
+    cuts = np.cumsum(np.random.default_rng(1).integers(100, 9000, 50))
+    readings = [reading for cut in cuts for reading in unit.readings(int(cut), 2000)]
+    times = [reading.t_us for reading in readings]
+    assert times == list(range(0, int(cuts[-1]), 2000))
+    assert np.mean([r.acceleration_g[2] for r in readings]) == pytest.approx(1.0, abs=0.1)
+    unit.readings(int(cuts[-1]) + 500_000, 0)
+    late = unit.readings(int(cuts[-1]) + 504_000, 2000)
+    assert [r.t_us for r in late] == [int(cuts[-1]) + 500_000, int(cuts[-1]) + 502_000]
+
+
+def test_threaded_loop_starts_and_closes():
+    clock = SimulationClock()
+    device = VirtualDavis346('V0000001', clock=clock.now_us)
+    simulation = OneEventPerMillisecond()
+    sensor = VirtualSensor(simulation, LiveProfile(), device, Echo(), InertialUnit(1), clock)
+    sensor.start()
+    batches = []
+    while len(batches) < 5:
+        batches += sensor.take_truth()
+    sensor.close()
+    until = simulation.until
+    assert sensor.state().simulated_us == until
+    assert batches[0].wrench.shape[1] == 6

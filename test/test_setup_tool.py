@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The set-up's decisions and refusals; its steps are exercised by every run of the tests."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def tool():
+    """Return the set-up tool as a module."""
+    spec = importlib.util.spec_from_file_location('mixtac_setup', ROOT / 'tools' / 'setup.py')
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_wheels_without_a_ros_installation(tool, monkeypatch):
+    monkeypatch.delenv('ROS_DISTRO', raising=False)
+    assert tool.full_ros() == ''
+
+
+def test_a_sourced_installation_is_used(tool, monkeypatch):
+    monkeypatch.setenv('ROS_DISTRO', 'jazzy')
+    monkeypatch.setenv('AMENT_PREFIX_PATH', '/opt/ros/jazzy')
+    assert tool.full_ros() == 'jazzy'
+
+
+def test_the_own_workspace_is_no_installation(tool, monkeypatch):
+    monkeypatch.setenv('ROS_DISTRO', 'jazzy')
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(ROOT / '.venv'))
+    assert tool.full_ros() == ''
+
+
+def test_an_old_installation_is_refused(tool, monkeypatch):
+    monkeypatch.setenv('ROS_DISTRO', 'foxy')
+    monkeypatch.setenv('AMENT_PREFIX_PATH', '/opt/ros/foxy')
+    with pytest.raises(tool.SetupError, match='foxy'):
+        tool.full_ros()
+
+
+@pytest.mark.parametrize('version', [(3, 9, 1), (3, 14, 0), (2, 7, 18)])
+def test_a_python_without_wheels_is_refused(tool, monkeypatch, version):
+    monkeypatch.setattr(tool.sys, 'version_info', version)
+    with pytest.raises(tool.SetupError, match='not supported'):
+        tool.check_python()
+
+
+def test_a_missing_compiler_names_its_package(tool, monkeypatch):
+    monkeypatch.setattr(tool.shutil, 'which', lambda _name: None)
+    with pytest.raises(tool.SetupError, match='build-essential cmake'):
+        tool.check_system()
+
+
+def test_an_unreachable_registry_is_named(tool, monkeypatch, tmp_path):
+    monkeypatch.setattr(tool, 'ROOT', tmp_path)
+    with pytest.raises(tool.SetupError, match='registry') as caught:
+        tool.call(['sh', '-c', 'echo refused; exit 1'], 'is a package registry reachable?')
+    assert 'refused' in str(caught.value)
+
+
+def test_steps_are_remembered_and_changed_inputs_run_again(tool, tmp_path):
+    steps = tool.Steps(tmp_path / 'record.json')
+    assert not steps.is_done('install', 'a')
+    steps.finish('install', 'a')
+    again = tool.Steps(tmp_path / 'record.json')
+    assert again.is_done('install', 'a')
+    assert not again.is_done('install', 'b')
+
+
+def test_a_damaged_record_starts_over(tool, tmp_path):
+    record = tmp_path / 'record.json'
+    record.write_text('{"install": ')
+    assert not tool.Steps(record).is_done('install', 'a')
+
+
+def test_stale_paths_of_the_wheels_are_repaired(tool, tmp_path, monkeypatch):
+    monkeypatch.setattr(tool, 'ROOT', tmp_path)
+    (tmp_path / 'requirements').mkdir()
+    (tmp_path / 'requirements' / 'ros-jazzy-wheels.txt').write_text('x\n')
+    venv = tmp_path / '.venv'
+    site = venv / 'lib' / 'python3.11' / 'site-packages'
+    site.mkdir(parents=True)
+    share = venv / 'share' / 'msgs' / 'cmake'
+    share.mkdir(parents=True)
+    version = f'{tool.sys.version_info[0]}{tool.sys.version_info[1]}'
+    dotted = f'{tool.sys.version_info[0]}.{tool.sys.version_info[1]}'
+    base = f'/opt/python/cp{version}-cp{version}'
+    export = share / 'export.cmake'
+    export.write_text(f'a {base}/include/python{dotted} b {base}/lib/python{dotted}/site-packages')
+    tool.repair_wheels(venv, tool.Steps(venv / 'record.json'))
+    assert '/opt/python' not in export.read_text()
+    assert str(site) in export.read_text()
