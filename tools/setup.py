@@ -274,6 +274,20 @@ def build(venv: Path, steps: Steps, distro: str) -> None:
     steps.finish('build', wanted)
 
 
+def forget_kernels(steps: Steps) -> None:
+    """Remove compiled kernels when any source changed.
+
+    numba looks only at the file of a kernel, not at those of the kernels it calls.
+    """
+    wanted = fingerprint([p for p in (ROOT / 'src').rglob('*.py') if 'test' not in p.parts])
+    if steps.is_done('kernels', wanted):
+        return
+    for kind in ('*.nbi', '*.nbc'):
+        for path in (ROOT / 'src').rglob(kind):
+            path.unlink()
+    steps.finish('kernels', wanted)
+
+
 def set_up(*, dev: bool) -> None:
     """Do every step that is due."""
     check_python()
@@ -292,6 +306,7 @@ def set_up(*, dev: bool) -> None:
     if not distro:
         repair_wheels(venv, steps)
     build(venv, steps, distro)
+    forget_kernels(steps)
     if time.monotonic() - started > 5:
         say(f'ready in {time.monotonic() - started:.0f} s')
 

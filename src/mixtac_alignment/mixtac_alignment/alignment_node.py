@@ -32,8 +32,8 @@ class AlignmentNode(Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__('alignment', namespace='mixtac')
-        self._parameters = declare(self, AlignmentParameters, self._apply)
-        p = self._parameters
+        self._settings = declare(self, AlignmentParameters, self._apply)
+        p = self._settings
         self._rate = EventRateHistory(p.history)
         self._force = ForceHistory(p.history, round(p.history * p.reference_rate))
         self._fit: ClockFit | None = None
@@ -47,7 +47,7 @@ class AlignmentNode(Node):  # type: ignore[misc]
         self._diagnostics = DiagnosticsPublisher(self, 'alignment', self._status)
 
     def _apply(self, parameters: AlignmentParameters) -> None:
-        self._parameters = parameters
+        self._settings = parameters
 
     def _on_events(self, message: EventPacket) -> None:
         try:
@@ -69,7 +69,7 @@ class AlignmentNode(Node):  # type: ignore[misc]
         self._force.push(stamp_to_ns(message.header.stamp), (force.x, force.y, force.z))
 
     def _on_fit(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        p = self._parameters
+        p = self._settings
         try:
             counts = self._rate.snapshot()
             t_s, force = self._force.snapshot(p.reference_axis)

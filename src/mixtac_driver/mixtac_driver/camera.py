@@ -44,6 +44,7 @@ class Davis346:
 
     Attributes:
         clock: Map from the camera's clock [us since its reset] to the host's.
+        is_master: True where the camera runs on its own clock, not on one from the sync cable.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Davis346:
         now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.clock = ClockMap()
+        self.is_master = True
         self._device, self._serial, self._backend = device, serial, backend
         self._configuration = configuration or Configuration()
         self._configuration.check()
@@ -139,6 +141,7 @@ class Davis346:
             self._identity = read_identity(
                 connection.protocol, bcd_device=connection.bcd_device, serial=connection.serial
             )
+            self.is_master = self._identity.is_master
             with self._lock:
                 writes = register_writes(self._configuration, self._identity)
                 connection.protocol.write_each(writes)
@@ -271,13 +274,7 @@ class Davis346:
                 yield CameraBatch(batch, origin, transfer.arrival_ns)
         if epochs.unasked != resets_before:
             self.clock.restart()
+            # Resets come over the synchronisation cable: who leads may just have changed.
+            self.is_master = read_is_master(self._opened().protocol)
         if epochs.origin is not None:
             self.clock.add(decoder.time_us, transfer.arrival_ns)
-
-    def refresh_master(self) -> bool:
-        """Ask the camera again whether it runs on its own clock; changes with the sync cable.
-
-        Raises:
-            UsbError: The request failed.
-        """
-        return read_is_master(self._opened().protocol)

@@ -141,4 +141,5 @@ class DriverStatus:
             'clock residual [us]': clock.residual_us,
             'clock steps': clock.steps,
             'clock resets': self._camera.clock_resets,
+            'clock master': self._camera.is_master,
         }

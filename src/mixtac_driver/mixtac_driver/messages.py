@@ -64,7 +64,7 @@ def image(frame: Frame, origin_us: int, color_filter: int, frame_id: str) -> Ima
     message.encoding = image_encoding(color_filter, frame.x, frame.y)
     message.is_bigendian = sys.byteorder == 'big'
     message.step = 2 * message.width
-    message.data.frombytes(np.left_shift(frame.image, BIT_SHIFT).data)
+    message.data.frombytes(np.left_shift(frame.image, BIT_SHIFT).view(np.uint8))
     return message
 
 

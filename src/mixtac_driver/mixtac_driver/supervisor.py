@@ -40,7 +40,8 @@ class Supervisor:
         on_batch: Called in the thread with everything the camera sees.
         on_error: Called in the thread with one line when the camera could not be opened or its
             stream died; not again for the same line until a stream was up in between.
-        first_pause_s: Pause before opening it again [s]; doubles up to LONGEST_PAUSE_S.
+        first_pause_s: Pause before opening it again [s]; doubles up to LONGEST_PAUSE_S, and is as
+            at first again once a stream has lasted longer than that.
 
     Attributes:
         state: What it is doing.
@@ -87,7 +88,7 @@ class Supervisor:
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            self.state = State.CONNECTING
+            self.state, began_s = State.CONNECTING, time.monotonic()
             try:
                 self._stream()
             except MixtacError as error:
@@ -96,10 +97,11 @@ class Supervisor:
                 self._fail(f'defect in the driver: {error!r}')
             finally:
                 self._camera.close()
-            if not self._stopping.is_set():
-                self.state = State.WAITING
-                self._stopping.wait(self._pause_s)
-                self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
+            self.state = State.WAITING
+            if time.monotonic() - began_s > LONGEST_PAUSE_S:
+                self._pause_s = self._first_pause_s
+            self._stopping.wait(self._pause_s)
+            self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
         self.state = State.STOPPED
 
     def _stream(self) -> None:
@@ -108,9 +110,7 @@ class Supervisor:
         self._camera.start()
         self._on_start()
         for batch in self._camera.batches():
-            if self.state is not State.STREAMING:
-                self.state, self.error = State.STREAMING, ''
-                self._pause_s = self._first_pause_s
+            self.state, self.error = State.STREAMING, ''
             self._on_batch(batch)
 
     def _fail(self, line: str) -> None:

@@ -212,14 +212,18 @@ def test_reset_on_the_sync_cable_does_not_set_published_time_back():
     fake = FakeCamera()
     with opened(fake) as camera:
         camera.start()
+        fake.registers[6, 2] = 0
         fake.send([0x7002, 0x8010, 0x1001, 0x2001, 1, 0x8003, 0x1001, 0x2002])
-        times, deadline = [], time.monotonic() + 5
-        for batch in camera.batches():
+        times, deadline, batches = [], time.monotonic() + 5, camera.batches()
+        for batch in batches:
             times += (batch.decoded.events.t + batch.origin.us).tolist()
             if len(times) == 2 or time.monotonic() > deadline:
                 break
         assert times[1] > times[0]
         assert camera.clock_resets == 1
+        fake.send([0x8004])
+        list(itertools.islice(batches, 1))
+        assert not camera.is_master
         assert abs(times[1] - time.time_ns() // 1000) < 5_000_000
 
 

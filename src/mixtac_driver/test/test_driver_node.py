@@ -132,7 +132,8 @@ def test_everything_is_published_on_one_clock(graph):
     now_us = time.time_ns() // 1000
     for topic in ('/mixtac/image_raw', '/mixtac/imu'):
         assert abs(stamp_to_us(graph.got[topic][-1].header.stamp) - now_us) < 2_000_000
-    assert graph.got['/mixtac/camera_info'][-1].header == images[-1].header or len(images) > 5
+    stamps = {stamp_to_us(info.header.stamp) for info in graph.got['/mixtac/camera_info']}
+    assert len(stamps & {stamp_to_us(each.header.stamp) for each in images}) > 2
     imu = graph.got['/mixtac/imu'][-1]
     assert imu.linear_acceleration.z == pytest.approx(9.81, rel=3e-3)
     assert imu.orientation_covariance[0] == -1.0

@@ -94,7 +94,7 @@ def test_published_time_is_host_time(scene):
         assert abs(estimate.offset_us - camera.origin.us) < 20_000
 
 
-def test_unplugging_is_named_and_a_replugged_camera_streams(scene):
+def test_unplugging_is_named(scene):
     with camera_on(scene) as camera:
         camera.start()
         batches = camera.batches()

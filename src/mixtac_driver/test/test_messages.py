@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""ROS messages made of what the camera saw."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip('event_camera_msgs.msg')
+
+from davis_fake import FakeBackend, FakeCamera
+
+from mixtac_driver import messages
+from mixtac_driver.camera import Davis346
+from mixtac_driver.packetizer import Packetizer
+from mixtac_driver.readings import Frame, InertialSamples
+from mixtac_events.arrays import Events
+from mixtac_events.codec import decode_message
+from mixtac_node.base_node import stamp_to_us
+
+ORIGIN_US = 1_760_000_000_000_000
+
+
+def frame(x=0, y=0, shape=(260, 346)):
+    image = np.random.default_rng(0).integers(0, 1024, shape).astype(np.uint16)
+    return Frame(image, x, y, 100, 1000, 5001, 9000, 0, global_shutter=True)
+
+
+def test_image_is_left_aligned_and_stamped_mid_exposure():
+    sent = frame()
+    message = messages.image(sent, ORIGIN_US, 0, 'cam')
+    assert stamp_to_us(message.header.stamp) == ORIGIN_US + 3000
+    assert (message.encoding, message.step, message.is_bigendian) == ('mono16', 692, False)
+    pixels = np.frombuffer(message.data, np.uint16).reshape(260, 346)
+    np.testing.assert_array_equal(pixels, sent.image * 64)
+
+
+@pytest.mark.parametrize('x', [0, 1])
+@pytest.mark.parametrize('y', [0, 1])
+@pytest.mark.parametrize(
+    ('color_filter', 'grid'), [(1, 'rggb'), (2, 'grbg'), (3, 'gbrg'), (4, 'bggr')]
+)
+def test_colour_pattern_follows_the_region(color_filter, grid, x, y):
+    whole = np.tile(np.array(list(grid)).reshape(2, 2), (2, 2))
+    expected = ''.join(whole[y : y + 2, x : x + 2].ravel())
+    assert messages.image_encoding(color_filter, x, y) == f'bayer_{expected}16'
+
+
+def test_camera_info_tells_the_region():
+    with Davis346(backend=FakeBackend(FakeCamera())) as camera:
+        identity = camera.identity
+    part = frame(10, 20, (30, 40))
+    image = messages.image(part, ORIGIN_US, 0, 'cam')
+    info = messages.camera_info(part, identity, image)
+    assert (info.width, info.height, info.header) == (346, 260, image.header)
+    roi = info.roi
+    assert (roi.x_offset, roi.y_offset, roi.width, roi.height) == (10, 20, 40, 30)
+    assert messages.camera_info(frame(), identity, image).roi.width == 0
+
+
+def test_missing_inertial_groups_are_marked():
+    nan = np.full((1, 3), np.nan)
+    samples = InertialSamples(np.array([7]), np.array([[1.0, 2.0, 3.0]]), nan, np.array([np.nan]))
+    message = messages.imu(samples, 0, ORIGIN_US, 'imu')
+    assert stamp_to_us(message.header.stamp) == ORIGIN_US + 7
+    assert message.linear_acceleration.z == 3.0
+    assert message.linear_acceleration_covariance[0] == 0.0
+    assert message.angular_velocity_covariance[0] == -1.0
+    assert message.angular_velocity.x == 0.0
+
+
+def test_event_packet_decodes():
+    t = np.array([5, 6]) + ORIGIN_US
+    xy = np.array([1, 2], np.uint16)
+    events = Events(t, xy, xy, np.array([True, False]))
+    (packet,) = Packetizer('libcaer_cmp', 1000, 1000).push(events, ORIGIN_US + 1000, 42_000)
+    message = messages.event_packet(packet, 9, (346, 260), 'cam')
+    assert (message.seq, message.width, message.height) == (9, 346, 260)
+    assert stamp_to_us(message.header.stamp) == 42
+    decoded = decode_message(message)
+    np.testing.assert_array_equal(decoded.events.t, t)
+    assert decoded.complete_until == ORIGIN_US + 1000

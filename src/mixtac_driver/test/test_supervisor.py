@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Reconnecting: growing pauses, errors told once, a stop that always returns."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+from davis_fake import FakeBackend, FakeCamera
+
+from mixtac_driver import supervisor as supervisor_module
+from mixtac_driver.camera import Davis346
+from mixtac_driver.stream import StreamSettings
+from mixtac_driver.supervisor import State, Supervisor
+
+
+@pytest.fixture(autouse=True)
+def quick_settling(monkeypatch):
+    monkeypatch.setattr('mixtac_driver.sequences.BIASES_SETTLE_S', 0.01)
+    monkeypatch.setattr('mixtac_driver.sequences.LOGIC_SETTLE_S', 0.01)
+
+
+def wait_until(condition, seconds=5.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+class Watch:
+    """A supervisor on a fake camera, with what it called back."""
+
+    def __init__(self, backend, on_batch=None, **kwargs):
+        self.starts, self.batches, self.errors = [], [], []
+        self.camera = Davis346(backend=backend, stream=StreamSettings(silence_s=0.3))
+        self.supervisor = Supervisor(
+            self.camera,
+            on_start=lambda: self.starts.append(time.monotonic()),
+            on_batch=on_batch or self.batches.append,
+            on_error=self.errors.append,
+            first_pause_s=0.02,
+            **kwargs,
+        )
+        self.supervisor.start()
+
+
+def test_camera_that_comes_late_is_found():
+    backend = FakeBackend()
+    watch = Watch(backend)
+    wait_until(lambda: watch.supervisor.failures >= 2)
+    assert len(watch.errors) == 1
+    assert 'no DAVIS346' in watch.errors[0]
+    backend.cameras = (FakeCamera(),)
+    wait_until(lambda: watch.batches)
+    assert watch.supervisor.state is State.STREAMING
+    assert not watch.supervisor.error
+    assert watch.supervisor.stop()
+    assert watch.supervisor.state is State.STOPPED
+
+
+def test_unplugged_camera_is_named_and_taken_up_again():
+    fake = FakeCamera()
+    watch = Watch(FakeBackend(fake))
+    wait_until(lambda: watch.batches)
+    fake.unplug()
+    wait_until(lambda: watch.errors)
+    assert 'unplugged' in watch.errors[0]
+    fake.error = None
+    fake.claimed = False
+    before = watch.batches[-1].time_us
+    wait_until(lambda: len(watch.starts) == 2 and watch.batches[-1].time_us > before)
+    times = [batch.time_us for batch in watch.batches]
+    assert times == sorted(times)
+    assert watch.supervisor.stop()
+    assert fake.handles == 0
+
+
+def test_silent_camera_is_started_anew():
+    fake = FakeCamera()
+    watch = Watch(FakeBackend(fake))
+    wait_until(lambda: len(watch.starts) == 2)
+    assert 'no data' in watch.errors[0]
+    assert watch.supervisor.stop()
+
+
+def test_pauses_grow_up_to_a_bound(monkeypatch):
+    monkeypatch.setattr(supervisor_module, 'LONGEST_PAUSE_S', 0.08)
+    pauses = []
+    watch = Watch(FakeBackend())
+    waiting = watch.supervisor._stopping.wait
+    watch.supervisor._stopping.wait = lambda s: (pauses.append(s), waiting(s))[1]
+    wait_until(lambda: len(pauses) >= 5)
+    assert watch.supervisor.stop()
+    assert pauses == sorted(pauses)
+    assert pauses[-1] == 0.08
+
+
+def test_defects_are_told_and_do_not_end_the_thread():
+    def broken(_batch):
+        raise ZeroDivisionError('oops')
+
+    watch = Watch(FakeBackend(FakeCamera()), on_batch=broken)
+    wait_until(lambda: watch.supervisor.failures >= 2)
+    assert 'ZeroDivisionError' in watch.errors[0]
+    assert watch.supervisor.stop()
+
+
+@pytest.mark.parametrize('moment_s', [0.0, 0.005, 0.015, 0.03, 0.1])
+def test_stop_returns_whenever_it_is_called(moment_s):
+    fake = FakeCamera()
+    watch = Watch(FakeBackend(fake))
+    time.sleep(moment_s)
+    assert watch.supervisor.stop()
+    assert fake.handles == 0
+
+
+def test_consumer_that_hangs_does_not_keep_stop_from_returning(monkeypatch):
+    monkeypatch.setattr(supervisor_module, 'STOP_TIMEOUT_S', 0.1)
+    release = threading.Event()
+    watch = Watch(FakeBackend(FakeCamera()), on_batch=lambda _b: release.wait(10))
+    wait_until(lambda: watch.supervisor.state is State.STREAMING)
+    assert not watch.supervisor.stop()
+    release.set()
+    assert watch.supervisor.stop()

@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The output buffer against the simplest model of one: a bytes object."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_sim.usb.fifo import ByteFifo
+
+actions = st.lists(
+    st.one_of(
+        st.lists(st.integers(0, 0xFFFF), max_size=30).map(lambda words: ('push', words)),
+        st.integers(0, 100).map(lambda limit: ('pop', limit)),
+    ),
+    max_size=40,
+)
+
+
+@given(st.integers(1, 40), actions)
+def test_behaves_like_a_bounded_bytes_object(capacity, todo):
+    fifo, model = ByteFifo(2 * capacity), b''
+    for action, value in todo:
+        if action == 'push':
+            data = np.array(value, '<u2').tobytes()
+            fits = len(model) + len(data) <= 2 * capacity
+            assert fifo.push(np.array(value, np.uint16)) == fits
+            model += data if fits else b''
+        else:
+            count = min(value // 2 * 2, len(model))
+            assert fifo.pop(value) == model[:count]
+            model = model[count:]
+        assert (len(fifo), fifo.free) == (len(model), 2 * capacity - len(model))
+
+
+def test_clear_forgets():
+    fifo = ByteFifo(8)
+    fifo.push(np.array([1, 2], np.uint16))
+    fifo.clear()
+    assert fifo.pop(8) == b''
