@@ -44,30 +44,30 @@ class FgerNode(LifecycleNode):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__('fger')
-        self._parameters = declare(self, FgerParameters, self._change)
+        self._settings = declare(self, FgerParameters, self._change)
         self._model: LoadedModel | None = None
         self._feed: LiveFeed | None = None
         self._subscriptions_: list[object] = []
         self._publisher: Any = None
-        self._diagnostics = DiagnosticsPublisher(self, self._parameters.model, self._status)
+        self._diagnostics = DiagnosticsPublisher(self, self._settings.model, self._status)
         self.create_service(Trigger, '~/tare', self._tare)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load the model and compile what runs in real time."""
         try:
-            self._model = load_model(find_model(self._parameters.model))
+            self._model = load_model(find_model(self._settings.model))
         except MixtacError as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
         warm_up(self._model)
         self._publisher = self.create_lifecycle_publisher(WrenchStamped, 'force', QOS_FORCE)
-        self._diagnostics.hardware_id = self._parameters.model
+        self._diagnostics.hardware_id = self._settings.model
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start estimating."""
         assert self._model is not None  # noqa: S101  (the state machine configures first)
-        self._feed = LiveFeed(self._model, self._parameters.contact_threshold)
+        self._feed = LiveFeed(self._model, self._settings.contact_threshold)
         self._subscriptions_ = [
             self.create_subscription(EventPacket, 'events', self._on_events, QOS_EVENTS),
             self.create_subscription(Image, 'image_raw', self._on_image, QOS_SENSOR),
@@ -96,7 +96,7 @@ class FgerNode(LifecycleNode):  # type: ignore[misc]
             self._feed = None
 
     def _change(self, wanted: FgerParameters) -> None:
-        self._parameters = wanted
+        self._settings = wanted
 
     def _on_events(self, message: EventPacket) -> None:
         if self._feed is None:
@@ -110,7 +110,7 @@ class FgerNode(LifecycleNode):  # type: ignore[misc]
     def _publish(self, end_us: int, force: float) -> None:
         message = WrenchStamped()
         message.header.stamp = us_to_stamp(end_us)
-        message.header.frame_id = self._parameters.frame_id
+        message.header.frame_id = self._settings.frame_id
         message.wrench.force.z = force
         self._publisher.publish(message)
 
@@ -140,7 +140,7 @@ class FgerNode(LifecycleNode):  # type: ignore[misc]
         if self._feed is None:
             return Status(OK, 'not active: no force is published')
         found = self._feed.status()
-        level, message = judge(found, self._parameters.stale_frame_age)
+        level, message = judge(found, self._settings.stale_frame_age)
         values = asdict(found)
         return Status(level, message, values.pop('estimator') | values)
 

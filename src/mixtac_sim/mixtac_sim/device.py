@@ -100,7 +100,7 @@ def draw_device(seed: int) -> DeviceModel:
         spread=draw_spread(seed, rng.uniform(0.08, 0.16)),
         threshold_factor=(float(np.exp(common + skew)), float(np.exp(common - skew))),
         noise_factor=float(np.exp(rng.uniform(-0.7, 0.7))),
-        frame_burst=rng.uniform(0.0, 6e-4),
+        frame_burst=rng.uniform(0.0, 3e-4),
         dn_per_lux_ms=rng.uniform(0.85, 1.1),
     )
 

@@ -33,14 +33,14 @@ class PixelSettings:
         shot_lux: Illuminance that halves the noise [lx].
     """
 
-    threshold_on: float = 0.25
-    threshold_off: float = 0.31
+    threshold_on: float = 0.21
+    threshold_off: float = 0.27
     source_follower_hz: float = 590.0
     hz_per_lux: float = 2.5
     refractory_us: float = 100.0
-    leak_hz: float = 0.08
-    leak_hz_per_lux: float = 0.001
-    shot_hz: float = 1.0
+    leak_hz: float = 0.05
+    leak_hz_per_lux: float = 0.0005
+    shot_hz: float = 0.6
     shot_lux: float = 4.0
 
     def __post_init__(self) -> None:

@@ -16,55 +16,42 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from mixtac_sim.aps import READOUT_US, RESET_US, ApsSettings
 
+if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_events.arrays import Events
     from mixtac_sim.inertial_unit import InertialUnit
     from mixtac_sim.live_profile import LiveProfile
+    from mixtac_sim.reference import ReferenceSamples
     from mixtac_sim.segments import Profile
+    from mixtac_sim.sensor import SensorOutput
     from mixtac_sim.simulation_clock import SimulationClock
-    from mixtac_sim.usb.aps_words import Frame
     from mixtac_sim.usb.device import VirtualDavis346
 
 PERIOD_S: Final = 0.001
 _CHUNK_US: Final = 4000
-# A frame's readout takes a few milliseconds before and after its exposure.
-_READOUT_US: Final = 25_000
+# A frame is known when its readout has ended, at the end of a chunk.
+_LEAD_US: Final = RESET_US + READOUT_US + 2 * _CHUNK_US
 _MAX_BEHIND_US: Final = 250_000
 _MAX_BATCHES: Final = 2048
-
-
-class Output(Protocol):
-    """What the simulation returns for a span of time (see `mixtac_sim.sensor.SensorOutput`)."""
-
-    @property
-    def events(self) -> Events: ...  # noqa: D102
-    @property
-    def frames(self) -> Sequence[Frame]: ...  # noqa: D102
-    @property
-    def truth(self) -> NDArray[Any]: ...  # noqa: D102
 
 
 class Simulation(Protocol):
     """What is needed of `mixtac_sim.sensor.TactileSensor`."""
 
-    def advance(self, until_us: int) -> Output:
+    def advance(self, until_us: int) -> SensorOutput:
         """Simulate up to a time [us]."""
 
-    def set_aps(self, exposure_us: int, interval_us: int) -> None:
-        """Change exposure and frame interval [us] of the frames to come."""
+    def configure_aps(self, settings: ApsSettings) -> None:
+        """Change the frames to come."""
 
 
 class Reference(Protocol):
     """What is needed of `mixtac_sim.reference.ReferenceSensor`."""
 
-    def process(
-        self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Measure a wrench; return sample times and values."""
+    def process(self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]) -> ReferenceSamples:
+        """Return the samples that the true wrench up to ``t_us[-1]`` allows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +119,7 @@ class VirtualSensor:
         self._simulated_us = 0
         self._overruns = 0
         self._aps = (0, 0)
-        self._pending: deque[NDArray[Any]] = deque()
+        self._pending: deque[tuple[int, SensorOutput]] = deque()
         self._lock = Lock()
         self._truth: deque[WrenchBatch] = deque()
         self._references: deque[WrenchBatch] = deque()
@@ -187,7 +174,7 @@ class VirtualSensor:
     def step(self) -> None:
         """Bring simulation, camera, truth and reference up to now."""
         self._follow_registers()
-        lead_us = self._aps[0] + _READOUT_US
+        lead_us = self._aps[0] + _LEAD_US
         while True:
             now_us = self._clock.now_us()
             behind_us = now_us - self._simulated_us
@@ -211,37 +198,37 @@ class VirtualSensor:
 
     def _follow_registers(self) -> None:
         wanted = (self.device.exposure_us, self.device.frame_interval_us)
-        if wanted != self._aps:
-            self._aps = wanted
-            self._simulation.set_aps(*wanted)
+        if wanted == self._aps:
+            return
+        self._aps = wanted
+        # The camera takes frames as fast as it can when asked for more than that.
+        exposure_us = max(wanted[0], 1)
+        interval_us = max(wanted[1], exposure_us + READOUT_US + RESET_US)
+        first_us = self._simulated_us + RESET_US
+        self._simulation.configure_aps(ApsSettings(exposure_us, interval_us, first_us))
 
     def _simulate(self) -> None:
         self._simulated_us += _CHUNK_US
         out = self._simulation.advance(self._simulated_us)
         readings = self._inertial.readings(self._simulated_us, self.device.imu_interval_us)
         self.device.submit(out.events, out.frames, readings)
-        if len(out.truth):
-            self._pending.append(out.truth)
+        self._pending.append((self._simulated_us, out))
 
     def _release(self, until_us: int) -> None:
-        """Hand over the truth, and what the reference makes of it, up to a time."""
-        while self._pending and self._pending[0]['t_us'][0] < until_us:
-            truth = self._pending.popleft()
-            due = int(np.searchsorted(truth['t_us'], until_us))
-            if due < len(truth):
-                self._pending.appendleft(truth[due:])
-            self._hand_over(truth[:due])
+        """Hand over the truth, and what the reference makes of it, chunk by chunk."""
+        while self._pending and self._pending[0][0] <= until_us:
+            _, out = self._pending.popleft()
+            self._hand_over(out.truth)
+            epoch_ns = self._clock.to_epoch_ns(np.zeros(1, np.int64))[0]
+            samples = self._reference.process(out.wrench_us, out.wrench)
+            self._put(self._references, WrenchBatch(samples.t_ns + epoch_ns, samples.wrench))
 
     def _hand_over(self, truth: NDArray[Any]) -> None:
-        t_us = truth['t_us'].astype(np.int64)
         wrench = np.zeros((len(truth), 6))
         for column, name in enumerate(('fx', 'fy', 'fz')):
             wrench[:, column] = truth[name]
-        self._put(self._truth, WrenchBatch(self._clock.to_epoch_ns(t_us), wrench))
-        sample_ns, measured = self._reference.process(t_us, wrench)
-        if len(sample_ns):
-            epoch_ns = self._clock.to_epoch_ns(np.zeros(1, np.int64))[0]
-            self._put(self._references, WrenchBatch(sample_ns + epoch_ns, measured))
+        stamp_ns = self._clock.to_epoch_ns(truth['t_us'].astype(np.int64))
+        self._put(self._truth, WrenchBatch(stamp_ns, wrench))
 
     def _put(self, queue: deque[WrenchBatch], batch: WrenchBatch) -> None:
         with self._lock:

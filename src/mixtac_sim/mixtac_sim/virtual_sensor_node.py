@@ -41,19 +41,19 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__('virtual_sensor', namespace='mixtac')
-        self._parameters = declare(self, VirtualSensorParameters, self._change)
+        self._settings = declare(self, VirtualSensorParameters, self._change)
         self._plays = 0
         self._stop = Event()
         self._sensor = make_virtual_sensor(
-            device_seed=self._parameters.device_seed,
-            seed=self._parameters.seed,
-            skew_ppm=self._parameters.skew_ppm,
+            device_seed=self._settings.device_seed,
+            seed=self._settings.seed,
+            skew_ppm=self._settings.skew_ppm,
         )
-        self._scenario(self._parameters)
-        path = self._parameters.socket or default_socket_path()
+        self._scenario(self._settings)
+        path = self._settings.socket or default_socket_path()
         self._server = UsbServer(self._sensor.device, path)
         self._reference = self.create_publisher(
-            WrenchStamped, self._parameters.reference_topic, QOS_FORCE
+            WrenchStamped, self._settings.reference_topic, QOS_FORCE
         )
         self._truth = self.create_publisher(WrenchStamped, 'truth/wrench', QOS_FORCE)
         self._service = self.create_service(Trigger, '~/play', self._on_play)
@@ -79,10 +79,10 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
 
     def _change(self, parameters: VirtualSensorParameters) -> None:
         self._scenario(parameters)
-        self._parameters = dataclasses.replace(parameters)
+        self._settings = dataclasses.replace(parameters)
 
     def _play(self) -> None:
-        self._sensor.play(self._scenario(self._parameters))
+        self._sensor.play(self._scenario(self._settings))
         self._plays += 1
 
     def _on_play(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -91,22 +91,22 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
         except MixtacError as error:
             response.success, response.message = False, str(error)
         else:
-            seconds, name = self._parameters.seconds, self._parameters.scenario
+            seconds, name = self._settings.seconds, self._settings.scenario
             response.success, response.message = True, f'playing {name} for {seconds} s'
         return response
 
     def _publish_all(self) -> None:
         while not self._stop.wait(PUBLISH_PERIOD_S):
             for batch in self._sensor.take_reference():
-                _publish(self._reference, batch, self._parameters.reference_frame_id)
+                _publish(self._reference, batch, self._settings.reference_frame_id)
             for batch in self._sensor.take_truth():
-                _publish(self._truth, batch, self._parameters.truth_frame_id)
+                _publish(self._truth, batch, self._settings.truth_frame_id)
             self._play_by_itself()
 
     def _play_by_itself(self) -> None:
         state = self._sensor.state()
-        first = self._parameters.play_on_start and not self._plays and state.streaming
-        again = self._parameters.loop and self._plays and not state.playing
+        first = self._settings.play_on_start and not self._plays and state.streaming
+        again = self._settings.loop and self._plays and not state.playing
         if first or again:
             self._play()
 
@@ -114,7 +114,7 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
         state = self._sensor.state()
         losses = self._sensor.device.losses
         lossless = not any(losses.values()) and not state.overruns
-        doing = f'playing {self._parameters.scenario}' if state.playing else 'idle'
+        doing = f'playing {self._settings.scenario}' if state.playing else 'idle'
         host = 'camera read by a host' if state.streaming else 'camera not read'
         return Status(
             OK if lossless else WARN,
@@ -122,7 +122,7 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
             + ('' if lossless else '; this machine did not keep up, see the figures'),
             {
                 'simulated': True,
-                'scenario': self._parameters.scenario,
+                'scenario': self._settings.scenario,
                 'plays': self._plays,
                 'socket': self._server.path,
                 **dataclasses.asdict(state),

@@ -16,6 +16,7 @@ from mixtac_sim.errors import SimulationError
 from mixtac_sim.indenter import Indenter
 from mixtac_sim.inertial_unit import InertialUnit
 from mixtac_sim.live_profile import LiveProfile
+from mixtac_sim.reference import ReferenceSamples
 from mixtac_sim.segments import Profile, Segment
 from mixtac_sim.simulation_clock import SimulationClock
 from mixtac_sim.usb.device import VirtualDavis346
@@ -35,6 +36,8 @@ class Out:
     events: Events
     frames: list
     truth: np.ndarray
+    wrench_us: np.ndarray
+    wrench: np.ndarray
 
 
 class OneEventPerMillisecond:
@@ -45,8 +48,8 @@ class OneEventPerMillisecond:
         self.aps = []
         self.steps = []
 
-    def set_aps(self, exposure_us, interval_us):
-        self.aps.append((exposure_us, interval_us))
+    def configure_aps(self, settings):
+        self.aps.append((settings.exposure_us, settings.interval_us))
 
     def advance(self, until_us):
         assert until_us > self.until
@@ -57,14 +60,16 @@ class OneEventPerMillisecond:
         truth = np.zeros(len(t), TRUTH)
         truth['t_us'] = t
         truth['fz'] = t * 1e-6
-        return Out(Events(t, ones, ones, ones.astype(bool)), [], truth)
+        wrench = np.zeros((len(t), 6))
+        wrench[:, 2] = truth['fz']
+        return Out(Events(t, ones, ones, ones.astype(bool)), [], truth, t, wrench)
 
 
 class Echo:
     """A reference that returns what it is given, a day late."""
 
     def process(self, t_us, wrench):
-        return t_us * 1000 + 86_400_000_000_000, wrench
+        return ReferenceSamples(t_us * 1000 + 86_400_000_000_000, wrench)
 
 
 class Host:
@@ -126,7 +131,7 @@ def test_everything_goes_out_when_its_time_has_come(sensor, simulation, host):
     assert np.count_nonzero(data >> 12 == 3) == 500
     assert np.count_nonzero(data == 5) == 500
     # The simulation is ahead by exposure and readout, not by more than a chunk beyond.
-    assert 500_000 + 25_000 <= simulation.until <= 500_000 + 4000 + 25_000 + 4000
+    assert 10_000 < simulation.until - 500_000 < 30_000
     truth = sensor.take_truth()
     stamps = np.concatenate([batch.stamp_ns for batch in truth])
     np.testing.assert_array_equal(stamps, EPOCH_NS + np.arange(500) * 1_000_000)
@@ -160,15 +165,21 @@ def test_exposure_and_interval_follow_the_registers(sensor, simulation, host):
     sensor.device.control(0x40, 0xBF, 2, 12, struct.pack('>I', 302_400))
     run_for(sensor, host, 0.002)
     assert simulation.aps[1:] == [(10_000, 40_000)]
+    # Faster than the readout: as fast as it goes.
+    sensor.device.control(0x40, 0xBF, 2, 13, struct.pack('>I', 0))
+    run_for(sensor, host, 0.002)
+    exposure_us, interval_us = simulation.aps[2]
+    assert exposure_us == 10_000
+    assert 16_000 <= interval_us < 17_000
 
 
 def test_unfetched_batches_are_bounded_and_counted(sensor, host):
-    run_for(sensor, host, 3.0)
+    run_for(sensor, host, 10.0)
     truth = sensor.take_truth()
     assert len(truth) == 2048
     assert sensor.state().batches_dropped > 0
     last = truth[-1].stamp_ns[-1]
-    assert last == EPOCH_NS + 2_999_000_000
+    assert last == EPOCH_NS + 9_999_000_000
 
 
 def press(name='press', tool=None):

@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A whole trial at once, for data sets and experiments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mixtac_events.arrays import Events
+
+from mixtac_sim.array_geometry import HEIGHT, WIDTH
+from mixtac_sim.profiles import make_profile
+from mixtac_sim.random_streams import stream
+from mixtac_sim.reference import ReferenceSensor
+from mixtac_sim.sensor import SensorOutput, TactileSensor
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_sim.aps import ApsFrame, ApsSettings
+    from mixtac_sim.pixels import PixelSettings
+    from mixtac_sim.segments import Profile
+
+TRANSFER_US = (300, 1_500)
+"""Range of the time from a frame's end to its arrival at the host [us] (estimate)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """Everything of one trial; unless said otherwise, times are camera time [us] = true time.
+
+    Attributes:
+        profile: What was commanded.
+        events: Events, sorted.
+        frames: Intensity of each frame [n, 260, 346], uint16, 0 to 1023 DN.
+        exposure_start_us: When each exposure began [n], int64.
+        exposure_end_us: When it ended [n], int64.
+        arrival_us: When the host had the frame [n], int64.
+        truth: Force and dent at 1 kHz, ``TRUTH_DTYPE``.
+        reference_t_us: Stamps of the reference sensor on its own clock [m] [us], int64.
+        reference_wrench: Its readings [m, 6] [N, Nm].
+        clock: True map to the reference clock (a, b): t_ref = a * t_camera + b [us].
+        reference_delay_us: Delay of its readings behind their stamps [us].
+    """
+
+    profile: Profile
+    events: Events
+    frames: NDArray[np.uint16]
+    exposure_start_us: NDArray[np.int64]
+    exposure_end_us: NDArray[np.int64]
+    arrival_us: NDArray[np.int64]
+    truth: NDArray[np.void]
+    reference_t_us: NDArray[np.int64]
+    reference_wrench: NDArray[np.float64]
+    clock: tuple[float, float]
+    reference_delay_us: float
+
+
+def simulate_trial(
+    device_seed: int,
+    trial_seed: int,
+    profile_name: str,
+    duration_s: float,
+    *,
+    sync: bool | None = None,
+    aps: ApsSettings | None = None,
+    pixels: PixelSettings | None = None,
+) -> Trial:
+    """Return a simulated trial; the same for the same arguments.
+
+    Args:
+        device_seed: What a rebuild of the sensor would change.
+        trial_seed: What another day would change; also draws the profile.
+        profile_name: As in ``make_profile``.
+        duration_s: Length [s].
+        sync: Synchronising impulses, as in ``make_profile``.
+        aps: When frames are taken.
+        pixels: Settings of the DVS pixels.
+
+    Raises:
+        SimulationError: Unknown profile or a duration that is too short for it.
+    """
+    profile = make_profile(profile_name, trial_seed, duration_s, sync=sync)
+    sensor = TactileSensor(device_seed, trial_seed, profile, aps, pixels)
+    output = sensor.advance(round(1e6 * duration_s))
+    return _assemble(profile, output, trial_seed)
+
+
+def _assemble(profile: Profile, output: SensorOutput, trial_seed: int) -> Trial:
+    """Return the trial of a sensor's output, with the reference sensor's readings."""
+    reference = ReferenceSensor(trial_seed)
+    samples = reference.process(output.wrench_us, output.wrench)
+    frames = output.frames
+    ends = np.array([frame.frame_end_us for frame in frames], np.int64)
+    transfer = stream(trial_seed, 'frame transfer').integers(*TRANSFER_US, len(frames))
+    return Trial(
+        profile=profile,
+        events=output.events,
+        frames=_images(frames),
+        exposure_start_us=np.array([frame.exposure_start_us for frame in frames], np.int64),
+        exposure_end_us=np.array([frame.exposure_end_us for frame in frames], np.int64),
+        arrival_us=ends + transfer,
+        truth=output.truth,
+        reference_t_us=np.round(samples.t_ns / 1000).astype(np.int64),
+        reference_wrench=samples.wrench,
+        clock=(1.0 + 1e-6 * reference.drift_ppm, 1e6 * reference.offset_s),
+        reference_delay_us=1e6 * reference.delay_s,
+    )
+
+
+def _images(frames: list[ApsFrame]) -> NDArray[np.uint16]:
+    """Return the intensities of frames as one array."""
+    images = np.empty((len(frames), HEIGHT, WIDTH), np.uint16)
+    for image, frame in zip(images, frames, strict=True):
+        image[:] = frame.intensity
+    return images
