@@ -213,7 +213,7 @@ def repair_wheels(venv: Path, steps: Steps) -> None:
 
 
 def workspace_inputs() -> list[Path]:
-    """Return the files whose change asks for a new build (Python modules are linked, not copied)."""
+    """Return the files whose change asks for a new build; Python modules are only linked."""
     kinds = ('package.xml', 'setup.py', 'setup.cfg', 'CMakeLists.txt', '*.msg', '*.srv')
     found = [p for folder in ('src', 'compat') for k in kinds for p in (ROOT / folder).rglob(k)]
     return [p for p in found if p.is_file()]

@@ -40,7 +40,9 @@ def scalar(value: object) -> str:
         return str(value).lower()
     if isinstance(value, str):
         return "'" + value.replace("'", "''") + "'"
-    return repr(value)
+    text = repr(value)
+    # YAML 1.1 reads 3e-08 as a string.
+    return text.replace('e', '.0e') if 'e' in text and '.' not in text else text
 
 
 def allowed(spec: ParameterSpec) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from mixtac_sim.array_geometry import HEIGHT, PIXELS, WIDTH
+from mixtac_sim.array_geometry import HEIGHT, PIXELS, TILE, WIDTH
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.random_streams import BlockStreams, stream
 
@@ -104,7 +104,8 @@ class Aps:
     ) -> None:
         rng = stream(device_seed, 'aps')
         columns = rng.normal(0.0, 6.0, (1, WIDTH))
-        self._level = (950.0 + columns + rng.normal(0.0, 8.0, (HEIGHT, WIDTH))).astype(np.float32)
+        level = 950.0 + columns + rng.normal(0.0, 8.0, (HEIGHT, WIDTH))
+        self._level = level.astype(np.float32).ravel()
         spread = rng.normal(1.0, RESPONSE_SPREAD, PIXELS)
         self._dn_per_lux_us = (1e-3 * dn_per_lux_ms * spread).astype(np.float32)
         self._noise = BlockStreams(trial_seed, 'aps noise')
@@ -129,11 +130,11 @@ class Aps:
         return (1.0 - late) * (closed - opened), late * (closed - opened)
 
     def expose_before(self, light: NDArray[np.float32], start_us: float, end_us: float) -> None:
-        """Collect the light at the start of a step."""
+        """Collect the light [tiles, 64] [lx] at the start of a step; times in us."""
         self._collect(light, self._window(start_us, end_us)[0])
 
     def expose_after(self, light: NDArray[np.float32], start_us: float, end_us: float) -> None:
-        """Collect the light at the end of a step."""
+        """Collect the light [tiles, 64] [lx] at the end of a step; times in us."""
         self._collect(light, self._window(start_us, end_us)[1])
 
     def _collect(self, light: NDArray[np.float32], span_us: float) -> None:
@@ -166,24 +167,55 @@ class Aps:
 
     def _convert(self, brightness: float) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
         """Return the two readings of the collected light."""
-        noise = self._noise.block(self._index).standard_normal((2, HEIGHT, WIDTH), np.float32)
-        exposed = (self._light * self._dn_per_lux_us * np.float32(brightness)).reshape(
-            HEIGHT, WIDTH
+        draws = self._noise.block(self._index).integers(0, 2**64, PIXELS, np.uint64)
+        reset = np.empty((HEIGHT, WIDTH), np.uint16)
+        signal = np.empty_like(reset)
+        dark = np.float32(1e-3 * self._settings.exposure_us * DARK_DN_PER_MS)
+        _digitise(
+            self._light,
+            self._dn_per_lux_us * np.float32(brightness),
+            dark,
+            self._level,
+            draws,
+            reset.reshape(-1),
+            signal.reshape(-1),
         )
-        exposed += np.float32(1e-3 * self._settings.exposure_us * DARK_DN_PER_MS)
-        read = np.float32(READ_NOISE_DN)
-        grain = np.sqrt(read**2 + exposed / np.float32(ELECTRONS_PER_DN))
-        reset = self._level + read * noise[0]
-        signal = self._level - exposed + grain * noise[1]
-        return _counts(reset), _counts(signal)
+        return reset, signal
 
 
-def _counts(level: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Return what a 10-bit converter makes of levels."""
-    return np.clip(level + np.float32(0.5), 0.0, 1023.0).astype(np.uint16)
+@njit(cache=True, nogil=True, error_model='numpy')
+def _bell(draw: int) -> float:
+    """Return a number of mean 0 and deviation 1 from 32 random bits: the sum of four bytes."""
+    total = (draw & 255) + ((draw >> 8) & 255) + ((draw >> 16) & 255) + ((draw >> 24) & 255)
+    return (np.float32(total) - np.float32(510.0)) * np.float32(1.0 / 147.7972)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
+def _digitise(
+    light: NDArray[np.float32],
+    response: NDArray[np.float32],
+    dark: float,
+    level: NDArray[np.float32],
+    draws: NDArray[np.uint64],
+    reset: NDArray[np.uint16],
+    signal: NDArray[np.uint16],
+) -> None:
+    """Read all pixels before and after the exposure, with read and shot noise, in 10 bits."""
+    read, gain = np.float32(READ_NOISE_DN), np.float32(1.0 / ELECTRONS_PER_DN)
+    half, top = np.float32(0.5), np.float32(1023.0)
+    for p in range(light.size):
+        exposed = light[p] * response[p] + dark
+        grain = np.sqrt(read * read + exposed * gain)
+        before = level[p] + read * _bell(np.int32(draws[p] & 0x7FFFFFFF)) + half
+        after = level[p] - exposed + grain * _bell(np.int32((draws[p] >> 32) & 0x7FFFFFFF)) + half
+        reset[p] = np.uint16(min(max(before, np.float32(0.0)), top))
+        signal[p] = np.uint16(min(max(after, np.float32(0.0)), top))
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
 def _add(total: NDArray[np.float32], light: NDArray[np.float32], span_us: float) -> None:
-    for p in range(total.size):
-        total[p] += span_us * light[p]
+    """Add light of tiles [tiles, 64] to pixels."""
+    for tile in range(light.shape[0]):
+        first = tile * TILE
+        for j in range(min(TILE, total.size - first)):
+            total[first + j] += span_us * light[tile, j]

@@ -156,7 +156,7 @@ def _optics_row(device: DeviceModel) -> NDArray[np.float64]:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _place(
     table: NDArray[np.float64],
     row: float,

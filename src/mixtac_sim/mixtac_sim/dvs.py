@@ -15,8 +15,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_sim.array_geometry import PADDED, TILES
-from mixtac_sim.dvs_kernels import PixelState, develop, light_of
+from mixtac_sim.array_geometry import PADDED, TILE, TILES
+from mixtac_sim.dvs_kernels import (
+    DIFFERENCE,
+    FLOOR,
+    FOLLOW,
+    GAIN,
+    LEAK,
+    LIGHT,
+    LOG,
+    OFF,
+    ON,
+    ROWS,
+    Corners,
+    Crossings,
+    PixelState,
+    develop,
+    relight,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,7 +41,7 @@ if TYPE_CHECKING:
     from mixtac_sim.scene import Scene
 
 CAPACITY = 1 << 20
-"""Threshold crossings kept per block; a readout passes 48 000 in 4 ms."""
+"""Threshold crossings kept per block; a readout passes 50 000 in 4 ms."""
 
 
 class Dvs:
@@ -36,9 +52,6 @@ class Dvs:
         spread: Differences between pixels.
         settings: Settings of this chip.
         rng: Draws where each pixel stands between its thresholds at the start.
-
-    Attributes:
-        lost: Crossings beyond ``CAPACITY``.
     """
 
     def __init__(
@@ -48,48 +61,53 @@ class Dvs:
         settings: PixelSettings,
         rng: np.random.Generator,
     ) -> None:
-        self._scene = scene
         self._spread = spread
         self._state = _blank_state()
-        self._keys = np.empty(CAPACITY, np.int64)
-        self._count = np.zeros(2, np.int64)
+        self._row(FLOOR)[:] = _tiled(scene.floor)
+        self._row(GAIN)[:] = _tiled(scene.gain)
+        self._crossings = Crossings(np.empty(CAPACITY, np.int64), np.zeros(2, np.int64))
         self.configure(settings)
-        self._begin(rng)
+        # Every pixel is somewhere on its way to its next leak event.
+        self._row(DIFFERENCE)[:] = self._row(ON) * rng.random((TILES, TILE), np.float32)
+        self.settle(np.zeros(PADDED, np.int32))
+
+    def _row(self, row: int) -> NDArray[np.float32]:
+        """Return one value of all pixels [tiles, 64], as a view."""
+        return self._state.values[:, row]
 
     @property
     def light(self) -> NDArray[np.float32]:
-        """Return the present light on the array [padded pixels] [lx]."""
-        return self._state.light
+        """Return the present light on the array [tiles, 64] [lx], as a view."""
+        return self._row(LIGHT)
 
     @property
     def lost(self) -> int:
-        """Return how many crossings did not fit."""
-        return int(self._count[1])
+        """Return how many crossings did not fit into \`\`CAPACITY\`\`."""
+        return int(self._crossings.count[1])
 
     def configure(self, settings: PixelSettings) -> None:
         """Change the settings from the next step on."""
-        self._settings = settings
-        state, spread = self._state, self._spread
-        state.on[:] = settings.threshold_on * spread.on
-        state.off[:] = settings.threshold_off * spread.off
-        rate = settings.leak_hz + settings.leak_hz_per_lux * self._scene.floor
-        state.leak[:] = rate * spread.leak * settings.threshold_on
-        state.active[:] = 1
-
-    def _begin(self, rng: np.random.Generator) -> None:
-        """Settle on the scene at rest, with every pixel somewhere on its way to a leak event."""
-        state = self._state
-        state.light[:] = self._scene.floor
-        state.log[:] = np.log(state.light)
-        state.follow[:] = state.log
-        state.difference[:] = state.on * rng.random(PADDED, np.float32) * np.float32(0.999)
+        self._corners = Corners(
+            settings.source_follower_hz, settings.hz_per_lux, int(1e3 * settings.refractory_us)
+        )
+        spread = self._spread
+        self._row(ON)[:] = _tiled(settings.threshold_on * spread.on)
+        self._row(OFF)[:] = _tiled(settings.threshold_off * spread.off)
+        rate = settings.leak_hz + settings.leak_hz_per_lux * self._row(FLOOR)
+        self._row(LEAK)[:] = rate * _tiled(spread.leak) * self._row(ON)
+        self._state.active[:] = 1
 
     def settle(self, cover: NDArray[np.int32]) -> None:
-        """Take the light under a cover as the resting light, without events."""
+        """Take the light under a cover as one that has been there for long.
+
+        Args:
+            cover: Of \`\`Renderer\`\` [padded pixels].
+        """
         state = self._state
-        state.light[:] = light_of(self._scene.floor, self._scene.gain, cover)
-        state.log[:] = np.log(state.light)
-        state.follow[:] = state.log
+        for tile in range(TILES):
+            covered = cover[tile * TILE : (tile + 1) * TILE]
+            relight(state.values[tile], state.bits[tile], covered)
+        self._row(FOLLOW)[:] = self._row(LOG)
 
     def step(
         self,
@@ -102,49 +120,41 @@ class Dvs:
         """Advance over one step in which the light moves to what the cover now gives.
 
         Args:
-            cover: Of ``Renderer``.
+            cover: Of \`\`Renderer\`\`.
             dirty: Tiles whose cover changed; cleared.
             start_ns: Begin of the step [ns] of true time.
             end_ns: End of the step [ns].
             block_ns: Begin of the block of steps [ns], which crossings count from.
         """
-        settings = self._settings
-        corners = (settings.source_follower_hz, settings.hz_per_lux)
-        refractory_ns = int(1e3 * settings.refractory_us)
         develop(
             self._state,
-            self._scene.floor,
-            self._scene.gain,
             cover,
             dirty,
-            corners,
-            refractory_ns,
+            self._corners,
             start_ns,
             end_ns,
             block_ns,
-            self._keys,
-            self._count,
+            self._crossings,
         )
 
     def take(self) -> NDArray[np.int64]:
-        """Return the crossings since the last call, unsorted, packed as in ``readout``."""
-        taken = self._keys[: self._count[0]].copy()
-        self._count[0] = 0
+        """Return the crossings since the last call, unsorted, packed as in \`\`readout\`\`."""
+        keys, count = self._crossings
+        taken = keys[: count[0]].copy()
+        count[0] = 0
         return taken
+
+
+def _tiled(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    return pixels.reshape(TILES, TILE)
 
 
 def _blank_state() -> PixelState:
     """Return arrays of the right sizes."""
-    light = np.ones(PADDED, np.float32)
+    values = np.zeros((TILES, ROWS, TILE), np.float32)
     return PixelState(
-        light=light,
-        light_bits=light.view(np.int32),
-        log=np.zeros(PADDED, np.float32),
-        follow=np.zeros(PADDED, np.float32),
-        difference=np.zeros(PADDED, np.float32),
-        on=np.ones(PADDED, np.float32),
-        off=np.ones(PADDED, np.float32),
-        leak=np.zeros(PADDED, np.float32),
+        values=values,
+        bits=values.view(np.int32),
         ready_ns=np.zeros(PADDED, np.int64),
         last_ns=np.zeros(TILES, np.int64),
         due_ns=np.zeros(TILES, np.int64),

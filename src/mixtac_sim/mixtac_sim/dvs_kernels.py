@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The loops of the DVS pixels, tile by tile, so that they vectorise."""
+"""The loops of the DVS pixels, tile by tile.
+
+All values of a tile lie side by side in one array (``values[tile, row, pixel]``), so the compiler
+knows that no row overlaps another and vectorises the loops, and a tile is one stretch of memory.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +18,13 @@ from mixtac_sim.array_geometry import TILE, TILES
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+FLOOR, GAIN, LIGHT, LOG, FOLLOW, DIFFERENCE, ON, OFF, LEAK, BEFORE, EARLIER, SPARE = range(12)
+"""Rows of a tile: light without beads and what beads add [lx], light [lx], its logarithm, what the
+pixel has followed of it, that less its value at the last event plus leak, thresholds, rise by leak
+[1/s]; logarithm and difference at the start of the step, and a row for half-made values."""
+ROWS = 12
+"""Number of rows."""
+
 SETTLED = np.float32(1e-3)
 """Distance from the light's logarithm at which a pixel counts as settled."""
 NEVER = np.int64(1) << 62
@@ -24,241 +35,197 @@ _F = np.float32
 
 
 class PixelState(NamedTuple):
-    """State of the pixels; arrays over padded pixels unless over tiles.
+    """State of the pixels.
 
     Attributes:
-        light: Illuminance [lx], float32.
-        light_bits: The same memory as int32.
-        log: Its natural logarithm, float32.
-        follow: What the pixel has followed of it, float32.
-        difference: ``follow`` less its value at the last event, plus leak, float32.
-        on: ON threshold, float32.
-        off: OFF threshold, float32.
-        leak: Rise of the difference [1/s], float32.
-        ready_ns: When the pixel sees again after an event [ns], int64.
+        values: Rows of each tile [tiles, 12, 64], float32.
+        bits: The same memory as int32.
+        ready_ns: When a pixel sees again after an event [padded pixels] [ns], int64.
         last_ns: Until when a tile is up to date [tiles] [ns], int64.
         due_ns: When a skipped tile's first leak event comes [tiles] [ns], int64.
         active: Whether a tile has not settled [tiles], uint8.
     """
 
-    light: NDArray[np.float32]
-    light_bits: NDArray[np.int32]
-    log: NDArray[np.float32]
-    follow: NDArray[np.float32]
-    difference: NDArray[np.float32]
-    on: NDArray[np.float32]
-    off: NDArray[np.float32]
-    leak: NDArray[np.float32]
+    values: NDArray[np.float32]
+    bits: NDArray[np.int32]
     ready_ns: NDArray[np.int64]
     last_ns: NDArray[np.int64]
     due_ns: NDArray[np.int64]
     active: NDArray[np.uint8]
 
 
-@njit(cache=True, nogil=True)
-def light_of(
-    floor: NDArray[np.float32], gain: NDArray[np.float32], cover: NDArray[np.int32]
-) -> NDArray[np.float32]:
-    """Return the light under a cover; thick cover hides what is behind it, nearly exp(-s)."""
-    light = np.empty_like(floor)
-    for p in range(floor.size):
-        light[p] = _lit(floor[p], gain[p], cover[p])
-    return light
+class Corners(NamedTuple):
+    """Bandwidth and blind time of the pixels.
+
+    Attributes:
+        source_hz: Corner of the source follower [Hz].
+        hz_per_lux: Corner of the photoreceptor per light [Hz/lx].
+        refractory_ns: Blind time after an event [ns].
+    """
+
+    source_hz: float
+    hz_per_lux: float
+    refractory_ns: int
 
 
-@njit(cache=True, nogil=True, inline='always')
-def _lit(floor: float, gain: float, cover: int) -> float:
-    s = _F(cover) * _PER_ONE
-    through = _F(1.0) / (_F(1.0) + s * (_F(1.0) + s * (_F(0.5) + s * _F(1.0 / 6.0))))
-    return floor + gain * (_F(1.0) - through)
+class Crossings(NamedTuple):
+    """Where threshold crossings are collected.
+
+    Attributes:
+        keys: Packed as in ``readout``; times count from the block's start.
+        count: Number of keys, and number of crossings that did not fit [2], int64.
+    """
+
+    keys: NDArray[np.int64]
+    count: NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
-def _log(
-    bits: NDArray[np.int32],
-    work: NDArray[np.int32],
-    mantissa: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
-    """Write the natural logarithm of positive floats given by their bits, exact to 2e-6."""
+@njit(cache=True, nogil=True, error_model='numpy')
+def relight(values: NDArray[np.float32], bits: NDArray[np.int32], cover: NDArray[np.int32]) -> None:
+    """Write light and logarithm of one tile under a cover.
+
+    Thick cover hides what is behind it, nearly as exp(-s) would; the logarithm is exact to 2e-6.
+    """
     for j in range(TILE):
-        work[j] = (bits[j] & 0x7FFFFF) | 0x3F800000
+        s = _F(cover[j]) * _PER_ONE
+        through = _F(1.0) / (_F(1.0) + s * (_F(1.0) + s * (_F(0.5) + s * _F(1.0 / 6.0))))
+        values[LIGHT, j] = values[FLOOR, j] + values[GAIN, j] * (_F(1.0) - through)
     for j in range(TILE):
-        z = (mantissa[j] - _F(1.0)) / (mantissa[j] + _F(1.0))
+        bits[SPARE, j] = (bits[LIGHT, j] & 0x7FFFFF) | 0x3F800000
+    for j in range(TILE):
+        z = (values[SPARE, j] - _F(1.0)) / (values[SPARE, j] + _F(1.0))
         q = z * z
         series = _F(1 / 7) + q * (_F(1 / 9) + q * _F(1 / 11))
         series = _F(1.0) + q * (_F(1 / 3) + q * (_F(1 / 5) + q * series))
-        out[j] = _F((bits[j] >> 23) - 127) * _LN2 + _F(2.0) * z * series
+        values[SPARE, j] = _F(2.0) * z * series
+    for j in range(TILE):
+        exponent = _F((bits[LIGHT, j] >> 23) - 127)
+        values[LOG, j] = exponent * _LN2 + values[SPARE, j]
 
 
-@njit(cache=True, nogil=True)
-def _follow(
-    light: NDArray[np.float32],
-    before: NDArray[np.float32],
-    after: NDArray[np.float32],
-    follow: NDArray[np.float32],
-    difference: NDArray[np.float32],
-    leak: NDArray[np.float32],
-    on: NDArray[np.float32],
-    off: NDArray[np.float32],
-    corners: tuple[float, float],
-    step_s: float,
-) -> tuple[int, int]:
-    """Advance the low-pass and the difference; return whether any pixel fires, any still moves."""
-    source, per_lux = _F(corners[0]), _F(corners[1])
-    phase = _F(2.0 * np.pi * step_s)
-    step = _F(step_s)
+@njit(cache=True, nogil=True, error_model='numpy')
+def _follow(values: NDArray[np.float32], corners: Corners, step_s: float) -> tuple[int, int]:
+    """Advance low-pass and difference of a tile; return whether a pixel fires, whether one moves.
+
+    The factor exp(-x) of a step is taken as 1 / (1 + x + x^2/2 + x^3/6 + x^4/24), which is within
+    1 % while the pixel still remembers anything and goes to zero as it should.
+    """
+    source, per_lux = _F(corners.source_hz), _F(corners.hz_per_lux)
+    phase, step = _F(2.0 * np.pi * step_s), _F(step_s)
     fires, moves = np.int32(0), np.int32(0)
     for j in range(TILE):
-        photo = per_lux * light[j]
+        photo = per_lux * values[LIGHT, j]
         x = max(phase * photo * source / (photo + source), _F(1e-3))
         kept = _F(1.0) / (
             _F(1.0) + x * (_F(1.0) + x * (_F(0.5) + x * (_F(1 / 6) + x * _F(1 / 24))))
         )
-        rise = after[j] - before[j]
-        value = kept * follow[j] + (_F(1.0) - kept) * before[j]
+        rise = values[LOG, j] - values[BEFORE, j]
+        value = kept * values[FOLLOW, j] + (_F(1.0) - kept) * values[BEFORE, j]
         value += rise * (_F(1.0) - (_F(1.0) - kept) / x)
-        changed = difference[j] + (value - follow[j]) + leak[j] * step
-        follow[j] = value
-        difference[j] = changed
-        fires |= np.int32(changed > on[j]) | np.int32(changed < -off[j])
-        moves |= np.int32(abs(after[j] - value) > SETTLED)
+        changed = values[EARLIER, j] + (value - values[FOLLOW, j]) + values[LEAK, j] * step
+        values[FOLLOW, j] = value
+        values[DIFFERENCE, j] = changed
+        fires |= np.int32(changed > values[ON, j]) | np.int32(changed < -values[OFF, j])
+        moves |= np.int32(abs(values[LOG, j] - value) > SETTLED)
     return fires, moves
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _fire(
     state: PixelState,
-    p: int,
-    start: float,
-    end: float,
+    tile: int,
+    j: int,
     start_ns: int,
     end_ns: int,
-    refractory_ns: int,
     block_ns: int,
-    keys: NDArray[np.int64],
-    count: NDArray[np.int64],
+    refractory_ns: int,
+    crossings: Crossings,
 ) -> None:
-    """Find the events of one pixel whose difference went from ``start`` to ``end``."""
+    """Find the events of one pixel whose difference moved on a line over the step."""
+    values, pixel = state.values[tile], tile * TILE + j
     span = float(end_ns - start_ns)
-    since = max(float(state.ready_ns[p] - start_ns), 0.0)
+    since = max(float(state.ready_ns[pixel] - start_ns), 0.0)
     if since >= span:
         return
-    on, off = float(state.on[p]), float(state.off[p])
-    slope = (end - start) / span
-    value = start + slope * since
+    on, off = float(values[ON, j]), float(values[OFF, j])
+    slope = (float(values[DIFFERENCE, j]) - float(values[EARLIER, j])) / span
+    value = float(values[EARLIER, j]) + slope * since
     while True:
+        rising = value >= on or (value > -off and slope > 0.0)
         if value >= on or value <= -off:
             ahead = 0.0
-        elif slope > 0.0:
-            ahead = (on - value) / slope
-        elif slope < 0.0:
-            ahead = (-off - value) / slope
-        else:
+        elif slope == 0.0:
             break
+        else:
+            ahead = ((on if rising else -off) - value) / slope
         if since + ahead > span:
             break
         since += ahead
-        rising = value >= on or (value > -off and slope > 0.0)
-        if count[0] < keys.size:
-            at = start_ns - block_ns + int(since)
-            keys[count[0]] = (at << 18) | (p << 1) | (1 if rising else 0)
-            count[0] += 1
-        else:
-            count[1] += 1
+        _note(crossings, start_ns - block_ns + int(since), pixel, rising)
         since += refractory_ns
         value = 0.0
-        state.ready_ns[p] = start_ns + int(since)
+        state.ready_ns[pixel] = start_ns + int(since)
         if since >= span:
-            state.difference[p] = 0.0
+            values[DIFFERENCE, j] = 0.0
             return
-    state.difference[p] = value + slope * (span - since)
+    values[DIFFERENCE, j] = value + slope * (span - since)
 
 
-@njit(cache=True, nogil=True)
-def _due(
-    difference: NDArray[np.float32],
-    leak: NDArray[np.float32],
-    on: NDArray[np.float32],
-    end_ns: int,
-) -> int:
+@njit(cache=True, nogil=True, error_model='numpy')
+def _note(crossings: Crossings, at_ns: int, pixel: int, rising: bool) -> None:
+    """Collect one crossing."""
+    count = crossings.count
+    if count[0] < crossings.keys.size:
+        crossings.keys[count[0]] = (at_ns << 18) | (pixel << 1) | (1 if rising else 0)
+        count[0] += 1
+    else:
+        count[1] += 1
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _due(values: NDArray[np.float32], end_ns: int) -> int:
     """Return when the first of a tile's pixels leaks over its threshold [ns]."""
     soonest = 1e9
     for j in range(TILE):
-        if leak[j] > 0.0:
-            soonest = min(soonest, float(on[j] - difference[j]) / float(leak[j]))
+        if values[LEAK, j] > 0.0:
+            away = float(values[ON, j] - values[DIFFERENCE, j])
+            soonest = min(soonest, away / float(values[LEAK, j]))
     return end_ns + np.int64(max(soonest, 0.0) * 1e9) if soonest < 1e9 else NEVER
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def develop(
     state: PixelState,
-    floor: NDArray[np.float32],
-    gain: NDArray[np.float32],
     cover: NDArray[np.int32],
     dirty: NDArray[np.uint8],
-    corners: tuple[float, float],
-    refractory_ns: int,
+    corners: Corners,
     start_ns: int,
     end_ns: int,
     block_ns: int,
-    keys: NDArray[np.int64],
-    count: NDArray[np.int64],
+    crossings: Crossings,
 ) -> None:
     """Advance all pixels over one step; see ``Dvs.step``."""
-    work = np.empty(TILE, np.int32)
-    mantissa = work.view(np.float32)
-    before, after = np.empty(TILE, np.float32), np.empty(TILE, np.float32)
-    earlier = np.empty(TILE, np.float32)
     step_s = 1e-9 * (end_ns - start_ns)
     for tile in range(TILES):
         if not (dirty[tile] or state.active[tile] or state.due_ns[tile] <= end_ns):
             continue
-        first = tile * TILE
-        here = slice(first, first + TILE)
-        idle_s = np.float32(1e-9 * (start_ns - state.last_ns[tile]))
-        difference, leak, log = state.difference[here], state.leak[here], state.log[here]
+        values = state.values[tile]
+        idle_s = _F(1e-9 * (start_ns - state.last_ns[tile]))
         for j in range(TILE):
-            difference[j] += leak[j] * idle_s
-            earlier[j] = difference[j]
-            before[j] = log[j]
-            after[j] = log[j]
+            values[EARLIER, j] = values[DIFFERENCE, j] + values[LEAK, j] * idle_s
+            values[BEFORE, j] = values[LOG, j]
         if dirty[tile]:
-            for p in range(first, first + TILE):
-                state.light[p] = _lit(floor[p], gain[p], cover[p])
-            _log(state.light_bits[here], work, mantissa, after)
-            for j in range(TILE):
-                log[j] = after[j]
+            relight(values, state.bits[tile], cover[tile * TILE : (tile + 1) * TILE])
             dirty[tile] = 0
-        on, off = state.on[here], state.off[here]
-        fires, moves = _follow(
-            state.light[here],
-            before,
-            after,
-            state.follow[here],
-            difference,
-            leak,
-            on,
-            off,
-            corners,
-            step_s,
-        )
+        fires, moves = _follow(values, corners, step_s)
         if fires:
             for j in range(TILE):
-                if difference[j] > on[j] or difference[j] < -off[j]:
+                difference = values[DIFFERENCE, j]
+                if difference > values[ON, j] or difference < -values[OFF, j]:
                     _fire(
-                        state,
-                        first + j,
-                        earlier[j],
-                        difference[j],
-                        start_ns,
-                        end_ns,
-                        refractory_ns,
-                        block_ns,
-                        keys,
-                        count,
+                        state, tile, j, start_ns, end_ns, block_ns, corners.refractory_ns, crossings
                     )
         state.last_ns[tile] = end_ns
         state.active[tile] = moves
         if not moves:
-            state.due_ns[tile] = _due(difference, leak, on, end_ns)
+            state.due_ns[tile] = _due(values, end_ns)

@@ -33,7 +33,7 @@ class NoiseSource:
     """Noise events, block by block; the light at rest sets their rates.
 
     Args:
-        light_lux: Light at rest [pixels or padded pixels] [lx].
+        light_lux: Light at rest [pixels] [lx].
         settings: Settings of the chip.
         spread: Differences between pixels, for its hot pixels.
         frame_burst: Share of pixels that fire when a frame is reset or read.
@@ -48,7 +48,7 @@ class NoiseSource:
         frame_burst: float,
         seed: int,
     ) -> None:
-        self._cumulative = np.cumsum(shot_rate_hz(light_lux[:PIXELS], settings))
+        self._cumulative = np.cumsum(shot_rate_hz(light_lux, settings))
         self._hot_pixel = spread.hot_pixel.astype(np.int64)
         self._hot = np.cumsum(spread.hot_hz)
         self._frame_burst = frame_burst

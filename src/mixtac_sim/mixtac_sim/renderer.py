@@ -51,7 +51,7 @@ class Renderer:
         _redraw(self.cover, self.dirty, self._drawn, spots, self._opacity)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _redraw(
     cover: NDArray[np.int32],
     dirty: NDArray[np.uint8],
@@ -71,7 +71,7 @@ def _redraw(
         drawn[i] = spots[i]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _splat(
     cover: NDArray[np.int32], dirty: NDArray[np.uint8], spot: NDArray[np.float64], height: float
 ) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from mixtac_events.arrays import Events
 
 from mixtac_sim.aps import Aps, ApsFrame, ApsSettings
+from mixtac_sim.array_geometry import PIXELS
 from mixtac_sim.conditions import draw_conditions
 from mixtac_sim.contact_steps import STEP_US
 from mixtac_sim.device import DeviceModel, draw_device
@@ -104,7 +105,7 @@ class TactileSensor:
         self._renderer.draw(self._touch.beads.place(0, 0.0, (0.0, 0.0)))
         self._dvs.settle(self._renderer.cover)
         self._trial_seed = trial_seed
-        self._rest_light = self._dvs.light.copy()
+        self._rest_light = self._dvs.light.ravel()[:PIXELS]
         self._noise = self._noise_source(settings)
 
     def _noise_source(self, settings: PixelSettings) -> NoiseSource:

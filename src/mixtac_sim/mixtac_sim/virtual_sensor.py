@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 PERIOD_S: Final = 0.001
 _CHUNK_US: Final = 4000
-# A frame is known when its readout has ended, at the end of a chunk.
-_LEAD_US: Final = RESET_US + READOUT_US + 2 * _CHUNK_US
+# A frame is known at the end of the chunk in which its readout has ended.
+_FRAME_US: Final = RESET_US + READOUT_US + _CHUNK_US
 _MAX_BEHIND_US: Final = 250_000
 _MAX_BATCHES: Final = 2048
 
@@ -74,6 +74,7 @@ class SensorState:
 
     Attributes:
         simulated_us: How far the simulation is [us, simulated time].
+        late_us: How far what is handed over is behind the clock [us].
         overruns: How often the host could not keep up and time stood still.
         lost_us: How long it stood still altogether [us].
         playing: Whether a scenario is under way.
@@ -82,6 +83,7 @@ class SensorState:
     """
 
     simulated_us: int
+    late_us: int
     overruns: int
     lost_us: int
     playing: bool
@@ -117,6 +119,7 @@ class VirtualSensor:
         self._inertial = inertial
         self._clock = clock
         self._simulated_us = 0
+        self._due_us = 0
         self._overruns = 0
         self._aps = (0, 0)
         self._pending: deque[tuple[int, SensorOutput]] = deque()
@@ -164,6 +167,7 @@ class VirtualSensor:
         end_us = self._profile.end_us()
         return SensorState(
             simulated_us=self._simulated_us,
+            late_us=max(0, self._clock.now_us() - self._due_us),
             overruns=self._overruns,
             lost_us=self._clock.lost_us,
             playing=end_us is not None and self._clock.now_us() < end_us,
@@ -174,18 +178,19 @@ class VirtualSensor:
     def step(self) -> None:
         """Bring simulation, camera, truth and reference up to now."""
         self._follow_registers()
-        lead_us = self._aps[0] + _LEAD_US
         while True:
             now_us = self._clock.now_us()
-            behind_us = now_us - self._simulated_us
-            if behind_us > _MAX_BEHIND_US:
-                self._clock.lose(behind_us)
+            # A frame must be known before its readout begins, so all that is handed over stays
+            # behind the simulation; if that falls behind, data come late but stamped right.
+            known_us = self._simulated_us - self._aps[0] - _FRAME_US
+            if now_us - known_us > _MAX_BEHIND_US:
+                self._clock.lose(now_us - known_us)
                 self._overruns += 1
                 continue
-            due_us = min(now_us, self._simulated_us)
-            self.device.advance(due_us)
-            self._release(due_us)
-            if self._simulated_us >= now_us + lead_us:
+            self._due_us = max(self._due_us, min(now_us, known_us))
+            self.device.advance(self._due_us)
+            self._release(self._due_us)
+            if known_us >= now_us:
                 return
             self._simulate()
 

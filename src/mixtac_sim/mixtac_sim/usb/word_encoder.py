@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numba import njit
 
+from mixtac_events.arrays import Events
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
 
 TIMESTAMP_RESET_WORD: Final = 0x0001
 _WRAP_US: Final = 0x8000
@@ -191,6 +191,10 @@ class WordEncoder:
         self._state = np.zeros(5, np.int64)
         self._out = np.empty(1 << 16, np.uint16)
         self.reset()
+        # The first calls compile, or load what was compiled: not while data wait.
+        self.encode(Events.empty(), Blocks.empty(), 0)
+        pair = Blocks.from_lists([0, 0], [True, True], [[0], [0]])
+        _reordered(pair.words, pair.end, np.zeros(2, np.int64))
 
     @property
     def rows_sent(self) -> int:
