@@ -186,7 +186,7 @@ def _dropped(monitor: Monitor) -> int:
         int(float(value))
         for values in monitor.diagnostics.values()
         for key, value in values.items()
-        if key.startswith('dropped')
+        if 'dropped' in key
     )
 
 

@@ -85,10 +85,15 @@ class LiveView:
 
     def _events(self) -> str:
         values = self._monitor.diagnostics.get(f'{self._namespace}/driver', {})
+        shown = (
+            ('events', 'kev/s', 1e-3),
+            ('packets', 'packets/s', 1.0),
+            ('frames', 'frames/s', 1.0),
+        )
         return '  '.join(
-            f'{key.replace("_", " ")} {values[key]}'
-            for key in ('event_rate_mev_s', 'packet_rate_hz', 'frame_rate_hz')
-            if key in values
+            f'{float(values[f"{key} per second"]) * scale:.0f} {unit}'
+            for key, unit, scale in shown
+            if f'{key} per second' in values
         )
 
     def _table(self, left: float) -> Table:

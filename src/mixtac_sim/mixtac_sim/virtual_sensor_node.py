@@ -17,7 +17,7 @@ from mixtac_events.errors import MixtacError
 from mixtac_node.base_node import QOS_FORCE, declare, ns_to_stamp, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_sim.profiles import make_profile
-from mixtac_sim.usb.server import UsbServer
+from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
 from mixtac_sim.virtual_sensor_factory import make_virtual_sensor
 from mixtac_sim.virtual_sensor_parameters import VirtualSensorParameters
@@ -44,6 +44,9 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
         self._settings = declare(self, VirtualSensorParameters, self._change)
         self._plays = 0
         self._stop = Event()
+        path = self._settings.socket or default_socket_path()
+        check_free(path)
+        self._scenario(self._settings)
         self._sensor = make_virtual_sensor(
             device_seed=self._settings.device_seed,
             seed=self._settings.seed,

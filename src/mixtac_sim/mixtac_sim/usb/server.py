@@ -166,7 +166,12 @@ class UsbServer:
                 raise ConnectionResetError('the host hung up')
 
 
-def _listen(path: str) -> socket.socket:
+def check_free(path: str) -> None:
+    """Refuse a path that cannot be served; worth asking before a long preparation.
+
+    Raises:
+        VirtualUsbError: Another server listens there, or the path is too long.
+    """
     if len(path.encode()) > _MAX_PATH:
         raise VirtualUsbError(f'the socket path {path} is too long; set XDG_RUNTIME_DIR shorter')
     if _answers(path):
@@ -174,6 +179,10 @@ def _listen(path: str) -> socket.socket:
             f'another virtual sensor already listens on {path}; '
             'stop it, or give this one another socket or ROS_DOMAIN_ID'
         )
+
+
+def _listen(path: str) -> socket.socket:
+    check_free(path)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         if Path(path).is_socket():
