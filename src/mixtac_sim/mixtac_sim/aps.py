@@ -187,7 +187,7 @@ class Aps:
 def _bell(draw: int) -> float:
     """Return a number of mean 0 and deviation 1 from 32 random bits: the sum of four bytes."""
     total = (draw & 255) + ((draw >> 8) & 255) + ((draw >> 16) & 255) + ((draw >> 24) & 255)
-    return (np.float32(total) - np.float32(510.0)) * np.float32(1.0 / 147.7972)
+    return float((np.float32(total) - np.float32(510.0)) * np.float32(1.0 / 147.7972))
 
 
 @njit(cache=True, nogil=True, error_model='numpy')

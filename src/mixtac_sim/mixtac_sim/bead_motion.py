@@ -118,7 +118,7 @@ class BeadMotion:
 
         The array is reused by the next call.
         """
-        row = float(self.row_of(indenter, np.float64(elastic_n)))
+        row = float(self.row_of(indenter, np.array(elastic_n)))
         _place(
             self._tables[indenter],
             row,

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from mixtac_sim.elastomer import ForceLaw
     from mixtac_sim.viscoelasticity import PronySeries
 
+
 class Mode(IntEnum):
     """What a command's target means."""
 
@@ -143,9 +144,7 @@ def _advance(
             if last_mode[0] < Mode.DROP:
                 state[1], state[2] = -targets[k], 0.0
             lift = targets[k] if mode == Mode.LIFT else 0.0
-            force = step_fall(
-                state, branches, updates[1], table, step, masses[tool], lift
-            )
+            force = step_fall(state, branches, updates[1], table, step, masses[tool], lift)
         elif mode == Mode.POSITION or mode == Mode.HOLD:  # noqa: PLR1714 (numba: plain compares)
             position = targets[k] if mode == Mode.POSITION else state[1]
             force = step_position(state, branches, updates[0], table, step, position)

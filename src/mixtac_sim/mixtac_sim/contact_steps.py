@@ -32,7 +32,7 @@ def _elastic(table: NDArray[np.float64], step: float, depth: float) -> float:
     if depth <= 0.0:
         return 0.0
     k = min(int(depth / step), table.size - 2)
-    return table[k] + (table[k + 1] - table[k]) * (depth / step - k)
+    return float(table[k] + (table[k + 1] - table[k]) * (depth / step - k))
 
 
 @njit(cache=True, nogil=True)
@@ -40,9 +40,8 @@ def dent(table: NDArray[np.float64], step: float, elastic: float) -> float:
     """Return the depth [mm] of the dent that belongs to an elastic force [N]."""
     if elastic <= 0.0:
         return 0.0
-    k = min(np.searchsorted(table, elastic), table.size - 1)
-    k = max(k, 1)
-    return (k - 1 + (elastic - table[k - 1]) / (table[k] - table[k - 1])) * step
+    k = max(min(int(np.searchsorted(table, elastic)), table.size - 1), 1)
+    return float((k - 1 + (elastic - table[k - 1]) / (table[k] - table[k - 1])) * step)
 
 
 @njit(cache=True, nogil=True)
@@ -98,11 +97,11 @@ def step_fall(
     """Advance a grid step of a falling body; return the mean force over it [N]."""
     short = 1e-6 * STEP_US / SUBSTEPS
     total = 0.0
-    velocity = state[2]
+    velocity = float(state[2])
     for _ in range(SUBSTEPS):
         position = state[1] + velocity * short
         force = step_position(state, branches, update, table, step, position)
         velocity += 1e3 * (GRAVITY - (force + lift) / mass) * short
         total += force
     state[2] = velocity
-    return total / SUBSTEPS
+    return float(total / SUBSTEPS)

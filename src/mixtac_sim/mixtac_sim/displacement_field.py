@@ -75,12 +75,19 @@ def displacement_field(shape: Literal['sphere', 'flat']) -> DisplacementField:
     """Return the tabulated field of a shape (computed once per process, below a second)."""
     t, weights = _wave_numbers()
     load = _load_spectrum(shape, t) * weights * 3.0 / (4.0 * np.pi)
-    profiles = [_depth_profile(t, float(height)) for height in HEIGHTS]
+    inner, slope = _depth_profiles(t, HEIGHTS)
     distances = np.outer(t, RADII)
-    axial, radial = j0(distances), j1(distances)
-    inward = np.stack([(load * inner) @ axial for inner, _ in profiles], axis=1)
-    outward = np.stack([(load * slope) @ radial for _, slope in profiles], axis=1)
-    return DisplacementField(inward, outward)
+    inward = _transform(load, inner, j0(distances))
+    return DisplacementField(inward, _transform(load, slope, j1(distances)))
+
+
+def _transform(
+    load: NDArray[np.float64], profile: NDArray[np.float64], wave: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the sum over wave numbers for all contacts, heights and distances at once."""
+    modes = profile[:, :, None] * wave[:, None, :]
+    table = load @ modes.reshape(len(wave), -1)
+    return np.asarray(table.reshape(len(load), *modes.shape[1:]))
 
 
 def _wave_numbers() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -91,9 +98,7 @@ def _wave_numbers() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return t, np.tile(0.5 * width * weights, 100)
 
 
-def _load_spectrum(
-    shape: Literal['sphere', 'flat'], t: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _load_spectrum(shape: Literal['sphere', 'flat'], t: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the Hankel transform of the pressure over the force [alpha, t]."""
     contact = solve_contact(shape)
     spectrum = [
@@ -103,10 +108,11 @@ def _load_spectrum(
     return np.stack(spectrum) / contact.load[:, None]
 
 
-def _depth_profile(
-    t: NDArray[np.float64], height: float
+def _depth_profiles(
+    t: NDArray[np.float64], height: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return U and dU/dq at a height for unit pressure, free of overflow."""
+    """Return U and dU/dq at heights for unit pressure [t, height], free of overflow."""
+    t = t[:, None]
     q = t * height
     decay = np.exp(-t)
     cosh_t, sinh_t = 0.5 * (1.0 + decay**2), 0.5 * (1.0 - decay**2)  # times exp(-t)

@@ -82,8 +82,8 @@ class Dvs:
 
     @property
     def lost(self) -> int:
-        """Return how many crossings did not fit into \`\`CAPACITY\`\`."""
-        return int(self._crossings.count[1])
+        r"""Return how many crossings did not fit into \`\`CAPACITY\`\`."""
+        return int(self._crossings.tally[1])
 
     def configure(self, settings: PixelSettings) -> None:
         """Change the settings from the next step on."""
@@ -98,7 +98,7 @@ class Dvs:
         self._state.active[:] = 1
 
     def settle(self, cover: NDArray[np.int32]) -> None:
-        """Take the light under a cover as one that has been there for long.
+        r"""Take the light under a cover as one that has been there for long.
 
         Args:
             cover: Of \`\`Renderer\`\` [padded pixels].
@@ -117,7 +117,7 @@ class Dvs:
         end_ns: int,
         block_ns: int,
     ) -> None:
-        """Advance over one step in which the light moves to what the cover now gives.
+        r"""Advance over one step in which the light moves to what the cover now gives.
 
         Args:
             cover: Of \`\`Renderer\`\`.
@@ -138,10 +138,10 @@ class Dvs:
         )
 
     def take(self) -> NDArray[np.int64]:
-        """Return the crossings since the last call, unsorted, packed as in \`\`readout\`\`."""
-        keys, count = self._crossings
-        taken = keys[: count[0]].copy()
-        count[0] = 0
+        r"""Return the crossings since the last call, unsorted, packed as in \`\`readout\`\`."""
+        keys, tally = self._crossings
+        taken = keys[: tally[0]].copy()
+        tally[0] = 0
         return taken
 
 

@@ -27,7 +27,7 @@ ROWS = 12
 
 SETTLED = np.float32(1e-3)
 """Distance from the light's logarithm at which a pixel counts as settled."""
-NEVER = np.int64(1) << 62
+NEVER = 1 << 62
 """A time that does not come [ns]."""
 _LN2 = np.float32(0.6931471805599453)
 _PER_ONE = np.float32(1.0 / 65536.0)
@@ -73,11 +73,11 @@ class Crossings(NamedTuple):
 
     Attributes:
         keys: Packed as in ``readout``; times count from the block's start.
-        count: Number of keys, and number of crossings that did not fit [2], int64.
+        tally: Number of keys, and number of crossings that did not fit [2], int64.
     """
 
     keys: NDArray[np.int64]
-    count: NDArray[np.int64]
+    tally: NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
@@ -127,7 +127,7 @@ def _follow(values: NDArray[np.float32], corners: Corners, step_s: float) -> tup
         values[DIFFERENCE, j] = changed
         fires |= np.int32(changed > values[ON, j]) | np.int32(changed < -values[OFF, j])
         moves |= np.int32(abs(values[LOG, j] - value) > SETTLED)
-    return fires, moves
+    return int(fires), int(moves)
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
@@ -174,12 +174,12 @@ def _fire(
 @njit(cache=True, nogil=True, error_model='numpy')
 def _note(crossings: Crossings, at_ns: int, pixel: int, rising: bool) -> None:
     """Collect one crossing."""
-    count = crossings.count
-    if count[0] < crossings.keys.size:
-        crossings.keys[count[0]] = (at_ns << 18) | (pixel << 1) | (1 if rising else 0)
-        count[0] += 1
+    tally = crossings.tally
+    if tally[0] < crossings.keys.size:
+        crossings.keys[tally[0]] = (at_ns << 18) | (pixel << 1) | (1 if rising else 0)
+        tally[0] += 1
     else:
-        count[1] += 1
+        tally[1] += 1
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
@@ -190,7 +190,9 @@ def _due(values: NDArray[np.float32], end_ns: int) -> int:
         if values[LEAK, j] > 0.0:
             away = float(values[ON, j] - values[DIFFERENCE, j])
             soonest = min(soonest, away / float(values[LEAK, j]))
-    return end_ns + np.int64(max(soonest, 0.0) * 1e9) if soonest < 1e9 else NEVER
+    if soonest >= 1e9:
+        return NEVER
+    return end_ns + int(max(soonest, 0.0) * 1e9)
 
 
 @njit(cache=True, nogil=True, error_model='numpy')

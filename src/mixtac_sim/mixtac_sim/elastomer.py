@@ -66,7 +66,7 @@ class ForceLaw:
     @property
     def depths_mm(self) -> NDArray[np.float64]:
         """Return the depths [2049] [mm]: travel of the indenter from first touch."""
-        return self.step_mm * np.arange(len(self.force_n))
+        return np.arange(len(self.force_n), dtype=np.float64) * self.step_mm
 
     def force_at(self, depth_mm: float) -> float:
         """Return the elastic force [N] at a depth [mm]."""
@@ -94,9 +94,7 @@ def force_law(layer: Layer, indenter: Indenter, mesh_n_per_mm: float = np.inf) -
         depth, force, radius = _sphere_law(layer, indenter.radius_mm)
     travel = depth + force / mesh_n_per_mm
     even = np.linspace(0.0, travel[-1], DEPTHS)
-    return ForceLaw(
-        float(even[1]), np.interp(even, travel, force), np.interp(even, travel, radius)
-    )
+    return ForceLaw(float(even[1]), np.interp(even, travel, force), np.interp(even, travel, radius))
 
 
 _Law = tuple['NDArray[np.float64]', 'NDArray[np.float64]', 'NDArray[np.float64]']

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_sim.contact import STEP_US
+from mixtac_sim.contact_steps import STEP_US
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.indenter import HEMISPHERE, WEIGHT_20_G
 

@@ -64,9 +64,7 @@ class NoiseSource:
         """Return the rate of all hot pixels together [Hz]."""
         return float(self._hot[-1])
 
-    def block(
-        self, index: int, span_ns: int, bursts_ns: Sequence[int]
-    ) -> NDArray[np.int64]:
+    def block(self, index: int, span_ns: int, bursts_ns: Sequence[int]) -> NDArray[np.int64]:
         """Return the packed noise events of one block.
 
         Args:

@@ -7,8 +7,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mixtac_events.arrays import Events
 
+from mixtac_events.arrays import Events
 from mixtac_sim.touch import TRUTH_DTYPE
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from mixtac_sim.touch import ContactBlock
 
     _Contact = tuple[NDArray[np.void], NDArray[np.int64], NDArray[np.float64]]
+    _Taken = tuple[Events, list[ApsFrame], NDArray[np.void], NDArray[np.int64], NDArray[np.float64]]
 
 
 class Outbox:
@@ -41,7 +42,7 @@ class Outbox:
         self._times.append(contact.t_us)
         self._wrenches.append(contact.wrench)
 
-    def take(self, until_us: int) -> tuple[Events, list[ApsFrame], *_Contact]:
+    def take(self, until_us: int) -> _Taken:
         """Return and forget events, frames, truth, wrench times and wrenches before a time."""
         frames = [frame for frame in self.frames if frame.frame_end_us < until_us]
         self.frames = self.frames[len(frames) :]

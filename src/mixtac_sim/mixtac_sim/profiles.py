@@ -28,9 +28,7 @@ DEMO_MINIMUM_S = 10.0
 """Shortest demo [s]."""
 
 
-def make_profile(
-    name: str, seed: int, duration_s: float, *, sync: bool | None = None
-) -> Profile:
+def make_profile(name: str, seed: int, duration_s: float, *, sync: bool | None = None) -> Profile:
     """Return a profile: the same for the same arguments.
 
     Args:

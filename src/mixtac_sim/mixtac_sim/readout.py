@@ -12,9 +12,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mixtac_events.arrays import Events
 from numba import njit
 
+from mixtac_events.arrays import Events
 from mixtac_sim.array_geometry import PADDED, WIDTH
 
 if TYPE_CHECKING:

@@ -82,9 +82,7 @@ class ReferenceSensor:
         self._past_us = np.array([-1e9])
         self._past = np.zeros((1, 6))
 
-    def process(
-        self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]
-    ) -> ReferenceSamples:
+    def process(self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]) -> ReferenceSamples:
         """Return the samples that the true wrench up to ``t_us[-1]`` allows.
 
         Args:
@@ -98,7 +96,7 @@ class ReferenceSensor:
         last = int(np.floor(self._stamp_s(1e-6 * self._past_us[-1]) / self._period_s))
         ticks = np.arange(self._next, last + 1)
         self._next = max(self._next, last + 1)
-        stamps_s = ticks * self._period_s
+        stamps_s = ticks.astype(np.float64) * self._period_s
         true_s = (stamps_s - self.offset_s) / (1.0 + 1e-6 * self.drift_ppm)
         values = self._filtered(1e6 * (true_s - self.delay_s)) @ self._mix.T
         values += self._slow(true_s) + self._noise * self._samples.standard_normal(values.shape)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_sim.contact import STEP_US, Mode
+from mixtac_sim.contact import Mode
+from mixtac_sim.contact_steps import STEP_US
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.indenter import HEMISPHERE, Indenter
 
@@ -138,7 +139,7 @@ class Profile:
 
         The command of step k is the one in force at its end, (k + 1) * 125 us.
         """
-        times = (np.arange(first, first + count) + 1) * (1e-6 * STEP_US)
+        times = np.arange(first + 1, first + count + 1, dtype=np.float64) * (1e-6 * STEP_US)
         modes = np.zeros(count, np.int8)
         targets = np.zeros(count)
         tools = np.zeros(count, np.int8)

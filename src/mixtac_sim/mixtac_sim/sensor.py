@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mixtac_events.arrays import Events
 
 from mixtac_sim.aps import Aps, ApsFrame, ApsSettings
 from mixtac_sim.array_geometry import PIXELS
@@ -29,6 +28,7 @@ from mixtac_sim.touch import TRUTH_DTYPE, ContactBlock, Touch
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mixtac_events.arrays import Events
     from mixtac_sim.segments import Profile
 
 __all__ = [
@@ -155,9 +155,7 @@ class TactileSensor:
         for last in cut_block(contact.travel_px):
             self._step(contact, start_us, first, last)
             first = last
-        noise = self._noise.block(
-            index, 1000 * BLOCK_US, [1000 * (t - start_us) for t in bursts]
-        )
+        noise = self._noise.block(index, 1000 * BLOCK_US, [1000 * (t - start_us) for t in bursts])
         keys = np.concatenate([self._dvs.take(), noise])
         rng = self._latency.block(index)
         events = self._readout.read(keys, 1000 * start_us, 1000 * BLOCK_US, rng)

@@ -74,9 +74,7 @@ class Touch:
     """
 
     def __init__(self, device: DeviceModel, conditions: Conditions, profile: Profile) -> None:
-        layer = Layer(
-            device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm
-        )
+        layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
         tools = profile.indenters
         self._profile = profile
         self._laws = [force_law(layer, tool, device.mesh_n_per_mm) for tool in tools]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from mixtac_events.arrays import Events
 
 from mixtac_sim.array_geometry import HEIGHT, WIDTH
 from mixtac_sim.profiles import make_profile
@@ -19,6 +18,7 @@ from mixtac_sim.sensor import SensorOutput, TactileSensor
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mixtac_events.arrays import Events
     from mixtac_sim.aps import ApsFrame, ApsSettings
     from mixtac_sim.pixels import PixelSettings
     from mixtac_sim.segments import Profile

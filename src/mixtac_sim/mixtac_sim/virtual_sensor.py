@@ -74,6 +74,7 @@ class SensorState:
 
     Attributes:
         simulated_us: How far the simulation is [us, simulated time].
+        running: Whether the thread that moves everything lives.
         late_us: How far what is handed over is behind the clock [us].
         overruns: How often the host could not keep up and time stood still.
         lost_us: How long it stood still altogether [us].
@@ -83,6 +84,7 @@ class SensorState:
     """
 
     simulated_us: int
+    running: bool
     late_us: int
     overruns: int
     lost_us: int
@@ -167,6 +169,7 @@ class VirtualSensor:
         end_us = self._profile.end_us()
         return SensorState(
             simulated_us=self._simulated_us,
+            running=self._thread is not None and self._thread.is_alive(),
             late_us=max(0, self._clock.now_us() - self._due_us),
             overruns=self._overruns,
             lost_us=self._clock.lost_us,

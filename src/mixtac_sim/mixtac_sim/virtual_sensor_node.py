@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
 from mixtac_node.base_node import QOS_FORCE, declare, ns_to_stamp, run
-from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_sim.profiles import make_profile
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
@@ -116,6 +116,8 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
     def _status(self) -> Status:
         state = self._sensor.state()
         losses = self._sensor.device.losses
+        if not state.running:
+            return Status(ERROR, 'SIMULATED sensor, stopped by a defect: see its output', {})
         lossless = not any(losses.values()) and not state.overruns
         doing = f'playing {self._settings.scenario}' if state.playing else 'idle'
         host = 'camera read by a host' if state.streaming else 'camera not read'

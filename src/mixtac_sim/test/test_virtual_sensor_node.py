@@ -119,7 +119,7 @@ def test_publishes_reference_and_truth_and_plays_on_request(bench):
 
     camera = open_backend(f'virtual:{bench.path}')
     assert list(camera.enumerate_devices()) == ['virtual']
-    bench.spin_until(lambda: any('playing' in status(bench).message for _ in (1,)))
+    bench.spin_until(lambda: 'playing' in status(bench).message)
     assert 'SIMULATED' in status(bench).message
     assert status(bench).hardware_id == serial_number(3)
     values = {pair.key: pair.value for pair in status(bench).values}
