@@ -94,7 +94,9 @@ class DriverParameters:
 
     dvs_enabled: bool = _fixed(True, 'Events on')
     background_activity_filter_enabled: bool = _fixed(
-        True, 'The camera drops events that no neighbour supports'
+        False,
+        'The camera drops events that no neighbour supports; off, because the force estimator was '
+        'trained on all events',
     )
     background_activity_filter_time: int = _number(
         8, 'Time within which a neighbour must have fired', 4095, '250 us'
@@ -112,7 +114,13 @@ class DriverParameters:
     polarity_suppress_type: bool = _fixed(False, 'Which: false OFF, true ON')
 
     aps_enabled: bool = _fixed(True, 'Frames on')
-    aps_exposure: int = parameter(4000, 'Exposure', unit='us', minimum=1, maximum=1_000_000)
+    aps_exposure: int = parameter(
+        7000,
+        'Exposure; the shipped force estimator was trained at the default',
+        unit='us',
+        minimum=1,
+        maximum=1_000_000,
+    )
     aps_frame_interval: int = parameter(
         40_000, 'Time from frame to frame', unit='us', minimum=1, maximum=8_388_607
     )

@@ -31,9 +31,10 @@ def writes(identity, **values):
     return {write[:2]: write.value for write in register_writes(configuration, identity)}
 
 
-def test_defaults_are_those_of_the_camera(identity):
+def test_defaults_are_those_of_libcaer_but_for_what_the_estimator_needs(identity):
     ours = register_writes(camera_configuration(DriverParameters()), identity)
-    assert ours == register_writes(Configuration(), identity)
+    expected = Configuration(aps_exposure=7000, background_activity_filter_enabled=False)
+    assert ours == register_writes(expected, identity)
 
 
 def test_defaults_pass_their_own_checks():

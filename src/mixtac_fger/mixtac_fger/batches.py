@@ -32,6 +32,7 @@ class Sequences:
         frame_inputs: All frames of all trials, float16 [N, channels, rows, columns].
         frame_force: Mean label per exposure [N], float32 [N].
         frame_trial: Which trial each frame belongs to, int64 [N].
+        device: Which sensor each trial was made with, counted from 0, int64 [B].
     """
 
     event_features: Tensor
@@ -41,12 +42,15 @@ class Sequences:
     frame_inputs: Tensor
     frame_force: Tensor
     frame_trial: Tensor
+    device: Tensor
 
 
 def stack(samples: Sequence[Sample]) -> Sequences:
     """Put trials side by side."""
     length = max(len(sample.force) for sample in samples)
     counts = [len(sample.frame_force) for sample in samples]
+    seeds = [sample.origin.get('device_seed', column) for column, sample in enumerate(samples)]
+    devices = sorted(set(seeds))
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
 
     def padded(name: str, fill: int = 0) -> Tensor:
@@ -67,6 +71,7 @@ def stack(samples: Sequence[Sample]) -> Sequences:
         frame_inputs=torch.from_numpy(np.concatenate([s.frame_inputs for s in samples])),
         frame_force=torch.from_numpy(np.concatenate([s.frame_force for s in samples])),
         frame_trial=torch.repeat_interleave(torch.arange(len(samples)), torch.tensor(counts)),
+        device=torch.tensor([devices.index(seed) for seed in seeds]),
     )
 
 

@@ -39,7 +39,8 @@ class FgerConfig:
             intensity minus that of the no-contact reference), `flow_x`, `flow_y` (displacement of
             the beads since the reference, least squares over a box of 2 `flow_radius` + 1 bins, in
             bins). The difference to the reference halves the error of frames alone; the flow does
-            not depend on the bead layout, which is what another sensor changes.
+            not depend on the bead layout, which is what another sensor changes. The frame itself
+            does, and is better left out (unseen sensors: MAE 0.080 N without, 0.090 N with it).
         flow_radius: Half width of that box [bins].
         flow_regularisation: Added to the diagonal of the mean structure tensor of the box
             [1/bin^2, log units]: how much texture a displacement needs.
@@ -71,7 +72,7 @@ class FgerConfig:
     frame_bin: int = 4
     gradient_bin: int = 2
     log_floor: float = 0.05
-    frame_channels: tuple[str, ...] = FRAME_CHANNELS
+    frame_channels: tuple[str, ...] = ('difference', 'flow_x', 'flow_y')
     flow_radius: int = 3
     flow_regularisation: float = 1e-3
     reference_frames: int = 5

@@ -30,6 +30,11 @@ _ENCODE_BATCH = 512
 class Trainer:
     """Trains one network on a set of sequences.
 
+    How stiff a gel is cannot be seen: force is stiffness times what is seen. So each sensor of the
+    training data has a gain, learned with the frame network and drawn towards 1, and the network
+    learns the force on a gel of usual stiffness. A new sensor's gain is 1 until it is calibrated
+    (`mixtac_fger.calibration`).
+
     Args:
         config: Network configuration.
         settings: Stages and rates.
@@ -43,7 +48,13 @@ class Trainer:
         self.network = FgerNetwork(config)
         self._settings = settings
         self._report = report or (lambda *_: None)
+        self._log_gains = nn.Parameter(torch.zeros(0))
         self._random = torch.Generator().manual_seed(settings.seed)
+
+    @property
+    def gains(self) -> Tensor:
+        """Gain of each sensor of the training data, by `Sequences.device`."""
+        return self._log_gains.detach().exp()
 
     def run(self, sequences: Sequences) -> FgerNetwork:
         """Run all stages and return the network in evaluation mode."""
@@ -59,14 +70,19 @@ class Trainer:
         frames, labels = sequences.frame_inputs, sequences.frame_force
         batches = -(-len(labels) // settings.frame_batch)
         steps = settings.frame_epochs * batches
-        optimiser, schedule = self._optimiser(self.network.frame, settings.frame_rate, steps)
+        self._log_gains = nn.Parameter(torch.zeros(int(sequences.device.max()) + 1))
+        learned = [*self.network.frame.parameters(), self._log_gains]
+        optimiser, schedule = self._optimiser(learned, settings.frame_rate, steps)
+        device = sequences.device[sequences.frame_trial]
         for epoch in range(settings.frame_epochs):
             total = 0.0
             order = torch.randperm(len(labels), generator=self._random)
             for rows in torch.split(order, settings.frame_batch):
                 inputs = mirror_frames(frames[rows].float(), self.network.config, *self._flips())
                 force = self.network.frame.force(self.network.frame(inputs))
-                loss = smooth_l1_loss(force, labels[rows], beta=settings.loss_knee_n)
+                gain = self._log_gains[device[rows]].exp()
+                loss = smooth_l1_loss(gain * force, labels[rows], beta=settings.loss_knee_n)
+                loss = loss + settings.gain_prior * self._log_gains.square().mean()
                 self._update(loss, optimiser, schedule)
                 total += loss.item() * len(rows) / len(labels)
             self._report('frames', epoch + 1, settings.frame_epochs, total)
@@ -115,7 +131,7 @@ class Trainer:
         settings = self._settings
         length, count = sequences.force.shape
         steps = epochs * -(-length // settings.chunk_windows)
-        optimiser, schedule = self._optimiser(trained, rate, steps)
+        optimiser, schedule = self._optimiser(list(trained.parameters()), rate, steps)
         for epoch in range(epochs):
             flip = self._flips()
             state = self.network.initial_state(count)
@@ -140,9 +156,9 @@ class Trainer:
 
     def _loss(self, force: Tensor, sequences: Sequences, windows: slice) -> Tensor:
         valid = sequences.valid[windows]
-        return smooth_l1_loss(
-            force[valid], sequences.force[windows][valid], beta=self._settings.loss_knee_n
-        )
+        scaled = (self.gains[sequences.device] * force)[valid]
+        knee = self._settings.loss_knee_n
+        return smooth_l1_loss(scaled, sequences.force[windows][valid], beta=knee)
 
     def _flips(self) -> tuple[bool, bool]:
         if not self._settings.mirror:
@@ -151,11 +167,9 @@ class Trainer:
         return bool(columns), bool(rows)
 
     def _optimiser(
-        self, module: nn.Module, rate: float, steps: int
+        self, learned: list[nn.Parameter], rate: float, steps: int
     ) -> tuple[torch.optim.Optimizer, torch.optim.lr_scheduler.LRScheduler]:
-        optimiser = torch.optim.AdamW(
-            module.parameters(), lr=rate, weight_decay=self._settings.weight_decay
-        )
+        optimiser = torch.optim.AdamW(learned, lr=rate, weight_decay=self._settings.weight_decay)
         # A random first stretch makes some epochs one update longer than counted.
         schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, _warm_cosine(max(steps, 1)))
         return optimiser, schedule

@@ -24,6 +24,7 @@ class TrainingSettings:
         joint_rate: Largest learning rate of the joint stage.
         weight_decay: AdamW's.
         loss_knee_n: Errors above this count linearly, below it quadratically [N].
+        gain_prior: Weight of the mean square log gain of the sensors in the loss [N]; see `Trainer`.
         mirror: Show mirror images too.
     """
 
@@ -38,6 +39,7 @@ class TrainingSettings:
     joint_rate: float = 5e-4
     weight_decay: float = 1e-3
     loss_knee_n: float = 0.05
+    gain_prior: float = 0.01
     mirror: bool = True
 
     def to_dict(self) -> dict[str, Any]:

@@ -111,14 +111,23 @@ class Aps:
         self._noise = BlockStreams(trial_seed, 'aps noise')
         self._light = np.zeros(PIXELS, np.float32)
         self._index = 0
-        self._settings = settings
+        self._settings = self._wanted = settings
         self._next_us = settings.first_us
         self._busy_until_us = 0
 
     def configure(self, settings: ApsSettings) -> None:
         """Change the settings from the next exposure that has not begun."""
+        self._wanted = settings
+
+    def _adopt(self, now_us: float) -> None:
+        """Take over new settings unless an exposure is under way."""
+        before, settings = self._settings, self._wanted
+        exposing = before.enabled and self._next_us < now_us
+        if settings is before or exposing:
+            return
+        planned = self._next_us if before.enabled else int(now_us) + RESET_US
+        self._next_us = max(planned, settings.first_us, self._busy_until_us + RESET_US)
         self._settings = settings
-        self._next_us = max(settings.first_us, self._busy_until_us + RESET_US)
 
     def _window(self, start_us: float, end_us: float) -> tuple[float, float]:
         """Return how long [us] the light at start and at end of a step counts for the exposure."""
@@ -131,6 +140,7 @@ class Aps:
 
     def expose_before(self, light: NDArray[np.float32], start_us: float, end_us: float) -> None:
         """Collect the light [tiles, 64] [lx] at the start of a step; times in us."""
+        self._adopt(start_us)
         self._collect(light, self._window(start_us, end_us)[0])
 
     def expose_after(self, light: NDArray[np.float32], start_us: float, end_us: float) -> None:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -92,6 +92,19 @@ class Segment:
             phase = 2.0 * np.pi * tone.frequency_hz * since_s + tone.phase
             total += tone.amplitude * fade * np.sin(phase)
         return total
+
+
+class CommandSource(Protocol):
+    """What the sensor needs of a profile."""
+
+    @property
+    def indenters(self) -> tuple[Indenter, ...]:
+        """Return everything that may touch."""
+
+    def commands(
+        self, first: int, count: int
+    ) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.int8]]:
+        """Return modes, targets and indenters of some grid steps."""
 
 
 @dataclass(frozen=True, slots=True)

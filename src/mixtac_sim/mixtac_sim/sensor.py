@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_events.arrays import Events
-    from mixtac_sim.segments import Profile
+    from mixtac_sim.segments import CommandSource
 
 __all__ = [
     'TRUTH_DTYPE',
@@ -80,7 +80,7 @@ class TactileSensor:
         self,
         device_seed: int,
         trial_seed: int,
-        profile: Profile,
+        profile: CommandSource,
         aps: ApsSettings | None = None,
         pixels: PixelSettings | None = None,
     ) -> None:

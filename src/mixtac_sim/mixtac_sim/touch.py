@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from mixtac_sim.conditions import Conditions
     from mixtac_sim.device import DeviceModel
-    from mixtac_sim.segments import Profile
+    from mixtac_sim.segments import CommandSource
 
 TRUTH_DTYPE = np.dtype(
     [('t_us', 'i8'), ('fx', 'f8'), ('fy', 'f8'), ('fz', 'f8'), ('depth_mm', 'f8')]
@@ -73,7 +73,7 @@ class Touch:
         profile: What touches it.
     """
 
-    def __init__(self, device: DeviceModel, conditions: Conditions, profile: Profile) -> None:
+    def __init__(self, device: DeviceModel, conditions: Conditions, profile: CommandSource) -> None:
         layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
         tools = profile.indenters
         self._profile = profile

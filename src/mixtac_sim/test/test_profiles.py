@@ -1,0 +1,89 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Profiles: names, seeds, ranges, synchronising impulses, refusals."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mixtac_sim.contact import Mode
+from mixtac_sim.contact_steps import STEP_US
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.profiles import PROFILES, make_profile
+from mixtac_sim.segments import Profile, Segment, Tone
+
+
+def commands(profile):
+    return profile.commands(0, round(1e6 * profile.duration_s / STEP_US))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(sorted(PROFILES)), st.integers(0, 10**6), st.floats(10.0, 30.0))
+def test_commanded_forces_stay_in_range(name, seed, duration):
+    profile = make_profile(name, seed, duration)
+    modes, targets, _ = commands(profile)
+    forces = targets[modes == Mode.FORCE]
+    assert np.all(forces > -0.01)
+    assert np.all(forces < 2.0)
+    assert all(s.end_s <= duration + 1e-9 for s in profile.segments)
+
+
+@pytest.mark.parametrize('name', sorted(PROFILES))
+def test_seed_fixes_the_profile(name):
+    assert make_profile(name, 4, 12.0) == make_profile(name, 4, 12.0)
+    assert name == 'idle' or make_profile(name, 4, 12.0) != make_profile(name, 5, 12.0)
+
+
+@pytest.mark.parametrize('name', sorted(PROFILES))
+def test_sync_impulses_are_short_alone_and_strong(name):
+    profile = make_profile(name, 2, 12.0, sync=True)
+    modes, targets, _ = commands(profile)
+    t = (np.arange(len(modes)) + 1) * 1e-6 * STEP_US
+    assert len(profile.sync_s) == 2
+    for centre in profile.sync_s:
+        near = (np.abs(t - centre) < 0.5) & (modes != Mode.FREE)
+        assert 0.019 < np.ptp(t[near]) < 0.041
+        assert 1.0 <= targets[near].max() <= 2.0
+        assert t[near][np.argmax(targets[near])] == pytest.approx(centre, abs=1e-3)
+
+
+def test_only_the_demo_is_synchronised_unless_asked():
+    assert make_profile('demo', 1, 10.0).sync_s
+    assert not make_profile('press', 1, 10.0).sync_s
+
+
+def test_demo_shows_every_kind_of_contact():
+    modes, _, _ = commands(make_profile('demo', 1, 10.0))
+    assert {Mode.FREE, Mode.FORCE, Mode.DROP, Mode.LIFT} <= set(modes.tolist())
+
+
+def test_commands_do_not_depend_on_how_they_are_asked_for():
+    profile = make_profile('demo', 3, 11.0)
+    whole = commands(profile)
+    parts = [profile.commands(k, 32) for k in range(0, 88_000, 32)]
+    for column in range(3):
+        np.testing.assert_array_equal(np.concatenate([p[column] for p in parts]), whole[column])
+
+
+def test_targets_pass_through_their_knots_and_tones():
+    segment = Segment(
+        0.0, 2.0, Mode.FORCE, (0.0, 1.0, 2.0), (0.0, 0.8, 0.4), (Tone(0.1, 5.0, fade_s=0.2),)
+    )
+    np.testing.assert_allclose(segment.target(np.array([0.0, 1.0, 2.0])), [0.0, 0.8, 0.4], atol=1e-9)
+    assert segment.target(np.array([1.05]))[0] == pytest.approx(0.9, abs=0.01)
+
+
+@pytest.mark.parametrize(('name', 'duration'), [('waltz', 10.0), ('demo', 9.0), ('press', 0.1)])
+def test_impossible_profiles_are_refused(name, duration):
+    with pytest.raises(SimulationError):
+        make_profile(name, 0, duration)
+
+
+def test_overlapping_and_reversed_segments_are_refused():
+    first, second = Segment(0.0, 1.0, Mode.FREE), Segment(0.5, 2.0, Mode.FREE)
+    with pytest.raises(SimulationError, match='starts before'):
+        Profile('x', 2.0, (first, second))
+    with pytest.raises(SimulationError, match='end after'):
+        Segment(1.0, 1.0, Mode.FREE)
+    with pytest.raises(SimulationError, match='mass'):
+        Segment(0.0, 1.0, Mode.DROP)
