@@ -33,7 +33,7 @@ def writes(identity, **values):
 
 def test_defaults_are_those_of_libcaer_but_for_what_the_estimator_needs(identity):
     ours = register_writes(camera_configuration(DriverParameters()), identity)
-    expected = Configuration(aps_exposure=7000, background_activity_filter_enabled=False)
+    expected = Configuration(aps_exposure_us=7000, background_activity_filter_enabled=False)
     assert ours == register_writes(expected, identity)
 
 

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from mixtac_events.arrays import Events
     from mixtac_fger.config import FgerConfig
 
+CONTACT_N = 0.01
+"""Largest force during the reference frames [N]."""
 STORED = np.float16
 """Precision of stored features: 0.05 % is far below the noise, and memory is half."""
 
@@ -122,7 +124,8 @@ def make_sample(
         origin: Kept with the sample.
 
     Raises:
-        DatasetError: The trial has too few frames or ends before they have arrived.
+        DatasetError: The trial has too few frames, ends before they have arrived, or begins in
+            contact.
     """
     kept = config.reference_frames
     width = config.window_us
@@ -131,6 +134,12 @@ def make_sample(
         raise DatasetError(
             f'trial {origin} has {len(trial.frames)} frames: more than {kept} are needed, and'
             ' a label that lasts beyond them'
+        )
+    forces = label.mean(trial.exposure_start_us, trial.exposure_end_us)
+    if np.abs(forces[:kept]).max() > CONTACT_N:
+        raise DatasetError(
+            f'trial {origin} begins with {np.abs(forces[:kept]).max():.2f} N: its first {kept}'
+            ' frames must be without contact'
         )
     first_us = -(-int(trial.arrival_us[kept - 1]) // width) * width
     ends = np.arange(first_us, last_us + 1, width, dtype=np.int64)
@@ -148,7 +157,7 @@ def make_sample(
         slots=np.where(slots >= 0, slots - (kept - 1), -1),
         lags=np.array(lags, np.int64),
         frame_inputs=inputs,
-        frame_force=label.mean(trial.exposure_start_us, trial.exposure_end_us)[kept - 1 :],
+        frame_force=forces[kept - 1 :],
         origin=origin,
     )
 

@@ -23,10 +23,11 @@ if TYPE_CHECKING:
 
 
 def simulate(spec: TrialSpec) -> Trial:
-    """Return the trial that `spec` names."""
+    """Return the trial that `spec` names, with synchronising impulses and the rest around them."""
     from mixtac_sim.trial import simulate_trial
 
-    return simulate_trial(spec.device_seed, spec.trial_seed, spec.profile, spec.seconds)
+    seeds = (spec.device_seed, spec.trial_seed)
+    return simulate_trial(*seeds, spec.profile, spec.seconds, sync=True)
 
 
 def simulator_digest() -> str:

@@ -24,7 +24,7 @@ class TrainingSettings:
         joint_rate: Largest learning rate of the joint stage.
         weight_decay: AdamW's.
         loss_knee_n: Errors above this count linearly, below it quadratically [N].
-        gain_prior: Weight of the mean square log gain of the sensors in the loss [N]; see `Trainer`.
+        gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see `Trainer`.
         mirror: Show mirror images too.
     """
 

@@ -53,6 +53,14 @@ class TrialSpec:
         return asdict(self)
 
 
+SHORTEST_S = {'demo': 10.0}
+"""Profiles that need some time."""
+
+
+def _spec(device: int, trial: int, profile: str, seconds: float) -> TrialSpec:
+    return TrialSpec(device, trial, profile, max(seconds, SHORTEST_S.get(profile, 0.0)))
+
+
 def training_plan(trials: int, gels: int, seconds: float, seed: int) -> list[TrialSpec]:
     """Return `trials` trials over `gels` sensors, profiles in turn.
 
@@ -64,11 +72,11 @@ def training_plan(trials: int, gels: int, seconds: float, seed: int) -> list[Tri
     """
     first = TRAINING_DEVICES + 1000 * (seed % 100)
     return [
-        TrialSpec(
-            device_seed=first + index % gels,
-            trial_seed=TRAINING_TRIALS + 1000 * (seed % 100) + index,
-            profile=TRAINING_PROFILES[(index + index // gels) % len(TRAINING_PROFILES)],
-            seconds=seconds,
+        _spec(
+            first + index % gels,
+            TRAINING_TRIALS + 1000 * (seed % 100) + index,
+            TRAINING_PROFILES[(index + index // gels) % len(TRAINING_PROFILES)],
+            seconds,
         )
         for index in range(trials)
     ]
@@ -79,7 +87,7 @@ def evaluation_plan(
 ) -> list[TrialSpec]:
     """Return one trial per profile and sensor with trial seeds that training never uses."""
     return [
-        TrialSpec(device, UNSEEN + 10_000 * seed + 100 * row + column, profile, seconds)
+        _spec(device, UNSEEN + 10_000 * seed + 100 * row + column, profile, seconds)
         for row, device in enumerate(devices)
         for column, profile in enumerate(profiles)
     ]

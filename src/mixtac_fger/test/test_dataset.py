@@ -91,6 +91,12 @@ def test_unreadable_samples_are_named(tmp_path, config, content):
         load_sample(path, config)
 
 
+def test_a_trial_that_begins_in_contact_is_refused(config, trial):
+    pressed = ForceLabel(trial.label.t_us, trial.label.force + 0.2)
+    with pytest.raises(DatasetError, match=r'begins with 0.20 N'):
+        make_sample(config, trial, pressed, {})
+
+
 def test_a_trial_that_is_too_short_is_refused(config, trial):
     short = replace(trial, frames=trial.frames[:5], arrival_us=trial.arrival_us[:5])
     with pytest.raises(DatasetError, match='5 frames'):
