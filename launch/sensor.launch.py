@@ -67,15 +67,16 @@ def _common(context, name):
 
 def _shutdown_with(node, name):
     """End the launch when a node that the graph needs has ended."""
-    return RegisterEventHandler(
-        OnProcessExit(
-            target_action=node,
-            on_exit=[
-                LogInfo(msg=f'{name} has ended: shutting down'),
-                EmitEvent(event=Shutdown(reason=f'{name} has ended')),
-            ],
-        )
-    )
+
+    def shut_down(_event, context):
+        if context.is_shutdown:
+            return None
+        return [
+            LogInfo(msg=f'{name} has ended: shutting down'),
+            EmitEvent(event=Shutdown(reason=f'{name} has ended')),
+        ]
+
+    return RegisterEventHandler(OnProcessExit(target_action=node, on_exit=shut_down))
 
 
 def _transition(node, transition_id):

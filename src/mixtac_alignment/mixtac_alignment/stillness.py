@@ -23,6 +23,11 @@ FLANK: Final = (0.12, 0.4)
 """Parts of the burst's height between which its flank is straight: below, the smoothing rounds it;
 above, the speed of most taps is curved."""
 FEWEST_BINS: Final = 4
+LARGEST_STD_BINS: Final = 2.0
+"""A line through bins that is less certain than this is none."""
+LEVELS: Final = np.arange(0.7, 0.15, -0.1)
+"""Parts of the burst's height at which the flank is timed where its bins form no line: many pixels
+with nearly the same threshold make plateaus."""
 
 
 def stillness(
@@ -48,7 +53,9 @@ def stillness(
     burst = _burst_before(smooth, trough, smooth[trough] + 0.9 * depth)
     first, last = _flank(smooth, burst, trough)
     at = np.arange(first, last, dtype=np.float64) + 0.5
-    position, std = _run_out(at, rate[first:last] - rest)
+    fitted = _run_out(at, rate[first:last] - rest)
+    poor = fitted[1] > LARGEST_STD_BINS
+    position, std = _timed_run_out(smooth, burst, trough, rest) if poor else fitted
     inside = float(np.clip(position, burst + 0.5, trough + (trough - burst)))
     return inside, std + abs(position - inside)
 
@@ -86,3 +93,24 @@ def _run_out(at: NDArray[np.float64], height: NDArray[np.float64]) -> tuple[floa
     beyond = -mean / slope
     spread = variance / slope**2 * (1.0 / len(at) + beyond**2 / float(u @ u))
     return middle + beyond, float(np.sqrt(spread))
+
+
+def _timed_run_out(
+    smooth: NDArray[np.float64], burst: int, trough: int, rest: float
+) -> tuple[float, float]:
+    """Return the same from the times at which the rate last falls through each level.
+
+    Times are regressed on levels: here it is the times that scatter.
+    """
+    height = smooth[burst] - smooth[trough]
+    levels = smooth[trough] + LEVELS * height
+    span = smooth[burst : trough + 1]
+    last = np.array([np.flatnonzero(span >= level)[-1] for level in levels])
+    times = burst + last + 0.5 + (span[last] - levels) / (span[last] - span[last + 1])
+    u = levels - levels.mean()
+    slope = float(u @ times) / float(u @ u)
+    above = float(levels.mean()) - rest
+    scatter = times - times.mean() - slope * u
+    variance = float(scatter @ scatter) / (len(times) - 2)
+    spread = variance * (1.0 / len(times) + above**2 / float(u @ u))
+    return float(times.mean()) - slope * above, float(np.sqrt(spread))

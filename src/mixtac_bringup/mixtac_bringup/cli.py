@@ -34,17 +34,21 @@ def demo(
     device_seed: Annotated[
         int, typer.Option(min=0, help='Which virtual sensor: beads, gel, lamp, pixels.')
     ] = 1001,
+    model: Annotated[
+        OptionalPath, typer.Option(help='Weight file to use instead of the shipped one.')
+    ] = None,
     json: Annotated[OptionalPath, typer.Option(help='Write the summary there as well.')] = None,
     out: Annotated[OptionalPath, typer.Option(help='New folder for bag, figure and logs.')] = None,
 ) -> None:
     """Bring the graph up on the virtual sensor, show it live, then measure and draw the run."""
-    from mixtac_bringup.demo import run_demo
+    from mixtac_bringup.demo import Scenario, run_demo
     from mixtac_bringup.demo_summary import print_summary
 
     console = Console()
     now = dt.datetime.now().astimezone()
     folder = out or Path('demo_out') / f'{now:%Y%m%d-%H%M%S}'
-    report = run_demo(console, seconds, seed, device_seed, folder, json)
+    scenario = Scenario(seconds, seed, device_seed, model)
+    report = run_demo(console, scenario, folder, json)
     print_summary(console, report, folder)
 
 

@@ -27,6 +27,7 @@ from mixtac_bringup.up import recorder
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
     from rich.console import Console
 
 NAMESPACE = 'mixtac'
@@ -76,16 +77,31 @@ class DemoReport:
     clock_drift_ppm: float
 
 
+@dataclass(frozen=True)
+class Scenario:
+    """What a demo does, on which virtual sensor, with which model.
+
+    Attributes:
+        seconds: Length [s].
+        seed: Seed of the day: forces, contact point, noise, clocks.
+        device_seed: Seed of the virtual sensor: beads, gel, lamp, pixels.
+        model: Weight file, or None for the shipped one.
+    """
+
+    seconds: float
+    seed: int
+    device_seed: int
+    model: Path | None = None
+
+
 def run_demo(
-    console: Console, seconds: float, seed: int, device_seed: int, out: Path, json_file: Path | None
+    console: Console, scenario: Scenario, out: Path, json_file: Path | None = None
 ) -> DemoReport:
     """Run the graph on the virtual sensor through a scripted scenario and measure it.
 
     Args:
         console: Where to show the run and its summary.
-        seconds: Length of the scenario [s].
-        seed: Seed of the scenario: forces, contact point, noise, clocks.
-        device_seed: Seed of the virtual sensor: beads, gel, lamp, pixels.
+        scenario: What to do.
         out: New folder for the bag, the figure and the logs.
         json_file: Where to write the report as well, or None.
 
@@ -96,7 +112,7 @@ def run_demo(
     _private_domain(console)
     out.mkdir(parents=True)
     bag_path = out / 'bag'
-    dropped, pairs, arrival, stamp = _run_graph(console, seconds, seed, device_seed, out, bag_path)
+    dropped, pairs, arrival, stamp = _run_graph(console, scenario, out, bag_path)
     console.print('aligning and comparing')
     with BagFile(bag_path) as bag:
         streams = evaluation.read_streams(bag, NAMESPACE, REFERENCE)
@@ -105,9 +121,9 @@ def run_demo(
     latency = evaluation.latency_ms(arrival, stamp, pairs)
     rate = evaluation.event_rate(streams, comparison)
     report = DemoReport(
-        seconds=seconds,
-        seed=seed,
-        device_seed=device_seed,
+        seconds=scenario.seconds,
+        seed=scenario.seed,
+        device_seed=scenario.device_seed,
         force_hz=evaluation.rate_hz(arrival),
         lost=evaluation.lost_windows(stamp),
         latency_ms={
@@ -125,7 +141,9 @@ def run_demo(
         dropped=dropped,
         clock_drift_ppm=comparison.fit.drift_ppm,
     )
-    draw_run(out / 'demo.png', comparison, rate, phases(seconds, seed), _title(report))
+    draw_run(
+        out / 'demo.png', comparison, rate, phases(scenario.seconds, scenario.seed), _title(report)
+    )
     text = json.dumps(asdict(report), indent=1)
     (out / 'demo.json').write_text(text + '\n')
     if json_file is not None:
@@ -142,22 +160,24 @@ def _private_domain(console: Console) -> None:
 
 
 def _run_graph(
-    console: Console, seconds: float, seed: int, device_seed: int, out: Path, bag: Path
-) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+    console: Console, scenario: Scenario, out: Path, bag: Path
+) -> tuple[int, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Run the nodes through the scenario; return drops, clock pairs, arrivals and stamps."""
-    scenario = {
-        'seed': seed,
-        'device_seed': device_seed,
+    virtual_sensor = {
+        'seed': scenario.seed,
+        'device_seed': scenario.device_seed,
         'scenario': 'demo',
-        'seconds': float(seconds),
+        'seconds': float(scenario.seconds),
         'play_on_start': False,
         'loop': False,
     }
-    nodes = [*sensor_graph('virtual', virtual_sensor=scenario), recorder(bag)]
+    estimator = {} if scenario.model is None else {'model': str(scenario.model.resolve())}
+    sensor = sensor_graph('virtual', virtual_sensor=virtual_sensor, estimator=estimator)
+    nodes = [*sensor, recorder(bag)]
     console.print('starting virtual sensor, driver, estimator and recorder')
     with (
         ProcessGroup(out / 'log') as processes,
-        Monitor(NAMESPACE, seconds + START_UP_S) as monitor,
+        Monitor(NAMESPACE, scenario.seconds + START_UP_S) as monitor,
     ):
         for node in nodes:
             processes.start(node.name, node.command(NAMESPACE))
@@ -170,15 +190,15 @@ def _run_graph(
         time.sleep(SETTLE_S)
         monitor.trigger('virtual_sensor/play', processes.check)
         first = monitor.force_count
-        LiveView(console, monitor, NAMESPACE).show(seconds + TAIL_S, processes.check)
-        arrival, stamp, _ = (values[first:].copy() for values in monitor.force())
+        LiveView(console, monitor, NAMESPACE).show(scenario.seconds + TAIL_S, processes.check)
+        arrival, stamp, _ = monitor.force()
         dropped = _dropped(monitor)
         pairs = monitor.clock_pairs()
         processes.stop('recorder')
         failed = {name: code for name, code in processes.stop().items() if code}
     if failed:
         raise GraphError(f'nodes did not end cleanly: {failed}; see {out / "log"}')
-    return dropped, pairs, arrival, stamp
+    return dropped, pairs, arrival[first:], stamp[first:]
 
 
 def _dropped(monitor: Monitor) -> int:
@@ -191,7 +211,10 @@ def _dropped(monitor: Monitor) -> int:
 
 
 def _truth_mae(
-    streams: evaluation.Streams, truth_ns: np.ndarray, truth_n: np.ndarray, pairs: np.ndarray
+    streams: evaluation.Streams,
+    truth_ns: NDArray[np.int64],
+    truth_n: NDArray[np.float64],
+    pairs: NDArray[np.int64],
 ) -> float:
     offset = np.interp(streams.force_ns, pairs[:, 1], (pairs[:, 0] - pairs[:, 1]).astype(float))
     host = streams.force_ns + offset

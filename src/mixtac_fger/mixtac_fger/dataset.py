@@ -31,11 +31,25 @@ STORED = np.float16
 class RecordedTrial(Protocol):
     """What a trial must offer, as `mixtac_sim.trial.Trial` does; camera clock [us]."""
 
-    events: Events
-    frames: NDArray[np.uint16]
-    exposure_start_us: NDArray[np.int64]
-    exposure_end_us: NDArray[np.int64]
-    arrival_us: NDArray[np.int64]
+    @property
+    def events(self) -> Events:
+        """Events, sorted."""
+
+    @property
+    def frames(self) -> NDArray[np.uint16]:
+        """Intensities [N, height, width]."""
+
+    @property
+    def exposure_start_us(self) -> NDArray[np.int64]:
+        """When each exposure began [N]."""
+
+    @property
+    def exposure_end_us(self) -> NDArray[np.int64]:
+        """When it ended [N]."""
+
+    @property
+    def arrival_us(self) -> NDArray[np.int64]:
+        """When the host had the frame [N]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

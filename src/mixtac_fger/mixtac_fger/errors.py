@@ -23,3 +23,7 @@ class ConfigError(MixtacError):
 
 class TareError(MixtacError):
     """A request for a new zero that would be wrong now."""
+
+
+class CalibrationError(MixtacError):
+    """A measurement that a sensor cannot be calibrated with."""

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,6 +37,10 @@ class Run:
     frames_only: NDArray[np.float64]
     truth: NDArray[np.float32]
 
+    def scaled(self, scale: float) -> Run:
+        """Return the run as an estimator with this `force_scale` would have made it."""
+        return replace(self, force=scale * self.force, frames_only=scale * self.frames_only)
+
 
 def stream(model: LoadedModel, trial: RecordedTrial, label: ForceLabel) -> Run:
     """Feed a trial to the live estimator in order of arrival.
@@ -66,10 +70,23 @@ def stream(model: LoadedModel, trial: RecordedTrial, label: ForceLabel) -> Run:
     return Run(times, table[:, 1], table[:, 2], label.at(times))
 
 
-def summarise(runs: Iterable[Run]) -> dict[str, Any]:
-    """Return the pooled figures of runs: fused, and frames only."""
-    kept = list(runs)
+def summarise(runs: Iterable[tuple[Run, float]]) -> dict[str, Any]:
+    """Return the pooled figures of runs: fused, frames only, and fused after calibration.
+
+    Args:
+        runs: Runs, each with the scale of its sensor from another trial.
+    """
+    pairs = list(runs)
+    kept = [run for run, _ in pairs]
+    calibrated = np.concatenate([run.scaled(scale).force for run, scale in pairs])
     truth = np.concatenate([run.truth for run in kept])
     fused: Metrics = measure(truth, np.concatenate([run.force for run in kept]))
     frames = measure(truth, np.concatenate([run.frames_only for run in kept]))
-    return fused.to_dict() | {'trials': len(kept), 'frames_only_mae': round(frames.mae, 4)}
+    after = measure(truth, calibrated)
+    extra = {
+        'trials': len(kept),
+        'frames_only_mae': round(frames.mae, 4),
+        'calibrated_mae': round(after.mae, 4),
+        'calibrated_rmse': round(after.rmse, 4),
+    }
+    return fused.to_dict() | extra

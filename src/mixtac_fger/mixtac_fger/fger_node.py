@@ -67,7 +67,8 @@ class FgerNode(LifecycleNode):  # type: ignore[misc]
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start estimating."""
         assert self._model is not None  # noqa: S101  (the state machine configures first)
-        self._feed = LiveFeed(self._model, self._settings.contact_threshold)
+        settings = self._settings
+        self._feed = LiveFeed(self._model, settings.contact_threshold, settings.force_scale)
         self._subscriptions_ = [
             self.create_subscription(EventPacket, 'events', self._on_events, QOS_EVENTS),
             self.create_subscription(Image, 'image_raw', self._on_image, QOS_SENSOR),
@@ -99,13 +100,9 @@ class FgerNode(LifecycleNode):  # type: ignore[misc]
         self._settings = wanted
 
     def _on_events(self, message: EventPacket) -> None:
-        if self._feed is None:
-            return
-        size = (message.width, message.height)
-        for end_us, force in self._feed.packet(
-            message.seq, message.encoding, message.time_base, size, message.events
-        ):
-            self._publish(end_us, force)
+        if self._feed is not None:
+            for end_us, force in self._feed.packet(message):
+                self._publish(end_us, force)
 
     def _publish(self, end_us: int, force: float) -> None:
         message = WrenchStamped()

@@ -22,6 +22,13 @@ class FgerParameters:
     frame_id: str = parameter(
         'mixtac_contact', 'Frame of the published force: z points from the contact into the gel.'
     )
+    force_scale: float = parameter(
+        1.0,
+        'True force over estimated force of this very sensor, from its calibration: gels differ in'
+        ' stiffness, which no image shows.',
+        minimum=0.1,
+        maximum=10.0,
+    )
     contact_threshold: float = parameter(
         0.15,
         'Forces above this count as contact, in which ~/tare refuses.',

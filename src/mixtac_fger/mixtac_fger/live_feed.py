@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
-from mixtac_events.codec import decode
+from mixtac_events.codec import PacketMessage, decode_message
 from mixtac_events.errors import CodecError
 from mixtac_fger.errors import ImageError
 from mixtac_fger.image import pixels
@@ -19,6 +19,12 @@ if TYPE_CHECKING:
     from array import array
 
     from mixtac_fger.weights import LoadedModel
+
+
+class NumberedPacket(PacketMessage, Protocol):
+    """The fields of `event_camera_msgs/EventPacket` in use."""
+
+    seq: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +56,17 @@ class LiveFeed:
     Args:
         model: Network with its weights.
         contact_threshold_n: See `ForceEstimator`.
+        force_scale: See `ForceEstimator`.
     """
 
-    def __init__(self, model: LoadedModel, contact_threshold_n: float) -> None:
+    def __init__(
+        self, model: LoadedModel, contact_threshold_n: float, force_scale: float = 1.0
+    ) -> None:
         self.estimator = ForceEstimator(
-            model, background_frames=True, contact_threshold_n=contact_threshold_n
+            model,
+            background_frames=True,
+            force_scale=force_scale,
+            contact_threshold_n=contact_threshold_n,
         )
         self._size = (model.config.width, model.config.height)
         self._sequence: int | None = None
@@ -64,27 +76,18 @@ class LiveFeed:
         self._rate = RateMeter()
         self._durations = RecentValues()
 
-    def packet(
-        self, sequence: int, encoding: str, time_base: int, size: tuple[int, int], data: array[int]
-    ) -> list[tuple[int, float]]:
-        """Take an event packet and return (window end [us], force [N]) of the windows it closes.
-
-        Args:
-            sequence: Number of the packet.
-            encoding: See `mixtac_events.codec`.
-            time_base: Sensor time [ns] of the packet.
-            size: Width and height of the sensor.
-            data: Payload.
-        """
+    def packet(self, message: NumberedPacket) -> list[tuple[int, float]]:
+        """Take an event packet and return (window end [us], force [N]) of the windows it closes."""
         started = time.perf_counter()
-        self._count_losses(sequence)
+        self._count_losses(message.seq)
+        size = (message.width, message.height)
         if size != self._size:
             self._refuse(f'events of a {size} sensor: the model reads {self._size}')
             return []
         try:
-            packet = decode(data, encoding, time_base, width=size[0], height=size[1])
+            packet = decode_message(message)
             forces = self.estimator.push_events(packet.events, packet.complete_until)
-        except (CodecError, ImageError) as error:
+        except CodecError as error:
             self._refuse(str(error))
             return []
         if forces:

@@ -82,6 +82,7 @@ class ForceEstimator:
     Args:
         model: Network with its weights.
         background_frames: Run the frame network in a thread; else `push_frame` does the work.
+        force_scale: Multiplies the estimates; from the sensor's calibration.
         contact_threshold_n: Estimates above this count as contact, in which `tare` refuses [N].
     """
 
@@ -90,9 +91,11 @@ class ForceEstimator:
         model: LoadedModel,
         *,
         background_frames: bool = False,
+        force_scale: float = 1.0,
         contact_threshold_n: float = 0.15,
     ) -> None:
         self._config = model.config
+        self._scale = force_scale
         self._threshold = contact_threshold_n
         self._encoder = FrameEncoder(model.network)
         self._worker = FrameWorker(self._encoder) if background_frames else None
@@ -189,7 +192,7 @@ class ForceEstimator:
             late_events=self._slicer.late_events,
             resets=self._resets,
             frame_age_us=-1 if frame is None else (self._newest_us or 0) - frame.mid_us,
-            frame_force=0.0 if frame is None else frame.force,
+            frame_force=0.0 if frame is None else self._scale * frame.force,
         )
 
     def _reason(self) -> str:
@@ -210,7 +213,7 @@ class ForceEstimator:
         if self._frame is None:
             return None
         self._window_features.compute(events, self._frame.guide, self._features)
-        force = self._path.step(self._features)
+        force = self._scale * self._path.step(self._features)
         if not math.isfinite(force):
             self._resets += 1
             self._forget()

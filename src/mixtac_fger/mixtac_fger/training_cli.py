@@ -16,7 +16,7 @@ from rich.table import Table
 
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.model_files import DEFAULT_MODEL, find_model
-from mixtac_fger.trial_plan import evaluation_plan, training_plan, unseen_devices
+from mixtac_fger.trial_plan import calibration_plan, evaluation_plan, training_plan, unseen_devices
 
 if TYPE_CHECKING:
     from mixtac_fger.network import FgerNetwork
@@ -60,10 +60,8 @@ def train(
     model = LoadedModel(network, ModelCard(training))
     seen = [plan[index].device_seed for index in range(0, len(plan), max(len(plan) // 3, 1))][:3]
     metrics = {
-        'seen_devices': _judge(model, evaluation_plan(seen, _EVALUATION_SECONDS, 0)),
-        'unseen_devices': _judge(
-            model, evaluation_plan(unseen_devices(4, 0), _EVALUATION_SECONDS, 1)
-        ),
+        'seen_devices': _judge(model, seen, _EVALUATION_SECONDS, 0),
+        'unseen_devices': _judge(model, unseen_devices(6, 0), _EVALUATION_SECONDS, 1),
     }
     save_model(out, network, ModelCard(training, metrics))
     for title, figures in metrics.items():
@@ -86,7 +84,7 @@ def evaluate(
 
     path = find_model(model)
     loaded = load_model(path)
-    figures = _judge(loaded, evaluation_plan(unseen_devices(gels, seed), seconds, seed))
+    figures = _judge(loaded, unseen_devices(gels, seed), seconds, seed)
     _show(Console(), f'{path.name} on {gels} unseen sensors', figures)
     _write_json(json, {'model': str(path), 'metrics': {'unseen_devices': figures}})
 
@@ -118,18 +116,26 @@ def _fit(plan: list[TrialSpec], settings: TrainingSettings, data: Path, jobs: in
         return Trainer(config, settings, report).run(sequences)
 
 
-def _judge(model: LoadedModel, plan: list[TrialSpec]) -> dict[str, Any]:
-    """Return figures per profile and over all."""
+def _judge(model: LoadedModel, devices: list[int], seconds: float, seed: int) -> dict[str, Any]:
+    """Return figures per profile and over all, raw and with each sensor calibrated by one press."""
+    from mixtac_fger.calibration import fit_scale
     from mixtac_fger.dataset import true_force
-    from mixtac_fger.evaluation import stream, summarise
+    from mixtac_fger.evaluation import Run, stream, summarise
     from mixtac_fger.generation import simulate
 
-    runs: dict[str, list[Any]] = {}
-    for spec in track(plan, 'judging', transient=True):
+    def run(spec: TrialSpec) -> Run:
         trial = simulate(spec)
-        runs.setdefault(spec.profile, []).append(stream(model, trial, true_force(trial.truth)))
+        return stream(model, trial, true_force(trial.truth))
+
+    scales = {}
+    for spec in track(calibration_plan(devices, seconds, seed), 'calibrating', transient=True):
+        press = run(spec)
+        scales[spec.device_seed] = fit_scale(press.force, press.truth).force_scale
+    runs: dict[str, list[tuple[Run, float]]] = {}
+    for spec in track(evaluation_plan(devices, seconds, seed), 'judging', transient=True):
+        runs.setdefault(spec.profile, []).append((run(spec), scales[spec.device_seed]))
     figures = {profile: summarise(found) for profile, found in runs.items()}
-    return figures | {'all': summarise(run for found in runs.values() for run in found)}
+    return figures | {'all': summarise(pair for found in runs.values() for pair in found)}
 
 
 def _provenance(plan: list[TrialSpec], settings: TrainingSettings) -> dict[str, Any]:
@@ -156,6 +162,7 @@ def _show(console: Console, title: str, figures: dict[str, Any]) -> None:
         'mae',
         'rmse',
         'r2',
+        'calibrated_mae',
         'frames_only_mae',
         'constant_mae',
         'peak_truth',

@@ -93,6 +93,14 @@ def evaluation_plan(
     ]
 
 
+def calibration_plan(devices: list[int], seconds: float, seed: int) -> list[TrialSpec]:
+    """Return one more press per sensor, to calibrate it with."""
+    return [
+        _spec(device, UNSEEN + 10_000 * seed + 100 * row + 99, 'press', seconds)
+        for row, device in enumerate(devices)
+    ]
+
+
 def unseen_devices(count: int, seed: int) -> list[int]:
     """Return device seeds that training never uses."""
     return [UNSEEN + 1000 * seed + index for index in range(count)]

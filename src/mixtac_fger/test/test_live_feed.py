@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from array import array
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,6 +33,18 @@ def feed(model, trial):
     feed.close()
 
 
+def message(sequence, encoding, time_base, payload, size=SIZE) -> SimpleNamespace:
+    return SimpleNamespace(
+        seq=sequence,
+        width=size[0],
+        height=size[1],
+        encoding=encoding,
+        time_base=time_base,
+        is_bigendian=False,
+        events=array('B', bytes(payload)),
+    )
+
+
 def packet(feed: LiveFeed, sequence: int, until_us: int) -> list[tuple[int, float]]:
     events = Events(
         np.arange(until_us - 900, until_us, 100, dtype=np.int64),
@@ -40,8 +53,7 @@ def packet(feed: LiveFeed, sequence: int, until_us: int) -> list[tuple[int, floa
         np.ones(9, np.bool_),
     )
     encoded = encode(events, complete_until=until_us)
-    data = array('B', encoded.payload.tobytes())
-    return feed.packet(sequence, encoded.encoding, encoded.time_base, SIZE, data)
+    return feed.packet(message(sequence, encoded.encoding, encoded.time_base, encoded.payload))
 
 
 def test_packets_become_forces_and_losses_are_counted(feed):
@@ -70,7 +82,7 @@ def test_a_restarted_publisher_is_no_loss(feed):
     ],
 )
 def test_bad_packets_are_counted_and_explained(feed, encoding, size, data, text):
-    assert feed.packet(1, encoding, 0, size, array('B', data)) == []
+    assert feed.packet(message(1, encoding, 0, data, size)) == []
     assert feed.status().bad_messages == 1
     assert text in feed.status().problem
     assert packet(feed, 2, 203_000) == []

@@ -27,6 +27,7 @@ READ_NOISE_DN = 55.0 / ELECTRONS_PER_DN
 """Noise of one reading [DN] (specification: 55 e-)."""
 DARK_DN_PER_MS = 18.0 / ELECTRONS_PER_DN
 """Dark signal [DN/ms] (specification: 18 ke-/s)."""
+_WORD, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 RESPONSE_SPREAD = 0.02
 """Standard deviation of the pixels' response (specification: 4.2 % FPN, most of it offset)."""
 
@@ -216,8 +217,8 @@ def _digitise(
     for p in range(light.size):
         exposed = light[p] * response[p] + dark
         grain = np.sqrt(read * read + exposed * gain)
-        before = level[p] + read * _bell(np.int32(draws[p] & 0x7FFFFFFF)) + half
-        after = level[p] - exposed + grain * _bell(np.int32((draws[p] >> 32) & 0x7FFFFFFF)) + half
+        before = level[p] + read * _bell(np.int64(draws[p] & _WORD)) + half
+        after = level[p] - exposed + grain * _bell(np.int64(draws[p] >> _HALF)) + half
         reset[p] = np.uint16(min(max(before, np.float32(0.0)), top))
         signal[p] = np.uint16(min(max(after, np.float32(0.0)), top))
 

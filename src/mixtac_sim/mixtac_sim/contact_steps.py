@@ -74,7 +74,7 @@ def step_position(
     """Advance one step with the indenter at a position; return the force [N], never a pull."""
     carried, gain = force_terms(branches, update, state[0])
     elastic = _elastic(table, step, position)
-    force = carried + gain * elastic
+    force: float = carried + gain * elastic
     if position <= 0.0 or force <= 0.0:
         step_force(state, branches, update, table, step, 0.0)
         state[1] = position

@@ -137,8 +137,8 @@ def _draw_lighting(rng: Generator) -> Lighting:
 
 
 def _draw_prony(rng: Generator) -> PronySeries:
-    """Return slow branches that relax 6-14 % and fast ones with tan delta 0.08-0.2 at 100 Hz."""
+    """Return slow branches that relax 6-14 % and fast ones with tan delta 0.1-0.25 at 100 Hz."""
     slow = rng.uniform(0.02, 0.05, size=3)
-    fast = rng.uniform(0.15, 0.45, size=2)
+    fast = rng.uniform(0.2, 0.55, size=2)
     times = np.array([0.5e-3, 3e-3, 0.05, 1.0, 20.0]) * np.exp(rng.normal(0.0, 0.15, size=5))
     return PronySeries(tuple(map(float, (*fast, *slow))), tuple(map(float, times)))

@@ -74,8 +74,8 @@ def oscillation(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     frequency = rng.uniform(2.0, 5.0)
     ramp = min(0.4, 0.15 * span_s)
     tones = (
-        Tone(swing, frequency, 0.0, 0.3),
-        Tone(0.06 * swing, 2.0 * frequency, rng.uniform(0.0, 6.28), 0.3),
+        Tone(swing, frequency, 0.0, ramp),
+        Tone(0.06 * swing, 2.0 * frequency, rng.uniform(0.0, 6.28), ramp),
     )
     values = (0.0, mean, mean * rng.uniform(0.9, 1.1), 0.0)
     times = (0.0, ramp, span_s - 2.0 * ramp, span_s - ramp)

@@ -90,7 +90,7 @@ class Segment:
         for tone in self.tones:
             fade = np.clip(np.minimum(since_s, left) / tone.fade_s, 0.0, 1.0)
             phase = 2.0 * np.pi * tone.frequency_hz * since_s + tone.phase
-            total += tone.amplitude * fade * np.sin(phase)
+            total += tone.amplitude * fade**2 * np.sin(phase)
         return total
 
 

@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+
 from mixtac_sim.contact import Contact, Mode
 from mixtac_sim.contact_steps import GRAVITY, STEP_US
 from mixtac_sim.elastomer import Layer, force_law
@@ -23,9 +24,7 @@ def contact(prony=DAMPED):
 def run(seconds, mode, targets, tool=0, body=None):
     n = round(seconds / STEP_S)
     values = np.broadcast_to(np.asarray(targets, np.float64), n).copy()
-    return (body or contact()).advance(
-        np.full(n, mode, np.int8), values, np.full(n, tool, np.int8)
-    )
+    return (body or contact()).advance(np.full(n, mode, np.int8), values, np.full(n, tool, np.int8))
 
 
 @pytest.fixture(scope='module')
@@ -105,7 +104,7 @@ def test_commanded_force_is_met_and_the_dent_creeps():
 
 def test_held_position_relaxes():
     body = contact()
-    run(0.2, Mode.FORCE, 0.8, body=body)
+    run(0.02, Mode.FORCE, 0.8, body=body)
     held = run(1.0, Mode.HOLD, 0.0, body=body)
     assert np.ptp(held.position_mm) == 0.0
     assert np.all(np.diff(held.force_n) <= 1e-12)

@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+
 from mixtac_sim.displacement_field import displacement_field
 from mixtac_sim.elastomer import Layer, force_law
 from mixtac_sim.indenter import HEMISPHERE

@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+
 from mixtac_sim.elastomer import Layer, force_law
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.indenter import HEMISPHERE, Indenter
@@ -56,7 +57,9 @@ def test_mesh_is_a_spring_in_series():
     layer = Layer(160.0, 4.0)
     alone, on_mesh = force_law(layer, HEMISPHERE), force_law(layer, HEMISPHERE, 5.0)
     for force in (0.05, 0.3, 1.0, 3.0):
-        assert on_mesh.depth_at(force) == pytest.approx(alone.depth_at(force) + force / 5.0, rel=2e-3)
+        assert on_mesh.depth_at(force) == pytest.approx(
+            alone.depth_at(force) + force / 5.0, rel=2e-3
+        )
 
 
 def test_mobility_has_both_limits():

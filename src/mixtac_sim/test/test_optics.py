@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+
 from mixtac_sim.bead_motion import BeadMotion
 from mixtac_sim.device import draw_device
 from mixtac_sim.elastomer import force_law

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from mixtac_sim.contact import Mode
 from mixtac_sim.contact_steps import STEP_US
 from mixtac_sim.errors import SimulationError
@@ -69,7 +70,9 @@ def test_targets_pass_through_their_knots_and_tones():
     segment = Segment(
         0.0, 2.0, Mode.FORCE, (0.0, 1.0, 2.0), (0.0, 0.8, 0.4), (Tone(0.1, 5.0, fade_s=0.2),)
     )
-    np.testing.assert_allclose(segment.target(np.array([0.0, 1.0, 2.0])), [0.0, 0.8, 0.4], atol=1e-9)
+    np.testing.assert_allclose(
+        segment.target(np.array([0.0, 1.0, 2.0])), [0.0, 0.8, 0.4], atol=1e-9
+    )
     assert segment.target(np.array([1.05]))[0] == pytest.approx(0.9, abs=0.01)
 
 

@@ -5,6 +5,7 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from mixtac_sim.readout import Readout, pack
 
 

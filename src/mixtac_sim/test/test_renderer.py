@@ -3,6 +3,7 @@
 """Discs: exact removal, place, sum, and what is marked as changed."""
 
 import numpy as np
+
 from mixtac_sim.array_geometry import HEIGHT, PIXELS, TILE, WIDTH
 from mixtac_sim.renderer import ONE, Renderer
 

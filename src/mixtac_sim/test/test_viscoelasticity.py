@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.viscoelasticity import PronySeries, force_terms, relax
 

@@ -1,0 +1,119 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Frames: exposure, levels, noise, schedule."""
+
+import numpy as np
+import pytest
+
+from mixtac_sim.aps import READ_NOISE_DN, READOUT_US, Aps, ApsSettings
+from mixtac_sim.array_geometry import TILE, TILES
+from mixtac_sim.errors import SimulationError
+
+
+def light(lux):
+    return np.full((TILES, TILE), lux, np.float32)
+
+
+def take(aps, light_at, until_us=60_000, step_us=500):
+    """Return the frames of a course of even light."""
+    frames = []
+    for start in range(0, until_us, step_us):
+        end = start + step_us
+        aps.expose_before(light(light_at(start)), start, end)
+        aps.expose_after(light(light_at(end)), start, end)
+        frame = aps.finish(end, 1.0)
+        if frame is not None:
+            frames.append(frame)
+    return frames
+
+
+def test_schedule_and_times():
+    frames = take(Aps(1, 2, 1.0, ApsSettings(7_000, 40_000, 5_000)), lambda _: 50.0, 100_000)
+    assert [f.exposure_start_us for f in frames] == [5_000, 45_000, 85_000]
+    for frame in frames:
+        assert frame.frame_start_us < frame.exposure_start_us
+        assert frame.exposure_end_us - frame.exposure_start_us == 7_000
+        assert frame.frame_end_us - frame.exposure_end_us == READOUT_US
+
+
+def test_levels_are_those_of_a_ten_bit_converter():
+    frame = take(Aps(1, 2, 1.0, ApsSettings()), lambda _: 50.0)[0]
+    assert 900 < frame.reset.mean() < 1000
+    assert frame.reset.dtype == frame.signal.dtype == frame.intensity.dtype == np.uint16
+    # 50 lx for 7 ms at 1 DN/(lx ms), and a little dark signal.
+    assert frame.intensity.mean() == pytest.approx(350.0 + 3.7, rel=0.01)
+
+
+def test_response_is_linear_in_light_and_exposure():
+    def mean(lux, exposure_us):
+        aps = Aps(1, 2, 1.0, ApsSettings(exposure_us))
+        return take(aps, lambda _: lux)[0].intensity.mean()
+
+    assert mean(80.0, 7_000) - mean(40.0, 7_000) == pytest.approx(280.0, rel=0.01)
+    assert mean(80.0, 3_500) == pytest.approx(0.5 * mean(80.0, 7_000), rel=0.01)
+
+
+def test_light_clips_at_black_and_white():
+    frame = take(Aps(1, 2, 1.0, ApsSettings()), lambda _: 500.0)[0]
+    assert frame.signal.max() == 0
+    assert frame.intensity.max() <= 1023
+
+
+def test_noise_is_shot_and_read_noise():
+    frames = take(Aps(1, 2, 1.0, ApsSettings(7_000, 20_000)), lambda _: 60.0, 400_000)
+    stack = np.stack([f.intensity for f in frames]).astype(float)
+    expected = np.sqrt(2 * READ_NOISE_DN**2 + 424.0 / 34.0 + 1 / 6)
+    assert stack.std(axis=0).mean() == pytest.approx(expected, rel=0.06)
+    resets = np.stack([f.reset for f in frames]).astype(float)
+    assert resets.mean(axis=0).std() > 5.0
+    assert stack.mean(axis=0).std() == pytest.approx(0.02 * 420.0, rel=0.15)
+
+
+def test_only_light_within_the_exposure_counts():
+    settings = ApsSettings(7_000, 40_000, 5_130)
+    steady = take(Aps(1, 2, 1.0, settings), lambda _: 50.0)[0].intensity.mean()
+    flash = take(Aps(1, 2, 1.0, settings), lambda t: 50.0 if 4_000 <= t <= 13_000 else 900.0)
+    assert flash[0].intensity.mean() == pytest.approx(steady, abs=0.3)
+
+
+def test_ramp_of_light_is_seen_at_mid_exposure():
+    settings = ApsSettings(7_000, 40_000, 5_130)
+    ramp = take(Aps(1, 2, 1.0, settings), lambda t: 0.006 * t)[0].intensity.mean()
+    middle = take(Aps(1, 2, 1.0, settings), lambda _: 0.006 * 8_630)[0].intensity.mean()
+    assert ramp == pytest.approx(middle, abs=0.3)
+
+
+def test_new_settings_wait_for_the_exposure_under_way():
+    aps = Aps(1, 2, 1.0, ApsSettings(7_000, 40_000, 5_000))
+    frames = take(aps, lambda _: 50.0, 8_000)
+    aps.configure(ApsSettings(2_000, 20_000, 5_000))
+    for start in range(8_000, 80_000, 500):
+        aps.expose_before(light(50.0), start, start + 500)
+        aps.expose_after(light(50.0), start, start + 500)
+        frame = aps.finish(start + 500, 1.0)
+        frames += [frame] if frame is not None else []
+    lengths = [f.exposure_end_us - f.exposure_start_us for f in frames]
+    assert lengths[0] == 7_000
+    assert set(lengths[1:]) == {2_000}
+    assert np.all(np.diff([f.exposure_start_us for f in frames])[1:] == 20_000)
+    assert frames[0].intensity.mean() == pytest.approx(353.7, rel=0.01)
+
+
+def test_frames_can_be_switched_off_and_on():
+    aps = Aps(1, 2, 1.0, ApsSettings(enabled=False))
+    assert take(aps, lambda _: 50.0, 60_000) == []
+    aps.configure(ApsSettings())
+    for start in range(60_000, 80_000, 500):
+        aps.expose_before(light(50.0), start, start + 500)
+        aps.expose_after(light(50.0), start, start + 500)
+        frame = aps.finish(start + 500, 1.0)
+        if frame is not None:
+            break
+    assert frame.exposure_start_us >= 60_000
+    assert frame.intensity.mean() == pytest.approx(353.7, rel=0.01)
+
+
+@pytest.mark.parametrize('values', [(0, 40_000), (35_000, 40_000)])
+def test_impossible_settings_are_refused(values):
+    with pytest.raises(SimulationError, match='exposure'):
+        ApsSettings(*values)

@@ -1,0 +1,169 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The whole sensor: repeatable, independent of how it is advanced, and alive."""
+
+import numpy as np
+import pytest
+
+from mixtac_sim.contact import Mode
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.profiles import make_profile
+from mixtac_sim.segments import Profile, Segment
+from mixtac_sim.sensor import ApsSettings, PixelSettings, TactileSensor
+from mixtac_sim.steps import cut_block
+from mixtac_sim.trial import simulate_trial
+
+
+def tap(duration=1.0, start=0.1, force=0.8):
+    press = Segment(start, start + 0.3, Mode.FORCE, (0.0, 0.1, 0.2, 0.3), (0.0, force, force, 0.0))
+    return Profile('tap', duration, (press,))
+
+
+def sensor(device=1, trial=2, profile=None, **more):
+    return TactileSensor(device, trial, profile or tap(), **more)
+
+
+def same_events(a, b):
+    return all(
+        np.array_equal(getattr(a, name), getattr(b, name)) for name in ('t', 'x', 'y', 'polarity')
+    )
+
+
+@pytest.fixture(scope='module')
+def whole():
+    return sensor().advance(400_000)
+
+
+@pytest.mark.parametrize('step_us', [1_000, 1_237, 50_000])
+def test_pieces_give_what_the_whole_gives(whole, step_us):
+    body = sensor()
+    times = [*range(step_us, 400_000, step_us), 400_000]
+    parts = [body.advance(t) for t in times]
+    events = type(whole.events).concatenate([p.events for p in parts])
+    assert same_events(events, whole.events)
+    frames = [f for p in parts for f in p.frames]
+    assert len(frames) == len(whole.frames) > 8
+    for frame, other in zip(frames, whole.frames, strict=True):
+        assert frame.exposure_start_us == other.exposure_start_us
+        np.testing.assert_array_equal(frame.reset, other.reset)
+        np.testing.assert_array_equal(frame.signal, other.signal)
+    np.testing.assert_array_equal(np.concatenate([p.truth for p in parts]), whole.truth)
+    np.testing.assert_array_equal(np.concatenate([p.wrench for p in parts]), whole.wrench)
+    for part, end in zip(parts, times, strict=True):
+        assert len(part.events) == 0 or part.events.t[-1] < end
+
+
+def test_seeds_fix_everything_and_matter(whole):
+    assert same_events(sensor().advance(400_000).events, whole.events)
+    other_day = sensor(trial=3).advance(50_000)
+    other_device = sensor(device=9).advance(50_000)
+    first = sensor().advance(50_000)
+    assert not same_events(first.events, other_day.events)
+    rest = first.frames[0].intensity.astype(float)
+    assert np.corrcoef(rest.ravel(), other_day.frames[0].intensity.ravel())[0, 1] > 0.99
+    assert np.corrcoef(rest.ravel(), other_device.frames[0].intensity.ravel())[0, 1] < 0.9
+
+
+def test_events_are_sorted_and_in_range(whole):
+    events = whole.events
+    assert np.all(np.diff(events.t) >= 0)
+    assert events.t[0] >= 0
+    assert events.t[-1] < 400_000
+    assert events.x.max() < 346
+    assert events.y.max() < 260
+
+
+def test_press_makes_events_and_moves_the_image(whole):
+    idle = len(whole.events.between(20_000, 90_000)) / 70
+    rising = len(whole.events.between(120_000, 190_000)) / 70
+    assert rising > 2.0 * idle
+    before, during = whole.frames[0].intensity.astype(int), whole.frames[6].intensity.astype(int)
+    again = whole.frames[1].intensity.astype(int)
+    assert 200_000 < whole.frames[6].exposure_start_us < 300_000
+    assert np.abs(during - before).mean() > 1.2 * np.abs(again - before).mean()
+    assert np.percentile(np.abs(during - before), 99) > 30
+
+
+def test_events_integrate_to_the_change_of_the_image():
+    """Signed events over a press follow the change of log intensity between two frames."""
+    settings = PixelSettings(0.15, 0.15, shot_hz=0.0, leak_hz=0.0, leak_hz_per_lux=0.0)
+    output = sensor(pixels=settings).advance(300_000)
+    before, during = output.frames[0], output.frames[6]
+    middle = [(f.exposure_start_us + f.exposure_end_us) // 2 for f in (before, during)]
+    events = output.events.between(*middle)
+    total = np.zeros((260, 346))
+    np.add.at(total, (events.y, events.x), np.where(events.polarity, 1.0, -1.0))
+    change = np.log((during.intensity + 5.0) / (before.intensity + 5.0))
+    strong = np.abs(change) > 0.5
+    assert strong.sum() > 300
+    assert np.corrcoef(total[strong], change[strong])[0, 1] > 0.85
+
+
+def test_truth_is_what_was_commanded(whole):
+    truth = whole.truth
+    np.testing.assert_array_equal(np.diff(truth['t_us']), 1_000)
+    held = truth[(truth['t_us'] > 205_000) & (truth['t_us'] < 295_000)]
+    np.testing.assert_allclose(held['fz'], 0.8)
+    assert np.all(held['depth_mm'] > 0.2)
+    assert np.all(truth['fz'][truth['t_us'] < 100_000] == 0.0)
+    shear = np.hypot(held['fx'], held['fy'])
+    assert np.all(shear <= 1.2 * held['fz'])
+    assert len(whole.wrench) == 8 * len(truth) + 7
+
+
+def test_idle_noise_is_that_of_a_davis():
+    output = sensor(profile=make_profile('idle', 1, 2.0)).advance(2_000_000)
+    assert 3e3 < len(output.events) / 2.0 < 4e4
+    assert output.events.polarity.mean() > 0.5
+
+
+def test_impact_saturates_but_never_beyond_the_readout():
+    output = sensor(profile=make_profile('impact', 1, 2.0)).advance(600_000)
+    per_ms = np.bincount(output.events.t // 1000)
+    assert 2_000 < per_ms.max() <= 12_501
+    assert output.truth['fz'].max() > 3.0
+
+
+def test_settings_reach_pixels_and_frames():
+    quiet = PixelSettings(2.0, 2.0, shot_hz=0.0, leak_hz=0.0, leak_hz_per_lux=0.0)
+    body = sensor(pixels=quiet, aps=ApsSettings(enabled=False))
+    output = body.advance(200_000)
+    assert output.frames == []
+    few = len(output.events)
+    body.configure_pixels(PixelSettings(0.1, 0.1))
+    body.configure_aps(ApsSettings(3_000, 20_000))
+    output = body.advance(400_000)
+    assert len(output.events) > 5 * few
+    assert len(output.frames) in {9, 10}
+    assert output.frames[0].exposure_end_us - output.frames[0].exposure_start_us == 3_000
+
+
+def test_time_does_not_run_backwards():
+    body = sensor()
+    body.advance(10_000)
+    with pytest.raises(SimulationError, match='already at 10000 us'):
+        body.advance(9_999)
+
+
+def test_blocks_are_cut_by_motion():
+    assert cut_block(np.zeros(32)) == [32]
+    assert cut_block(np.full(32, 1.0)) == list(range(1, 33))
+    travel = np.zeros(32)
+    travel[20] = 0.5
+    assert cut_block(travel) == [16, 20, 21, 22, 24, 32]
+
+
+@pytest.mark.parametrize(('sync', 'impulses'), [(False, 0), (True, 2)])
+def test_trial_holds_together(sync, impulses):
+    trial = simulate_trial(4, 5, 'press', 3.0, sync=sync)
+    n = len(trial.frames)
+    assert trial.frames.shape == (n, 260, 346)
+    assert trial.frames.dtype == np.uint16
+    assert n in {74, 75}
+    assert trial.frames.max() <= 1023
+    assert np.all(trial.arrival_us > trial.exposure_end_us + 6_000)
+    assert len(trial.profile.sync_s) == impulses
+    a, b = trial.clock
+    on_camera = (trial.reference_t_us - b) / a - trial.reference_delay_us
+    truth = np.interp(on_camera, trial.truth['t_us'], trial.truth['fz'])
+    assert np.sqrt(np.mean((trial.reference_wrench[:, 2] - truth) ** 2)) < 0.03
