@@ -111,7 +111,7 @@ class Steps:
 
     def is_done(self, name: str, fingerprint: str) -> bool:
         """Tell whether a step succeeded with these inputs."""
-        return self._done.get(name) == fingerprint
+        return bool(self._done.get(name) == fingerprint)
 
     def finish(self, name: str, fingerprint: str) -> None:
         """Remember that a step succeeded."""

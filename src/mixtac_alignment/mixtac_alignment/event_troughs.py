@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 SMOOTHING_S: Final = 0.001
 """Standard deviation of the smoothing: bursts last 2 to 20 ms, single bins scatter."""
 MODEL_STD_S: Final = 4e-4
-"""How far taps of other shapes move the end of the flank, found with threshold pixels and on virtual
-sensors; what moves all of them alike, the latency of the pixels, stays in the offset of a fit."""
+"""How far taps of other shapes move the end of the flank, found with threshold pixels and on
+virtual sensors; what moves all alike, the latency of the pixels, stays in the offset of a fit."""
 QUEUE_STD_S: Final = 0.001
 """Extra uncertainty where the readout was saturated: late events fill the trough's start."""
 
