@@ -23,6 +23,8 @@ SMOOTHING_S: Final = 0.001
 MODEL_STD_S: Final = 4e-4
 """How far taps of other shapes move the end of the flank, found with threshold pixels and on
 virtual sensors; what moves all alike, the latency of the pixels, stays in the offset of a fit."""
+LARGEST_STD_S: Final = 0.0015
+"""A moment of stillness that is less certain is none: between bounces of a dropped load, say."""
 QUEUE_STD_S: Final = 0.001
 """Extra uncertainty where the readout was saturated: late events fill the trough's start."""
 
@@ -64,7 +66,8 @@ def find_event_impulses(
         and smooth[trough] <= chosen.max_trough_ratio * (smooth[trough] + depth)
         and not counts.lost_near(trough, window)
     ]
-    return strongest(impulses, chosen.min_spacing_s)
+    certain = [impulse for impulse in impulses if impulse.std_s <= LARGEST_STD_S]
+    return strongest(certain, chosen.min_spacing_s)
 
 
 def _impulse(

@@ -19,8 +19,9 @@ from mixtac_alignment.rate_history import EventCounts
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-STRONG: Final = 0.3
-"""Pairs with this part of the strongest one's weight are synchronising impulses."""
+STRONG: Final = 0.02
+"""Pairs with this part of the strongest one's weight are impulses; that of a dropped load may be
+thirty times that of a tap."""
 
 
 def fit_two_impulses(
