@@ -13,6 +13,7 @@ from mixtac_alignment.errors import AlignmentError, NoImpulseError, SaturatedImp
 from mixtac_alignment.event_troughs import find_event_impulses
 from mixtac_alignment.force_peaks import find_force_impulses
 from mixtac_alignment.impulses import Impulse, ImpulseSettings
+from mixtac_alignment.isolation import prefer_isolated
 from mixtac_alignment.pairing import ImpulsePair, pair_impulses
 from mixtac_alignment.rate_history import EventCounts
 
@@ -73,8 +74,9 @@ def fit_counts(
     if len(force_t_s) == 0:
         raise AlignmentError('no force recorded: check the topic of the reference sensor')
     start_s = float(np.floor(force_t_s[0]))
-    reference = find_force_impulses(force_t_s - start_s, force_N, chosen)
-    camera = find_event_impulses(counts, chosen)
+    time_s = force_t_s - start_s
+    reference = prefer_isolated(find_force_impulses(time_s, force_N, chosen), time_s, force_N)
+    camera = prefer_isolated(find_event_impulses(counts, chosen), *_coarse_rate(counts))
     _require_two(reference, 'force', f'tap so that the force passes {chosen.min_force:g} N')
     _require_two(camera, 'event rate', 'tap sharply on the gel, and check for lost packets')
     pairs = _synchronising(pair_impulses(camera, reference, chosen))
@@ -84,6 +86,15 @@ def fit_counts(
         min_baseline_s=chosen.min_baseline_s,
         max_drift=chosen.max_drift,
     )
+
+
+def _coarse_rate(counts: EventCounts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return centres [s] and event counts of intervals of 10 ms: noise averages out, taps stay."""
+    bins = max(1, round(10_000 / counts.width_us))
+    whole = len(counts.counts) // bins
+    rate = counts.counts[: whole * bins].reshape(whole, bins).sum(axis=1).astype(np.float64)
+    centres = (np.arange(whole) + 0.5) * bins * counts.width_us * 1e-6
+    return np.asarray(centres, np.float64), rate
 
 
 def _synchronising(pairs: tuple[ImpulsePair, ...]) -> tuple[ImpulsePair, ...]:
