@@ -6,10 +6,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import numpy as np
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
@@ -43,6 +44,8 @@ def draw_run(
     grid = figure.add_gridspec(4, max(1, len(spans)), height_ratios=[3, 1, 1, 3])
     whole = figure.add_subplot(grid[0, :])
     _force(whole, comparison, 0.0, float(comparison.time_s[-1]))
+    top = 1.3 * float(np.quantile(comparison.reference_n, 0.99))
+    whole.set_ylim(-0.15, max(1.2, top))
     whole.legend(loc='upper right', ncols=2, frameon=False)
     whole.set_title(title, loc='left')
     error = figure.add_subplot(grid[1, :], sharex=whole)
@@ -56,8 +59,8 @@ def draw_run(
     error.set_ylabel('error [N]')
     error.set_ylim(-0.5, 0.5)
     events = figure.add_subplot(grid[2, :], sharex=whole)
-    events.plot(rate[0], rate[1] / 1e6, color=EVENT_COLOUR, lw=0.8)
-    events.set_ylabel('events [M/s]')
+    events.semilogy(rate[0], np.maximum(rate[1], 1.0), color=EVENT_COLOUR, lw=0.8)
+    events.set_ylabel('events [1/s]')
     events.set_xlabel('camera time [s]')
     for column, (label, start, end) in enumerate(spans):
         axes = figure.add_subplot(grid[3, column])
