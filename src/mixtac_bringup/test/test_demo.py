@@ -26,10 +26,10 @@ SECONDS = 14.0
 
 @pytest.fixture(scope='module')
 def run(module_ros_domain, tmp_path_factory) -> Path:
-    """Run a short demo on a seed that no model was trained on; return its folder."""
+    """Run a short demo on the default sensor, which no model was trained on; return its folder."""
     out = tmp_path_factory.mktemp('demo') / 'run'
     command = [sys.executable, '-m', 'mixtac_bringup', 'demo', '--seconds', str(SECONDS)]
-    command += ['--seed', '77', '--device-seed', '77', '--out', str(out)]
+    command += ['--seed', '77', '--out', str(out)]
     command += ['--json', str(out.parent / 'summary.json')]
     result = subprocess.run(
         command, env=module_ros_domain, capture_output=True, text=True, timeout=170, check=False
