@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import re
-import signal
 import subprocess
 import sys
 import threading
@@ -125,7 +124,9 @@ class ProcessGroup:
         return self._members[name].last_error
 
     def stop(self, name: str | None = None) -> dict[str, int]:
-        """End one process or all, newest first: SIGINT, then SIGKILL after a grace time.
+        """End one process or all, newest first: SIGTERM, then SIGKILL after a grace time.
+
+        Not SIGINT: a Python process that is still importing answers it with a traceback.
 
         Returns:
             Exit status by name.
@@ -133,7 +134,7 @@ class ProcessGroup:
         names = [name] if name is not None else list(reversed(self._members))
         for each in names:
             if self._members[each].process.poll() is None:
-                self._members[each].process.send_signal(signal.SIGINT)
+                self._members[each].process.terminate()
         deadline = time.monotonic() + STOP_GRACE_S
         return {each: _wait(self._members.pop(each), deadline) for each in names}
 

@@ -55,13 +55,21 @@ def test_a_dead_process_is_named_with_its_last_words(tmp_path: Path):
             group.check()
 
 
-def test_a_process_that_ignores_sigint_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr('mixtac_bringup.processes.STOP_GRACE_S', 0.5)
     script = (
-        'import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); '
+        'import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); '
         "print('ready', flush=True); time.sleep(60)"
     )
     group = ProcessGroup(tmp_path)
     group.start('deaf', [sys.executable, '-c', script])
     wait_until(lambda: 'ready' in (tmp_path / 'deaf.log').read_text())
     assert group.stop() == {'deaf': -9}
+
+
+@pytest.mark.parametrize('delay_s', [0.05, 0.15, 0.3])
+def test_a_node_stopped_while_it_imports_says_nothing(tmp_path: Path, delay_s: float):
+    with ProcessGroup(tmp_path) as group:
+        group.start('node', [sys.executable, '-c', 'import numpy, scipy.stats; input()'])
+        time.sleep(delay_s)
+    assert 'Traceback' not in (tmp_path / 'node.log').read_text()
