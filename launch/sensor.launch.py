@@ -25,7 +25,9 @@ from launch import LaunchDescription
 
 ARGUMENTS = [
     DeclareLaunchArgument(
-        'device', default_value='davis346', description='What the driver opens: davis346 or virtual'
+        'device',
+        default_value='davis346',
+        description='What the driver opens: davis346, virtual, or the path of a recording',
     ),
     DeclareLaunchArgument(
         'namespace', default_value='mixtac', description='Namespace of all nodes and topics'

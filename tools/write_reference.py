@@ -13,7 +13,7 @@ from typing import Any
 
 from mixtac_alignment.alignment_parameters import AlignmentParameters
 from mixtac_bringup.recorder_parameters import RecorderParameters
-from mixtac_bringup.topics import TOPICS
+from mixtac_bringup.topics import SERVICES, TOPICS
 from mixtac_driver.driver_parameters import DriverParameters
 from mixtac_fger.fger_parameters import FgerParameters
 from mixtac_node.parameters import ParameterSpec, specs
@@ -82,8 +82,8 @@ def wrap(text: str, width: int = 92) -> list[str]:
 
 
 def reference() -> str:
-    """Return the page of topics and parameters."""
-    lines = ['# Topics and parameters', '']
+    """Return the page of topics, services and parameters."""
+    lines = ['# Topics, services and parameters', '']
     lines += ['Written from the code by `make docs`; a test fails when it is out of date.', '']
     lines += ['## Topics', '', 'Names without a leading slash are relative to the namespace.', '']
     lines += ['| topic | type | QoS | what |', '|---|---|---|---|']
@@ -91,6 +91,8 @@ def reference() -> str:
         reliability = 'reliable' if topic.reliable else 'best effort'
         qos = f'{reliability}, depth {topic.depth}{", transient local" if topic.latched else ""}'
         lines.append(f'| `{topic.name}` | `{topic.type_name}` | {qos} | {topic.description} |')
+    lines += ['', '## Services', '', '| service | type | what |', '|---|---|---|']
+    lines += [f'| `{s.name}` | `{s.type_name}` | {s.description} |' for s in SERVICES]
     for node, schema in SCHEMAS.items():
         lines += ['', f'## Parameters of `{node}`', '']
         lines += ['| parameter | default | unit | allowed | at run time | what |']

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 OWN_TYPES = (
     'event_camera_msgs/msg/EventPacket',
     'mixtac_msgs/msg/ClockFit',
+    'mixtac_msgs/msg/ExternalEdge',
+    'mixtac_msgs/msg/FrameExposure',
     'mixtac_msgs/msg/SlipState',
 )
 

@@ -30,6 +30,27 @@ if TYPE_CHECKING:
 QUEUE_SIZE = 20_000
 
 
+def offered_qos(*, reliable: bool, latched: bool) -> Qos:
+    """Return the QoS profile to record for a topic, for `ros2 bag play`.
+
+    Args:
+        reliable: Reliability that its publisher offers.
+        latched: True for transient local.
+    """
+    zero = QosTime(0, 0)
+    return Qos(
+        QosHistory.KEEP_LAST,
+        1000,
+        QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+        QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        zero,
+        zero,
+        QosLiveliness.AUTOMATIC,
+        zero,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
 class BagWriter:
     """Takes messages without blocking and writes them in order.
 
@@ -71,21 +92,12 @@ class BagWriter:
             reliable: QoS the publisher offers, recorded for `ros2 bag play`.
             latched: True for transient local.
         """
-        zero = QosTime(0, 0)
-        qos = Qos(
-            QosHistory.KEEP_LAST,
-            1000,
-            QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
-            QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
-            zero,
-            zero,
-            QosLiveliness.AUTOMATIC,
-            zero,
-            avoid_ros_namespace_conventions=False,
-        )
         self.written[topic] = 0
         return self._writer.add_connection(
-            topic, type_name, typestore=self._types, offered_qos_profiles=(qos,)
+            topic,
+            type_name,
+            typestore=self._types,
+            offered_qos_profiles=(offered_qos(reliable=reliable, latched=latched),),
         )
 
     def write(self, connection: Connection, received_ns: int, data: bytes) -> None:

@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from mixtac_bringup import bench
 from mixtac_events.errors import MixtacError
 
 app = typer.Typer(
@@ -22,6 +23,12 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+app.add_typer(bench.app)
+experiments = typer.Typer(
+    name='experiments', help='Experiments on the virtual sensor.', no_args_is_help=True
+)
+app.add_typer(experiments)
 
 INTERRUPTED = 130
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
@@ -55,7 +62,7 @@ def demo(
 @app.command()
 def up(
     graph: Annotated[str, typer.Argument(help='What to bring up: sensor.')] = 'sensor',
-    device: Annotated[str, typer.Option(help='davis346 or virtual.')] = 'davis346',
+    device: Annotated[str, typer.Option(help='davis346, virtual or a recording.')] = 'davis346',
     namespace: Annotated[str, typer.Option(help='ROS namespace of all nodes.')] = 'mixtac',
     params_file: Annotated[
         OptionalPath, typer.Option(exists=True, help='Parameters that win over the shipped ones.')
@@ -100,10 +107,21 @@ def inspect(bag: Annotated[Path, typer.Argument(help='Folder of a rosbag2 record
 
 def _mount_learning() -> None:
     # Training pulls in torch; the other commands start without it.
-    from mixtac_fger import training_cli
+    from mixtac_fger import difficulty_cli, training_cli
 
     app.command()(training_cli.train)
     app.command()(training_cli.evaluate)
+    experiments.command()(difficulty_cli.difficulty)
+    experiments.command()(difficulty_cli.ablation)
+
+
+def _mount_hardware() -> None:
+    # So does whatever opens cameras.
+    from mixtac_bringup.calibrate import calibrate
+    from mixtac_bringup.doctor import doctor
+
+    app.command()(doctor)
+    app.command()(calibrate)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -117,6 +135,8 @@ def main(arguments: list[str] | None = None) -> int:
         130 after Ctrl-C.
     """
     _mount_learning()
+    _mount_hardware()
+    bench.mount()
     try:
         result = app(arguments, standalone_mode=False)
     except MixtacError as error:

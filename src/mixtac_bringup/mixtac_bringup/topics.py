@@ -18,6 +18,7 @@ class Topic:
         depth: Queue depth its publisher offers.
         latched: True for transient local.
         description: What it carries, on which clock.
+        condition: Parameter without which nobody publishes it, empty for none.
     """
 
     name: str
@@ -26,6 +27,7 @@ class Topic:
     depth: int
     description: str
     latched: bool = False
+    condition: str = ''
 
     def resolved(self, namespace: str) -> str:
         """Return the absolute name."""
@@ -56,7 +58,33 @@ TOPICS = (
         'sensor_msgs/msg/CameraInfo',
         reliable=False,
         depth=10,
-        description='With the stamp of its frame.',
+        description='Calibration of the lens, with the stamp of its frame.',
+    ),
+    Topic(
+        'image_rect',
+        'sensor_msgs/msg/Image',
+        reliable=False,
+        depth=10,
+        condition='undistort_frames',
+        description='With `undistort_frames`: the frame without the distortion of the lens, '
+        'pixels by P of `camera_info`.',
+    ),
+    Topic(
+        'events_rect',
+        'event_camera_msgs/msg/EventPacket',
+        reliable=False,
+        depth=1000,
+        condition='undistort_events',
+        description='With `undistort_events`: events at the pixels of `image_rect`; those outside '
+        'are left out.',
+    ),
+    Topic(
+        'image_exposure',
+        'mixtac_msgs/msg/FrameExposure',
+        reliable=False,
+        depth=10,
+        description='With the header of its frame: start and end of its exposure and of its '
+        'read-out on the camera clock.',
     ),
     Topic(
         'imu',
@@ -64,6 +92,21 @@ TOPICS = (
         reliable=False,
         depth=10,
         description='Acceleration [m/s^2] and angular velocity [rad/s]; stamp on the camera clock.',
+    ),
+    Topic(
+        'temperature',
+        'sensor_msgs/msg/Temperature',
+        reliable=False,
+        depth=10,
+        description='Temperature of the inertial unit in the camera, 10 Hz; stamp on the camera '
+        'clock.',
+    ),
+    Topic(
+        'external_edges',
+        'mixtac_msgs/msg/ExternalEdge',
+        reliable=True,
+        depth=1000,
+        description='Edges and pulses at the synchronisation connector; stamp on the camera clock.',
     ),
     Topic(
         'camera_clock',
@@ -117,6 +160,86 @@ TOPICS = (
         reliable=False,
         depth=100,
         description='Slip detection per 1 ms window (slip control node).',
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """One service.
+
+    Attributes:
+        name: Relative to the namespace.
+        type_name: For example `std_srvs/srv/Trigger`.
+        description: What it does.
+    """
+
+    name: str
+    type_name: str
+    description: str
+
+
+SERVICES = (
+    Service(
+        'driver/snapshot',
+        'std_srvs/srv/Trigger',
+        'Takes one frame where `aps_enabled` is off, waits for the next one where it is on; '
+        'answers with its stamp.',
+    ),
+    Service(
+        'driver/reset_timestamps',
+        'std_srvs/srv/Trigger',
+        "Sets the camera's own clock to zero; published time goes on.",
+    ),
+    Service(
+        'driver/set_camera_info',
+        'sensor_msgs/srv/SetCameraInfo',
+        'Checks a calibration, writes it to `camerainfo_url` and uses it from then on.',
+    ),
+    Service(
+        'driver/find_hot_pixels',
+        'std_srvs/srv/Trigger',
+        'Counts events for `hot_pixels_duration` and masks the pixels that fire without cause: the '
+        'eight noisiest in the camera, the others in the driver. Keep the scene still.',
+    ),
+    Service(
+        'virtual_sensor/play',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: plays the scenario that the parameters describe.',
+    ),
+    Service(
+        'virtual_sensor/press',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: presses `object` on the skin with `press_force`, for `hold_seconds`.',
+    ),
+    Service(
+        'virtual_sensor/load',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: puts `object` down on the skin, for `hold_seconds`.',
+    ),
+    Service(
+        'virtual_sensor/drop',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: drops `object` from `drop_height`.',
+    ),
+    Service(
+        'virtual_sensor/vibrate',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: lets `object` vibrate in the skin as the `vibration_` parameters '
+        'say.',
+    ),
+    Service(
+        'virtual_sensor/release',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: takes off what touches.',
+    ),
+    Service('fger/tare', 'std_srvs/srv/Trigger', 'Makes the present force zero.'),
+    Service('alignment/fit', 'std_srvs/srv/Trigger', 'Fits the clocks to what was seen so far.'),
+    Service('slip_control/enable', 'std_srvs/srv/SetBool', 'Lets slip move the arm, or not.'),
+    Service(
+        'slip_control/calibrate',
+        'std_srvs/srv/Trigger',
+        'Learns the background of events anew; keep the object still.',
     ),
 )
 

@@ -70,6 +70,8 @@ def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: p
 @pytest.mark.parametrize('delay_s', [0.05, 0.15, 0.3])
 def test_a_node_stopped_while_it_imports_says_nothing(tmp_path: Path, delay_s: float):
     with ProcessGroup(tmp_path) as group:
-        group.start('node', [sys.executable, '-c', 'import numpy, scipy.stats, time; time.sleep(60)'])
+        group.start(
+            'node', [sys.executable, '-c', 'import numpy, scipy.stats, time; time.sleep(60)']
+        )
         time.sleep(delay_s)
     assert 'Traceback' not in (tmp_path / 'node.log').read_text()

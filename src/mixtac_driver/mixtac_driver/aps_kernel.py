@@ -10,13 +10,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import int64, njit
+from numba import int32, njit, uint16, uint64
 
 from mixtac_driver.decoder_state import (
-    ADDRESS,
     APS_COLUMNS,
-    APS_FLIP_X,
-    APS_FLIP_Y,
     APS_INVERTED,
     APS_ROWS,
     C_APS_UNEXPECTED,
@@ -47,7 +44,6 @@ from mixtac_driver.decoder_state import (
     SIGNAL_COLUMNS,
     SIZE_X,
     SIZE_Y,
-    STEP,
     TIME,
 )
 
@@ -56,9 +52,11 @@ Array = Any
 
 OVEREXPOSED_BELOW = 384
 WHITE = 1023
+SAMPLE_WORD = uint16(0x4000)
+CHUNK = 64
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def aps_drop(state: Array, counters: Array) -> None:
     """Drop the frame in progress, if any."""
     if state[FRAME_OPEN]:
@@ -67,7 +65,7 @@ def aps_drop(state: Array, counters: Array) -> None:
     state[COLUMN_TYPE] = -1
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def aps_frame_start(global_shutter: Int, state: Array, counters: Array) -> None:
     """Begin a frame."""
     aps_drop(state, counters)
@@ -85,7 +83,7 @@ def aps_frame_start(global_shutter: Int, state: Array, counters: Array) -> None:
     state[SIGNAL_COLUMNS] = 0
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def aps_exposure_data(data: Int, state: Array, counters: Array) -> None:
     """Take 10 more bits of the exposure in ADC cycles, lowest first."""
     if not state[FRAME_OPEN] or state[EXPOSURE_WORDS] >= 3:
@@ -95,7 +93,7 @@ def aps_exposure_data(data: Int, state: Array, counters: Array) -> None:
     state[EXPOSURE_WORDS] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def aps_region_data(high: Int, data: Int, state: Array, counters: Array) -> None:
     """Take one byte of start column, start row, end column, end row; high bytes come first."""
     if not state[FRAME_OPEN] or state[ROI_WORDS] >= 4:
@@ -109,7 +107,7 @@ def aps_region_data(high: Int, data: Int, state: Array, counters: Array) -> None
             _set_region(state, counters)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def _clip_axis(first: Int, size: Int, state: Array, counters: Array) -> Int:
     """Correct start and end of one axis of the region; return its length."""
     start, end = state[first], state[first + 2]
@@ -121,7 +119,7 @@ def _clip_axis(first: Int, size: Int, state: Array, counters: Array) -> Int:
     return end + 1 - start
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def _set_region(state: Array, counters: Array) -> None:
     inverted = state[APS_INVERTED]
     width = state[APS_ROWS] if inverted else state[APS_COLUMNS]
@@ -133,7 +131,7 @@ def _set_region(state: Array, counters: Array) -> None:
     state[SAMPLES] = size_x if inverted else size_y
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def aps_column_start(column_type: Int, state: Array, counters: Array) -> None:
     """Begin a column of reset (0) or signal (1) samples."""
     if not state[FRAME_OPEN]:
@@ -149,55 +147,77 @@ def aps_column_start(column_type: Int, state: Array, counters: Array) -> None:
         return
     state[COLUMN_TYPE] = column_type
     state[SAMPLE] = 0
-    _aim(column, state)
 
 
-@njit(cache=True, nogil=True)
-def _aim(column: Int, state: Array) -> None:
-    """Find where the samples of a column go."""
-    place = state[COLUMNS] - 1 - column if state[APS_FLIP_X] else column
-    first = state[SAMPLES] - 1 if state[APS_FLIP_Y] else 0
-    direction = -1 if state[APS_FLIP_Y] else 1
-    if state[APS_INVERTED]:
-        state[ADDRESS] = place * state[SIZE_X] + first
-        state[STEP] = direction
-    else:
-        state[ADDRESS] = first * state[SIZE_X] + place
-        state[STEP] = direction * state[SIZE_X]
-
-
-@njit(cache=True, nogil=True)
-def aps_samples(
-    words: Array, i: Int, state: Array, counters: Array, resets: Array, image: Array
-) -> Int:
-    """Take the run of samples at word `i`; return the index of the word after it."""
-    first = i
-    column_type, address, step = state[COLUMN_TYPE], state[ADDRESS], state[STEP]
-    room = state[SAMPLES] - state[SAMPLE] if column_type >= 0 else 0
-    stop = min(int64(len(words)), i + room)
-    if column_type == 0:
-        while i < stop and words[i] >> 12 == 4:
-            resets[address] = words[i] & 0x3FF
-            address += step
-            i += 1
-    else:
-        while i < stop and words[i] >> 12 == 4:
-            signal, reset = int64(words[i] & 0x3FF), int64(resets[address])
-            white = reset < OVEREXPOSED_BELOW or signal == 0
-            image[address] = WHITE if white else max(reset - signal, 0)
-            address += step
-            i += 1
-    state[SAMPLE] += i - first
-    state[ADDRESS] = address
-    expected = i
-    while i < len(words) and words[i] >> 12 == 4:
+@njit(nogil=True, forceinline=True)
+def _run_end(words: Array, first: Int, stop: Int) -> Int:
+    """Return the index of the first word that is no sample."""
+    i = first
+    while i + CHUNK <= stop:
+        others = uint16(0)
+        for j in range(uint64(i), uint64(i + CHUNK)):
+            others |= words[j] ^ SAMPLE_WORD
+        if others > 0xFFF:
+            break
+        i += CHUNK
+    while i < stop and words[uint64(i)] >> 12 == 4:
         i += 1
-    counters[C_SAMPLES] += i - first
-    counters[C_SAMPLES_UNEXPECTED] += i - expected
     return i
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
+def _take_chunk(
+    words: Array, i: Int, place: Int, size: Int, signal: Int, resets: Array, image: Array
+) -> None:
+    for j in range(uint64(size)):
+        sample = words[uint64(i) + j] & uint16(0x3FF)
+        if signal:
+            reset = resets[uint64(place) + j]
+            white = (reset < OVEREXPOSED_BELOW) | (sample == 0)
+            difference = max(int32(reset) - int32(sample), int32(0))
+            image[uint64(place) + j] = int32(WHITE) if white else difference
+        else:
+            resets[uint64(place) + j] = sample
+
+
+@njit(nogil=True, forceinline=True)
+def _take_samples(
+    words: Array, first: Int, count: Int, place: Int, signal: Int, resets: Array, image: Array
+) -> None:
+    """Store reset samples, or subtract signal samples from them."""
+    if count < CHUNK:
+        _take_chunk(words, first, place, count, signal, resets, image)
+        return
+    # Whole chunks suit the vector unit; the last one overlaps the one before.
+    for done in range(0, count, CHUNK):
+        k = min(done, count - CHUNK)
+        _take_chunk(words, first + k, place + k, CHUNK, signal, resets, image)
+
+
+@njit(nogil=True, forceinline=True)
+def aps_samples(
+    words: Array, size: Int, first: Int, state: Array, counters: Array, resets: Array, image: Array
+) -> Int:
+    """Take the run of samples at word `first`; return the index of the word after it.
+
+    The samples stay in the order of the wire; who takes a complete frame turns it.
+    """
+    column_type = state[COLUMN_TYPE]
+    room = state[SAMPLES] - state[SAMPLE] if column_type >= 0 else 0
+    end = _run_end(words, first, min(size, first + room))
+    count = end - first
+    if column_type >= 0:
+        place = state[RESET_COLUMNS + column_type] * state[SAMPLES] + state[SAMPLE]
+        _take_samples(words, first, count, place, column_type, resets, image)
+        state[SAMPLE] += count
+    while end < size and words[uint64(end)] >> 12 == 4:
+        end += 1
+    counters[C_SAMPLES] += end - first
+    counters[C_SAMPLES_UNEXPECTED] += end - first - count
+    return end
+
+
+@njit(nogil=True, forceinline=True)
 def aps_column_end(state: Array, counters: Array) -> None:
     """Finish a column; one that is too short breaks the frame."""
     column_type = state[COLUMN_TYPE]
@@ -210,7 +230,7 @@ def aps_column_end(state: Array, counters: Array) -> None:
     state[COLUMN_TYPE] = -1
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def aps_mark(place: Int, state: Array, counters: Array) -> None:
     """Take the time as start or end of the exposure."""
     if state[FRAME_OPEN]:
@@ -219,7 +239,7 @@ def aps_mark(place: Int, state: Array, counters: Array) -> None:
         counters[C_APS_UNEXPECTED] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def aps_frame_end(state: Array, counters: Array) -> Int:
     """Finish a frame; return whether it is complete."""
     if not state[FRAME_OPEN]:

@@ -9,6 +9,7 @@ device string and return a pyusb backend.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 from importlib.metadata import entry_points
 from typing import Any
@@ -19,6 +20,7 @@ from usb.core import USBError
 
 from mixtac_driver.errors import NoCameraError, UnknownDeviceError, UsbError
 from mixtac_driver.protocol import usb_failure
+from mixtac_events.errors import MixtacError
 
 GROUP = 'mixtac.usb_backends'
 REAL = 'davis346'
@@ -76,35 +78,88 @@ def _libusb() -> Any:  # noqa: ANN401
     return backend
 
 
-def find_camera(backend: Any, device: str, serial: str = '') -> tuple[Any, str]:  # noqa: ANN401
+def attached_cameras(
+    device: str,
+    backend: Any = None,  # noqa: ANN401
+) -> frozenset[tuple[int, int]]:
+    """Return bus and address of every camera that is attached, without opening any.
+
+    Plugging a camera in again gives it another address. No camera is returned where none can be
+    looked for.
+
+    Args:
+        device: Device string.
+        backend: A pyusb backend to use instead of the one that `device` names.
+    """
+    try:
+        found = _all_cameras(open_backend(device) if backend is None else backend)
+    except MixtacError:
+        return frozenset()
+    return frozenset((int(camera.bus or 0), int(camera.address or 0)) for camera in found)
+
+
+def find_camera(
+    backend: Any,  # noqa: ANN401
+    device: str,
+    serial: str = '',
+    preferred: str = '',
+) -> tuple[Any, str]:
     """Return the wanted camera as a `usb.core.Device`, and its serial number.
 
     Args:
         backend: A pyusb backend.
         device: Device string, for messages.
         serial: Serial number of the wanted camera; empty takes the only one there is.
+        preferred: Serial number of the one to take where `serial` is empty and there are several.
 
     Raises:
         NoCameraError: There is none, none with that number, or several and no number was given.
-        UsbError: A camera may not be opened.
+        UsbError: A camera may not be opened, and the wanted one is not among the others.
     """
+    found = _all_cameras(backend)
+    if not found:
+        raise NoCameraError(_none_found(device))
+    chosen = None
     try:
-        found = list(
+        chosen, number = _choose(found, serial, preferred)
+        return chosen, number
+    finally:
+        for camera in found:
+            if camera is not chosen:
+                with contextlib.suppress(USBError):
+                    usb.util.dispose_resources(camera)
+
+
+def _all_cameras(backend: Any) -> list[Any]:  # noqa: ANN401
+    try:
+        return list(
             usb.core.find(find_all=True, idVendor=VENDOR, idProduct=PRODUCT, backend=backend)
         )
     except USBError as error:
         raise usb_failure(error, 'looking for cameras') from error
-    if not found:
-        raise NoCameraError(_none_found(device))
-    serials = [_serial_of(camera) for camera in found]
-    if not serial and len(found) == 1:
-        return found[0], serials[0]
-    listed = ', '.join(serials)
-    if not serial:
-        raise NoCameraError(f'{len(found)} cameras are attached ({listed}): choose one by serial')
-    if serial not in serials:
+
+
+def _choose(found: list[Any], serial: str, preferred: str) -> tuple[Any, str]:
+    by_serial: dict[str, Any] = {}
+    failure = None
+    for camera in found:
+        try:
+            by_serial[_serial_of(camera)] = camera
+        except UsbError as error:
+            # Another program may hold this one, and the wanted one may be free.
+            failure = error
+    wanted = serial or preferred
+    if wanted in by_serial:
+        return by_serial[wanted], wanted
+    if failure is not None:
+        raise failure
+    listed = ', '.join(by_serial)
+    if serial:
         raise NoCameraError(f'no camera has the serial number {serial!r}; attached: {listed}')
-    return found[serials.index(serial)], serial
+    if len(found) > 1:
+        raise NoCameraError(f'{len(found)} cameras are attached ({listed}): choose one by serial')
+    ((number, camera),) = by_serial.items()
+    return camera, number
 
 
 def _none_found(device: str) -> str:

@@ -8,7 +8,7 @@ packing into the low 16 bits of the value. Defaults are those that libcaer 3.3 s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -178,23 +178,3 @@ DEFAULT_BIASES: Mapping[str, tuple[int, Bias]] = MappingProxyType(
     }
 )
 """Every bias of the DAVIS346 by name: register address and default, in the order of writing."""
-
-
-def with_current(name: str, coarse: int, fine: int) -> CurrentBias:
-    """Return the default bias of that name with another current.
-
-    Args:
-        name: Name of a coarse-fine bias of DEFAULT_BIASES.
-        coarse: Decade, 0 .. 7.
-        fine: Fraction, 0 .. 255.
-
-    Raises:
-        ConfigurationError: No coarse-fine bias has that name, or a value is out of range.
-    """
-    bias = DEFAULT_BIASES.get(name, (0, None))[1]
-    if not isinstance(bias, CurrentBias):
-        known = ', '.join(n for n, (_, b) in DEFAULT_BIASES.items() if isinstance(b, CurrentBias))
-        raise ConfigurationError(f'bias {name}: the coarse-fine biases are {known}')
-    changed = replace(bias, coarse=coarse, fine=fine)
-    changed.encode()
-    return changed

@@ -8,22 +8,26 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
-from mixtac_driver import sequences
+from mixtac_driver.backend import attached_cameras
+from mixtac_driver.camera_control import CameraControl
 from mixtac_driver.clock_epochs import ClockEpochs
 from mixtac_driver.clock_map import ClockMap
-from mixtac_driver.configuration import Configuration, changed_writes, register_writes
+from mixtac_driver.configuration import Configuration
 from mixtac_driver.connection import Connection
+from mixtac_driver.debug_messages import DebugMessage, DebugReader
 from mixtac_driver.decoder import StreamDecoder
 from mixtac_driver.errors import DriverError, StreamError
 from mixtac_driver.identity import Identity, read_identity, read_is_master
+from mixtac_driver.readers import make_reader
 from mixtac_driver.stream import CameraBatch, StreamSettings
-from mixtac_driver.transport import BulkReader, Transfer, TransportCounters
+from mixtac_driver.transfer_queue import Transfer, TransportCounters
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import TracebackType
 
     from mixtac_driver.decoder_state import DecoderCounters
+    from mixtac_driver.readers import Reader
     from mixtac_driver.sequences import Origin
 
 POLL_S = 0.1
@@ -32,17 +36,19 @@ POLL_S = 0.1
 class Davis346:
     """A DAVIS346 camera, as a context manager that opens and closes it.
 
-    `batches` is for one thread; `apply`, `stop` and the properties may be used from others.
+    `batches` is for one thread; everything else may be used from others too.
 
     Args:
         device: Device string (see `mixtac_driver.backend`).
         serial: Serial number, or empty for the only camera.
         configuration: Settings.
         stream: How data are taken.
+        on_debug: Called, in a thread of its own, with messages of the camera's USB controller.
         backend: A pyusb backend to use instead of the one that `device` names.
         now_ns: Host clock [ns since the Unix epoch].
 
     Attributes:
+        control: Settings and requests; usable from any thread, open or not.
         clock: Map from the camera's clock [us since its reset] to the host's.
         is_master: True where the camera runs on its own clock, not on one from the sync cable.
     """
@@ -54,21 +60,22 @@ class Davis346:
         serial: str = '',
         configuration: Configuration | None = None,
         stream: StreamSettings | None = None,
+        on_debug: Callable[[DebugMessage], None] | None = None,
         backend: Any = None,  # noqa: ANN401
         now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.clock = ClockMap()
         self.is_master = True
         self._device, self._serial, self._backend = device, serial, backend
-        self._configuration = configuration or Configuration()
-        self._configuration.check()
+        self.control = CameraControl(configuration or Configuration(), now_ns)
         self._stream = stream or StreamSettings()
         self._now_ns = now_ns
-        self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._connection: Connection | None = None
         self._identity: Identity | None = None
-        self._reader: BulkReader | None = None
+        self._reader: Reader | None = None
+        self._on_debug = on_debug
+        self._debug_reader: DebugReader | None = None
         self._decoder: StreamDecoder | None = None
         self._epochs: ClockEpochs | None = None
 
@@ -107,6 +114,10 @@ class Davis346:
         """True between `open` and `close`."""
         return self._connection is not None
 
+    def attached(self) -> frozenset[tuple[int, int]]:
+        """Return bus and address of every camera that could be opened."""
+        return attached_cameras(self._device, self._backend)
+
     @property
     def origin(self) -> Origin | None:
         """Host time at which the camera's clock read zero; None before it said so."""
@@ -136,17 +147,16 @@ class Davis346:
             UnsupportedCameraError: It is none that this driver speaks to.
             UsbError: A request failed.
         """
-        connection = Connection(self._device, self._serial, self._backend)
+        known = self._identity.serial if self._identity else ''
+        connection = Connection(self._device, self._serial, self._backend, known)
         try:
             self._identity = read_identity(
                 connection.protocol, bcd_device=connection.bcd_device, serial=connection.serial
             )
             self.is_master = self._identity.is_master
-            with self._lock:
-                writes = register_writes(self._configuration, self._identity)
-                connection.protocol.write_each(writes)
-                self._connection = connection
-        except DriverError:
+            self.control.attach(connection.protocol, self._identity)
+            self._connection = connection
+        except Exception:
             connection.close()
             raise
 
@@ -166,35 +176,29 @@ class Davis346:
             imu_type=identity.imu_type,
             capacity=self._stream.event_capacity,
         )
-        reader = self._reader = BulkReader(
-            connection.read_data,
-            connection.clear_halt,
-            transfer_size=self._stream.transfer_size,
-            queue_size=self._stream.queue_size,
-            now_ns=self._now_ns,
-        )
+        reader = self._reader = make_reader(connection, self._stream, self._now_ns)
+        self._listen(connection)
 
         def begin_reading() -> None:
             connection.clear_halt()
             reader.start()
 
-        with self._lock:
-            sequences.start(connection.protocol, self._configuration, begin_reading)
-            asked = sequences.reset_timestamps(connection.protocol, self._now_ns)
-            latest_us = self._epochs.latest_us if self._epochs else 0
-            delay_us = self._configuration.early_packet_delay_us
-            self._epochs = ClockEpochs(asked, delay_us, latest_us)
+        asked = self.control.start(begin_reading)
+        latest_us = self._epochs.latest_us if self._epochs else 0
+        delay_us = self.control.configuration.early_packet_delay_us
+        self._epochs = ClockEpochs(asked, delay_us, latest_us)
 
     def batches(self) -> Iterator[CameraBatch]:
         """Yield what the camera sees from the reset of its clock on, until it is stopped.
 
         Raises:
-            DisconnectedError: The camera went away.
+            UsbError: The camera went away, or does not answer any more.
             StreamError: No data came for too long, or the reset was not confirmed.
         """
         reader, deadline_s = self._reader, time.monotonic() + self._stream.confirmation_s
-        heard_s = time.monotonic()
-        while reader is not None and not self._stopping.is_set():
+        heard_s, connection = time.monotonic(), self._connection
+        while reader is not None and connection is not None and not self._stopping.is_set():
+            connection.check()
             transfer = reader.get(POLL_S)
             now_s = time.monotonic()
             if transfer is not None:
@@ -212,19 +216,25 @@ class Davis346:
                 )
 
     def apply(self, configuration: Configuration) -> None:
-        """Change settings; those that only count at the next start wait for it.
+        """Change settings, at once while the camera is open, else when it is opened.
 
         Raises:
             ConfigurationError: A setting is out of range; nothing was changed.
             UsbError: A request failed.
         """
-        configuration.check()
-        with self._lock:
-            if self._connection is not None:
-                old = register_writes(self._configuration, self.identity)
-                new = register_writes(configuration, self.identity)
-                self._connection.protocol.write_each(changed_writes(old, new))
-            self._configuration = configuration
+        self.control.apply(configuration)
+
+    def reset_timestamps(self) -> None:
+        """Set the camera's clock to zero; published time goes on.
+
+        Raises:
+            UsbError: The request failed.
+            DriverError: The camera does not stream.
+        """
+        epochs = self._epochs
+        if epochs is None or epochs.origin is None:
+            raise DriverError('the camera does not stream yet: reset its clock when it does')
+        epochs.ask(self.control.reset_timestamps)
 
     def request_stop(self) -> None:
         """Make `batches` end soon; returns at once."""
@@ -238,10 +248,12 @@ class Davis346:
             StreamError: The read in progress does not return.
         """
         self.request_stop()
+        debug_reader, self._debug_reader = self._debug_reader, None
+        if debug_reader is not None:
+            debug_reader.stop()
         reader = self._reader
         if reader is not None and self._connection is not None:
-            with self._lock:
-                sequences.stop(self._connection.protocol, reader.stop)
+            self.control.stop(reader.stop)
 
     def close(self) -> None:
         """Stop if need be and give the camera back; harmless when it is gone."""
@@ -250,9 +262,9 @@ class Davis346:
         except DriverError:
             # Gone or stuck: it cannot be told to stop, and the handle below is given back.
             self.request_stop()
-        with self._lock:
-            connection, self._connection = self._connection, None
-            self._reader = None
+        self.control.detach()
+        connection, self._connection = self._connection, None
+        self._reader = None
         if connection is not None:
             connection.close()
 
@@ -261,20 +273,25 @@ class Davis346:
             raise DriverError('the camera is closed: call open() first')
         return self._connection
 
+    def _listen(self, connection: Connection) -> None:
+        if self._on_debug is not None and self._debug_reader is None:
+            self._debug_reader = DebugReader(connection.read_debug, self._on_debug)
+            self._debug_reader.start()
+
     def _decode(self, transfer: Transfer) -> Iterator[CameraBatch]:
         decoder, epochs = self._decoder, self._epochs
         if decoder is None or epochs is None:
             return
         if transfer.gap.size:
             decoder.skip(transfer.gap)
-        resets_before = epochs.unasked
+        origin_before = epochs.origin
         for batch in decoder.push(transfer.data, short_packet=transfer.short_packet):
             origin = epochs.follow(batch.resets, batch.time_us, transfer.arrival_ns)
             if origin is not None:
                 yield CameraBatch(batch, origin, transfer.arrival_ns)
-        if epochs.unasked != resets_before:
+        if origin_before is not None and epochs.origin is not origin_before:
             self.clock.restart()
-            # Resets come over the synchronisation cable: who leads may just have changed.
+            # Resets may come over the synchronisation cable: who leads may just have changed.
             self.is_master = read_is_master(self._opened().protocol)
         if epochs.origin is not None:
             self.clock.add(decoder.time_us, transfer.arrival_ns)

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 DEFAULT_CAPACITY = 32768
 SAMPLE_CAPACITY = 256
+WORD = np.dtype('<u2')
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +84,7 @@ class StreamDecoder:
         imu_type: int = 2,
         capacity: int = DEFAULT_CAPACITY,
     ) -> None:
+        self._geometry = geometry
         self._imu_flips = imu_flips
         self._imu_type = imu_type
         self._state = _new_state(geometry)
@@ -104,7 +106,8 @@ class StreamDecoder:
         self._half_word = b''
         self._resets = 0
         self._busy = False
-        # The first run compiles, or loads what was compiled: not while data wait.
+        # The first calls compile, or load what was compiled: not while data wait.
+        drop_items(self._state, self._counters)
         self._run(self._words(b'', short_packet=True), 0, 0)
 
     @property
@@ -172,15 +175,16 @@ class StreamDecoder:
         if self._half_word:
             octets = np.concatenate((np.frombuffer(self._half_word, np.uint8), octets))
             self._half_word = b''
-        odd = len(octets) % 2
-        if odd and short_packet:
-            self._counters[s.C_BYTES_DROPPED] += 1
-        elif odd:
-            self._half_word = octets[-1:].tobytes()
-        words: NDArray[np.uint16] = octets[: len(octets) - odd].view('<u2')
+        if len(octets) % 2:
+            if short_packet:
+                self._counters[s.C_BYTES_DROPPED] += 1
+            else:
+                self._half_word = octets[-1:].tobytes()
+            octets = octets[:-1]
+        words: NDArray[np.uint16] = octets.view(WORD)
         # One array type, whatever the buffer: the kernel is compiled once, not while data wait.
         words = words if words.flags.aligned else words.copy()
-        words.flags.writeable = False
+        words.setflags(write=False)
         return words
 
     def _run(self, words: NDArray[np.uint16], i: int, n: int) -> Any:  # noqa: ANN401
@@ -203,19 +207,17 @@ class StreamDecoder:
         )
 
     def _batch(self, n: int, frames: tuple[Frame, ...], time_us: int) -> DecodedBatch:
+        samples, edges = self._state[s.IMU_SAMPLES : s.EDGES + 1].tolist()
         return DecodedBatch(
             events=Events(self._t[:n], self._x[:n], self._y[:n], self._polarity[:n]),
             frames=frames,
-            imu=self._take_imu(),
-            edges=self._take_edges(),
+            imu=self._take_imu(samples) if samples else NO_SAMPLES,
+            edges=self._take_edges(edges) if edges else NO_EDGES,
             time_us=time_us,
             resets=self._resets,
         )
 
-    def _take_imu(self) -> InertialSamples:
-        count = int(self._state[s.IMU_SAMPLES])
-        if not count:
-            return NO_SAMPLES
+    def _take_imu(self, count: int) -> InertialSamples:
         samples = inertial_samples(
             self._imu_t[:count], self._imu_raw[:count], self._imu_flips, self._imu_type
         )
@@ -224,10 +226,7 @@ class StreamDecoder:
         self._state[s.IMU_SAMPLES] = 0
         return samples
 
-    def _take_edges(self) -> Edges:
-        count = int(self._state[s.EDGES])
-        if not count:
-            return NO_EDGES
+    def _take_edges(self, count: int) -> Edges:
         self._state[s.EDGES] = 0
         return Edges(self._edge_t[:count].copy(), self._edge_kind[:count].copy())
 
@@ -235,7 +234,7 @@ class StreamDecoder:
         state = self._state
         width, height = int(state[s.SIZE_X]), int(state[s.SIZE_Y])
         return Frame(
-            image=self._image[: width * height].reshape(height, width).copy(),
+            image=_arrange(self._image[: width * height], self._geometry, width, height),
             x=int(state[s.ROI_0]),
             y=int(state[s.ROI_1]),
             frame_start_us=int(state[s.FRAME_START]),
@@ -247,6 +246,18 @@ class StreamDecoder:
         )
 
 
+def _arrange(
+    samples: NDArray[np.uint16], geometry: Geometry, width: int, height: int
+) -> NDArray[np.uint16]:
+    """Return a copy, turned from the order of the wire (column by column) to the user's."""
+    if geometry.aps_inverted:
+        columns = samples.reshape(height, width)
+    else:
+        columns = samples.reshape(width, height)
+    turned = columns[:: -1 if geometry.aps_flip_x else 1, :: -1 if geometry.aps_flip_y else 1]
+    return np.array(turned if geometry.aps_inverted else turned.T, order='C')
+
+
 def _new_state(geometry: Geometry) -> NDArray[np.int64]:
     state = np.zeros(s.STATE_SIZE, np.int64)
     state[s.ROW] = -1
@@ -255,8 +266,6 @@ def _new_state(geometry: Geometry) -> NDArray[np.int64]:
     state[s.APS_COLUMNS] = geometry.aps_columns
     state[s.APS_ROWS] = geometry.aps_rows
     state[s.APS_INVERTED] = geometry.aps_inverted
-    state[s.APS_FLIP_X] = geometry.aps_flip_x
-    state[s.APS_FLIP_Y] = geometry.aps_flip_y
     state[s.COLUMN_TYPE] = -1
     state[s.IMU_INDEX] = s.IMU_OUTSIDE
     return state

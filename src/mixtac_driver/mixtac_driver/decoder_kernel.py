@@ -5,9 +5,8 @@
 Bits 15:12 of a word say what it is: 8 .. 15 time stamp, 0 special, 1 row, 2 and 3 column with
 polarity (an event), 4 frame sample, 5 and 6 data of frames and inertial samples, 7 wrap.
 
-Rows, columns and stamps are nearly the whole of a busy stream, so a tight loop takes them and
-leaves at every other word. Where the next word is the same kind as it was one row earlier, as in
-quiet and in bright scenes, the branches of that loop are predicted and cost next to nothing.
+Rows, columns and stamps are nearly the whole of a busy stream and samples that of frames, so each
+is taken in runs; what is left comes word by word.
 """
 
 from __future__ import annotations
@@ -27,24 +26,18 @@ from mixtac_driver.aps_kernel import (
     aps_region_data,
     aps_samples,
 )
+from mixtac_driver.array_pointer import pointer_to
 from mixtac_driver.decoder_state import (
     C_EDGES,
-    C_EVENTS,
-    C_EVENTS_OUTSIDE,
-    C_EVENTS_WITHOUT_ROW,
     C_MISC,
     C_MISC_UNKNOWN,
     C_RESETS,
-    C_ROWS,
-    C_ROWS_OUTSIDE,
     C_SPECIALS,
     C_SPECIALS_UNKNOWN,
-    C_TIMESTAMPS,
     C_TIMESTAMPS_BACKWARDS,
+    C_WORDS,
     C_WRAPS,
     DONE,
-    DVS_COLUMNS,
-    DVS_ROWS,
     EDGES,
     EXPOSURE_END,
     EXPOSURE_START,
@@ -52,14 +45,17 @@ from mixtac_driver.decoder_state import (
     FULL,
     IMU_SAMPLES,
     RESET,
-    ROW,
     TIME,
     TIME_BEFORE_RESET,
     WRAP_BASE,
 )
+from mixtac_driver.event_kernel import event_words
 from mixtac_driver.imu_kernel import imu_byte, imu_drop, imu_end, imu_info, imu_start
+from mixtac_driver.source_fingerprint import source_fingerprint
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 # Scalars are compiler integers and arrays vary in layout: the compiler infers both.
@@ -67,77 +63,7 @@ Int = Any
 Array = Any
 
 
-@njit(cache=True, nogil=True)
-def _event_words(
-    words: Array,
-    i: Int,
-    stop: Int,
-    state: Array,
-    counters: Array,
-    t_out: Array,
-    row_out: Array,
-    column_out: Array,
-    polarity_out: Array,
-    n: Int,
-) -> tuple[Int, Int]:
-    """Decode rows, columns and stamps up to the first word that is or does anything unusual."""
-    base, t, row = state[WRAP_BASE], state[TIME], state[ROW]
-    # Before the first row everything is unusual, which spares the loop a test.
-    rows = state[DVS_ROWS] if row >= 0 else 0
-    columns = state[DVS_COLUMNS] if row >= 0 else 0
-    first, first_event, row_count = i, n, int64(0)
-    while i < stop:
-        word = int64(words[i])
-        kind = word >> 12
-        address = word & 0xFFF
-        if kind == 1:
-            if address >= rows:
-                break
-            row = address
-            row_count += 1
-        elif kind >> 1 == 1:
-            if address >= columns:
-                break
-            t_out[n] = t
-            row_out[n] = row
-            column_out[n] = address
-            polarity_out[n] = kind & 1
-            n += 1
-        elif kind >= 8:
-            stamp = base + (word & 0x7FFF)
-            if stamp < t:
-                break
-            t = stamp
-        else:
-            break
-        i += 1
-    state[TIME], state[ROW] = t, row
-    events = n - first_event
-    counters[C_EVENTS] += events
-    counters[C_ROWS] += row_count
-    counters[C_TIMESTAMPS] += i - first - events - row_count
-    return i, n
-
-
-@njit(cache=True, nogil=True)
-def _unusual_event_word(word: Int, state: Array, counters: Array) -> None:
-    """Take a row, column or stamp that the tight loop left."""
-    kind, address = word >> 12, word & 0xFFF
-    if kind >= 8:
-        counters[C_TIMESTAMPS_BACKWARDS] += 1
-    elif kind == 1:
-        if address < state[DVS_ROWS]:
-            state[ROW] = address
-            counters[C_ROWS] += 1
-        else:
-            counters[C_ROWS_OUTSIDE] += 1
-    elif address >= state[DVS_COLUMNS]:
-        counters[C_EVENTS_OUTSIDE] += 1
-    else:
-        counters[C_EVENTS_WITHOUT_ROW] += 1
-
-
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def _wrap(count: Int, state: Array, counters: Array) -> None:
     if count == 0:
         counters[C_TIMESTAMPS_BACKWARDS] += 1
@@ -147,30 +73,29 @@ def _wrap(count: Int, state: Array, counters: Array) -> None:
     counters[C_WRAPS] += 1
 
 
-@njit(cache=True, nogil=True)
-def drop_items(state: Array, counters: Array) -> None:
-    """Drop the frame and the inertial sample in progress."""
+@njit(nogil=True, forceinline=True)
+def _drop_items(state: Array, counters: Array) -> None:
     aps_drop(state, counters)
     imu_drop(state, counters)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def _reset(state: Array, counters: Array) -> None:
-    drop_items(state, counters)
+    _drop_items(state, counters)
     state[TIME_BEFORE_RESET] = state[TIME]
     state[TIME] = 0
     state[WRAP_BASE] = 0
     counters[C_RESETS] += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def _frame_special(code: Int, state: Array, counters: Array) -> Int:
     """Take a special word of frames; return FRAME where one is complete, or DONE."""
-    if code in {8, 9}:
+    if 8 <= code <= 9:
         aps_frame_start(code == 8, state, counters)
     elif code == 10:
         return FRAME if aps_frame_end(state, counters) else DONE
-    elif code in {11, 12}:
+    elif 11 <= code <= 12:
         aps_column_start(code - 11, state, counters)
     elif code == 13:
         aps_column_end(state, counters)
@@ -179,7 +104,7 @@ def _frame_special(code: Int, state: Array, counters: Array) -> Int:
     return DONE
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def _special(
     code: Int,
     state: Array,
@@ -195,7 +120,7 @@ def _special(
     if 8 <= code <= 15:
         counters[C_SPECIALS] += 1
         return _frame_special(code, state, counters)
-    if code in {2, 3, 4, 16, 17}:
+    if 2 <= code <= 4 or 16 <= code <= 17:
         edge_t[state[EDGES]] = state[TIME]
         edge_code[state[EDGES]] = code
         state[EDGES] += 1
@@ -211,7 +136,7 @@ def _special(
     return DONE
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def _misc(word: Int, state: Array, counters: Array, imu_raw: Array) -> None:
     """Take a data word of a frame or an inertial sample."""
     code, data = word >> 8 & 0xF, word & 0xFF
@@ -229,71 +154,136 @@ def _misc(word: Int, state: Array, counters: Array, imu_raw: Array) -> None:
     counters[C_MISC] += 1
 
 
-@njit(cache=True, nogil=True)
-def decode_words(
-    words: NDArray[Any],
-    i: int,
-    state: NDArray[Any],
-    counters: NDArray[Any],
-    t_out: NDArray[Any],
-    row_out: NDArray[Any],
-    column_out: NDArray[Any],
-    polarity_out: NDArray[Any],
-    n: int,
-    imu_t: NDArray[Any],
-    imu_raw: NDArray[Any],
-    edge_t: NDArray[Any],
-    edge_code: NDArray[Any],
-    resets: NDArray[Any],
-    image: NDArray[Any],
-) -> tuple[int, int, int]:
-    """Decode words until they end, an output is full, a frame is complete or the clock is reset.
-
-    Args:
-        words: `uint16` [W], the stream.
-        i: Index of the first word to decode.
-        state: `int64` [STATE_SIZE], kept from call to call.
-        counters: `int64` [COUNTER_SIZE], kept from call to call.
-        t_out: `int64` [N], event times [us on the camera clock since its latest reset].
-        row_out: `uint16` [N], event rows as on the wire.
-        column_out: `uint16` [N], event columns as on the wire.
-        polarity_out: `uint8` [N], 1 for ON.
-        n: Events already in the output.
-        imu_t: `int64` [M], times of inertial samples [us].
-        imu_raw: `uint8` [M + 1, 15], their bytes and last their info byte; one row of scratch.
-        edge_t: `int64` [K], times of edges [us].
-        edge_code: `uint8` [K], their special codes.
-        resets: `uint16` [P], reset samples of the open frame.
-        image: `uint16` [P], the open frame, 0 .. 1023.
-
-    Returns:
-        Index of the next word, events in the output, and DONE, FULL, FRAME or RESET.
-    """
-    capacity = len(t_out)
-    while i < len(words):
-        if n >= capacity or state[IMU_SAMPLES] >= len(imu_t) or state[EDGES] >= len(edge_t):
-            return i, n, FULL
-        # One word is at most one event, so within this bound the loop need not look.
-        stop = min(len(words), i + capacity - n)
-        i, n = _event_words(
-            words, i, stop, state, counters, t_out, row_out, column_out, polarity_out, n
-        )
-        if i == stop:
-            continue
+@njit(nogil=True)
+def _decode(
+    words: Array,
+    size: Int,
+    i: Int,
+    state: Array,
+    counters: Array,
+    events: tuple[Array, Array, Array, Array],
+    capacity: Int,
+    n: Int,
+    imu_t: Array,
+    imu_raw: Array,
+    imu_capacity: Int,
+    edge_t: Array,
+    edge_code: Array,
+    edge_capacity: Int,
+    resets: Array,
+    image: Array,
+) -> tuple[Int, Int, Int]:
+    first, reason = i, DONE
+    while i < size and reason == DONE:
+        full = n >= capacity or state[IMU_SAMPLES] >= imu_capacity
+        if full or state[EDGES] >= edge_capacity:
+            reason = FULL
+            break
         word = int64(words[i])
         kind = word >> 12
         if kind == 4:
-            i = aps_samples(words, i, state, counters, resets, image)
+            i = aps_samples(words, size, i, state, counters, resets, image)
+            continue
+        if kind >= 8 or 1 <= kind <= 3:
+            i, n = event_words(words, size, i, state, counters, events, capacity, n)
             continue
         i += 1
         if kind == 0:
             reason = _special(word & 0xFFF, state, counters, imu_t, edge_t, edge_code)
-            if reason != DONE:
-                return i, n, reason
         elif kind == 7:
             _wrap(word & 0xFFF, state, counters)
-        elif kind in {5, 6}:
-            _misc(word, state, counters, imu_raw)
         else:
-            _unusual_event_word(word, state, counters)
-    return i, n, DONE
+            _misc(word, state, counters, imu_raw)
+    counters[C_WORDS] += i - first
+    return i, n, reason
+
+
+def _entries(fingerprint: int) -> tuple[Callable[..., tuple[int, int, int]], Callable[..., None]]:
+    """Return the functions that Python calls, cached under the fingerprint of all the rest."""
+
+    @njit(cache=True, nogil=True)
+    def decode_words(
+        words: NDArray[Any],
+        i: int,
+        state: NDArray[Any],
+        counters: NDArray[Any],
+        t_out: NDArray[Any],
+        row_out: NDArray[Any],
+        column_out: NDArray[Any],
+        polarity_out: NDArray[Any],
+        n: int,
+        imu_t: NDArray[Any],
+        imu_raw: NDArray[Any],
+        edge_t: NDArray[Any],
+        edge_code: NDArray[Any],
+        resets: NDArray[Any],
+        image: NDArray[Any],
+    ) -> tuple[int, int, int]:
+        """Decode words until they end, an output is full, a frame is complete or the clock reset.
+
+        Args:
+            words: `uint16` [W], the stream.
+            i: Index of the first word to decode.
+            state: `int64` [STATE_SIZE], kept from call to call.
+            counters: `int64` [COUNTER_SIZE], kept from call to call.
+            t_out: `int64` [N], event times [us on the camera clock since its latest reset].
+            row_out: `uint16` [N], event rows as on the wire.
+            column_out: `uint16` [N], event columns as on the wire.
+            polarity_out: `uint8` [N], 1 for ON.
+            n: Events already in the output.
+            imu_t: `int64` [M], times of inertial samples [us].
+            imu_raw: `uint8` [M + 1, 15], their bytes and last their info byte; one row of scratch.
+            edge_t: `int64` [K], times of edges [us].
+            edge_code: `uint8` [K], their special codes.
+            resets: `uint16` [P], reset samples of the open frame.
+            image: `uint16` [P], the open frame, 0 .. 1023.
+
+        Returns:
+            Index of the next word, events in the output, and DONE, FULL, FRAME or RESET.
+        """
+        _ = fingerprint
+        events = (
+            pointer_to(t_out),
+            pointer_to(row_out),
+            pointer_to(column_out),
+            pointer_to(polarity_out),
+        )
+        result: tuple[int, int, int] = _decode(
+            pointer_to(words),
+            len(words),
+            i,
+            pointer_to(state),
+            pointer_to(counters),
+            events,
+            len(t_out),
+            n,
+            pointer_to(imu_t),
+            pointer_to(imu_raw),
+            len(imu_t),
+            pointer_to(edge_t),
+            pointer_to(edge_code),
+            len(edge_t),
+            pointer_to(resets),
+            pointer_to(image),
+        )
+        return result
+
+    @njit(cache=True, nogil=True)
+    def drop_items(state: NDArray[Any], counters: NDArray[Any]) -> None:
+        """Drop the frame and the inertial sample in progress.
+
+        Args:
+            state: `int64` [STATE_SIZE].
+            counters: `int64` [COUNTER_SIZE].
+        """
+        _ = fingerprint
+        _drop_items(state, counters)
+
+    return decode_words, drop_items
+
+
+decode_words, drop_items = _entries(
+    source_fingerprint(
+        '*_kernel.py', 'array_pointer.py', 'decoder_state.py', 'event_vectors.py', 'vector_press.py'
+    )
+)

@@ -22,8 +22,6 @@ DONE, FULL, FRAME, RESET = range(4)
     APS_COLUMNS,
     APS_ROWS,
     APS_INVERTED,
-    APS_FLIP_X,
-    APS_FLIP_Y,
     FRAME_OPEN,  # 1 between the start and the end of a frame
     FRAME_BROKEN,  # 1 when the open frame misses something
     FRAME_GLOBAL,  # 1 global, 0 rolling shutter
@@ -47,19 +45,18 @@ DONE, FULL, FRAME, RESET = range(4)
     RESET_COLUMNS,  # columns done of each type
     SIGNAL_COLUMNS,
     SAMPLE,  # samples done of the open column
-    ADDRESS,  # where the next sample goes in the image
-    STEP,  # and how far the one after it is from there
     IMU_INDEX,  # next byte, -1 outside a sample, -2 awaiting its info byte
     IMU_INFO,
-    IMU_SAMPLES,  # samples and edges in the output arrays
+    IMU_SAMPLES,  # samples and, next to it, edges in the output arrays
     EDGES,
     STATE_SIZE,
-) = range(41)
+) = range(37)
 
 IMU_OUTSIDE, IMU_AWAITS_INFO = -1, -2
 IMU_BYTES = 14
 
 (
+    C_WORDS,
     C_EVENTS,
     C_EVENTS_OUTSIDE,
     C_EVENTS_WITHOUT_ROW,
@@ -87,17 +84,18 @@ IMU_BYTES = 14
     C_BYTES_DROPPED,
     C_BYTES_LOST,
     COUNTER_SIZE,
-) = range(27)
+) = range(28)
 
 
 @dataclass(frozen=True, slots=True)
 class DecoderCounters:
     """Everything that the decoder saw, dropped or did not know, since it was made.
 
-    Every word is counted in exactly one of the first group; the second group says what became of
-    some of them.
+    Every word is in `words` and, beyond that, in exactly one of the counters that
+    `words_accounted` adds up; the others say what became of some of them.
 
     Attributes:
+        words: Words decoded.
         events: Events put out.
         events_outside: Events dropped because their column lies outside the array.
         events_without_row: Events dropped because no row address came before them.
@@ -126,6 +124,7 @@ class DecoderCounters:
         bytes_lost: Bytes that never reached the decoder, as told by `StreamDecoder.skip`.
     """
 
+    words: int
     events: int
     events_outside: int
     events_without_row: int
@@ -154,8 +153,8 @@ class DecoderCounters:
     bytes_lost: int
 
     @property
-    def words(self) -> int:
-        """Return the number of words decoded."""
+    def words_accounted(self) -> int:
+        """Return the words by kind, added up: `words` unless the decoder is wrong."""
         return sum(getattr(self, name) for name in _ONE_PER_WORD)
 
     def as_dict(self) -> dict[str, int]:

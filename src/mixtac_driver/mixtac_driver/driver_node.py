@@ -8,27 +8,32 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from event_camera_msgs.msg import EventPacket
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, Image, Imu, TimeReference
+from sensor_msgs.msg import TimeReference
 
-from mixtac_driver import messages
-from mixtac_driver.backend import check_device, is_real
-from mixtac_driver.camera import Davis346
-from mixtac_driver.driver_parameters import (
-    DriverParameters,
-    camera_configuration,
-    stream_settings,
-)
+from mixtac_driver import messages, pixel_mask
+from mixtac_driver.device_parameters import stream_settings
+from mixtac_driver.driver_meters import DriverMeters
+from mixtac_driver.driver_parameters import DriverParameters
+from mixtac_driver.driver_services import DriverServices
+from mixtac_driver.driver_settings import DriverSettings
 from mixtac_driver.driver_status import DriverStatus
-from mixtac_driver.packetizer import Packetizer
+from mixtac_driver.edge_publisher import EdgePublisher
+from mixtac_driver.event_publisher import EventPublisher
+from mixtac_driver.frame_publisher import FramePublisher
+from mixtac_driver.inertial_publisher import InertialPublisher
+from mixtac_driver.recordings.recorded_source import RecordedSource
+from mixtac_driver.recovery_parameters import recovery_settings
+from mixtac_driver.rectified_publisher import RectifiedPublisher
+from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import Supervisor
 from mixtac_events.codec import warm_up
 from mixtac_events.errors import MixtacError
-from mixtac_node.base_node import QOS_EVENTS, QOS_LATCHED, QOS_SENSOR, declare, run
+from mixtac_node.base_node import QOS_LATCHED, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
 
 if TYPE_CHECKING:
+    from mixtac_driver.debug_messages import DebugMessage
     from mixtac_driver.readings import Frame, InertialSamples
     from mixtac_driver.stream import CameraBatch
 
@@ -36,40 +41,56 @@ CLOCK_PERIOD_S = 1.0
 
 
 class DriverNode(Node):  # type: ignore[misc]
-    """Publishes what a DAVIS346 sees.
-
-    Everything but events is made only for topics that somebody subscribes to.
-    """
+    """Publishes what a DAVIS346 sees, on topics that somebody subscribes to."""
 
     def __init__(self) -> None:
         super().__init__('driver', namespace='mixtac')
         self._p = p = declare(self, DriverParameters, self._apply)
-        check_device(p.device)
+        self._kind = source_kind(p.device)
+        self._settings = DriverSettings(p)
         warm_up()
-        self._sequence = 0
+        pixel_mask.warm_up()
         self._clock_due_s = 0.0
-        self._events_publisher = self.create_publisher(EventPacket, 'events', QOS_EVENTS)
-        self._image_publisher = self.create_publisher(Image, 'image_raw', QOS_SENSOR)
-        self._info_publisher = self.create_publisher(CameraInfo, 'camera_info', QOS_SENSOR)
-        self._imu_publisher = self.create_publisher(Imu, 'imu', QOS_SENSOR)
+        self._meters = DriverMeters()
+        self._events = EventPublisher(self, p, self._meters)
+        self._rectified = RectifiedPublisher(self, p)
+        self._frames = FramePublisher(self, p.camera_frame_id, self._rectified.complete)
+        self._inertial = InertialPublisher(self, p.imu_frame_id)
+        self._edges = EdgePublisher(self, p.camera_frame_id, self._meters)
         self._clock_publisher = self.create_publisher(TimeReference, 'camera_clock', QOS_LATCHED)
-        self._camera = Davis346(
+        self._camera = make_source(
             p.device,
             serial=p.serial,
-            configuration=camera_configuration(p),
+            configuration=self._settings.configuration(),
             stream=stream_settings(p),
+            playback=p,
+            on_debug=self._on_debug,
         )
         self._open_once()
-        self._packetizer = self._new_packetizer()
         self._supervisor = Supervisor(
             self._camera,
             on_start=self._on_start,
             on_batch=self._on_batch,
             on_error=self.get_logger().error,
+            recovery=recovery_settings(p),
         )
-        self._status = DriverStatus(p.device, self._camera, self._supervisor)
+        self._status = DriverStatus(
+            p.device, self._camera, self._supervisor, self._settings, self._meters
+        )
         self._diagnostics = DiagnosticsPublisher(self, p.device, self._report)
+        self._driver_services = DriverServices(
+            self, self._camera, self._settings, self._diagnostics.publish
+        )
         self._supervisor.start()
+
+    def check(self) -> None:
+        """End the node where the recovery policy says so.
+
+        Raises:
+            MixtacError: Why there is no camera any more.
+        """
+        if self._supervisor.failure is not None:
+            raise self._supervisor.failure
 
     def close(self) -> None:
         """Stop the camera."""
@@ -80,79 +101,86 @@ class DriverNode(Node):  # type: ignore[misc]
         try:
             self._camera.open()
         except MixtacError as error:
-            if is_real(self._p.device):
+            if self._kind is not SourceKind.SIMULATED:
                 raise
-            # What serves another device may well be starting at this moment.
+            # What serves it may well be starting at this moment.
             self.get_logger().info(f'waiting for the camera: {error}')
+            return
+        self._rectified.use(self._camera.identity.geometry.event_size)
 
     def _apply(self, parameters: DriverParameters) -> None:
-        self._camera.apply(camera_configuration(parameters))
-        self._p = parameters
-
-    def _new_packetizer(self) -> Packetizer:
-        period_us = round(self._p.event_message_time_threshold * 1e6)
-        return Packetizer(self._p.encoding, period_us, self._p.event_message_size_threshold)
+        self._settings.apply(parameters, self._camera.apply)
+        if isinstance(self._camera, RecordedSource):
+            self._camera.play_as(parameters)
 
     def _on_start(self) -> None:
         identity = self._camera.identity
-        self._packetizer = self._new_packetizer()
+        self._rectified.use(identity.geometry.event_size)
+        self._events.restart()
+        self._rectified.restart()
         self._diagnostics.hardware_id = identity.serial
-        kind = '' if is_real(self._p.device) else 'simulated '
-        self.get_logger().info(f'streaming from {kind}{identity.chip} {identity.serial}')
+        self.get_logger().info(f'streaming: {self._kind.value} {identity.chip} {identity.serial}')
 
     def _on_batch(self, batch: CameraBatch) -> None:
         decoded, origin_us = batch.decoded, batch.origin.us
-        events = decoded.events.shifted(origin_us)
-        size = self._camera.identity.geometry.event_size
-        for packet in self._packetizer.push(events, batch.time_us, batch.arrival_ns):
-            self._events_publisher.publish(
-                messages.event_packet(packet, self._sequence, size, self._p.camera_frame_id)
-            )
-            self._sequence += 1
-            self._status.packets.add()
-            self._status.events.add(packet.events)
-            self._status.ages_s.add((time.time_ns() - packet.arrival_ns) / 1e9)
+        self._publish_events(batch)
         for frame in decoded.frames:
             self._publish_frame(frame, origin_us)
         if len(decoded.imu.t):
             self._publish_imu(decoded.imu, origin_us)
+        if len(decoded.edges.t):
+            self._edges.publish(decoded.edges, origin_us)
         self._publish_clock(batch)
 
+    def _publish_events(self, batch: CameraBatch) -> None:
+        events = batch.decoded.events
+        self._meters.events.add(len(events))
+        size = self._camera.identity.geometry.event_size
+        kept = events
+        # Recordings may come from other sensors, for which no mask was made.
+        if size == (pixel_mask.WIDTH, pixel_mask.HEIGHT):
+            self._driver_services.watch_events(events, batch.time_us)
+            kept = self._settings.mask.keep(events)
+        when = (batch.time_us, batch.arrival_ns, batch.origin.us)
+        if self._events.wanted:
+            self._events.publish(kept, *when, size)
+        else:
+            self._events.restart()
+        self._rectified.publish_events(kept, *when, size)
+
     def _publish_frame(self, frame: Frame, origin_us: int) -> None:
-        self._status.frames.add()
-        if (
-            not self._image_publisher.get_subscription_count()
-            and not self._info_publisher.get_subscription_count()
-        ):
-            return
         identity = self._camera.identity
-        image = messages.image(
-            frame, origin_us, identity.features.color_filter, self._p.camera_frame_id
-        )
-        self._image_publisher.publish(image)
-        self._info_publisher.publish(messages.camera_info(frame, identity, image))
+        exposure_us = frame.exposure_cycles / identity.clocks.adc
+        self._meters.frames.add()
+        self._meters.exposure_us = exposure_us
+        self._frames.publish(frame, origin_us, identity)
+        self._rectified.publish_frame(frame, origin_us, identity)
+        self._driver_services.watch_frame(frame, origin_us)
+        self._settings.follow(frame, exposure_us, self._camera.control)
 
     def _publish_imu(self, samples: InertialSamples, origin_us: int) -> None:
-        self._status.samples.add(len(samples.t))
-        self._status.temperature = float(samples.temperature[-1])
-        if not self._imu_publisher.get_subscription_count():
-            return
-        for index in range(len(samples.t)):
-            self._imu_publisher.publish(
-                messages.imu(samples, index, origin_us, self._p.imu_frame_id)
-            )
+        self._meters.samples.add(len(samples.t))
+        self._meters.temperature = float(samples.temperature[-1])
+        self._inertial.publish(samples, origin_us)
 
     def _publish_clock(self, batch: CameraBatch) -> None:
         now_s, clock = time.monotonic(), self._camera.clock
         if now_s < self._clock_due_s or not clock.ready:
             return
         self._clock_due_s = now_s + CLOCK_PERIOD_S
-        self._status.clock = clock.estimate()
+        self._meters.clock = clock.estimate()
         host_ns = time.time_ns()
         camera_us = clock.to_camera_us(host_ns) + batch.origin.us
         self._clock_publisher.publish(
             messages.camera_clock(host_ns, camera_us, self._camera.identity.serial)
         )
+
+    def _on_debug(self, message: DebugMessage) -> None:
+        line = f'camera firmware at {message.time}: {message.text} (code {message.code})'
+        if message.code:
+            self.get_logger().warning(line)
+        else:
+            self.get_logger().info(line)
 
     def _report(self) -> Status:
         return self._status.status()

@@ -4,18 +4,22 @@
 
 from __future__ import annotations
 
-import math
 import time
 from typing import TYPE_CHECKING
 
-from mixtac_driver.backend import is_real
+from mixtac_driver.recordings.recorded_source import RecordedSource
+from mixtac_driver.source import SourceKind, source_kind
+from mixtac_driver.statistics_meter import StatisticsMeter
 from mixtac_driver.supervisor import State
 from mixtac_node.diagnostics import ERROR, OK, WARN, Status
-from mixtac_node.rates import RateMeter, RecentValues
+from mixtac_node.rates import RateMeter
 
 if TYPE_CHECKING:
-    from mixtac_driver.camera import Davis346
-    from mixtac_driver.clock_map import ClockEstimate
+    from collections.abc import Mapping
+
+    from mixtac_driver.driver_meters import DriverMeters
+    from mixtac_driver.driver_settings import DriverSettings
+    from mixtac_driver.source import Source
     from mixtac_driver.supervisor import Supervisor
 
 LOSSES = (
@@ -35,57 +39,96 @@ LOSSES = (
 )
 """Counters of the decoder that stay at zero on a sound stream."""
 
+BEHIND_S = 0.1
+"""How far [s] a recording may be played late before that is reported."""
+QUIET_S = 5.0
+"""Time without data [s] from which a stream that counts as alive is reported all the same."""
+_STREAMING = {
+    SourceKind.CAMERA: 'streaming',
+    SourceKind.SIMULATED: 'streaming from a simulated camera',
+    SourceKind.RECORDED: 'playing a recording',
+}
+
 
 class DriverStatus:
     """Gathers the figures of a running driver.
-
-    The meters are fed by the thread that publishes and read by the one that reports.
 
     Args:
         device: Device string.
         camera: The camera.
         supervisor: What keeps it streaming.
-
-    Attributes:
-        events: Events published.
-        packets: Packets published.
-        frames: Frames published.
-        samples: Inertial samples decoded.
-        ages_s: From arrival to publication of packets [s].
-        clock: Latest figures of the clock map, or None.
-        temperature: Latest temperature of the camera [degrees Celsius], NaN without.
+        settings: What it was told.
+        meters: What was published.
     """
 
-    def __init__(self, device: str, camera: Davis346, supervisor: Supervisor) -> None:
-        self.events, self.packets = RateMeter(), RateMeter()
-        self.frames, self.samples = RateMeter(), RateMeter()
-        self.ages_s = RecentValues()
-        self.clock: ClockEstimate | None = None
-        self.temperature = math.nan
+    def __init__(
+        self,
+        device: str,
+        camera: Source,
+        supervisor: Supervisor,
+        settings: DriverSettings,
+        meters: DriverMeters,
+    ) -> None:
         self._device, self._camera, self._supervisor = device, camera, supervisor
+        self._kind = source_kind(device)
+        self._settings, self._meters = settings, meters
+        self._statistics = StatisticsMeter(camera.control)
         self._bytes = RateMeter()
         self._lost_before = 0
+        self._reconnects_before = supervisor.reconnects
 
     def status(self) -> Status:
         """Return the current status; rates are over the time since the last call."""
         values = {
             'state': self._supervisor.state.value,
             'device': self._device,
-            'simulated': not is_real(self._device),
+            'simulated': self._kind is SourceKind.SIMULATED,
+            'replayed': self._kind is SourceKind.RECORDED,
             **self._identity(),
-            **self._rates(time.monotonic()),
+            **self._meters.rates(),
+            **self._usb(),
             **self._losses(),
+            **self._statistics.read(),
             **self._clock(),
-            'failures': self._supervisor.failures,
+            **self._recovery(),
+            **self._playback(),
         }
-        lost = self._lost()
+        level, message = self._verdict()
+        return Status(level, message, values)
+
+    def _verdict(self) -> tuple[int, str]:
+        trouble = self._fresh_trouble()
+        supervisor = self._supervisor
+        if supervisor.state is State.ENDED:
+            return OK, 'the recording has ended'
+        if self._is_paused() and supervisor.state is not State.FAILED:
+            return OK, 'the recording is paused'
+        if supervisor.state is not State.STREAMING:
+            return ERROR, supervisor.error or 'no stream yet'
+        if supervisor.quiet_s > QUIET_S and self._kind is not SourceKind.RECORDED:
+            return ERROR, f'no data for {supervisor.quiet_s:.0f} s'
+        kind = _STREAMING[self._kind]
+        return (WARN, f'{kind}, but {trouble}') if trouble else (OK, kind)
+
+    def _fresh_trouble(self) -> str:
+        lost, reconnects = self._lost(), self._supervisor.reconnects
         fresh, self._lost_before = lost > self._lost_before, lost
-        if self._supervisor.state is not State.STREAMING:
-            return Status(ERROR, self._supervisor.error or 'no stream yet', values)
-        kind = 'streaming' if is_real(self._device) else 'streaming from a simulated camera'
+        again, self._reconnects_before = reconnects > self._reconnects_before, reconnects
+        if again:
+            return f'there was an outage of {self._supervisor.outage_s:.1f} s'
         if fresh:
-            return Status(WARN, f'{kind}, but data were lost or damaged', values)
-        return Status(OK, kind, values)
+            return 'data were lost or damaged'
+        if isinstance(self._camera, RecordedSource) and self._camera.behind_s > BEHIND_S:
+            return f'playing is {self._camera.behind_s:.1f} s behind'
+        if self._statistics.fresh_losses:
+            return 'the camera dropped events: too many to send'
+        return ''
+
+    def _is_paused(self) -> bool:
+        return isinstance(self._camera, RecordedSource) and self._camera.playing == 'paused'
+
+    def _playback(self) -> Mapping[str, object]:
+        return self._camera.figures() if isinstance(self._camera, RecordedSource) else {}
 
     def _identity(self) -> dict[str, object]:
         identity = self._camera.known_identity
@@ -98,23 +141,24 @@ class DriverStatus:
             'logic': '.'.join(map(str, identity.logic)),
         }
 
-    def _rates(self, now_s: float) -> dict[str, object]:
+    def _recovery(self) -> dict[str, object]:
+        supervisor = self._supervisor
+        by_kind = sorted(supervisor.failures_by_kind.items())
+        return {
+            'failures': supervisor.failures,
+            **{f'failures {kind}': count for kind, count in by_kind},
+            'reconnects': supervisor.reconnects,
+            'latest outage [s]': supervisor.outage_s,
+        }
+
+    def _usb(self) -> dict[str, object]:
         usb = self._camera.transport_counters
         self._bytes.total = usb.size
-        rates: dict[str, object] = {
-            'events per second': self.events.read(now_s),
-            'packets per second': self.packets.read(now_s),
-            'frames per second': self.frames.read(now_s),
-            'imu samples per second': self.samples.read(now_s),
-            'usb bytes per second': max(self._bytes.read(now_s), 0.0),
-            'packet age median [s]': self.ages_s.quantile(0.5),
-            'packet age p99 [s]': self.ages_s.quantile(0.99),
+        return {
+            'usb bytes per second': max(self._bytes.read(time.monotonic()), 0.0),
             'usb queue [bytes]': usb.queued_size,
             'usb queue maximum [bytes]': usb.most_queued_size,
         }
-        if not math.isnan(self.temperature):
-            rates['temperature [C]'] = self.temperature
-        return rates
 
     def _losses(self) -> dict[str, object]:
         usb, decoder = self._camera.transport_counters, self._camera.decoder_counters
@@ -122,6 +166,8 @@ class DriverStatus:
         return {
             'usb transfers dropped': usb.dropped_transfers,
             'usb stalls': usb.stalls,
+            'pixels masked': len(self._settings.mask.pixels),
+            'events masked on the host': self._settings.mask.dropped,
             **{name.replace('_', ' '): counted[name] for name in LOSSES if name in counted},
         }
 
@@ -131,7 +177,7 @@ class DriverStatus:
         return damaged + self._camera.transport_counters.dropped_transfers
 
     def _clock(self) -> dict[str, object]:
-        origin, clock = self._camera.origin, self.clock
+        origin, clock = self._camera.origin, self._meters.clock
         if origin is None or clock is None:
             return {}
         return {

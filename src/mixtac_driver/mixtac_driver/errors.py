@@ -13,6 +13,26 @@ class UsbError(DriverError):
     """A USB request that failed, or a camera that may not be opened."""
 
 
+class AccessError(UsbError):
+    """The operating system gives no permission to open the camera."""
+
+
+class InUseError(UsbError):
+    """Another program, or a read that never returned, holds the camera."""
+
+
+class StallError(UsbError):
+    """The camera refused a request, or its data endpoint stays halted."""
+
+
+class NoAnswerError(UsbError):
+    """The camera did not answer a request in time."""
+
+
+class BusError(UsbError):
+    """The bus failed, or the camera sent more than it was asked for."""
+
+
 class UnknownDeviceError(DriverError):
     """A device string that names nothing known."""
 
@@ -35,3 +55,15 @@ class ConfigurationError(DriverError):
 
 class StreamError(DriverError):
     """A data stream that stopped, or never confirmed its start."""
+
+
+class RecordingError(DriverError):
+    """A recording that cannot be played; opening it again does not help."""
+
+
+class DamagedRecordingError(RecordingError):
+    """Recorded data that are not what their format demands."""
+
+
+class EndOfStream(DriverError):  # noqa: N818 - a state, not a failure
+    """A recording was played to its end: nothing more will come, and nothing is wrong."""

@@ -256,7 +256,7 @@ def _read_clocks(protocol: Protocol) -> Clocks:
         for p in (SystemInfo.LOGIC_CLOCK, SystemInfo.ADC_CLOCK, SystemInfo.USB_CLOCK)
     ]
     deviation = protocol.read(Module.SYSTEM_INFO, SystemInfo.CLOCK_DEVIATION)
-    if deviation == 0 or 0 in nominal:
+    if not (500 <= deviation <= 2000 and all(1 <= mhz <= 1000 for mhz in nominal)):
         raise UnsupportedCameraError(
             f'camera clocks {nominal} MHz x {deviation}/1000 cannot be; plug the camera anew'
         )

@@ -24,10 +24,13 @@ from mixtac_driver.decoder_state import (
 Int = Any
 Array = Any
 
+SLOT = IMU_BYTES + 1
+"""Bytes of a sample and its info byte."""
+
 HAS_ACCELERATION, HAS_ROTATION, HAS_TEMPERATURE = 0x80, 0x40, 0x20
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def imu_drop(state: Array, counters: Array) -> None:
     """Drop the sample in progress, if any."""
     if state[IMU_INDEX] != IMU_OUTSIDE:
@@ -35,14 +38,14 @@ def imu_drop(state: Array, counters: Array) -> None:
         state[IMU_INDEX] = IMU_OUTSIDE
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def imu_start(state: Array, counters: Array) -> None:
     """Begin a sample."""
     imu_drop(state, counters)
     state[IMU_INDEX] = IMU_AWAITS_INFO
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def _next_group(index: Int, info: Int) -> Int:
     """Return the index of the next byte that is sent, skipping groups that are not."""
     if index == 0 and not info & HAS_ACCELERATION:
@@ -54,7 +57,7 @@ def _next_group(index: Int, info: Int) -> Int:
     return index
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def imu_info(data: Int, state: Array, counters: Array, raw: Array) -> None:
     """Take the byte that says which groups follow and on which scales."""
     if state[IMU_INDEX] != IMU_AWAITS_INFO:
@@ -66,23 +69,24 @@ def imu_info(data: Int, state: Array, counters: Array, raw: Array) -> None:
     if state[IMU_INDEX] == IMU_BYTES:
         imu_drop(state, counters)
         return
-    slot = state[IMU_SAMPLES]
-    raw[slot, :IMU_BYTES] = 0
-    raw[slot, IMU_BYTES] = data
+    slot = state[IMU_SAMPLES] * SLOT
+    for k in range(IMU_BYTES):
+        raw[slot + k] = 0
+    raw[slot + IMU_BYTES] = data
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def imu_byte(data: Int, state: Array, counters: Array, raw: Array) -> None:
     """Take one byte of the sample."""
     index = state[IMU_INDEX]
     if index < 0 or index >= IMU_BYTES:
         counters[C_IMU_UNEXPECTED] += 1
         return
-    raw[state[IMU_SAMPLES], index] = data
+    raw[state[IMU_SAMPLES] * SLOT + index] = data
     state[IMU_INDEX] = _next_group(index + 1, state[IMU_INFO])
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, forceinline=True)
 def imu_end(state: Array, counters: Array, t_out: Array) -> None:
     """Finish the sample; its time is that of its end."""
     if state[IMU_INDEX] == IMU_OUTSIDE:

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from event_camera_msgs.msg import EventPacket
-from sensor_msgs.msg import CameraInfo, Image, Imu, TimeReference
+from sensor_msgs.msg import CameraInfo, Image, Imu, Temperature, TimeReference
 
+from mixtac_msgs.msg import ExternalEdge, FrameExposure
 from mixtac_node.base_node import ns_to_stamp, us_to_stamp
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from mixtac_driver.identity import Identity
     from mixtac_driver.packetizer import Packet
     from mixtac_driver.readings import Frame, InertialSamples
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
 BIT_SHIFT = 6
 """From 10-bit values to the upper bits of 16, as libcaer_driver does."""
 BAYER = {1: 'rggb', 2: 'grbg', 3: 'gbrg', 4: 'bggr'}
+"""Colour filters as ROS names them. Those with white pixels, 5 to 8, have no name: mono16."""
 
 
 def event_packet(
@@ -57,14 +61,37 @@ def image(frame: Frame, origin_us: int, color_filter: int, frame_id: str) -> Ima
         color_filter: Colour filter of the camera, 0 for none.
         frame_id: Frame of the camera.
     """
+    message = image_header(frame, origin_us, frame_id)
+    encoding = image_encoding(color_filter, frame.x, frame.y)
+    return filled(message, left_aligned(frame.image), encoding)
+
+
+def left_aligned(image: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Return 10-bit values in the upper bits of 16, as libcaer_driver publishes them."""
+    return np.left_shift(image, BIT_SHIFT)
+
+
+def filled(message: Image, pixels: NDArray[np.uint8 | np.uint16], encoding: str) -> Image:
+    """Return an image message with its pixels.
+
+    Args:
+        message: With its header.
+        pixels: [height, width] or [height, width, channels].
+        encoding: ROS encoding.
+    """
+    message.height, message.width = pixels.shape[:2]
+    message.encoding = encoding
+    message.is_bigendian = sys.byteorder == 'big'
+    message.step = pixels.nbytes // message.height
+    message.data.frombytes(np.ascontiguousarray(pixels).view(np.uint8))
+    return message
+
+
+def image_header(frame: Frame, origin_us: int, frame_id: str) -> Image:
+    """Return the message of a frame without its pixels, for what shares its header."""
     message = Image()
     message.header.stamp = us_to_stamp(frame.middle_us + origin_us)
     message.header.frame_id = frame_id
-    message.height, message.width = frame.image.shape
-    message.encoding = image_encoding(color_filter, frame.x, frame.y)
-    message.is_bigendian = sys.byteorder == 'big'
-    message.step = 2 * message.width
-    message.data.frombytes(np.left_shift(frame.image, BIT_SHIFT).view(np.uint8))
     return message
 
 
@@ -128,4 +155,55 @@ def camera_clock(host_ns: int, camera_us: int, source: str) -> TimeReference:
     message.header.stamp = ns_to_stamp(host_ns)
     message.time_ref = us_to_stamp(camera_us)
     message.source = source
+    return message
+
+
+def frame_exposure(frame: Frame, origin_us: int, image_message: Image) -> FrameExposure:
+    """Return when a frame was exposed, under the header of its image.
+
+    Args:
+        frame: The frame.
+        origin_us: Origin of the camera's clock [us since the Unix epoch].
+        image_message: The message of the same frame.
+    """
+    message = FrameExposure()
+    message.header = image_message.header
+    message.frame_start = us_to_stamp(frame.frame_start_us + origin_us)
+    message.exposure_start = us_to_stamp(frame.exposure_start_us + origin_us)
+    message.exposure_end = us_to_stamp(frame.exposure_end_us + origin_us)
+    message.frame_end = us_to_stamp(frame.frame_end_us + origin_us)
+    shutters = (FrameExposure.ROLLING_SHUTTER, FrameExposure.GLOBAL_SHUTTER)
+    message.shutter = shutters[frame.global_shutter]
+    return message
+
+
+def external_edge(kind: int, time_us: int, sequence: int, frame_id: str) -> ExternalEdge:
+    """Return the message of an edge at the synchronisation connector.
+
+    Args:
+        kind: Value of EdgeKind.
+        time_us: When it happened [us, epoch-based camera clock].
+        sequence: Number of the edge.
+        frame_id: Frame of the camera.
+    """
+    message = ExternalEdge()
+    message.header.stamp = us_to_stamp(time_us)
+    message.header.frame_id = frame_id
+    message.kind = kind
+    message.seq = sequence
+    return message
+
+
+def temperature(celsius: float, time_us: int, frame_id: str) -> Temperature:
+    """Return the message of a temperature of the inertial unit's die.
+
+    Args:
+        celsius: Temperature [degrees Celsius].
+        time_us: When it was measured [us, epoch-based camera clock].
+        frame_id: Frame of the unit.
+    """
+    message = Temperature()
+    message.header.stamp = us_to_stamp(time_us)
+    message.header.frame_id = frame_id
+    message.temperature = celsius
     return message

@@ -10,10 +10,12 @@ empty packet says that.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mixtac_driver.pending_events import PendingEvents
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 
@@ -58,40 +60,47 @@ class Packetizer:
         self._encoding = encoding
         self._period_us = period_us
         self._most_events = max(most_bytes // MOST_BYTES_PER_EVENT, 1)
-        self._pending: list[Events] = []
+        self._pending = PendingEvents()
         self._pending_arrival_ns = 0
         self._complete_us: int | None = None
 
-    def push(self, events: Events, time_us: int, arrival_ns: int) -> list[Packet]:
+    def push(
+        self, events: Events, time_us: int, arrival_ns: int, shift_us: int = 0
+    ) -> list[Packet]:
         """Take events and return the packets that they close.
 
         Args:
             events: Events on the camera clock [us], in order; not before those already taken.
             time_us: Camera time that the stream has reached; later events are not before it.
             arrival_ns: Host time of their arrival.
+            shift_us: What to add to the times of the events, but not to `time_us` [us].
         """
-        held = sum(map(len, self._pending))
-        events = Events.concatenate([*self._pending, events])
+        held = len(self._pending)
+        if not held:
+            self._pending_arrival_ns = arrival_ns
+        self._pending.append(events, shift_us)
         closed_us = time_us // self._period_us * self._period_us
-        packets = self._cut(events, held, closed_us, arrival_ns)
+        if self._complete_us is None:
+            self._complete_us = min(closed_us, self._first_us(closed_us))
+        if closed_us <= self._complete_us and len(self._pending) < self._most_events:
+            return []
+        packets = self._cut(self._pending.events, held, closed_us, arrival_ns)
         taken = sum(packet.events for packet in packets)
+        if taken:
+            self._pending.drop(taken)
         if taken >= held:
             self._pending_arrival_ns = arrival_ns
-        rest = events[taken:]
-        # The events handed in may be views into an array that is soon written again.
-        self._pending = [_copied(rest)] if len(rest) else []
-        if self._complete_us is None:
-            self._complete_us = closed_us
         if closed_us > self._complete_us:
-            packets.append(self._packet(rest[:0], closed_us, arrival_ns))
+            packets.append(self._packet(Events.empty(), closed_us, arrival_ns))
         return packets
+
+    def _first_us(self, otherwise: int) -> int:
+        return int(self._pending.events.t[0]) if len(self._pending) else otherwise
 
     def _cut(self, events: Events, held: int, closed_us: int, arrival_ns: int) -> list[Packet]:
         ready = int(np.searchsorted(events.t, closed_us))
-        cells = events.t[:ready] // self._period_us
-        starts = np.concatenate(([0], np.flatnonzero(np.diff(cells)) + 1, [ready]))
         packets = []
-        for start, end in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+        for start, end in self._cells(events, ready):
             for first in range(start, end, self._most_events):
                 last = min(first + self._most_events, end)
                 arrival = self._pending_arrival_ns if first < held else arrival_ns
@@ -105,6 +114,16 @@ class Packetizer:
             packets.append(self._packet(events[first:last], int(events.t[last - 1]), arrival))
             first = last
         return packets
+
+    def _cells(self, events: Events, ready: int) -> list[tuple[int, int]]:
+        """Return the range of events of each cell that is closed and not empty."""
+        if not ready:
+            return []
+        if int(events.t[0]) // self._period_us == int(events.t[ready - 1]) // self._period_us:
+            return [(0, ready)]
+        cells = events.t[:ready] // self._period_us
+        starts = [0, *(np.flatnonzero(np.diff(cells)) + 1).tolist(), ready]
+        return list(pairwise(starts))
 
     def _complete_after(self, events: Events, last: int, ready: int, closed_us: int) -> int:
         """Return the grid time up to which nothing follows the event before `last`."""
@@ -121,7 +140,3 @@ class Packetizer:
         silent = len(events) and self._encoding != 'libcaer_cmp'
         self._complete_us = int(events.t[-1]) if silent else until_us
         return Packet(encoded, arrival_ns, len(events), start_us, self._complete_us)
-
-
-def _copied(events: Events) -> Events:
-    return Events(events.t.copy(), events.x.copy(), events.y.copy(), events.polarity.copy())

@@ -3,7 +3,8 @@
 """Modules and parameters of the FPGA logic 18, as addressed by the vendor requests.
 
 Source: facts on libcaer 3.3 and the public FPGA sources. A register is (module, parameter) with an
-unsigned 32-bit value; read-only ones are marked RO.
+unsigned 32-bit value; read-only ones are marked RO. Statistics are 64-bit counters (RO): the upper
+half at the number given, the lower one at the next.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ class Mux(IntEnum):
     DROP_EXTERNAL_INPUT_ON_STALL = 4
     DROP_DVS_ON_STALL = 5
     HAS_STATISTICS = 80
+    STATISTICS_EXTERNAL_INPUT_DROPPED = 81
+    STATISTICS_DVS_DROPPED = 83
 
 
 class Dvs(IntEnum):
@@ -67,6 +70,12 @@ class Dvs(IntEnum):
     POLARITY_SUPPRESS = 62
     POLARITY_SUPPRESS_TYPE = 63
     HAS_STATISTICS = 80
+    STATISTICS_ROWS = 81
+    STATISTICS_COLUMNS = 83
+    STATISTICS_DROPPED = 85
+    STATISTICS_FILTERED_PIXELS = 87
+    STATISTICS_FILTERED_BACKGROUND_ACTIVITY = 89
+    STATISTICS_FILTERED_REFRACTORY = 91
 
 
 class Aps(IntEnum):

@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from mixtac_driver.register_writes import run_writes
 from mixtac_driver.registers import (
     Aps,
     Dvs,
@@ -88,7 +89,7 @@ def start(
     protocol.write(Module.MUX, Mux.TIMESTAMP_RUN, 1)
     protocol.write(Module.MUX, Mux.RUN, 1)
     sleep(LOGIC_SETTLE_S)
-    protocol.write_each(_run_writes(configuration))
+    protocol.write_each([write for write in run_writes(configuration) if write.value])
 
 
 def stop(protocol: Protocol, end_reading: Callable[[], None]) -> None:
@@ -127,15 +128,3 @@ def reset_timestamps(protocol: Protocol, now_ns: Callable[[], int] = time.time_n
     after = now_ns()
     middle_us = (before + after + 1000) // 2000
     return Origin(middle_us * 1000, (after - before) // 2 + 500)
-
-
-def _run_writes(configuration: Configuration) -> list[Write]:
-    wanted = (
-        (Module.DVS, Dvs.RUN, configuration.dvs_enabled),
-        (Module.APS, Aps.RUN, configuration.aps_enabled),
-        (Module.IMU, Imu.RUN_ACCELEROMETER, configuration.imu_accelerometer_enabled),
-        (Module.IMU, Imu.RUN_GYROSCOPE, configuration.imu_gyroscope_enabled),
-        (Module.IMU, Imu.RUN_TEMPERATURE, configuration.imu_temperature_enabled),
-        (Module.EXTERNAL_INPUT, ExternalInput.RUN_DETECTOR, configuration.external_input_enabled),
-    )
-    return [Write(module, parameter, 1) for module, parameter, enabled in wanted if enabled]

@@ -19,14 +19,16 @@ class StreamSettings:
     """How data are taken from the camera.
 
     Attributes:
+        transfers: Reads that wait at the endpoint at once, where the backend can do that.
         transfer_size: Bytes asked for per read.
-        queue_size: Bytes that may wait to be decoded.
+        queue_size: Bytes that may wait to be decoded, besides those in the transfers.
         event_capacity: Events per batch.
         silence_s: Time without any data [s] after which the stream counts as dead; a running
             camera sends time wraps every 33 ms.
         confirmation_s: Time [s] within which the camera has to confirm the reset of its clock.
     """
 
+    transfers: int = 128
     transfer_size: int = 65536
     queue_size: int = 32 << 20
     event_capacity: int = DEFAULT_CAPACITY

@@ -34,6 +34,8 @@ class FakeCamera:
         self.claimed = False
         self.answers_reset = True
         self.error = None
+        self.refused = set()
+        self.debug = None
         self.open_error = None
         self.bulk_errors = queue.Queue()
         self.handles = 0
@@ -66,6 +68,8 @@ class FakeCamera:
         raise USBError('stall', -9, errno.EPIPE)
 
     def write(self, module, param, value):
+        if (module, param) in self.refused:
+            raise USBError('stall', -9, errno.EPIPE)
         self.log.append(('write', module, param, value))
         before = self.registers.get((module, param), 0)
         self.registers[module, param] = value
@@ -89,6 +93,14 @@ class FakeCamera:
             raise USBTimeoutError('timeout', -7, errno.ETIMEDOUT) from None
         assert len(data) <= length
         return data
+
+    def interrupt(self, timeout_ms):
+        if self.error:
+            raise self.error
+        try:
+            return self.debug.get(timeout=timeout_ms / 1000)
+        except queue.Empty:
+            raise USBTimeoutError('timeout', -7, errno.ETIMEDOUT) from None
 
     def unplug(self):
         self.error = USBError('no device', -4, errno.ENODEV)
@@ -128,16 +140,17 @@ class FakeBackend(usb.backend.IBackend):
             raise IndexError(intf)
         return SimpleNamespace(
             bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=0,
-            bNumEndpoints=1, bInterfaceClass=255, bInterfaceSubClass=0, bInterfaceProtocol=0,
-            iInterface=0, extra_descriptors=[],
+            bNumEndpoints=1 + (dev.debug is not None), bInterfaceClass=255,
+            bInterfaceSubClass=0, bInterfaceProtocol=0, iInterface=0, extra_descriptors=[],
         )  # fmt: skip
 
     def get_endpoint_descriptor(self, dev, ep, intf, alt, config):
-        if ep:
+        if ep > (dev.debug is not None):
             raise IndexError(ep)
         return SimpleNamespace(
-            bLength=7, bDescriptorType=5, bEndpointAddress=0x82, bmAttributes=2,
-            wMaxPacketSize=1024, bInterval=0, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
+            bLength=7, bDescriptorType=5, bEndpointAddress=(0x82, 0x81)[ep],
+            bmAttributes=(2, 3)[ep], wMaxPacketSize=(1024, 64)[ep], bInterval=ep,
+            bRefresh=0, bSynchAddress=0, extra_descriptors=[],
         )  # fmt: skip
 
     def open_device(self, dev):
@@ -178,5 +191,11 @@ class FakeBackend(usb.backend.IBackend):
     def bulk_read(self, handle, ep, intf, buff, timeout):
         assert ep == 0x82
         data = handle.bulk(len(buff), timeout)
+        memoryview(buff)[: len(data)] = data
+        return len(data)
+
+    def intr_read(self, handle, ep, intf, buff, timeout):
+        assert ep == 0x81
+        data = handle.interrupt(timeout)
         memoryview(buff)[: len(data)] = data
         return len(data)

@@ -6,9 +6,13 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
+import typer
+from typer.testing import CliRunner
 
-from mixtac_driver.benchmark.decode_benchmark import event_stream, frame_stream, main
+from mixtac_driver.benchmark import decode_benchmark
+from mixtac_driver.benchmark.streams import event_stream, frame_stream, repeated
 from mixtac_driver.decoder import StreamDecoder
 from mixtac_driver.identity import Geometry
 
@@ -33,11 +37,33 @@ def test_frame_streams_are_sound():
     assert decoder.counters.frames_dropped == 0
 
 
-def test_figures_are_printed_and_written(tmp_path, capsys):
+def test_repeated_streams_go_on_in_time():
+    words = event_stream(2, 5000, random=True)
+    decoder = StreamDecoder(Geometry())
+    t = np.concatenate([b.events.t.copy() for b in decoder.push(repeated(words, 70_000))])
+    assert np.all(np.diff(t) >= 0)
+    counters = decoder.counters
+    assert (counters.timestamps_backwards, counters.wraps) == (0, round(70_000 / words.nbytes))
+
+
+def test_figures_are_printed_and_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(decode_benchmark, 'start_seconds', lambda: 0.5)
+    app = typer.Typer()
+    app.command()(decode_benchmark.decode)
     path = tmp_path / 'figures.json'
-    assert main(['--events', '2000', '--json', str(path)]) == 0
+    options = ['--json', str(path), '--seconds', '0', '--megabytes', '1']
+    result = CliRunner().invoke(app, options)
+    assert result.exit_code == 0, result.output
+    assert 'frames/s' in result.output
     figures = json.loads(path.read_text())
-    assert len(figures) == 10
-    assert all(value > 0 for value in figures.values())
-    printed = capsys.readouterr().out
-    assert all(name in printed for name in figures)
+    for rows in (figures, figures['random_rows']):
+        for name in ('events_per_s', 'memcpy_ratio', 'output_memcpy_ratio'):
+            assert set(rows[name]) == {'1', '2', '8'}
+            assert all(value > 0 for value in rows[name].values())
+    assert figures['frames_per_s'] > 0
+    assert figures['start_s'] == 0.5
+
+
+def test_start_is_measured_in_a_process_of_its_own(monkeypatch):
+    monkeypatch.setattr(decode_benchmark, 'STARTS', 1)
+    assert 0 < decode_benchmark.start_seconds() < 100

@@ -61,6 +61,7 @@ def test_unconfigured_camera_is_configured():
     ('change', 'words'),
     [
         ({'registers': {(6, 0): 17}}, 'logic 17.1'),
+        ({'registers': {(6, 0): 19}}, 'logic 19.1'),
         ({'registers': {(6, 7): 0}}, 'logic 18.0'),
         ({'registers': {(6, 1): 2}}, 'DAVIS240C'),
         ({'registers': {(6, 1): 77}}, 'chip 77'),
@@ -68,6 +69,7 @@ def test_unconfigured_camera_is_configured():
         ({'registers': {(2, 0): 1000}}, '1000 x 346'),
         ({'bcd_device': 0x0005}, 'firmware 0.5'),
         ({'bcd_device': 0x0100}, 'firmware 1.0'),
+        ({'bcd_device': 0x0206}, 'firmware 2.6'),
     ],
 )
 def test_cameras_of_another_kind_are_refused_and_given_back(change, words):
@@ -76,6 +78,21 @@ def test_cameras_of_another_kind_are_refused_and_given_back(change, words):
         opened(fake).open()
     assert fake.handles == 0
     assert not fake.claimed
+
+
+@pytest.mark.parametrize(
+    ('bcd_device', 'registers', 'firmware', 'logic', 'chip'),
+    [
+        (0x0006, {}, (0, 6), (18, 1), 'DAVIS346B'),
+        (0x00FF, {(6, 7): 9}, (0, 255), (18, 9), 'DAVIS346B'),
+        (0x0010, {(6, 1): 4}, (0, 16), (18, 1), 'DAVIS346A'),
+        (0x0006, {(6, 1): 9}, (0, 6), (18, 1), 'DAVIS346C'),
+    ],
+)
+def test_cameras_of_this_kind_are_taken(bcd_device, registers, firmware, logic, chip):
+    with opened(FakeCamera(bcd_device=bcd_device, registers=registers)) as camera:
+        identity = camera.identity
+    assert (identity.firmware, identity.logic, identity.chip) == (firmware, logic, chip)
 
 
 def test_no_camera_names_the_virtual_one():

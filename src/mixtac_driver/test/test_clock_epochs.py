@@ -4,10 +4,14 @@
 
 from __future__ import annotations
 
+import threading
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_driver.clock_epochs import ClockEpochs
+from mixtac_driver.errors import StreamError
 from mixtac_driver.sequences import Origin
 
 ASKED = Origin(10**15, 1000)
@@ -38,9 +42,84 @@ def test_published_time_never_goes_back(steps):
     for step, reset, jitter in steps:
         resets, time = (resets + 1, 0) if reset else (resets, time + step)
         host += 1000 * step
-        origin = epochs.follow(resets, time, host + abs(jitter) if resets == 1 else host + jitter)
+        arrival = host + abs(jitter) if resets == 1 else host + jitter
+        try:
+            origin = epochs.follow(resets, time, arrival)
+        except StreamError:
+            # Time that ran ahead of its arrival is not published.
+            continue
         if origin is None:
             continue
         assert origin.us + time >= latest
         assert origin.host_ns % 1000 == 0
         latest = origin.us + time
+
+
+def started():
+    epochs = ClockEpochs(ASKED, 1000)
+    epochs.follow(1, 0, ASKED.host_ns + 1000)
+    return epochs
+
+
+def test_a_reset_that_is_asked_for_later_has_its_measured_time():
+    epochs = started()
+    later = Origin(ASKED.host_ns + 10**9, 2000)
+    epochs.ask(lambda: later)
+    assert epochs.follow(1, 10**6 - 10, later.host_ns - 5000) == ASKED
+    assert epochs.follow(2, 5, later.host_ns + 900_000) == later
+    assert epochs.unasked == 0
+
+
+def test_a_reset_under_way_before_another_was_asked_for_counts_as_unasked():
+    epochs = started()
+    later = Origin(ASKED.host_ns + 10**9, 2000)
+    epochs.ask(lambda: later)
+    assert epochs.follow(2, 5, later.host_ns - 500_000) != later
+    assert epochs.unasked == 1
+    assert epochs.follow(3, 5, later.host_ns + 500_000) == later
+
+
+def test_a_reset_long_after_one_that_never_came_is_another():
+    epochs = started()
+    later = Origin(ASKED.host_ns + 10**9, 2000)
+    epochs.ask(lambda: later)
+    arrival_ns = later.host_ns + 5 * 10**9
+    assert epochs.follow(2, 5, arrival_ns).us == arrival_ns // 1000 - 5
+    assert epochs.unasked == 1
+
+
+def test_who_sees_the_reset_first_waits_for_its_time():
+    epochs = started()
+    later = Origin(ASKED.host_ns + 10**9, 2000)
+    asking, origins = threading.Event(), []
+
+    def reset():
+        asking.set()
+        thread.start()
+        # Long enough for the other thread to run into the wait.
+        thread.join(0.2)
+        assert not origins
+        return later
+
+    thread = threading.Thread(
+        target=lambda: origins.append(epochs.follow(2, 5, later.host_ns + 1000))
+    )
+    epochs.ask(reset)
+    thread.join(10)
+    assert origins == [later]
+
+
+def test_data_that_arrive_before_the_request_returned_bound_the_reset():
+    slow = Origin(ASKED.host_ns, 10_000_000)
+    epochs = ClockEpochs(slow, 1000)
+    origin = epochs.follow(1, 500, ASKED.host_ns - 1_500_000)
+    # Between 10 ms and 2 ms before what was measured.
+    assert origin == Origin(ASKED.host_ns - 6_000_000, 4_000_000)
+
+
+def test_time_that_jumped_ahead_is_refused_and_the_next_stream_begins_where_it_was():
+    epochs = started()
+    epochs.follow(1, 1000, ASKED.host_ns + 2_000_000)
+    with pytest.raises(StreamError, match='ahead'):
+        epochs.follow(1, 100 * 0x8000 * 4095, ASKED.host_ns + 3_000_000)
+    assert epochs.latest_us == ASKED.us + 1000

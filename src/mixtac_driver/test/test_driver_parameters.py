@@ -9,15 +9,37 @@ import dataclasses
 import pytest
 from davis_fake import FakeBackend, FakeCamera
 
+from mixtac_driver.bias_parameters import BiasParameters
 from mixtac_driver.camera import Davis346
-from mixtac_driver.configuration import Configuration, register_writes
-from mixtac_driver.driver_parameters import (
-    DriverParameters,
-    camera_configuration,
-    stream_settings,
-)
+from mixtac_driver.configuration import Configuration
+from mixtac_driver.device_parameters import stream_settings
+from mixtac_driver.driver_parameters import DriverParameters, camera_configuration
 from mixtac_driver.errors import ConfigurationError
+from mixtac_driver.register_writes import register_writes, run_writes
 from mixtac_node.parameters import ParameterError, build, specs
+
+VOLTAGES = {
+    'ApsOverflowLevel': 0, 'ApsCas': 1, 'ADC_RefHigh': 2, 'ADC_RefLow': 3, 'ADC_TestVoltage': 4,
+}  # fmt: skip
+CURRENTS = {
+    'LocalBufBn': 8, 'PadFollBn': 9, 'DiffBn': 10, 'ONBn': 11, 'OFFBn': 12, 'PixInvBn': 13,
+    'PrBp': 14, 'PrSFBp': 15, 'RefrBp': 16, 'ReadoutBufBp': 17, 'ApsROSFBn': 18, 'AdcCompBp': 19,
+    'ColSelLowBn': 20, 'DACBufBp': 21, 'LcolTimeoutBn': 22, 'AEPdBn': 23, 'AEPuXBp': 24,
+    'AEPuYBp': 25, 'IFRefrBn': 26, 'IFThrBn': 27, 'BiasBuffer': 34,
+}  # fmt: skip
+SHIFTED_SOURCES = {'SSP': 35, 'SSN': 36}
+FIELDS = {
+    **{f'{name}_voltage': (address, 0, 6) for name, address in VOLTAGES.items()},
+    **{f'{name}_current': (address, 6, 3) for name, address in VOLTAGES.items()},
+    **{f'{name}_enabled': (address, 0, 1) for name, address in CURRENTS.items()},
+    **{f'{name}_fine': (address, 4, 8) for name, address in CURRENTS.items()},
+    **{f'{name}_coarse': (address, 12, 3) for name, address in CURRENTS.items()},
+    **{f'{name}_mode': (address, 0, 2) for name, address in SHIFTED_SOURCES.items()},
+    **{f'{name}_level': (address, 2, 2) for name, address in SHIFTED_SOURCES.items()},
+    **{f'{name}_ref': (address, 4, 6) for name, address in SHIFTED_SOURCES.items()},
+    **{f'{name}_reg': (address, 10, 6) for name, address in SHIFTED_SOURCES.items()},
+}
+"""Parameter: register, lowest bit, number of bits."""
 
 
 @pytest.fixture(scope='module')
@@ -28,12 +50,17 @@ def identity():
 
 def writes(identity, **values):
     configuration = camera_configuration(build(DriverParameters, values))
-    return {write[:2]: write.value for write in register_writes(configuration, identity)}
+    every = register_writes(configuration, identity) + run_writes(configuration)
+    return {write[:2]: int(write.value) for write in every}
 
 
-def test_defaults_are_those_of_libcaer_but_for_what_the_estimator_needs(identity):
+def test_defaults_are_those_of_libcaer_but_for_the_estimator_and_latency(identity):
     ours = register_writes(camera_configuration(DriverParameters()), identity)
-    expected = Configuration(aps_exposure_us=7000, background_activity_filter_enabled=False)
+    expected = Configuration(
+        aps_exposure_us=7000,
+        background_activity_filter_enabled=False,
+        early_packet_delay_us=200,
+    )
     assert ours == register_writes(expected, identity)
 
 
@@ -45,36 +72,121 @@ def test_defaults_pass_their_own_checks():
 @pytest.mark.parametrize(
     ('name', 'value', 'address', 'register'),
     [
+        ('dvs_enabled', False, (1, 3), 0),
+        ('roi_start_col', 7, (1, 41), 7),
+        ('roi_start_row', 7, (1, 42), 7),
+        ('roi_end_col', 7, (1, 43), 7),
+        ('roi_end_row', 7, (1, 44), 7),
+        ('background_activity_filter_enabled', True, (1, 31), 1),
+        ('background_activity_filter_time', 4095, (1, 32), 4095),
+        ('refractory_period_enabled', True, (1, 33), 1),
+        ('refractory_period_time', 9, (1, 34), 9),
+        ('skip_enabled', True, (1, 51), 1),
+        ('skip_events_every', 3, (1, 52), 3),
+        ('polarity_flatten', True, (1, 61), 1),
+        ('polarity_suppress', True, (1, 62), 1),
+        ('polarity_suppress_type', True, (1, 63), 1),
+        ('aps_enabled', False, (2, 4), 0),
         ('aps_exposure', 1000, (2, 12), 30240),
+        ('aps_exposure', 4_194_303, (2, 12), 126_835_723),
         ('aps_frame_interval', 20_000, (2, 13), 604_800),
         ('aps_global_shutter', False, (2, 7), 0),
+        ('aps_global_shutter', False, (5, 142), 0),
+        ('aps_roi_start_col', 3, (2, 8), 3),
+        ('aps_roi_start_row', 3, (2, 9), 3),
+        ('aps_roi_end_col', 3, (2, 10), 3),
         ('aps_roi_end_row', 100, (2, 11), 100),
-        ('roi_start_col', 7, (1, 41), 7),
-        ('background_activity_filter_enabled', False, (1, 31), 0),
-        ('refractory_period_time', 9, (1, 34), 9),
-        ('skip_events_every', 3, (1, 52), 3),
-        ('polarity_suppress', True, (1, 62), 1),
+        ('imu_acc_enabled', False, (3, 2), 0),
+        ('imu_gyro_enabled', False, (3, 3), 0),
+        ('imu_temp_enabled', False, (3, 4), 0),
+        ('imu_sample_rate_divider', 7, (3, 5), 7),
+        ('imu_low_pass_filter', 6, (3, 6), 6),
         ('imu_acc_scale', 3, (3, 7), 3),
+        ('imu_gyro_low_pass_filter', 5, (3, 9), 5),
+        ('imu_gyro_scale', 2, (3, 10), 2),
+        ('external_input_enabled', False, (4, 0), 0),
+        ('external_input_rising', True, (4, 1), 1),
+        ('external_input_falling', True, (4, 2), 1),
+        ('external_input_pulses', False, (4, 3), 0),
+        ('external_input_pulse_polarity', False, (4, 4), 0),
+        ('external_input_pulse_length', 1000, (4, 5), 120_960),
+        ('generator_enabled', True, (4, 11), 1),
+        ('generator_polarity', False, (4, 12), 0),
+        ('generator_interval', 1000, (4, 13), 120_960),
+        ('generator_length', 9, (4, 14), 1089),
+        ('generator_inject_on_rising', True, (4, 15), 1),
+        ('generator_inject_on_falling', True, (4, 16), 1),
         ('usb_early_packet_delay', 125, (9, 1), 10_080),
-        ('ONBn_fine', 1, (5, 11), 5 << 12 | 1 << 4 | 15),
-        ('PrBp_coarse', 7, (5, 14), 7 << 12 | 58 << 4 | 13),
-        ('ADC_RefHigh_voltage', 1, (5, 2), 1 | 7 << 6),
+        *((f'chip_digital_mux_{k}', 9, (5, 128 + k), 9) for k in range(4)),
+        *((f'chip_analog_mux_{k}', 9, (5, 132 + k), 9) for k in range(3)),
+        ('chip_bias_mux_0', 9, (5, 135), 9),
+        ('chip_reset_calibration_neuron', False, (5, 136), 0),
+        ('chip_type_n_calibration_neuron', True, (5, 137), 1),
+        ('chip_reset_test_pixel', False, (5, 138), 0),
+        ('chip_aer_na_row', True, (5, 140), 1),
+        ('chip_use_a_out', True, (5, 141), 1),
+        ('chip_select_gray_counter', False, (5, 143), 0),
+        ('chip_test_adc', True, (5, 144), 1),
     ],
 )
-def test_parameters_reach_their_registers(identity, name, value, address, register):
-    assert writes(identity, **{name: value})[address] == register
+def test_parameters_reach_their_registers_and_no_others(identity, name, value, address, register):
+    before, after = writes(identity), writes(identity, **{name: value})
+    assert after[address] == register
+    shutter = {(2, 7), (5, 142)}
+    changed = {each for each in after if after[each] != before[each]}
+    assert changed == (shutter if address in shutter else {address})
 
 
-def test_only_exposure_interval_and_biases_change_while_running():
-    changeable = {spec.name for spec in specs(DriverParameters) if not spec.read_only}
-    biases = {name for name in changeable if '_coarse' in name or '_fine' in name or 'ADC' in name}
-    assert len(biases) == 16
-    assert changeable - biases == {'aps_exposure', 'aps_frame_interval'}
+def test_every_field_of_every_bias_has_a_parameter():
+    assert {spec.name for spec in specs(BiasParameters)} == set(FIELDS)
 
 
-def test_contradicting_regions_are_refused():
-    with pytest.raises(ConfigurationError, match='roi columns 9'):
-        camera_configuration(build(DriverParameters, {'roi_start_col': 9, 'roi_end_col': 5}))
+@pytest.mark.parametrize('name', FIELDS)
+def test_bias_parameters_reach_their_bits_and_no_others(identity, name):
+    address, lowest, bits = FIELDS[name]
+    spec = next(spec for spec in specs(BiasParameters) if spec.name == name)
+    value = not spec.default if isinstance(spec.default, bool) else int(spec.maximum)
+    if value == spec.default:
+        value = 0
+    before, after = writes(identity), writes(identity, **{name: value})
+    changed = {each for each in after if after[each] != before[each]}
+    assert changed == {(5, address)}
+    mask = (1 << bits) - 1 << lowest
+    assert after[5, address] == before[5, address] & ~mask | int(value) << lowest
+
+
+def test_only_what_the_node_itself_is_made_of_is_fixed():
+    fixed = {spec.name for spec in specs(DriverParameters) if spec.read_only}
+    assert {'device', 'serial', 'encoding', 'camera_frame_id', 'imu_frame_id'} <= fixed
+    made_of = ('usb_', 'recovery_', 'playback_', 'undistort_', 'camera_name', 'camerainfo_url')
+    others = {name for name in fixed if not name.startswith(made_of)}
+    assert others - {'device', 'serial', 'encoding', 'camera_frame_id', 'imu_frame_id'} <= {
+        'event_message_time_threshold',
+        'event_message_size_threshold',
+        'stream_timeout',
+    }
+    assert 'usb_early_packet_delay' not in fixed
+
+
+def test_numbers_have_ranges():
+    for spec in specs(DriverParameters):
+        if isinstance(spec.default, (int, float)) and not isinstance(spec.default, bool):
+            assert spec.minimum is not None, spec.name
+            assert spec.maximum is not None, spec.name
+
+
+@pytest.mark.parametrize(
+    ('values', 'words'),
+    [
+        ({'roi_start_col': 9, 'roi_end_col': 5}, 'roi columns 9'),
+        ({'aps_roi_start_row': 9, 'aps_roi_end_row': 5}, 'aps_roi'),
+        ({'generator_length': 10}, 'less than the interval'),
+        ({'aps_auto_exposure_minimum': 40_000}, 'aps_auto_exposure_maximum'),
+    ],
+)
+def test_contradicting_values_are_refused(values, words):
+    with pytest.raises(ConfigurationError, match=words):
+        camera_configuration(build(DriverParameters, values))
 
 
 def test_values_out_of_range_are_refused():
@@ -83,6 +195,6 @@ def test_values_out_of_range_are_refused():
 
 
 def test_stream_settings_follow():
-    p = build(DriverParameters, {'usb_transfer_size': 4096, 'stream_timeout': 1.5})
-    settings = stream_settings(p)
-    assert (settings.transfer_size, settings.silence_s) == (4096, 1.5)
+    values = {'usb_transfer_size': 4096, 'stream_timeout': 1.5, 'usb_transfers': 3}
+    settings = stream_settings(build(DriverParameters, values))
+    assert (settings.transfer_size, settings.silence_s, settings.transfers) == (4096, 1.5, 3)

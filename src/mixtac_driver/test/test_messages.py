@@ -4,19 +4,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 pytest.importorskip('event_camera_msgs.msg')
+pytest.importorskip('mixtac_msgs.msg')
 
 from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_driver import messages
 from mixtac_driver.camera import Davis346
 from mixtac_driver.packetizer import Packetizer
-from mixtac_driver.readings import Frame, InertialSamples
+from mixtac_driver.readings import EdgeKind, Frame, InertialSamples
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode_message
+from mixtac_msgs.msg import ExternalEdge
 from mixtac_node.base_node import stamp_to_us
 
 ORIGIN_US = 1_760_000_000_000_000
@@ -57,6 +61,31 @@ def test_camera_info_tells_the_region():
     roi = info.roi
     assert (roi.x_offset, roi.y_offset, roi.width, roi.height) == (10, 20, 40, 30)
     assert messages.camera_info(frame(), identity, image).roi.width == 0
+
+
+@pytest.mark.parametrize('global_shutter', [True, False])
+def test_exposure_has_the_header_of_its_image(global_shutter):
+    sent = replace(frame(), global_shutter=global_shutter)
+    image = messages.image(sent, ORIGIN_US, 0, 'cam')
+    message = messages.frame_exposure(sent, ORIGIN_US, image)
+    assert message.header == image.header
+    marks = (message.frame_start, message.exposure_start, message.exposure_end, message.frame_end)
+    assert [stamp_to_us(mark) - ORIGIN_US for mark in marks] == [100, 1000, 5001, 9000]
+    assert message.shutter == (not global_shutter)
+    assert messages.image_header(sent, ORIGIN_US, 'cam').header == image.header
+
+
+@pytest.mark.parametrize('kind', EdgeKind)
+def test_edges_have_the_kinds_of_the_message(kind):
+    message = messages.external_edge(int(kind), ORIGIN_US + 5, 7, 'cam')
+    assert getattr(ExternalEdge, kind.name) == message.kind
+    assert (stamp_to_us(message.header.stamp), message.seq) == (ORIGIN_US + 5, 7)
+
+
+def test_temperature_is_stamped():
+    message = messages.temperature(40.5, ORIGIN_US, 'imu')
+    assert (message.temperature, message.header.frame_id) == (40.5, 'imu')
+    assert stamp_to_us(message.header.stamp) == ORIGIN_US
 
 
 def test_missing_inertial_groups_are_marked():

@@ -16,17 +16,12 @@ from mixtac_driver.biases import (
     CurrentBias,
     ShiftedSourceBias,
     VoltageBias,
-    with_current,
 )
 from mixtac_driver.camera import Davis346
-from mixtac_driver.configuration import (
-    Configuration,
-    Region,
-    changed_writes,
-    cycles,
-    register_writes,
-)
+from mixtac_driver.configuration import Configuration, Region
 from mixtac_driver.errors import ConfigurationError
+from mixtac_driver.register_writes import register_writes
+from mixtac_driver.registers import Chip
 
 SENT = {
     0: 411, 1: 405, 2: 480, 3: 449, 4: 469, 8: 23119, 9: 32126, 10: 17023, 11: 24575, 12: 16415,
@@ -70,9 +65,9 @@ def test_shifted_sources_come_back(reference, regulator, mode, level):
 
 @given(st.integers(0, 6), st.integers(1, 254))
 def test_current_grows_with_either_step(coarse, fine):
-    here = with_current('PrBp', coarse, fine).current_pa()
-    assert with_current('PrBp', coarse, fine + 1).current_pa() > here
-    assert with_current('PrBp', coarse + 1, fine).current_pa() > here
+    bias = CurrentBias(coarse, fine, n_type=False)
+    assert replace(bias, fine=fine + 1).current_pa() > bias.current_pa()
+    assert replace(bias, coarse=coarse + 1).current_pa() > bias.current_pa()
 
 
 @pytest.mark.parametrize(
@@ -89,12 +84,6 @@ def test_current_grows_with_either_step(coarse, fine):
 def test_values_that_do_not_fit_are_refused(bias):
     with pytest.raises(ConfigurationError, match='outside'):
         bias.encode()
-
-
-@pytest.mark.parametrize('name', ['ApsCas', 'Nonsense'])
-def test_only_current_biases_take_a_current(name):
-    with pytest.raises(ConfigurationError, match='coarse-fine biases are LocalBufBn'):
-        with_current(name, 1, 1)
 
 
 def test_default_writes_are_the_102_of_libcaer_in_its_order(identity):
@@ -141,19 +130,14 @@ def test_blocks_the_logic_lacks_are_left_alone(identity):
         ({'pixel_filter': ((0, 260),)}, 'pixel_filter'),
         ({'biases': {'Foo': VoltageBias(1, 1)}}, 'Foo'),
         ({'biases': {'ApsCas': VoltageBias(99, 1)}}, 'voltage = 99'),
+        ({'biases': {'ApsCas': CurrentBias(1, 1, n_type=True)}}, 'give a VoltageBias'),
+        ({'chip': {Chip.GLOBAL_SHUTTER: 1}}, 'chip register 142'),
+        ({'chip': {Chip.TEST_ADC: 2}}, '144 = 2: .* 0 .. 1'),
+        ({'chip': {Chip.ANALOG_MUX_2: 16}}, '134 = 16: .* 0 .. 15'),
+        ({'pulse_length_us': 1 << 20}, 'pulse_length_us'),
+        ({'generator_length_us': 10}, 'less than the interval of 10 us'),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(identity, change, words):
     with pytest.raises(ConfigurationError, match=words):
         register_writes(Configuration(**change), identity)
-
-
-@given(st.integers(0, 4_194_303), st.integers(0, 4_194_303))
-def test_only_what_changed_is_written(first, second):
-    with Davis346(backend=FakeBackend(FakeCamera())) as camera:
-        identity = camera.identity
-    old, new = (
-        register_writes(Configuration(aps_exposure_us=us), identity) for us in (first, second)
-    )
-    changed = changed_writes(old, new)
-    assert changed == ([] if first == second else [(2, 12, cycles(second, 30.24))])

@@ -12,6 +12,7 @@ from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_driver import supervisor as supervisor_module
 from mixtac_driver.camera import Davis346
+from mixtac_driver.recovery_settings import RecoverySettings
 from mixtac_driver.stream import StreamSettings
 from mixtac_driver.supervisor import State, Supervisor
 
@@ -40,7 +41,7 @@ class Watch:
             on_start=lambda: self.starts.append(time.monotonic()),
             on_batch=on_batch or self.batches.append,
             on_error=self.errors.append,
-            first_pause_s=0.02,
+            recovery=RecoverySettings(first_pause_s=0.02),
             **kwargs,
         )
         self.supervisor.start()
@@ -73,6 +74,9 @@ def test_unplugged_camera_is_named_and_taken_up_again():
     wait_until(lambda: len(watch.starts) == 2 and watch.batches[-1].time_us > before)
     times = [batch.time_us for batch in watch.batches]
     assert times == sorted(times)
+    assert watch.supervisor.failures_by_kind == {'DisconnectedError': 1}
+    assert watch.supervisor.reconnects == 1
+    assert watch.supervisor.outage_s > 0
     assert watch.supervisor.stop()
     assert fake.handles == 0
 
@@ -83,18 +87,6 @@ def test_silent_camera_is_started_anew():
     wait_until(lambda: len(watch.starts) == 2)
     assert 'no data' in watch.errors[0]
     assert watch.supervisor.stop()
-
-
-def test_pauses_grow_up_to_a_bound(monkeypatch):
-    monkeypatch.setattr(supervisor_module, 'LONGEST_PAUSE_S', 0.08)
-    pauses = []
-    watch = Watch(FakeBackend())
-    waiting = watch.supervisor._stopping.wait
-    watch.supervisor._stopping.wait = lambda s: (pauses.append(s), waiting(s))[1]
-    wait_until(lambda: len(pauses) >= 5)
-    assert watch.supervisor.stop()
-    assert pauses == sorted(pauses)
-    assert pauses[-1] == 0.08
 
 
 def test_defects_are_told_and_do_not_end_the_thread():

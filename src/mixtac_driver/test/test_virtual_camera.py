@@ -52,7 +52,7 @@ def test_events_frames_and_samples_come_out_as_they_went_in(scene):
             if time.monotonic() > started + 1.2:
                 break
         counters, transport = camera.decoder_counters, camera.transport_counters
-    got, given = Events.concatenate(parts), Events.concatenate(scene.given)
+    got, given = Events.concatenate(parts), Events.concatenate(list(scene.given))
     assert len(got) > 10_000
     # The reset of the camera's clock leaves one unknown: where in the scene it happened.
     first = next(

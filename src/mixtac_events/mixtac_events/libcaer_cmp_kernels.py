@@ -28,6 +28,8 @@ _ADDR_Y: Final = 3 << 12
 _VECT_BASE_Y: Final = 4 << 12
 _VECT_8: Final = 5 << 12
 _ON: Final = 1 << 11
+SHORTEST_VECTOR: Final = 3
+"""A vector takes two words for up to eight events."""
 
 UNSORTED: Final = -1
 TOO_LONG: Final = -2
@@ -45,6 +47,7 @@ def encode_words(
     count = len(t)
     used = 0
     dt = 0
+    high = 0
     column = -1
     first = 0
     while first < count:
@@ -53,16 +56,31 @@ def encode_words(
             return UNSORTED, first
         if now > MAX_SPAN_US:
             return TOO_LONG, first
-        used = _write_time(words, used, dt, now)
+        x_first = int(x[first])
+        y_first = int(y[first])
+        if (x_first | y_first) > MAX_COORDINATE:
+            return OUTSIDE, first
+        # Each word is written and then kept or not: which are needed is as random as the scene,
+        # and a branch that is guessed wrong costs more than the other words together.
+        words[used] = now >> 12
+        used += int((now >> 12) != high)
+        high = now >> 12
+        words[used] = _TIME_LOW | (now & 0xFFF)
+        used += int(now != dt)
         dt = now
-        if x[first] != column:
-            column = x[first]
-            words[used] = _ADDR_X | column
-            used += 1
+        words[used] = _ADDR_X | x_first
+        used += int(x_first != column)
+        column = x_first
         last = _end_of_run(t, x, y, polarity, first)
-        if column > MAX_COORDINATE or y[last - 1] > MAX_COORDINATE:
+        on = _ON if polarity[first] else 0
+        if last - first < SHORTEST_VECTOR:
+            for i in range(first, last):
+                words[used] = _ADDR_Y | on | y[i]
+                used += 1
+        else:
+            used = _write_run(words, used, y, first, last, on)
+        if y[last - 1] > MAX_COORDINATE:
             return OUTSIDE, last - 1
-        used = _write_run(words, used, y, first, last, _ON if polarity[first] else 0)
         first = last
     if end - t[0] > MAX_SPAN_US:
         return TOO_LONG, count

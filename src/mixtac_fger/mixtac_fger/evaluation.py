@@ -42,20 +42,23 @@ class Run:
         return replace(self, force=scale * self.force, frames_only=scale * self.frames_only)
 
 
-def stream(model: LoadedModel, trial: RecordedTrial, label: ForceLabel) -> Run:
+def stream(
+    model: LoadedModel, trial: RecordedTrial, label: ForceLabel, frames: int | None = None
+) -> Run:
     """Feed a trial to the live estimator in order of arrival.
 
     Args:
         model: Network with its weights.
         trial: Events and frames; frames are handed over at `arrival_us`.
         label: True force on the camera clock.
+        frames: Only the first so many frames are handed over; None for all.
     """
     estimator = ForceEstimator(model)
     width = model.config.window_us
     middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
     ends = np.arange(width, int(label.t_us[-1]) + 1, width)
     cuts = np.searchsorted(trial.events.t, [0, *ends])
-    arrived = np.searchsorted(trial.arrival_us, ends, side='right')
+    arrived = np.searchsorted(trial.arrival_us[:frames], ends, side='right')
     done = 0
     rows = []
     for index, end in enumerate(ends.tolist()):

@@ -24,10 +24,14 @@ if TYPE_CHECKING:
 
 def simulate(spec: TrialSpec) -> Trial:
     """Return the trial that `spec` names, with synchronising impulses and the rest around them."""
+    from mixtac_sim.presets import preset
     from mixtac_sim.trial import simulate_trial
 
+    chosen = preset(spec.preset)
+    if spec.without:
+        chosen = chosen.without(spec.without)
     seeds = (spec.device_seed, spec.trial_seed)
-    return simulate_trial(*seeds, spec.profile, spec.seconds, sync=True)
+    return simulate_trial(*seeds, spec.profile, spec.seconds, sync=True, preset=chosen)
 
 
 def simulator_digest() -> str:

@@ -16,7 +16,13 @@ from rich.table import Table
 
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.model_files import DEFAULT_MODEL, find_model
-from mixtac_fger.trial_plan import calibration_plan, evaluation_plan, training_plan, unseen_devices
+from mixtac_fger.trial_plan import (
+    DEFAULT_PRESET,
+    calibration_plan,
+    evaluation_plan,
+    training_plan,
+    unseen_devices,
+)
 
 if TYPE_CHECKING:
     from mixtac_fger.network import FgerNetwork
@@ -39,6 +45,7 @@ def train(
     epochs: Annotated[
         int, typer.Option(min=1, help='Epochs of the recurrent stage; the others in proportion.')
     ] = 60,
+    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = DEFAULT_PRESET,
     jobs: Annotated[int, typer.Option(min=1, help='Processes that simulate.')] = 2,
     data: Annotated[Path, typer.Option(help='Where samples are kept.')] = Path('runs/fger_data'),
     json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
@@ -51,7 +58,7 @@ def train(
     settings = TrainingSettings(
         seed=seed, frame_epochs=-(-epochs // 2), recurrent_epochs=epochs, joint_epochs=epochs // 6
     )
-    plan = training_plan(trials, min(gels, trials), seconds, seed)
+    plan = training_plan(trials, min(gels, trials), seconds, seed, preset)
     started = time.monotonic()
     network = _fit(plan, settings, data, jobs)
     training = _provenance(plan, settings) | {
@@ -60,8 +67,8 @@ def train(
     model = LoadedModel(network, ModelCard(training))
     seen = [plan[index].device_seed for index in range(0, len(plan), max(len(plan) // 3, 1))][:3]
     metrics = {
-        'seen_devices': _judge(model, seen, _EVALUATION_SECONDS, 0),
-        'unseen_devices': _judge(model, unseen_devices(6, 0), _EVALUATION_SECONDS, 1),
+        'seen_devices': _judge(model, seen, _EVALUATION_SECONDS, 0, preset),
+        'unseen_devices': _judge(model, unseen_devices(6, 0), _EVALUATION_SECONDS, 1, preset),
     }
     save_model(out, network, ModelCard(training, metrics))
     for title, figures in metrics.items():
@@ -77,6 +84,7 @@ def evaluate(
     seed: Annotated[int, typer.Option(min=2, help='Which fresh sensors and days.')] = 2,
     gels: Annotated[int, typer.Option(min=1, help='Number of sensors.')] = 3,
     seconds: Annotated[float, typer.Option(min=4, help='Length of a trial.')] = 10.0,
+    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = DEFAULT_PRESET,
     json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
 ) -> None:
     """Judge a model on simulated trials of sensors that no training has used."""
@@ -84,7 +92,7 @@ def evaluate(
 
     path = find_model(model)
     loaded = load_model(path)
-    figures = _judge(loaded, unseen_devices(gels, seed), seconds, seed)
+    figures = _judge(loaded, unseen_devices(gels, seed), seconds, seed, preset)
     _show(Console(), f'{path.name} on {gels} unseen sensors', figures)
     _write_json(json, {'model': str(path), 'metrics': {'unseen_devices': figures}})
 
@@ -116,7 +124,9 @@ def _fit(plan: list[TrialSpec], settings: TrainingSettings, data: Path, jobs: in
         return Trainer(config, settings, report).run(sequences)
 
 
-def _judge(model: LoadedModel, devices: list[int], seconds: float, seed: int) -> dict[str, Any]:
+def _judge(
+    model: LoadedModel, devices: list[int], seconds: float, seed: int, preset: str
+) -> dict[str, Any]:
     """Return figures per profile and over all, raw and with each sensor calibrated by one press."""
     from mixtac_fger.calibration import fit_scale
     from mixtac_fger.dataset import true_force
@@ -128,11 +138,15 @@ def _judge(model: LoadedModel, devices: list[int], seconds: float, seed: int) ->
         return stream(model, trial, true_force(trial.truth))
 
     scales = {}
-    for spec in track(calibration_plan(devices, seconds, seed), 'calibrating', transient=True):
+    for spec in track(
+        calibration_plan(devices, seconds, seed, preset), 'calibrating', transient=True
+    ):
         press = run(spec)
         scales[spec.device_seed] = fit_scale(press.force, press.truth).force_scale
     runs: dict[str, list[tuple[Run, float]]] = {}
-    for spec in track(evaluation_plan(devices, seconds, seed), 'judging', transient=True):
+    for spec in track(
+        evaluation_plan(devices, seconds, seed, preset=preset), 'judging', transient=True
+    ):
         runs.setdefault(spec.profile, []).append((run(spec), scales[spec.device_seed]))
     figures = {profile: summarise(found) for profile, found in runs.items()}
     return figures | {'all': summarise(pair for found in runs.values() for pair in found)}
@@ -151,6 +165,7 @@ def _provenance(plan: list[TrialSpec], settings: TrainingSettings) -> dict[str, 
         'seconds': plan[0].seconds,
         'device_seeds': [devices[0], devices[-1]],
         'trial_seeds': [days[0], days[-1]],
+        'preset': plan[0].preset,
         'profiles': sorted({spec.profile for spec in plan}),
         'settings': settings.to_dict(),
     }

@@ -19,6 +19,8 @@ TRAINING_PROFILES = (
 )
 """Taken in turn. Impacts come twice: they are short, and a net that saw none misses them."""
 EVALUATION_PROFILES = ('press', 'oscillation', 'impact', 'dynamic', 'static', 'demo')
+DEFAULT_PRESET = 'easy'
+"""What the shipped model was trained on."""
 TRAINING_DEVICES = 100_000
 """First device seed of training; 100,000 seeds from here on are training's."""
 TRAINING_TRIALS = 100_000
@@ -36,17 +38,23 @@ class TrialSpec:
         trial_seed: Which day: contact point, speeds, noise, clocks.
         profile: Force profile of `mixtac_sim.profiles`.
         seconds: Length.
+        preset: How hard the simulated sensor is (`mixtac_sim.presets`).
+        without: One effect of the preset that is switched off, empty for none.
     """
 
     device_seed: int
     trial_seed: int
     profile: str
     seconds: float
+    preset: str = DEFAULT_PRESET
+    without: str = ''
 
     @property
     def name(self) -> str:
         """A file name for what belongs to the trial."""
-        return f'{self.profile}_d{self.device_seed}_t{self.trial_seed}_{self.seconds:g}s'
+        seeds = f'd{self.device_seed}_t{self.trial_seed}'
+        kind = self.preset if not self.without else f'{self.preset}-{self.without}'
+        return f'{self.profile}_{seeds}_{self.seconds:g}s_{kind}'
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON-ready values."""
@@ -57,11 +65,15 @@ SHORTEST_S = {'demo': 10.0}
 """Profiles that need some time."""
 
 
-def _spec(device: int, trial: int, profile: str, seconds: float) -> TrialSpec:
-    return TrialSpec(device, trial, profile, max(seconds, SHORTEST_S.get(profile, 0.0)))
+def _spec(
+    device: int, trial: int, profile: str, seconds: float, preset: str = DEFAULT_PRESET
+) -> TrialSpec:
+    return TrialSpec(device, trial, profile, max(seconds, SHORTEST_S.get(profile, 0.0)), preset)
 
 
-def training_plan(trials: int, gels: int, seconds: float, seed: int) -> list[TrialSpec]:
+def training_plan(
+    trials: int, gels: int, seconds: float, seed: int, preset: str = DEFAULT_PRESET
+) -> list[TrialSpec]:
     """Return `trials` trials over `gels` sensors, profiles in turn.
 
     Args:
@@ -69,6 +81,7 @@ def training_plan(trials: int, gels: int, seconds: float, seed: int) -> list[Tri
         gels: Number of different sensors.
         seconds: Length of a trial.
         seed: Shifts all seeds: another seed gives other sensors and other days.
+        preset: How hard the simulated sensors are.
     """
     first = TRAINING_DEVICES + 1000 * (seed % 100)
     return [
@@ -77,26 +90,33 @@ def training_plan(trials: int, gels: int, seconds: float, seed: int) -> list[Tri
             TRAINING_TRIALS + 1000 * (seed % 100) + index,
             TRAINING_PROFILES[(index + index // gels) % len(TRAINING_PROFILES)],
             seconds,
+            preset,
         )
         for index in range(trials)
     ]
 
 
 def evaluation_plan(
-    devices: list[int], seconds: float, seed: int, profiles: tuple[str, ...] = EVALUATION_PROFILES
+    devices: list[int],
+    seconds: float,
+    seed: int,
+    profiles: tuple[str, ...] = EVALUATION_PROFILES,
+    preset: str = DEFAULT_PRESET,
 ) -> list[TrialSpec]:
     """Return one trial per profile and sensor with trial seeds that training never uses."""
     return [
-        _spec(device, UNSEEN + 10_000 * seed + 100 * row + column, profile, seconds)
+        _spec(device, UNSEEN + 10_000 * seed + 100 * row + column, profile, seconds, preset)
         for row, device in enumerate(devices)
         for column, profile in enumerate(profiles)
     ]
 
 
-def calibration_plan(devices: list[int], seconds: float, seed: int) -> list[TrialSpec]:
+def calibration_plan(
+    devices: list[int], seconds: float, seed: int, preset: str = DEFAULT_PRESET
+) -> list[TrialSpec]:
     """Return one more press per sensor, to calibrate it with."""
     return [
-        _spec(device, UNSEEN + 10_000 * seed + 100 * row + 99, 'press', seconds)
+        _spec(device, UNSEEN + 10_000 * seed + 100 * row + 99, 'press', seconds, preset)
         for row, device in enumerate(devices)
     ]
 

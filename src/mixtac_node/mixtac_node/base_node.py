@@ -146,6 +146,8 @@ def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
     """Run one node until SIGINT or SIGTERM, then close it.
 
     The node may have a `close()` method: it ends threads and devices before the node is destroyed.
+    It may have a `check()` method: called several times a second, and a MixtacError from it ends
+    the node as one from its construction does.
 
     Args:
         node_class: Makes the node; called after `rclpy.init`.
@@ -168,9 +170,13 @@ def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
         node = node_class()
         executor = EventsExecutor()
         executor.add_node(node)
+        check = getattr(node, 'check', None)
         while not stopping and rclpy.ok():
             # spin() of this executor never calls back in the wheels of Jazzy; spin_once does.
             executor.spin_once(timeout_sec=0.2)
+            # Not in a timer: the executor would print a traceback before the one line.
+            if check is not None:
+                check()
     except MixtacError as error:
         print(f'error: {error}', file=sys.stderr)
         return 1

@@ -159,6 +159,11 @@ class Aps:
         times = (self._next_us, self._next_us + self._settings.exposure_us)
         return [t for t in times if start_us <= t < end_us]
 
+    @property
+    def exposure_us(self) -> tuple[int, int]:
+        """Return start and end of the exposure that is under way or comes next [us]."""
+        return self._next_us, self._next_us + self._settings.exposure_us
+
     def finish(self, until_us: float, brightness: float) -> ApsFrame | None:
         """Return the frame whose exposure ended by a time [us], once.
 

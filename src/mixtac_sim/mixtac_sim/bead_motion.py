@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from mixtac_sim.displacement_field import displacement_field
+from mixtac_sim.edge_contact import solve_edge
 from mixtac_sim.markers import DIAMETER_MM
 
 if TYPE_CHECKING:
@@ -77,15 +78,33 @@ class BeadMotion:
     ) -> NDArray[np.float64]:
         """Return displacements [row, bead, xyz] [mm]; z is towards the mesh."""
         force = law.force_n[-1] * np.linspace(0.0, 1.0, ROWS) ** 2
+        sag = np.exp(-((self._axis_mm / SAG_MM) ** 2)) * force[:, None] / mesh_n_per_mm
+        if tool.shape == 'edge':
+            table = self._edge_table(layer, tool, law.linear_at(force))
+            table[:, :, 2] += sag
+            return table
         alpha = law.radius_at(force) / layer.thickness_mm
         height = 1.0 - self._rest[2] / layer.thickness_mm
         inward, outward = displacement_field(tool.shape).at(
             alpha[:, None], height, self._axis_mm / layer.thickness_mm
         )
-        scale = force[:, None] / (1e-3 * layer.modulus_kpa * layer.thickness_mm)
-        sag = np.exp(-((self._axis_mm / SAG_MM) ** 2)) * force[:, None] / mesh_n_per_mm
+        linear = law.linear_at(force)[:, None]
+        scale = linear / (1e-3 * layer.modulus_kpa * layer.thickness_mm)
         radial = scale * outward
         return np.stack([*(radial * d for d in self._direction), scale * inward + sag], axis=-1)
+
+    def _edge_table(
+        self, layer: Layer, tool: Indenter, linear_n: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the displacements under an edge without the mesh's sag [row, bead, xyz] [mm]."""
+        contact = solve_edge(tool, layer.thickness_mm)
+        away = self._axis_mm * self._direction
+        height = 1.0 - self._rest[2] / layer.thickness_mm
+        solved = contact.displacements(away[0], away[1], height)
+        rows = np.interp(linear_n / layer.modulus_kpa, contact.force_n, np.arange(len(solved)))
+        low = np.minimum(rows.astype(np.int64), len(solved) - 2)
+        part = (rows - low)[:, None, None]
+        return np.asarray((1.0 - part) * solved[low] + part * solved[low + 1])
 
     def _largest(self, table: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the largest displacement in the image [px] of any bead, per row of a table."""
@@ -152,6 +171,8 @@ def _optics_row(device: DeviceModel) -> NDArray[np.float64]:
             float(lens.distance_mm(lens.focus_depth_mm)),
             float(lens.focal_mm / lens.f_number * lens.magnification / 0.0185),
             lens.softness_px,
+            np.cos(lens.roll_rad),
+            np.sin(lens.roll_rad),
         ]
     )
 
@@ -168,7 +189,7 @@ def _place(
     spots: NDArray[np.float64],
 ) -> None:
     """Displace and project all beads; the same optics as ``Lens``, with the values at hand."""
-    gain, k1, k2, centre_x, centre_y, far, per_mm, focus, blur, soft = optics
+    gain, k1, k2, centre_x, centre_y, far, per_mm, focus, blur, soft, cos, sin = optics
     low = min(int(row), table.shape[0] - 2)
     part = row - low
     for i in range(spots.shape[0]):
@@ -176,8 +197,10 @@ def _place(
         y = rest[1, i] + (1.0 - part) * table[low, i, 1] + part * table[low + 1, i, 1]
         z = rest[2, i] + (1.0 - part) * table[low, i, 2] + part * table[low + 1, i, 2]
         distance = far + per_mm * z
-        slope_x = (x + shear_x * shear[i]) / distance
-        slope_y = (y + shear_y * shear[i]) / distance
+        x += shear_x * shear[i]
+        y += shear_y * shear[i]
+        slope_x = (cos * x - sin * y) / distance
+        slope_y = (sin * x + cos * y) / distance
         square = slope_x * slope_x + slope_y * slope_y
         bend = gain * (1.0 + square * (k1 + k2 * square))
         spots[i, 0] = centre_x + bend * slope_x

@@ -11,14 +11,18 @@ import numpy as np
 
 from mixtac_sim.elastomer import Layer
 from mixtac_sim.markers import Markers, scatter_markers
-from mixtac_sim.optics import Lens
+from mixtac_sim.optics import SILICONE_INDEX, Lens
 from mixtac_sim.pixels import PixelSettings, PixelSpread, draw_spread
-from mixtac_sim.random_streams import stream
-from mixtac_sim.scene import Lighting, Scene, build_scene
+from mixtac_sim.presets import EASY
+from mixtac_sim.random_streams import log_uniform, stream
+from mixtac_sim.scene import MESH_WIRE_MM, Lighting, Scene, build_scene
 from mixtac_sim.viscoelasticity import PronySeries
 
 if TYPE_CHECKING:
     from numpy.random import Generator
+
+    from mixtac_sim.effects import OpticsEffects
+    from mixtac_sim.presets import Preset
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,10 @@ class DeviceModel:
         spread: Differences between pixels.
         threshold_factor: Thresholds of this chip over nominal, ON and OFF.
         noise_factor: Noise and leak of this chip over nominal.
+        leak_factor: Leak from parasitic light of this chip over nominal.
+        speed_factor: Corner of the source follower, of the photoreceptor, and blind time of this
+            chip over nominal.
+        stiffening: Force over the linear layer's, less 1, per square of the strain.
         frame_burst: Share of pixels that fire when a frame is reset or read.
         dn_per_lux_ms: Response of the frames [DN/(lx ms)].
     """
@@ -54,6 +62,9 @@ class DeviceModel:
     spread: PixelSpread
     threshold_factor: tuple[float, float]
     noise_factor: float
+    leak_factor: float
+    speed_factor: tuple[float, float, float]
+    stiffening: float
     frame_burst: float
     dn_per_lux_ms: float
 
@@ -68,48 +79,73 @@ class DeviceModel:
             nominal,
             threshold_on=nominal.threshold_on * self.threshold_factor[0],
             threshold_off=nominal.threshold_off * self.threshold_factor[1],
+            source_follower_hz=nominal.source_follower_hz * self.speed_factor[0],
+            hz_per_lux=nominal.hz_per_lux * self.speed_factor[1],
+            refractory_us=nominal.refractory_us * self.speed_factor[2],
             leak_hz=nominal.leak_hz * self.noise_factor,
+            leak_hz_per_lux=nominal.leak_hz_per_lux * self.leak_factor,
             shot_hz=nominal.shot_hz * self.noise_factor,
         )
 
 
-def draw_device(seed: int) -> DeviceModel:
+def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
     """Return the sensor of a device seed.
 
     Ranges are those of shared knowledge about Shore A-5 silicones, DAVIS346 chips and small
     wide-angle lenses; what the paper does not state is an estimate.
+
+    Args:
+        seed: Device seed.
+        preset: How much devices differ.
     """
-    rng = stream(seed, 'device')
+    seed = seed if preset.devices.vary else 0
+    rng, pixels, gel = stream(seed, 'device'), preset.pixels, preset.gel
     layer = Layer(
-        modulus_kpa=float(np.clip(160.0 * np.exp(rng.normal(0.0, 0.25)), 100.0, 300.0)),
-        thickness_mm=rng.uniform(3.5, 5.0),
+        modulus_kpa=float(
+            np.clip(160.0 * np.exp(rng.normal(0.0, gel.modulus_log_sd)), 100.0, 300.0)
+        ),
+        thickness_mm=rng.uniform(*gel.thickness_mm),
     )
-    lens = _draw_lens(rng, layer.thickness_mm)
-    lighting = _draw_lighting(rng)
-    common, skew = rng.normal(0.0, 0.12), rng.normal(0.0, 0.08)
+    lens = _draw_lens(rng, layer.thickness_mm, preset.optics)
+    lighting = _draw_lighting(rng, preset.optics.wire)
+    common, skew = rng.normal(0.0, pixels.common_log_sd), rng.normal(0.0, pixels.skew_log_sd)
+    # What came with the presets has streams of its own, so that older draws stay what they were.
+    speed, more = stream(seed, 'device speed'), stream(seed, 'device stiffening')
     return DeviceModel(
         seed=seed,
         layer=layer,
-        mesh_n_per_mm=np.exp(rng.uniform(np.log(3.0), np.log(10.0))),
-        prony=_draw_prony(rng),
-        friction=rng.uniform(0.5, 1.2),
-        markers=scatter_markers(seed, layer.thickness_mm),
+        mesh_n_per_mm=np.exp(rng.uniform(*np.log(gel.mesh_n_per_mm))),
+        prony=_draw_prony(rng, seed, preset),
+        friction=rng.uniform(*preset.contact.friction),
+        markers=scatter_markers(seed, layer.thickness_mm, preset.optics),
         lens=lens,
         lighting=lighting,
         scene=build_scene(lens, lighting),
-        spread=draw_spread(seed, rng.uniform(0.08, 0.16)),
+        spread=draw_spread(
+            seed, rng.uniform(*pixels.mismatch), pixels.leak_decades, preset.light.hot_pixels
+        ),
         threshold_factor=(float(np.exp(common + skew)), float(np.exp(common - skew))),
-        noise_factor=float(np.exp(rng.uniform(-0.7, 0.7))),
-        frame_burst=rng.uniform(0.0, 3e-4),
+        noise_factor=float(np.exp(rng.uniform(*pixels.noise_log))) * pixels.noise,
+        leak_factor=pixels.noise,
+        speed_factor=_draw_speed(speed, preset),
+        stiffening=more.uniform(*preset.impact.stiffening),
+        frame_burst=rng.uniform(*preset.light.frame_burst),
         dn_per_lux_ms=rng.uniform(0.85, 1.1),
     )
 
 
-def _draw_lens(rng: Generator, thickness_mm: float) -> Lens:
+def _draw_speed(rng: Generator, preset: Preset) -> tuple[float, float, float]:
+    """Return the speed of the pixels over nominal."""
+    speed = preset.bandwidth
+    follower, per_lux = log_uniform(rng, speed.follower), log_uniform(rng, speed.per_lux)
+    return follower, per_lux, log_uniform(rng, speed.refractory)
+
+
+def _draw_lens(rng: Generator, thickness_mm: float, optics: OpticsEffects) -> Lens:
     """Return a 2.8 mm lens focused somewhere in the middle of the layer."""
     return Lens(
         focal_mm=2.8 * rng.uniform(0.98, 1.02),
-        f_number=rng.uniform(1.8, 2.8),
+        f_number=rng.uniform(*optics.f_number),
         gap_mm=rng.uniform(11.5, 14.0),
         thickness_mm=thickness_mm,
         focus_depth_mm=thickness_mm * rng.uniform(0.3, 0.6),
@@ -117,10 +153,11 @@ def _draw_lens(rng: Generator, thickness_mm: float) -> Lens:
         k2=rng.uniform(0.07, 0.10),
         centre_px=(172.5 + rng.normal(0.0, 3.0), 129.5 + rng.normal(0.0, 3.0)),
         softness_px=rng.uniform(1.4, 1.9),
+        index=SILICONE_INDEX if optics.refraction else 1.0,
     )
 
 
-def _draw_lighting(rng: Generator) -> Lighting:
+def _draw_lighting(rng: Generator, wires: float) -> Lighting:
     """Return the light of a ring of LEDs, not quite even, and the device's reflectances."""
     return Lighting(
         lux=rng.uniform(150.0, 250.0),
@@ -133,12 +170,23 @@ def _draw_lighting(rng: Generator) -> Lighting:
         mesh_angle=rng.uniform(0.0, 0.5 * np.pi),
         mesh_shift_mm=(rng.uniform(0.0, 1.08), rng.uniform(0.0, 1.08)),
         corner_px=rng.uniform(185.0, 215.0),
+        wire_mm=MESH_WIRE_MM * wires,
     )
 
 
-def _draw_prony(rng: Generator) -> PronySeries:
-    """Return slow branches that relax 6-14 % and fast ones with tan delta 0.1-0.25 at 100 Hz."""
-    slow = rng.uniform(0.02, 0.05, size=3)
-    fast = rng.uniform(0.2, 0.55, size=2)
-    times = np.array([0.5e-3, 3e-3, 0.05, 1.0, 20.0]) * np.exp(rng.normal(0.0, 0.15, size=5))
-    return PronySeries(tuple(map(float, (*fast, *slow))), tuple(map(float, times)))
+def _draw_prony(rng: Generator, seed: int, preset: Preset) -> PronySeries:
+    """Return slow branches of 6-14 % and fast ones with tan delta 0.1-0.25 at 100 Hz (easy).
+
+    A branch of minutes is added where the preset asks for one.
+    """
+    creep = preset.creep
+    slow = rng.uniform(*creep.slow, size=3)
+    fast = rng.uniform(*preset.impact.fast, size=2)
+    spread = np.exp(rng.normal(0.0, creep.times_log_sd, size=5))
+    times = np.array([0.5e-3, 3e-3, 0.05, 1.0, 20.0]) * spread
+    weights = [*fast, *slow]
+    if creep.long[1] > 0.0:
+        extra = stream(seed, 'device creep')
+        weights.append(extra.uniform(*creep.long))
+        times = np.append(times, extra.uniform(*creep.long_s))
+    return PronySeries(tuple(map(float, weights)), tuple(map(float, times)))

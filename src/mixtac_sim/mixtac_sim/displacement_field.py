@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.special import j0, j1
+from threadpoolctl import threadpool_limits
 
 from mixtac_sim.layer_contact import ALPHA, X_WEIGHTS, X, solve_contact
 
@@ -73,12 +74,14 @@ class DisplacementField:
 @lru_cache(maxsize=2)
 def displacement_field(shape: Literal['sphere', 'flat']) -> DisplacementField:
     """Return the tabulated field of a shape (computed once per process, below a second)."""
-    t, weights = _wave_numbers()
-    load = _load_spectrum(shape, t) * weights * 3.0 / (4.0 * np.pi)
-    inner, slope = _depth_profiles(t, HEIGHTS)
-    distances = np.outer(t, RADII)
-    inward = _transform(load, inner, j0(distances))
-    return DisplacementField(inward, _transform(load, slope, j1(distances)))
+    # Sums of many threads differ in the last bit from those of one, and then trials do too.
+    with threadpool_limits(limits=1, user_api='blas'):
+        t, weights = _wave_numbers()
+        load = _load_spectrum(shape, t) * weights * 3.0 / (4.0 * np.pi)
+        inner, slope = depth_profiles(t, HEIGHTS)
+        distances = np.outer(t, RADII)
+        inward = _transform(load, inner, j0(distances))
+        return DisplacementField(inward, _transform(load, slope, j1(distances)))
 
 
 def _transform(
@@ -108,7 +111,7 @@ def _load_spectrum(shape: Literal['sphere', 'flat'], t: NDArray[np.float64]) -> 
     return np.stack(spectrum) / contact.load[:, None]
 
 
-def _depth_profiles(
+def depth_profiles(
     t: NDArray[np.float64], height: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return U and dU/dq at heights for unit pressure [t, height], free of overflow."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_sim.array_geometry import PADDED, TILE, TILES
+from mixtac_sim.array_geometry import PADDED, PIXELS, TILE, TILES
 from mixtac_sim.dvs_kernels import (
     DIFFERENCE,
     FLOOR,
@@ -30,9 +30,12 @@ from mixtac_sim.dvs_kernels import (
     Corners,
     Crossings,
     PixelState,
+    Ripple,
+    blend,
     develop,
     relight,
 )
+from mixtac_sim.flicker import Flicker
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -42,6 +45,9 @@ if TYPE_CHECKING:
 
 CAPACITY = 1 << 20
 """Threshold crossings kept per block; a readout passes 50 000 in 4 ms."""
+
+BEYOND = 1e9
+"""A threshold that no difference of logarithms reaches."""
 
 
 class Dvs:
@@ -65,6 +71,7 @@ class Dvs:
         self._state = _blank_state()
         self._row(FLOOR)[:] = _tiled(scene.floor)
         self._row(GAIN)[:] = _tiled(scene.gain)
+        self._flicker = Flicker(0.0, 0.0, 0.0)
         self._crossings = Crossings(np.empty(CAPACITY, np.int64), np.zeros(2, np.int64))
         self.configure(settings)
         # Every pixel is somewhere on its way to its next leak event.
@@ -95,7 +102,14 @@ class Dvs:
         self._row(OFF)[:] = _tiled(settings.threshold_off * spread.off)
         rate = settings.leak_hz + settings.leak_hz_per_lux * self._row(FLOOR)
         self._row(LEAK)[:] = rate * _tiled(spread.leak) * self._row(ON)
+        # The last tile is longer than the array: what lies beyond must never fire.
+        for row, value in ((ON, BEYOND), (OFF, BEYOND), (LEAK, 0.0)):
+            self._row(row)[-1, PIXELS - PADDED :] = value
         self._state.active[:] = 1
+
+    def light_by(self, flicker: Flicker) -> None:
+        """Let the lamp flicker; steady before the first call."""
+        self._flicker = flicker
 
     def settle(self, cover: NDArray[np.int32]) -> None:
         r"""Take the light under a cover as one that has been there for long.
@@ -126,16 +140,42 @@ class Dvs:
             end_ns: End of the step [ns].
             block_ns: Begin of the block of steps [ns], which crossings count from.
         """
+        lamp = self._flicker
+        resolved = not (lamp.steady or lamp.small)
+        glow = (0.0, 0.0)
+        if resolved:
+            glow = lamp.log_light(1e-3 * start_ns), lamp.log_light(1e-3 * end_ns)
+        depth = lamp.depth if lamp.small and not lamp.steady else 0.0
         develop(
             self._state,
             cover,
             dirty,
             self._corners,
+            glow,
+            resolved,
+            Ripple(depth, lamp.hz, 2.0 * np.pi * lamp.phase, end_ns),
             start_ns,
             end_ns,
             block_ns,
             self._crossings,
         )
+
+    def blend(
+        self,
+        floors: NDArray[np.float32],
+        gains: NDArray[np.float32],
+        tiles: NDArray[np.int64],
+        place: float,
+    ) -> None:
+        r"""Move the light of some tiles to a place in a series of scenes; they are dirty then.
+
+        Args:
+            floors: Light without beads [scene, tile, 64] [lx].
+            gains: Change from no bead to bead [scene, tile, 64] [lx].
+            tiles: Tiles that change [n].
+            place: Number of the scene; between two, a blend of them.
+        """
+        blend(self._state.values, floors, gains, tiles, place)
 
     def take(self) -> NDArray[np.int64]:
         r"""Return the crossings since the last call, unsorted, packed as in \`\`readout\`\`."""

@@ -68,6 +68,22 @@ class Corners(NamedTuple):
     refractory_ns: int
 
 
+class Ripple(NamedTuple):
+    """A small ripple of the lamp.
+
+    Attributes:
+        depth: Its peak over the mean, less 1; 0 for none.
+        hz: Its frequency [Hz].
+        phase: Its phase at time 0 [rad].
+        now_ns: End of the step [ns].
+    """
+
+    depth: float
+    hz: float
+    phase: float
+    now_ns: int
+
+
 class Crossings(NamedTuple):
     """Where threshold crossings are collected.
 
@@ -104,14 +120,19 @@ def relight(values: NDArray[np.float32], bits: NDArray[np.int32], cover: NDArray
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _follow(values: NDArray[np.float32], corners: Corners, step_s: float) -> tuple[int, int]:
+def _follow(
+    values: NDArray[np.float32], corners: Corners, step_s: float, glow: tuple[float, float]
+) -> tuple[int, int]:
     """Advance low-pass and difference of a tile; return whether a pixel fires, whether one moves.
+
+    The lamp's flicker, as a logarithm at start and end of the step, adds to that of the scene.
 
     The factor exp(-x) of a step is taken as 1 / (1 + x + x^2/2 + x^3/6 + x^4/24), which is within
     1 % while the pixel still remembers anything and goes to zero as it should.
     """
     source, per_lux = _F(corners.source_hz), _F(corners.hz_per_lux)
     phase, step = _F(2.0 * np.pi * step_s), _F(step_s)
+    first, last = _F(glow[0]), _F(glow[1])
     fires, moves = np.int32(0), np.int32(0)
     for j in range(TILE):
         photo = per_lux * values[LIGHT, j]
@@ -119,15 +140,38 @@ def _follow(values: NDArray[np.float32], corners: Corners, step_s: float) -> tup
         kept = _F(1.0) / (
             _F(1.0) + x * (_F(1.0) + x * (_F(0.5) + x * (_F(1 / 6) + x * _F(1 / 24))))
         )
-        rise = values[LOG, j] - values[BEFORE, j]
-        value = kept * values[FOLLOW, j] + (_F(1.0) - kept) * values[BEFORE, j]
+        now, before = values[LOG, j] + last, values[BEFORE, j] + first
+        rise = now - before
+        value = kept * values[FOLLOW, j] + (_F(1.0) - kept) * before
         value += rise * (_F(1.0) - (_F(1.0) - kept) / x)
         changed = values[EARLIER, j] + (value - values[FOLLOW, j]) + values[LEAK, j] * step
         values[FOLLOW, j] = value
         values[DIFFERENCE, j] = changed
         fires |= np.int32(changed > values[ON, j]) | np.int32(changed < -values[OFF, j])
-        moves |= np.int32(abs(values[LOG, j] - value) > SETTLED)
+        moves |= np.int32(abs(now - value) > SETTLED)
     return int(fires), int(moves)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _ripple(values: NDArray[np.float32], corners: Corners, ripple: Ripple, last_ns: int) -> int:
+    """Add the steady response to a small ripple since a tile's last step; return whether one fires.
+
+    A first-order pixel of corner c answers sin(wt) with [sin(wt) - q cos(wt)] / (1 + q^2), q = f/c.
+    """
+    source, per_lux = _F(corners.source_hz), _F(corners.hz_per_lux)
+    turn = 2.0 * np.pi * ripple.hz * 1e-9
+    first = turn * last_ns + ripple.phase
+    last = turn * ripple.now_ns + ripple.phase
+    sines = _F(np.sin(last) - np.sin(first))
+    cosines = _F(np.cos(last) - np.cos(first))
+    depth, frequency = _F(ripple.depth), _F(ripple.hz)
+    fires = np.int32(0)
+    for j in range(TILE):
+        q = frequency * (_F(1.0) / source + _F(1.0) / (per_lux * values[LIGHT, j]))
+        values[DIFFERENCE, j] += depth * (sines - q * cosines) / (_F(1.0) + q * q)
+        changed = values[DIFFERENCE, j]
+        fires |= np.int32(changed > values[ON, j]) | np.int32(changed < -values[OFF, j])
+    return int(fires)
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
@@ -196,11 +240,32 @@ def _due(values: NDArray[np.float32], end_ns: int) -> int:
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
+def blend(
+    values: NDArray[np.float32],
+    floors: NDArray[np.float32],
+    gains: NDArray[np.float32],
+    tiles: NDArray[np.int64],
+    place: float,
+) -> None:
+    """Write light and gain of some tiles between two of a series of scenes [scene, tile, 64]."""
+    low = min(int(place), floors.shape[0] - 2)
+    part = _F(place - low)
+    for tile in tiles:
+        for j in range(TILE):
+            floor, gain = floors[low, tile, j], gains[low, tile, j]
+            values[tile, FLOOR, j] = floor + part * (floors[low + 1, tile, j] - floor)
+            values[tile, GAIN, j] = gain + part * (gains[low + 1, tile, j] - gain)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
 def develop(
     state: PixelState,
     cover: NDArray[np.int32],
     dirty: NDArray[np.uint8],
     corners: Corners,
+    glow: tuple[float, float],
+    flickers: bool,
+    ripple: Ripple,
     start_ns: int,
     end_ns: int,
     block_ns: int,
@@ -209,7 +274,7 @@ def develop(
     """Advance all pixels over one step; see ``Dvs.step``."""
     step_s = 1e-9 * (end_ns - start_ns)
     for tile in range(TILES):
-        if not (dirty[tile] or state.active[tile] or state.due_ns[tile] <= end_ns):
+        if not (flickers or dirty[tile] or state.active[tile] or state.due_ns[tile] <= end_ns):
             continue
         values = state.values[tile]
         idle_s = _F(1e-9 * (start_ns - state.last_ns[tile]))
@@ -219,7 +284,9 @@ def develop(
         if dirty[tile]:
             relight(values, state.bits[tile], cover[tile * TILE : (tile + 1) * TILE])
             dirty[tile] = 0
-        fires, moves = _follow(values, corners, step_s)
+        fires, moves = _follow(values, corners, step_s, glow)
+        if ripple.depth > 0.0:
+            fires = _ripple(values, corners, ripple, state.last_ns[tile])
         if fires:
             for j in range(TILE):
                 difference = values[DIFFERENCE, j]

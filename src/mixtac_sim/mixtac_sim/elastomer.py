@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
+from mixtac_sim.edge_contact import solve_edge
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.layer_contact import ALPHA, punch_factor, solve_contact
 
@@ -57,11 +59,13 @@ class ForceLaw:
         step_mm: Spacing of the depths [mm], from 0.
         force_n: Elastic force [2049] [N].
         radius_mm: Contact radius [2049] [mm].
+        linear_n: Force of a linear layer that is dented as much [2049] [N]; none if it is linear.
     """
 
     step_mm: float
     force_n: NDArray[np.float64]
     radius_mm: NDArray[np.float64]
+    linear_n: NDArray[np.float64] | None = None
 
     @property
     def depths_mm(self) -> NDArray[np.float64]:
@@ -80,36 +84,56 @@ class ForceLaw:
         """Return the contact radius [mm] under elastic forces [N]."""
         return np.asarray(np.interp(force_n, self.force_n, self.radius_mm))
 
+    def linear_at(self, force_n: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the forces [N] at which a linear layer would be dented as much."""
+        if self.linear_n is None:
+            return force_n
+        return np.asarray(np.interp(force_n, self.force_n, self.linear_n))
 
-def force_law(layer: Layer, indenter: Indenter, mesh_n_per_mm: float = np.inf) -> ForceLaw:
+
+def force_law(
+    layer: Layer, indenter: Indenter, mesh_n_per_mm: float = np.inf, stiffening: float = 0.0
+) -> ForceLaw:
     """Return the force law of an indenter on a layer that rests on a springy mesh.
 
     The mesh is a spring in series, 1 to 10 N/mm (estimate). Layer depths reach 3.2 mm for a flat
     face; for a sphere they end where the contact is 2.5 thicknesses or 60 % of the sphere's
-    radius wide. Linear elasticity understates forces beyond about 20 % strain.
+    radius wide, for an edge at 40 % of the thickness. Linear elasticity understates forces beyond
+    about 20 % strain; there stiffening adds ``stiffening`` times the square of depth over
+    thickness (estimate: 0.5 to 3; rubber in compression gains 1.8 times at 40 %).
+
+    Args:
+        layer: The layer.
+        indenter: What presses.
+        mesh_n_per_mm: Stiffness of the mesh [N/mm].
+        stiffening: Force over the linear layer's, less 1, per square of the strain.
     """
-    if indenter.shape == 'flat':
-        depth, force, radius = _flat_law(layer, indenter.radius_mm)
-    else:
-        depth, force, radius = _sphere_law(layer, indenter.radius_mm)
+    laws = {'flat': _flat_law, 'edge': _edge_law, 'sphere': _sphere_law}
+    depth, linear, radius = laws[indenter.shape](layer, indenter)
+    force = linear
+    if stiffening > 0.0:
+        force = linear * (1.0 + stiffening * (depth / layer.thickness_mm) ** 2)
     travel = depth + force / mesh_n_per_mm
     even = np.linspace(0.0, travel[-1], DEPTHS)
-    return ForceLaw(float(even[1]), np.interp(even, travel, force), np.interp(even, travel, radius))
+    columns = [np.interp(even, travel, column) for column in (force, radius, linear)]
+    return ForceLaw(float(even[1]), columns[0], columns[1], columns[2] if stiffening else None)
 
 
 _Law = tuple['NDArray[np.float64]', 'NDArray[np.float64]', 'NDArray[np.float64]']
 
 
-def _flat_law(layer: Layer, radius_mm: float) -> _Law:
+def _flat_law(layer: Layer, indenter: Indenter) -> _Law:
     """Return layer depth, force and radius of a flat face: F = 2 a E* kappa(a / h) depth."""
+    radius_mm = indenter.radius_mm
     depth = np.linspace(0.0, 3.2, DEPTHS)
     factor = punch_factor(radius_mm / layer.thickness_mm)
     stiffness = 8.0 / 3.0 * 1e-3 * layer.modulus_kpa * radius_mm * factor
     return depth, stiffness * depth, np.full(DEPTHS, radius_mm)
 
 
-def _sphere_law(layer: Layer, radius_mm: float) -> _Law:
+def _sphere_law(layer: Layer, indenter: Indenter) -> _Law:
     """Return those of a sphere, Hertz's for small contacts and steeper as the base is felt."""
+    radius_mm = indenter.radius_mm
     contact = solve_contact('sphere')
     widest = min(ALPHA[-1], 0.6 * radius_mm / layer.thickness_mm)
     alpha = np.linspace(0.0, widest, 4 * DEPTHS)
@@ -120,3 +144,11 @@ def _sphere_law(layer: Layer, radius_mm: float) -> _Law:
     load = unit * np.interp(alpha, knots, np.append(2.0 / 3.0, contact.load))
     force = 8.0 / 3.0 * 1e-3 * layer.modulus_kpa * alpha * layer.thickness_mm * load
     return depth, force, alpha * layer.thickness_mm
+
+
+def _edge_law(layer: Layer, indenter: Indenter) -> _Law:
+    """Return those of an edge; between the depths that were solved forces go as smooth curves."""
+    contact = solve_edge(indenter, layer.thickness_mm)
+    depth = np.linspace(0.0, contact.depth_mm[-1], DEPTHS)
+    force = layer.modulus_kpa * PchipInterpolator(contact.depth_mm, contact.force_n)(depth)
+    return depth, force, np.interp(depth, contact.depth_mm, contact.radius_mm)

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 DROP_HEIGHT_MM = 50.0
 """Height of the paper's drop (section 4.5)."""
+VIBRATION_HZ = (50.0, 250.0)
+"""Frequencies of the paper's vibrations (section 4.1) [Hz]."""
+VIBRATION_MM = (0.02, 0.1)
+"""Amplitudes of vibrations, zero to peak, drawn evenly in their logarithm [mm] (estimate)."""
 SYNC_QUIET_S = 0.5
 """Rest before and after a synchronising impulse [s]."""
 SYNC_SPAN_S = 2.0 * SYNC_QUIET_S + 0.04
@@ -114,6 +118,41 @@ def long_hold(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     press = Segment(start_s, top, Mode.FORCE, (0.0, rise), (0.0, force))
     release = Segment(end - fall, end, Mode.FORCE, (0.0, fall), (force, 0.0))
     return [press, _hold(rng, top, end - fall, force), release]
+
+
+def staircase(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a force that climbs from 0 to as much as 1 N and back, held on every step."""
+    steps = int(rng.integers(3, 8))
+    up = np.sort(rng.uniform(0.05, 1.0, steps))
+    down = np.sort(rng.uniform(0.0, up[-1], steps - 1))[::-1]
+    levels = np.concatenate([up, down, [0.0]])
+    shares = rng.uniform(0.6, 1.4, len(levels))
+    starts = 0.97 * span_s * np.append(0.0, np.cumsum(shares)) / shares.sum()
+    rises = np.minimum(rng.uniform(0.1, 1.0, len(levels)), 0.5 * np.diff(starts))
+    times, values = [0.0], [0.0]
+    for level, begin, rise, end in zip(levels, starts, rises, starts[1:], strict=False):
+        times += [float(begin + rise), float(0.999 * end)]
+        values += [float(level), float(level)]
+    tones = tremor(rng, 0.5 * up[-1])
+    last = start_s + times[-1]
+    return [Segment(start_s, last, Mode.FORCE, tuple(times), tuple(values), tones)]
+
+
+def vibration(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a press whose indenter vibrates at one frequency between 50 and 250 Hz.
+
+    Its place is commanded, as a stiff shaker would do, so the force follows from the layer.
+    """
+    depth = rng.uniform(0.2, 0.5)
+    low, high = VIBRATION_MM
+    tone = Tone(low * (high / low) ** rng.random(), rng.uniform(*VIBRATION_HZ), 0.0, 0.05)
+    rise = min(0.3, 0.1 * span_s)
+    top, end = start_s + rise, start_s + 0.9 * span_s
+    return [
+        Segment(start_s, top, Mode.POSITION, (0.0, rise), (-0.1, depth)),
+        Segment(top, end - rise, Mode.POSITION, (0.0,), (depth,), (tone,)),
+        Segment(end - rise, end, Mode.POSITION, (0.0, rise), (depth, -0.3)),
+    ]
 
 
 def _hold(rng: Generator, start_s: float, end_s: float, force_n: float) -> Segment:

@@ -5,36 +5,48 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Literal
 
 from mixtac_sim.errors import SimulationError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from mixtac_sim.effects import IndenterName
 
 
 @dataclass(frozen=True, slots=True)
 class Indenter:
-    """A rigid body with an axis of symmetry along the direction of the force.
+    """A rigid body that presses on the skin.
 
     Attributes:
-        shape: ``sphere`` (the contact grows with the force) or ``flat`` (a flat round face).
-        radius_mm: Radius of the sphere or of the face [mm].
+        shape: ``sphere`` (the contact grows with the force), ``flat`` (a flat round face) or
+            ``edge`` (a rounded straight edge across the image).
+        radius_mm: Radius of the sphere, of the face or of the edge's rounding [mm].
         mass_g: Mass that falls when it is dropped [g].
+        length_mm: Length of the edge [mm].
     """
 
-    shape: Literal['sphere', 'flat']
+    shape: Literal['sphere', 'flat', 'edge']
     radius_mm: float
     mass_g: float = 0.0
+    length_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse shapes that the layer solution does not know.
+        """Refuse shapes that the layer solutions do not know.
 
         Raises:
-            SimulationError: Shape or radius out of range.
+            SimulationError: Shape, radius or length out of range.
         """
-        if self.shape not in {'sphere', 'flat'}:
-            msg = f"indenter shape {self.shape!r} is unknown; use 'sphere' or 'flat'"
+        if self.shape not in {'sphere', 'flat', 'edge'}:
+            msg = f"indenter shape {self.shape!r} is unknown; use 'sphere', 'flat' or 'edge'"
             raise SimulationError(msg)
         if not 0.5 <= self.radius_mm <= 50.0:
             msg = f'indenter radius {self.radius_mm} mm is outside 0.5 to 50 mm; choose another'
+            raise SimulationError(msg)
+        if self.shape == 'edge' and not 2.0 <= self.length_mm <= 14.0:
+            msg = f'edge of {self.length_mm} mm is outside 2 to 14 mm; choose another length'
             raise SimulationError(msg)
 
 
@@ -43,3 +55,13 @@ HEMISPHERE = Indenter('sphere', 9.0)
 
 WEIGHT_20_G = Indenter('flat', 6.0, mass_g=20.0)
 """The paper's 20 g cylinder (section 4.5); its face is not stated, 12 mm is an estimate."""
+
+INDENTERS: Mapping[IndenterName, Indenter] = MappingProxyType(
+    {
+        'hemisphere': HEMISPHERE,
+        'small sphere': Indenter('sphere', 4.0),
+        'flat': Indenter('flat', 5.0),
+        'edge': Indenter('edge', 1.0, length_mm=10.0),
+    }
+)
+"""What may press, by name; all but the hemisphere are choices."""

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mixtac_sim.presets import EASY
 from mixtac_sim.random_streams import stream
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mixtac_sim.effects import OpticsEffects
+
 DIAMETER_MM = 0.8
 """Diameter of the beads [mm] (paper, section 3.1)."""
-BEADS = 450
-"""Beads in view (estimate: about 5 % of the volume)."""
 EXTENT_MM = (17.0, 13.0)
 """Half width and height [mm] of the patch with beads, a little beyond the view."""
 
@@ -39,19 +40,31 @@ class Markers:
     opacity: NDArray[np.float64]
 
 
-def scatter_markers(device_seed: int, thickness_mm: float) -> Markers:
-    """Return the beads of a device: uniform in the layer, none inside another."""
+def scatter_markers(
+    device_seed: int, thickness_mm: float, optics: OpticsEffects = EASY.optics
+) -> Markers:
+    """Return the beads of a device: uniform in the layer, none inside another.
+
+    Args:
+        device_seed: Seed of the device.
+        thickness_mm: Thickness of the layer [mm].
+        optics: Number of beads (estimate: 450 are about 5 % of the volume), and how far apart
+            they are for the lens.
+    """
+    few, many = optics.beads
+    beads = int(stream(device_seed, 'number of markers').integers(few, many + 1))
     rng = stream(device_seed, 'markers')
     margin = 0.5 * DIAMETER_MM + 0.1
     low = np.array([-EXTENT_MM[0], -EXTENT_MM[1], margin])
     high = np.array([EXTENT_MM[0], EXTENT_MM[1], thickness_mm - margin])
-    placed = np.empty((BEADS, 3))
+    placed = np.empty((beads, 3))
     count = 0
-    while count < BEADS:
+    while count < beads:
         spot = rng.uniform(low, high)
-        apart = np.sum((placed[:count] - spot) ** 2, axis=1)
-        if count == 0 or apart.min() > DIAMETER_MM**2:
+        square = (placed[:count] - spot) ** 2
+        apart, aside = np.sum(square, axis=1), np.sum(square[:, :2], axis=1)
+        if count == 0 or (apart.min() > DIAMETER_MM**2 and aside.min() >= optics.apart_mm**2):
             placed[count] = spot
             count += 1
-    opacity = rng.uniform(1.2, 3.0, size=BEADS)
+    opacity = rng.uniform(1.2, 3.0, size=beads)
     return Markers(placed[:, 0], placed[:, 1], placed[:, 2], opacity)

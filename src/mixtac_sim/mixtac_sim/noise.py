@@ -84,6 +84,8 @@ class NoiseSource:
         return pack(rng.integers(0, span_ns, count), pixel, rng.integers(0, 2, count))
 
     def _hot_events(self, rng: np.random.Generator, span_ns: int) -> NDArray[np.int64]:
+        if not len(self._hot):
+            return np.empty(0, np.int64)
         count = rng.poisson(self._hot[-1] * 1e-9 * span_ns)
         chosen = np.searchsorted(self._hot, rng.random(count) * self._hot[-1])
         pixel = self._hot_pixel[np.minimum(chosen, len(self._hot_pixel) - 1)]

@@ -32,6 +32,8 @@ class Lens:
         k2: Radial distortion of fourth order (estimate).
         centre_px: Column and row of the optical axis.
         softness_px: Edge width of a point in focus [px], lens and pixel together (estimate).
+        index: Refractive index of the layer.
+        roll_rad: Rotation of the camera about its axis [rad].
     """
 
     focal_mm: float
@@ -43,10 +45,12 @@ class Lens:
     k2: float
     centre_px: tuple[float, float]
     softness_px: float = 1.5
+    index: float = SILICONE_INDEX
+    roll_rad: float = 0.0
 
     def distance_mm(self, depth_mm: NDArray[np.float64] | float) -> NDArray[np.float64]:
         """Return the apparent distance [mm] of a depth below the skin, refraction included."""
-        return np.asarray(self.gap_mm + (self.thickness_mm - depth_mm) / SILICONE_INDEX)
+        return np.asarray(self.gap_mm + (self.thickness_mm - depth_mm) / self.index)
 
     @property
     def magnification(self) -> float:
@@ -72,7 +76,9 @@ class Lens:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return column and row [px] of points of the layer."""
         distance = self.distance_mm(depth_mm)
-        slope_x, slope_y = x_mm / distance, y_mm / distance
+        cos, sin = np.cos(self.roll_rad), np.sin(self.roll_rad)
+        slope_x = (cos * x_mm - sin * y_mm) / distance
+        slope_y = (sin * x_mm + cos * y_mm) / distance
         square = slope_x**2 + slope_y**2
         gain = self.image_distance_px * (1.0 + self.k1 * square + self.k2 * square**2)
         return self.centre_px[0] + gain * slope_x, self.centre_px[1] + gain * slope_y
@@ -88,4 +94,6 @@ class Lens:
             square = straight**2
             straight = bent / (1.0 + self.k1 * square + self.k2 * square**2)
         stretch = straight / np.maximum(bent, 1e-12)
-        return bent_x * stretch, bent_y * stretch
+        cos, sin = np.cos(self.roll_rad), np.sin(self.roll_rad)
+        turned_x, turned_y = bent_x * stretch, bent_y * stretch
+        return cos * turned_x + sin * turned_y, cos * turned_y - sin * turned_x

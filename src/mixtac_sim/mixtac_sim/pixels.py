@@ -4,16 +4,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mixtac_sim.array_geometry import PADDED, PIXELS
 from mixtac_sim.errors import SimulationError
+from mixtac_sim.pixel_biases import PixelBiases
 from mixtac_sim.random_streams import stream
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
 
@@ -61,6 +64,39 @@ class PixelSettings:
             msg = f'{self}: thresholds, corners and shot_lux must be > 0, times and rates >= 0'
             raise SimulationError(msg)
 
+    @classmethod
+    def from_biases(
+        cls, registers: Mapping[int, int], nominal: PixelSettings | None = None
+    ) -> PixelSettings:
+        """Return the settings of a chip with some bias registers.
+
+        Args:
+            registers: Values by address, module 5 of the camera; defaults where one is missing.
+            nominal: Settings of the chip at the default registers, which are then scaled by what
+                the formulas say of the change; without it, the formulas' own values.
+
+        Shot noise grows with the bandwidth and with the inverse of the threshold (estimate).
+        """
+        now, usual = PixelBiases.from_registers(registers), PixelBiases.from_registers({})
+        if nominal is None:
+            nominal = replace(
+                cls(),
+                threshold_on=usual.threshold_on,
+                threshold_off=usual.threshold_off,
+                source_follower_hz=usual.source_follower_hz,
+                refractory_us=usual.refractory_us,
+            )
+        on, off = now.threshold_on / usual.threshold_on, now.threshold_off / usual.threshold_off
+        speed = now.source_follower_hz / usual.source_follower_hz
+        return replace(
+            nominal,
+            threshold_on=nominal.threshold_on * on,
+            threshold_off=nominal.threshold_off * off,
+            source_follower_hz=nominal.source_follower_hz * speed,
+            refractory_us=nominal.refractory_us * now.refractory_us / usual.refractory_us,
+            shot_hz=nominal.shot_hz * speed * 2.0 / (on + off),
+        )
+
 
 class PixelSpread(NamedTuple):
     """How the pixels of one chip differ; factors over padded pixels, float32.
@@ -80,19 +116,26 @@ class PixelSpread(NamedTuple):
     hot_hz: NDArray[np.float64]
 
 
-def draw_spread(device_seed: int, mismatch: float) -> PixelSpread:
+def draw_spread(
+    device_seed: int,
+    mismatch: float,
+    leak_decades: float = 0.1,
+    hot_pixels: tuple[int, int] = (10, 120),
+) -> PixelSpread:
     """Return the spread of a chip.
 
     Args:
         device_seed: Seed of the device.
         mismatch: Standard deviation of a threshold over its nominal value; 0.1 to 0.2 (v2e: 0.03
             of 0.2).
+        leak_decades: Standard deviation of a leak over its nominal value [decades].
+        hot_pixels: Range of the number of hot pixels, the upper end excluded.
     """
     rng = stream(device_seed, 'pixels')
     on = np.maximum(rng.normal(1.0, mismatch, PADDED), 0.3)
     off = np.maximum(rng.normal(1.0, mismatch, PADDED), 0.3)
-    leak = 10.0 ** rng.normal(0.0, 0.1, PADDED)  # decades, as in v2e
-    hot = rng.choice(PIXELS, size=int(rng.integers(10, 120)), replace=False)
+    leak = 10.0 ** rng.normal(0.0, leak_decades, PADDED)
+    hot = rng.choice(PIXELS, size=int(rng.integers(*hot_pixels)), replace=False)
     rates = 10.0 ** rng.uniform(0.7, 2.3, size=len(hot))  # 5 to 200 Hz (estimate)
     on[PIXELS:] = off[PIXELS:] = 1e6  # what pads the last tile never fires
     return PixelSpread(

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mixtac_sim.errors import SimulationError
@@ -13,9 +14,13 @@ from mixtac_sim.gestures import (
     long_hold,
     oscillation,
     press_and_hold,
+    staircase,
     sync_impulse,
+    vibration,
     wander,
 )
+from mixtac_sim.indenter import HEMISPHERE, INDENTERS
+from mixtac_sim.presets import EASY
 from mixtac_sim.random_streams import stream
 from mixtac_sim.segments import Profile, Segment
 
@@ -24,20 +29,32 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
+    from mixtac_sim.indenter import Indenter
+    from mixtac_sim.presets import Preset
+
 DEMO_MINIMUM_S = 10.0
 """Shortest demo [s]."""
 
 
-def make_profile(name: str, seed: int, duration_s: float, *, sync: bool | None = None) -> Profile:
+def make_profile(
+    name: str,
+    seed: int,
+    duration_s: float,
+    *,
+    sync: bool | None = None,
+    preset: Preset = EASY,
+) -> Profile:
     """Return a profile: the same for the same arguments.
 
     Args:
         name: ``idle``, ``press`` (press and hold), ``oscillation`` (2-5 Hz), ``impact`` (20 g from
-            5 cm, bounces, hold), ``dynamic`` (all paces between 0 and 1 N), ``static`` (one long
-            hold) or ``demo`` (a bit of everything).
+            5 cm, bounces, hold), ``dynamic`` (all paces between 0 and 1 N), ``static`` (steps
+            and ramps between 0 and 1 N; one long hold at ``easy``), ``long_term`` (one long
+            hold), ``vibration`` (50 to 250 Hz) or ``demo`` (a bit of everything).
         seed: Fixes every random choice.
         duration_s: Length [s]; at least 10 for ``demo``.
         sync: Begin and end with a synchronising impulse; by default only ``demo`` does.
+        preset: How hard the sensor is: what presses, and whether ``static`` has steps.
 
     Raises:
         SimulationError: Unknown name, or a duration too short for what is asked.
@@ -52,12 +69,31 @@ def make_profile(name: str, seed: int, duration_s: float, *, sync: bool | None =
         raise SimulationError(msg)
     rng = stream(seed, f'profile {name}')
     margin = SYNC_SPAN_S if synced else 0.0
-    body = PROFILES[name](rng, margin, duration_s - 2.0 * margin)
+    steps = name == 'static' and preset.contact.staircase
+    make_body = staircase if steps else PROFILES[name]
+    body = make_body(rng, margin, duration_s - 2.0 * margin)
+    tool = _draw_indenter(seed, preset)
     if not synced:
-        return Profile(name, duration_s, tuple(body))
+        return Profile(name, duration_s, _with(tool, body))
     first, first_s = sync_impulse(rng, 0.0)
     last, last_s = sync_impulse(rng, duration_s - SYNC_SPAN_S)
-    return Profile(name, duration_s, tuple(first + body + last), (first_s, last_s))
+    return Profile(name, duration_s, _with(tool, first + body + last), (first_s, last_s))
+
+
+def _draw_indenter(seed: int, preset: Preset) -> Indenter:
+    """Return what presses in a trial."""
+    names = preset.contact.indenters
+    return INDENTERS[names[int(stream(seed, 'indenter').integers(len(names)))]]
+
+
+def _with(tool: Indenter, segments: list[Segment]) -> tuple[Segment, ...]:
+    """Return segments with another indenter in place of the hemisphere; weights stay."""
+    if tool is HEMISPHERE:
+        return tuple(segments)
+    return tuple(
+        replace(segment, indenter=tool) if segment.indenter is HEMISPHERE else segment
+        for segment in segments
+    )
 
 
 def _idle(_rng: Generator, _start_s: float, _span_s: float) -> list[Segment]:
@@ -112,6 +148,8 @@ PROFILES: dict[str, Callable[[Generator, float, float], list[Segment]]] = {
     'impact': _repeated(drop, 2.0, 3.5),
     'dynamic': _dynamic,
     'static': long_hold,
+    'long_term': long_hold,
+    'vibration': _repeated(vibration, 2.0, 4.0),
     'demo': _demo,
 }
 """Bodies of the profiles by name: (random stream, start [s], span [s]) -> segments."""

@@ -18,6 +18,12 @@ def stream(seed: int, purpose: str) -> np.random.Generator:
     return np.random.default_rng([seed & 0xFFFFFFFFFFFFFFFF, crc32(purpose.encode())])
 
 
+def log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    """Return a number drawn evenly in its logarithm; the lower limit if both are equal."""
+    low, high = limits
+    return low if low == high else float(low * (high / low) ** rng.random())
+
+
 class BlockStreams:
     """Streams of one seed and purpose, addressed by a block number.
 

@@ -38,11 +38,22 @@ def pack(
 class Readout:
     """The queue between pixels and the outside.
 
+    Args:
+        service_ns: Time to read one event [ns].
+        latency_ns: Shortest time from crossing to request [ns].
+        jitter_ns: Standard deviation of the additional latency [ns].
+
     Attributes:
         lost: Events of pixels that were still waiting to be read.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self,
+        service_ns: int = SERVICE_NS,
+        latency_ns: int = LATENCY_NS,
+        jitter_ns: float = JITTER_NS,
+    ) -> None:
+        self._service_ns, self._latency_ns, self._jitter_ns = service_ns, latency_ns, jitter_ns
         self._free_ns = np.zeros(1, np.int64)
         self._busy_ns = np.zeros(PADDED, np.int64)
         self._early = np.empty(0, np.int64)
@@ -59,11 +70,15 @@ class Readout:
             span_ns: Length of the block [ns]; later requests wait for the next block.
             rng: Draws the latencies; a stream of this block alone.
         """
-        late = np.abs(rng.normal(0.0, JITTER_NS, len(keys))).astype(np.int64) + LATENCY_NS
+        late = (
+            np.abs(rng.normal(0.0, self._jitter_ns, len(keys))).astype(np.int64) + self._latency_ns
+        )
         waiting = np.sort(np.concatenate([self._early, keys + (late << 18)]))
         split = int(np.searchsorted(waiting, np.int64(span_ns) << 18))
         self._early = waiting[split:] - (np.int64(span_ns) << 18)
-        t, pixel, on, lost = _serve(waiting[:split], block_ns, self._free_ns, self._busy_ns)
+        t, pixel, on, lost = _serve(
+            waiting[:split], block_ns, self._service_ns, self._free_ns, self._busy_ns
+        )
         self.lost += lost
         row, column = np.divmod(pixel, WIDTH)
         return Events(t, column.astype(np.uint16), row.astype(np.uint16), on)
@@ -73,6 +88,7 @@ class Readout:
 def _serve(
     waiting: NDArray[np.int64],
     block_ns: int,
+    service_ns: int,
     free_ns: NDArray[np.int64],
     busy_ns: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.bool_], int]:
@@ -87,7 +103,7 @@ def _serve(
         if asked < busy_ns[p]:
             lost += 1
             continue
-        done = max(asked, free_ns[0]) + SERVICE_NS
+        done = max(asked, free_ns[0]) + service_ns
         free_ns[0] = done
         busy_ns[p] = done
         t[count], pixel[count], on[count] = done // 1000, p, (key & 1) == 1

@@ -3,8 +3,8 @@
 """The reference force sensor under the sensor: 800 Hz on a clock of its own.
 
 Modelled on six-axis sensors with a sinc filter (a Bota at sinc length 64 gives 800 Hz exactly):
-a triangular, linear-phase filter of about 200 Hz, a constant delay, gain and cross-talk errors,
-white noise, slow drift and a step of 5 mN. All spreads are estimates.
+a mount that may ring, a triangular, linear-phase filter of about 200 Hz, a constant delay, gain and
+cross-talk errors, white noise, slow drift and a step of 5 mN. All spreads are estimates.
 """
 
 from __future__ import annotations
@@ -15,11 +15,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.random_streams import stream
+from mixtac_sim.mount import Mount
+from mixtac_sim.presets import EASY
+from mixtac_sim.random_streams import log_uniform, stream
+from mixtac_sim.wander import Wander
 
 if TYPE_CHECKING:
     from numpy.random import Generator
     from numpy.typing import NDArray
+
+    from mixtac_sim.effects import TimingEffects
+    from mixtac_sim.presets import Preset
 
 FILTER_US = 1_600.0
 """Half width of the triangular filter [us]: -3 dB at 0.319 / 1.6 ms = 200 Hz."""
@@ -27,6 +33,8 @@ TAPS = 33
 """Points at which the filter's integral is taken."""
 RESOLUTION = np.array([5e-3, 5e-3, 5e-3, 5e-5, 5e-5, 5e-5])
 """Step of the output [N, Nm]."""
+UNITS = np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
+"""Size of a reading of a sensor of about 10 mm, forces [N] and torques [Nm]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +65,7 @@ class ReferenceSensor:
     Args:
         seed: Seed of the trial.
         rate_hz: Samples per second of the reference clock.
+        preset: How large its errors are.
 
     Attributes:
         offset_s: Reading of the reference clock at true time 0 [s].
@@ -64,20 +73,26 @@ class ReferenceSensor:
         delay_s: Delay of its filter and transport [s].
     """
 
-    def __init__(self, seed: int, rate_hz: float = 800.0) -> None:
+    def __init__(self, seed: int, rate_hz: float = 800.0, preset: Preset = EASY) -> None:
         if not 10.0 <= rate_hz <= 8000.0:
             msg = f'reference rate {rate_hz} Hz is outside 10 to 8000 Hz; choose another'
             raise SimulationError(msg)
-        rng = stream(seed, 'reference sensor')
-        self.offset_s = rng.uniform(-5.0, 5.0)
-        self.drift_ppm = rng.uniform(-100.0, 100.0)
-        self.delay_s = rng.uniform(1.6e-3, 3.0e-3)
+        rng, timing = stream(seed, 'reference sensor'), preset.timing
+        self.offset_s = rng.uniform(-timing.offset_s, timing.offset_s)
+        self.drift_ppm = rng.uniform(-timing.drift_ppm, timing.drift_ppm)
+        self.delay_s = rng.uniform(*timing.delay_s)
         self._period_s = 1.0 / rate_hz
-        self._mix = _mixing(rng)
-        self._noise = rng.uniform(8e-3, 20e-3) * np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
-        self._drift = rng.normal(0.0, 1.0, (2, 6)) * _drift_scale()
+        self._mix = _mixing(rng, timing) + _coupling(stream(seed, 'reference coupling'), timing)
+        self._noise = rng.uniform(*timing.noise_n) * UNITS
+        self._drift = rng.normal(0.0, 1.0, (2, 6)) * np.outer(
+            [timing.slope_n, timing.wave_n], UNITS
+        )
         self._wave_s = rng.uniform(15.0, 60.0)
         self._samples = stream(seed, 'reference noise')
+        more = stream(seed, 'reference wander')
+        self._wander_n = timing.wander_n
+        self._wander = Wander(more, more.uniform(*timing.wander_s))
+        self._mount = _draw_mount(stream(seed, 'reference mount'), preset)
         self._next = int(np.ceil((self.offset_s + FILTER_US * 2e-6) * rate_hz))
         self._past_us = np.array([-1e9])
         self._past = np.zeros((1, 6))
@@ -115,7 +130,8 @@ class ReferenceSensor:
                 'times, later than those before, and [n, 6] forces and torques'
             )
             raise SimulationError(msg)
-        self._past_us, self._past = times, np.concatenate([self._past, wrench])
+        arrived = self._mount.transmit(t_us, wrench)
+        self._past_us, self._past = times, np.concatenate([self._past, arrived])
 
     def _filtered(self, centre_us: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the wrench around times [us] under the triangular filter."""
@@ -127,9 +143,12 @@ class ReferenceSensor:
         return np.stack(columns, axis=1)
 
     def _slow(self, true_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the warm-up drift: a slope and a slow wave."""
+        """Return the drift: a slope and a slow wave, or one that saturates."""
         wave = np.sin(2.0 * np.pi * true_s / self._wave_s)
-        return np.asarray(np.outer(true_s / 25.0, self._drift[0]) + np.outer(wave, self._drift[1]))
+        drift = np.outer(true_s / 25.0, self._drift[0]) + np.outer(wave, self._drift[1])
+        if self._wander_n > 0.0:
+            drift += self._wander_n * UNITS * self._wander.at(true_s)
+        return np.asarray(drift)
 
     def _forget(self) -> None:
         """Drop what no coming sample needs."""
@@ -138,14 +157,25 @@ class ReferenceSensor:
         self._past_us, self._past = self._past_us[first:], self._past[first:]
 
 
-def _mixing(rng: Generator) -> NDArray[np.float64]:
-    """Return gain errors of 1 % and cross-talk of 1 % between axes of one kind."""
-    mix = np.diag(1.0 + rng.uniform(-0.01, 0.01, 6))
+def _mixing(rng: Generator, timing: TimingEffects) -> NDArray[np.float64]:
+    """Return gain errors, and cross-talk between axes."""
+    error = timing.cross_talk
+    mix = np.diag(1.0 + rng.uniform(-error, error, 6))
     for block in (slice(0, 3), slice(3, 6)):
-        mix[block, block] += rng.normal(0.0, 0.01, (3, 3)) * (1.0 - np.eye(3))
+        mix[block, block] += rng.normal(0.0, error, (3, 3)) * (1.0 - np.eye(3))
     return np.asarray(mix)
 
 
-def _drift_scale() -> NDArray[np.float64]:
-    """Return the size of slope over 25 s and of wave [2, 6] [N, Nm]."""
-    return np.outer([10e-3, 3e-3], [1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
+def _coupling(rng: Generator, timing: TimingEffects) -> NDArray[np.float64]:
+    """Return cross-talk between forces and torques."""
+    coupling = np.zeros((6, 6))
+    for rows, columns in ((slice(0, 3), slice(3, 6)), (slice(3, 6), slice(0, 3))):
+        ratio = np.outer(UNITS[rows], 1.0 / UNITS[columns])
+        coupling[rows, columns] = rng.normal(0.0, timing.coupling, (3, 3)) * ratio
+    return coupling
+
+
+def _draw_mount(rng: Generator, preset: Preset) -> Mount:
+    """Return the mount that the sensor stands on in this trial."""
+    impact = preset.impact
+    return Mount(log_uniform(rng, impact.ringing_hz), rng.uniform(*impact.ringing_damping))

@@ -37,6 +37,7 @@ class Lighting:
         mesh_angle: Rotation of the mesh [rad].
         mesh_shift_mm: Shift of the mesh [mm].
         corner_px: Distance from the axis [px] where the lens's image circle begins to end.
+        wire_mm: Thickness of the mesh's wires [mm]; 0 for no mesh in view.
     """
 
     lux: float
@@ -49,6 +50,7 @@ class Lighting:
     mesh_angle: float
     mesh_shift_mm: tuple[float, float]
     corner_px: float
+    wire_mm: float = MESH_WIRE_MM
 
 
 class Scene(NamedTuple):
@@ -66,12 +68,42 @@ class Scene(NamedTuple):
 def build_scene(lens: Lens, lighting: Lighting) -> Scene:
     """Return the light on the array for a device at rest.
 
-    The mesh lies on the camera's side of the beads and hides them; it is drawn at rest, although
-    it sags by a tenth of a millimetre under 1 N.
+    The mesh lies on the camera's side of the beads and hides them.
+    """
+    slopes = lens.pixel_slopes()
+    light = _light(lens, lighting, *slopes)
+    return _lit(lighting, light, _open_share(lens, lighting, *slopes))
+
+
+def build_sagging(
+    lens: Lens,
+    lighting: Lighting,
+    contact_mm: tuple[float, float],
+    sags_mm: NDArray[np.float64],
+    reach_mm: float,
+) -> list[Scene]:
+    """Return the light on the array as the mesh sags towards the camera.
+
+    Args:
+        lens: The lens.
+        lighting: Light and mesh.
+        contact_mm: Where the mesh sags most, from the optical axis [mm].
+        sags_mm: Its largest sags [mm].
+        reach_mm: Distance over which the sag falls to 1 / e [mm].
     """
     slope_x, slope_y = lens.pixel_slopes()
     light = _light(lens, lighting, slope_x, slope_y)
-    open_share = _open_share(lens, lighting, slope_x, slope_y)
+    far = float(lens.distance_mm(lens.thickness_mm))
+    away = np.hypot(far * slope_x - contact_mm[0], far * slope_y - contact_mm[1])
+    shape = np.exp(-((away / reach_mm) ** 2))
+    return [
+        _lit(lighting, light, _open_share(lens, lighting, slope_x, slope_y, sag * shape))
+        for sag in sags_mm
+    ]
+
+
+def _lit(lighting: Lighting, light: NDArray[np.float64], open_share: NDArray[np.float64]) -> Scene:
+    """Return the light on the array behind the mesh."""
     wires = lighting.wire * (1.0 - open_share)
     floor = light * (open_share * lighting.skin + wires) + lighting.lux * lighting.glare
     gain = light * open_share * (lighting.bead - lighting.skin)
@@ -101,21 +133,28 @@ def _light(
 
 
 def _open_share(
-    lens: Lens, lighting: Lighting, slope_x: NDArray[np.float64], slope_y: NDArray[np.float64]
+    lens: Lens,
+    lighting: Lighting,
+    slope_x: NDArray[np.float64],
+    slope_y: NDArray[np.float64],
+    sag_mm: NDArray[np.float64] | float = 0.0,
 ) -> NDArray[np.float64]:
     """Return the share of each pixel's view that the mesh leaves open."""
-    distance = float(lens.distance_mm(lens.thickness_mm))
+    distance = lens.distance_mm(lens.thickness_mm) - sag_mm
     blur = float(np.hypot(lens.softness_px, lens.blur_px(lens.thickness_mm)))
     blur_mm = blur * distance / lens.image_distance_px
+    wire = lighting.wire_mm
     cos, sin = np.cos(lighting.mesh_angle), np.sin(lighting.mesh_angle)
     x = distance * (cos * slope_x + sin * slope_y) + lighting.mesh_shift_mm[0]
     y = distance * (cos * slope_y - sin * slope_x) + lighting.mesh_shift_mm[1]
-    return (1.0 - _wire_cover(x, blur_mm)) * (1.0 - _wire_cover(y, blur_mm))
+    return (1.0 - _wire_cover(x, blur_mm, wire)) * (1.0 - _wire_cover(y, blur_mm, wire))
 
 
-def _wire_cover(place_mm: NDArray[np.float64], blur_mm: float) -> NDArray[np.float64]:
+def _wire_cover(
+    place_mm: NDArray[np.float64], blur_mm: NDArray[np.float64] | float, wire_mm: float
+) -> NDArray[np.float64]:
     """Return how much of a blur disc is covered by the nearest of a set of parallel wires."""
     off = np.abs((place_mm + 0.5 * MESH_PITCH_MM) % MESH_PITCH_MM - 0.5 * MESH_PITCH_MM)
-    far = np.minimum(off + 0.5 * blur_mm, 0.5 * MESH_WIRE_MM)
-    near = np.maximum(off - 0.5 * blur_mm, -0.5 * MESH_WIRE_MM)
+    far = np.minimum(off + 0.5 * blur_mm, 0.5 * wire_mm)
+    near = np.maximum(off - 0.5 * blur_mm, -0.5 * wire_mm)
     return np.clip((far - near) / blur_mm, 0.0, 1.0)

@@ -18,6 +18,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+SLOW_HZ = 40.0
+"""Tones up to here are resolved by the steps that bead motion asks for."""
+STEPS_PER_PERIOD = 12
+"""Steps per period of a faster tone."""
+
+
 @dataclass(frozen=True, slots=True)
 class Tone:
     """A sinusoid added to a segment's target, faded in and out at its ends.
@@ -73,6 +79,11 @@ class Segment:
             msg = f'{self.indenter} cannot be dropped; give it a mass'
             raise SimulationError(msg)
 
+    @property
+    def fastest_hz(self) -> float:
+        """Return the highest frequency of its tones [Hz], 0 without any."""
+        return max((tone.frequency_hz for tone in self.tones), default=0.0)
+
     def target(self, since_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the target at times since the segment's start [s]."""
         knots, values = np.array(self.times_s), np.array(self.values)
@@ -105,6 +116,9 @@ class CommandSource(Protocol):
         self, first: int, count: int
     ) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.int8]]:
         """Return modes, targets and indenters of some grid steps."""
+
+    def longest_step(self, first: int, count: int) -> int:
+        """Return the most grid steps that may be taken at once among some."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,3 +180,21 @@ class Profile:
             targets[inside] = segment.target(times[inside] - segment.start_s)
             tools[inside] = indenters.index(segment.indenter)
         return modes, targets, tools
+
+    def longest_step(self, first: int, count: int) -> int:
+        """Return the most grid steps that may be taken at once from ``first`` on, among ``count``.
+
+        Tones above ``SLOW_HZ`` move beads to and fro within a step that their net motion allows.
+        """
+        grid_s = 1e-6 * STEP_US
+        fastest = max(
+            (
+                segment.fastest_hz
+                for segment in self.segments
+                if segment.start_s < (first + count) * grid_s and segment.end_s > first * grid_s
+            ),
+            default=0.0,
+        )
+        if fastest <= SLOW_HZ:
+            return count
+        return max(int(1.0 / (STEPS_PER_PERIOD * fastest * grid_s)), 1)

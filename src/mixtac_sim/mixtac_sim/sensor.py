@@ -4,24 +4,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mixtac_sim.aps import Aps, ApsFrame, ApsSettings
 from mixtac_sim.array_geometry import PIXELS
-from mixtac_sim.conditions import draw_conditions
+from mixtac_sim.conditions import Conditions, draw_conditions
 from mixtac_sim.contact_steps import STEP_US
 from mixtac_sim.device import DeviceModel, draw_device
 from mixtac_sim.dvs import Dvs
 from mixtac_sim.errors import SimulationError
+from mixtac_sim.flicker import draw_flicker
+from mixtac_sim.mesh_motion import MeshMotion
 from mixtac_sim.noise import NoiseSource
 from mixtac_sim.outbox import Outbox
 from mixtac_sim.pixels import PixelSettings
+from mixtac_sim.presets import EASY
 from mixtac_sim.random_streams import BlockStreams, stream
 from mixtac_sim.readout import Readout
 from mixtac_sim.renderer import Renderer
+from mixtac_sim.scene import build_scene
 from mixtac_sim.steps import BLOCK_US, cut_block
 from mixtac_sim.touch import TRUTH_DTYPE, ContactBlock, Touch
 
@@ -29,6 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_events.arrays import Events
+    from mixtac_sim.presets import Preset
     from mixtac_sim.segments import CommandSource
 
 __all__ = [
@@ -71,6 +76,7 @@ class TactileSensor:
         profile: What touches the sensor; after its end nothing does.
         aps: When frames are taken.
         pixels: Settings of the DVS pixels of a nominal chip.
+        preset: How hard the sensor is.
 
     Attributes:
         device: The sensor's constants.
@@ -83,15 +89,22 @@ class TactileSensor:
         profile: CommandSource,
         aps: ApsSettings | None = None,
         pixels: PixelSettings | None = None,
+        *,
+        preset: Preset = EASY,
     ) -> None:
-        self.device: DeviceModel = draw_device(device_seed)
-        self._conditions = draw_conditions(trial_seed)
-        self._touch = Touch(self.device, self._conditions, profile)
+        self._conditions = draw_conditions(trial_seed, preset)
+        self.device: DeviceModel = _on_day(draw_device(device_seed, preset), self._conditions)
+        self._touch = Touch(self.device, self._conditions, profile, preset)
         self._renderer = Renderer(self.device.markers.opacity)
-        settings = aps or ApsSettings()
-        self._aps = Aps(device_seed, trial_seed, self.device.dn_per_lux_ms, settings)
+        settings = aps or ApsSettings(exposure_us=round(7_000 * self._conditions.exposure))
+        self._aps = Aps(self.device.seed, trial_seed, self.device.dn_per_lux_ms, settings)
         self._build_pixels(trial_seed, pixels or PixelSettings())
-        self._readout = Readout()
+        self._flicker = draw_flicker(trial_seed, preset.light)
+        self._dvs.light_by(self._flicker)
+        moves = preset.optics.mesh_moves
+        self._mesh = MeshMotion(self.device, self._conditions.contact_mm) if moves else None
+        speed = preset.bandwidth
+        self._readout = Readout(speed.service_ns, speed.latency_ns, speed.jitter_ns)
         self._latency = BlockStreams(trial_seed, 'event latency')
         self._block = 0
         self._now_us = 0
@@ -152,7 +165,7 @@ class TactileSensor:
         contact = self._touch.block(index)
         bursts = self._aps.disturbances_us(start_us, start_us + BLOCK_US)
         first = 0
-        for last in cut_block(contact.travel_px):
+        for last in cut_block(contact.travel_px, min(contact.longest, self._flicker.longest_step)):
             self._step(contact, start_us, first, last)
             first = last
         noise = self._noise.block(index, 1000 * BLOCK_US, [1000 * (t - start_us) for t in bursts])
@@ -173,6 +186,8 @@ class TactileSensor:
         )
         renderer = self._renderer
         renderer.draw(spots)
+        if self._mesh is not None:
+            self._mesh.show(self._dvs, renderer.dirty, float(contact.elastic_n[k]))
         self._dvs.step(
             renderer.cover, renderer.dirty, 1000 * start_us, 1000 * end_us, 1000 * block_us
         )
@@ -182,6 +197,16 @@ class TactileSensor:
             self._outbox.frames.append(frame)
 
     def _brightness(self, now_us: int) -> float:
-        """Return the lamps' light over the device's."""
+        """Return the lamps' light over the device's, during the exposure that may end now."""
         day = self._conditions
-        return day.light * (1.0 + day.light_drift_per_s * 1e-6 * now_us)
+        steady = day.light * (1.0 + day.light_drift_per_s * 1e-6 * now_us)
+        start_us, end_us = self._aps.exposure_us
+        return steady if end_us > now_us else steady * self._flicker.mean(start_us, end_us)
+
+
+def _on_day(device: DeviceModel, conditions: Conditions) -> DeviceModel:
+    """Return a device with its camera where it is on the day of the trial."""
+    lens = conditions.lens(device.lens)
+    if lens == device.lens:
+        return device
+    return replace(device, lens=lens, scene=build_scene(lens, device.lighting))

@@ -26,22 +26,26 @@ MOTION_PX = 0.3
 """Largest motion of any bead in a step [px]."""
 
 
-def cut_block(travel_px: NDArray[np.float64]) -> list[int]:
+def cut_block(travel_px: NDArray[np.float64], longest: int = BLOCK_STEPS) -> list[int]:
     """Return the ends of the steps of a block, in grid steps, the last being 32.
 
     Args:
         travel_px: Motion of the fastest bead in each grid step [32] [px].
+        longest: Longest step [grid steps]: what is fast and small needs short ones, too.
     """
     ends: list[int] = []
     travelled = np.append(0.0, np.cumsum(travel_px))
-    _halve(travelled, 0, BLOCK_STEPS, ends)
+    _halve(travelled, 0, BLOCK_STEPS, longest, ends)
     return ends
 
 
-def _halve(travelled: NDArray[np.float64], first: int, last: int, ends: list[int]) -> None:
-    if last - first == 1 or travelled[last] - travelled[first] <= MOTION_PX:
+def _halve(
+    travelled: NDArray[np.float64], first: int, last: int, longest: int, ends: list[int]
+) -> None:
+    slow = travelled[last] - travelled[first] <= MOTION_PX and last - first <= longest
+    if last - first == 1 or slow:
         ends.append(last)
         return
     middle = (first + last) // 2
-    _halve(travelled, first, middle, ends)
-    _halve(travelled, middle, last, ends)
+    _halve(travelled, first, middle, longest, ends)
+    _halve(travelled, middle, last, longest, ends)

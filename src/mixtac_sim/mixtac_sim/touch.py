@@ -13,6 +13,7 @@ from mixtac_sim.bead_motion import BeadMotion
 from mixtac_sim.contact import Contact
 from mixtac_sim.contact_steps import STEP_US
 from mixtac_sim.elastomer import Layer, force_law
+from mixtac_sim.presets import EASY
 from mixtac_sim.shear import Shear
 from mixtac_sim.steps import BLOCK_STEPS
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
     from mixtac_sim.conditions import Conditions
     from mixtac_sim.device import DeviceModel
+    from mixtac_sim.presets import Preset
     from mixtac_sim.segments import CommandSource
 
 TRUTH_DTYPE = np.dtype(
@@ -43,6 +45,7 @@ class ContactBlock:
         shear_mm: Shear displacement [32, 2] [mm].
         indenter: Indenter of each step [32].
         travel_px: Motion of the fastest bead in each step [32] [px].
+        longest: The most grid steps that may be taken at once.
     """
 
     t_us: NDArray[np.int64]
@@ -52,6 +55,7 @@ class ContactBlock:
     shear_mm: NDArray[np.float64]
     indenter: NDArray[np.int8]
     travel_px: NDArray[np.float64]
+    longest: int
 
     def truth(self) -> NDArray[np.void]:
         """Return the rows of truth in the block [4], ``TRUTH_DTYPE``."""
@@ -71,15 +75,31 @@ class Touch:
         device: The sensor.
         conditions: Of the trial.
         profile: What touches it.
+        preset: How it slips.
     """
 
-    def __init__(self, device: DeviceModel, conditions: Conditions, profile: CommandSource) -> None:
+    def __init__(
+        self,
+        device: DeviceModel,
+        conditions: Conditions,
+        profile: CommandSource,
+        preset: Preset = EASY,
+    ) -> None:
         layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
         tools = profile.indenters
         self._profile = profile
-        self._laws = [force_law(layer, tool, device.mesh_n_per_mm) for tool in tools]
+        self._laws = [
+            force_law(layer, tool, device.mesh_n_per_mm, device.stiffening) for tool in tools
+        ]
         self._contact = Contact(self._laws, [tool.mass_g for tool in tools], device.prony)
-        self._shear = Shear(layer, device.friction, conditions.lean)
+        slip = preset.contact
+        self._shear = Shear(
+            layer,
+            device.friction * conditions.friction,
+            conditions.lean,
+            slip.friction_load,
+            partial_slip=slip.partial_slip,
+        )
         self._place = conditions.contact_mm
         self._last: tuple[float, NDArray[np.float64]] = (0.0, np.zeros(2))
         self.beads = BeadMotion(device, layer, conditions.contact_mm, tools, self._laws)
@@ -97,7 +117,10 @@ class Touch:
         self._last = (float(path.elastic_n[-1]), shear_mm[-1])
         t_us = (np.arange(first, first + BLOCK_STEPS, dtype=np.int64) + 1) * STEP_US
         wrench = self._wrench(pull, path.force_n)
-        return ContactBlock(t_us, wrench, path.depth_mm, path.elastic_n, shear_mm, tools, travel)
+        longest = self._profile.longest_step(first, BLOCK_STEPS)
+        return ContactBlock(
+            t_us, wrench, path.depth_mm, path.elastic_n, shear_mm, tools, travel, longest
+        )
 
     def _travel(
         self,

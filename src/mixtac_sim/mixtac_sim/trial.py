@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mixtac_sim.array_geometry import HEIGHT, WIDTH
+from mixtac_sim.presets import EASY
 from mixtac_sim.profiles import make_profile
 from mixtac_sim.random_streams import stream
 from mixtac_sim.reference import ReferenceSensor
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from mixtac_events.arrays import Events
     from mixtac_sim.aps import ApsFrame, ApsSettings
     from mixtac_sim.pixels import PixelSettings
+    from mixtac_sim.presets import Preset
     from mixtac_sim.segments import Profile
 
 TRANSFER_US = (300, 1_500)
@@ -67,6 +69,7 @@ def simulate_trial(
     sync: bool | None = None,
     aps: ApsSettings | None = None,
     pixels: PixelSettings | None = None,
+    preset: Preset = EASY,
 ) -> Trial:
     """Return a simulated trial; the same for the same arguments.
 
@@ -78,19 +81,20 @@ def simulate_trial(
         sync: Synchronising impulses, as in ``make_profile``.
         aps: When frames are taken.
         pixels: Settings of the DVS pixels.
+        preset: How hard the sensor is.
 
     Raises:
         SimulationError: Unknown profile or a duration that is too short for it.
     """
-    profile = make_profile(profile_name, trial_seed, duration_s, sync=sync)
-    sensor = TactileSensor(device_seed, trial_seed, profile, aps, pixels)
+    profile = make_profile(profile_name, trial_seed, duration_s, sync=sync, preset=preset)
+    sensor = TactileSensor(device_seed, trial_seed, profile, aps, pixels, preset=preset)
     output = sensor.advance(round(1e6 * duration_s))
-    return _assemble(profile, output, trial_seed)
+    return _assemble(profile, output, trial_seed, preset)
 
 
-def _assemble(profile: Profile, output: SensorOutput, trial_seed: int) -> Trial:
+def _assemble(profile: Profile, output: SensorOutput, trial_seed: int, preset: Preset) -> Trial:
     """Return the trial of a sensor's output, with the reference sensor's readings."""
-    reference = ReferenceSensor(trial_seed)
+    reference = ReferenceSensor(trial_seed, preset=preset)
     samples = reference.process(output.wrench_us, output.wrench)
     frames = output.frames
     ends = np.array([frame.frame_end_us for frame in frames], np.int64)

@@ -21,6 +21,7 @@ from mixtac_sim.aps import READOUT_US, RESET_US, ApsSettings
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mixtac_sim.indenter import Indenter
     from mixtac_sim.inertial_unit import InertialUnit
     from mixtac_sim.live_profile import LiveProfile
     from mixtac_sim.reference import ReferenceSamples
@@ -152,9 +153,16 @@ class VirtualSensor:
         Returns:
             When it starts [us, simulated time].
         """
-        start_us = self._simulated_us + 2 * _CHUNK_US
+        start_us = self._next_start_us()
         self._profile.play(scenario, start_us)
         return start_us
+
+    def commanded_force(self) -> tuple[float, Indenter | None]:
+        """Return the force [N] commanded when a scenario would begin now, and of what."""
+        return self._profile.force_at(self._next_start_us())
+
+    def _next_start_us(self) -> int:
+        return self._simulated_us + 2 * _CHUNK_US
 
     def take_truth(self) -> list[WrenchBatch]:
         """Return the true wrench at 1 kHz since the last call, stamped in host time."""

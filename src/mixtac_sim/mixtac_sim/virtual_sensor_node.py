@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from functools import partial
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,13 +17,18 @@ from std_srvs.srv import Trigger
 from mixtac_events.errors import MixtacError
 from mixtac_node.base_node import QOS_FORCE, declare, ns_to_stamp, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
+from mixtac_sim.presets import preset
 from mixtac_sim.profiles import make_profile
+from mixtac_sim.touch_control import TouchControl
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
 from mixtac_sim.virtual_sensor_factory import make_virtual_sensor
 from mixtac_sim.virtual_sensor_parameters import VirtualSensorParameters
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mixtac_sim.touch_parameters import TouchParameters
     from mixtac_sim.virtual_sensor import WrenchBatch
 
 # Samples go out in small batches, as real force sensors' drivers do: it saves wake-ups.
@@ -33,7 +39,9 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
     """Runs a virtual sensor, serves its camera and publishes what a bench would measure.
 
     Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time), both best
-    effort. Service ``~/play`` plays the scenario.
+    effort. Service ``~/play`` plays the scenario; ``~/press``, ``~/load``, ``~/drop``,
+    ``~/vibrate`` and ``~/release`` do what the parameters say. ``~/force_command`` sets a force
+    [N] that fades when no new one comes.
 
     Raises:
         MixtacError: A parameter is not allowed, or the socket is taken.
@@ -51,6 +59,7 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
             device_seed=self._settings.device_seed,
             seed=self._settings.seed,
             skew_ppm=self._settings.skew_ppm,
+            preset=preset(self._settings.preset),
         )
         self._scenario(self._settings)
         path = self._settings.socket or default_socket_path()
@@ -60,6 +69,15 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
         )
         self._truth = self.create_publisher(WrenchStamped, 'truth/wrench', QOS_FORCE)
         self._service = self.create_service(Trigger, '~/play', self._on_play)
+        self._touch = TouchControl(self._sensor)
+        self._touch_services = [
+            self.create_service(Trigger, f'~/{name}', partial(self._on_gesture, gesture))
+            for name, gesture in self._touch.gestures.items()
+        ]
+        self._commands_refused = 0
+        self._command = self.create_subscription(
+            WrenchStamped, '~/force_command', self._on_force, QOS_FORCE
+        )
         self._diagnostics = DiagnosticsPublisher(self, self._sensor.device.serial, self._status)
         self._sensor.start()
         self._thread = Thread(target=self._publish_all, name='publish', daemon=True)
@@ -78,7 +96,12 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
     def _scenario(self, parameters: VirtualSensorParameters) -> Any:  # noqa: ANN401
         # Every repetition is another trial, as it would be on a bench.
         seed = parameters.seed + self._plays
-        return make_profile(parameters.scenario, seed, parameters.seconds)
+        return make_profile(
+            parameters.scenario,
+            seed,
+            parameters.seconds,
+            preset=preset(parameters.preset),
+        )
 
     def _change(self, parameters: VirtualSensorParameters) -> None:
         self._scenario(parameters)
@@ -97,6 +120,24 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
             seconds, name = self._settings.seconds, self._settings.scenario
             response.success, response.message = True, f'playing {name} for {seconds} s'
         return response
+
+    def _on_gesture(
+        self,
+        gesture: Callable[[TouchParameters], str],
+        _request: Trigger.Request,
+        response: Trigger.Response,
+    ) -> Trigger.Response:
+        try:
+            response.success, response.message = True, gesture(self._settings)
+        except MixtacError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _on_force(self, message: WrenchStamped) -> None:
+        try:
+            self._touch.follow(self._settings, message.wrench.force.z)
+        except MixtacError:
+            self._commands_refused += 1
 
     def _publish_all(self) -> None:
         while not self._stop.wait(PUBLISH_PERIOD_S):
@@ -129,6 +170,7 @@ class VirtualSensorNode(Node):  # type: ignore[misc]
                 'simulated': True,
                 'scenario': self._settings.scenario,
                 'plays': self._plays,
+                'force_commands_refused': self._commands_refused,
                 'socket': self._server.path,
                 **dataclasses.asdict(state),
                 **losses,

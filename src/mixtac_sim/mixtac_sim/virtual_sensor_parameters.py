@@ -7,10 +7,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mixtac_node.parameters import parameter
+from mixtac_sim.presets import PRESETS
+from mixtac_sim.profiles import PROFILES
+from mixtac_sim.touch_parameters import TouchParameters
 
 
 @dataclass(frozen=True)
-class VirtualSensorParameters:
+class VirtualSensorParameters(TouchParameters):
     """What the virtual sensor is, what touches it and where it is found."""
 
     device_seed: int = parameter(
@@ -24,10 +27,16 @@ class VirtualSensorParameters:
     seed: int = parameter(
         1, 'Which day: fixes contact, noise, drifts and clocks', minimum=0, read_only=True
     )
+    preset: str = parameter(
+        'easy',
+        'How hard the sensor is: paper_like and hard add effects of a real bench',
+        choices=tuple(PRESETS),
+        read_only=True,
+    )
     scenario: str = parameter(
         'demo',
         'What ~/play plays; demo begins and ends with the two synchronising impulses',
-        choices=('demo', 'press', 'oscillation', 'impact', 'dynamic', 'static', 'idle'),
+        choices=tuple(PROFILES),
     )
     seconds: float = parameter(
         25.0, 'Length of the scenario', unit='s', minimum=10.0, maximum=3600.0

@@ -1,286 +1,285 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Drivers that know nothing of Mixtac read the virtual camera and see what was put in.
+"""Four drivers read the same virtual camera and see what was put in.
 
-Their libusb talks to umockdev, a bridge forwards to the virtual camera's socket. Run by name of an
-interpreter with the clients: ``MIXTAC_CLIENT_PYTHON``, else the running one if it has them.
+libcaer, neuromorphic-drivers and dv-processing know nothing of Mixtac; the fourth is ours. Each
+runs unmodified in a process of its own. Its libusb talks to umockdev, a bridge forwards to the
+virtual camera's socket. The clients run in the interpreter that ``MIXTAC_CLIENT_PYTHON`` names,
+else in the running one if it has them.
+
+All are shown the same mixed scene and then the same stream words that are hard to decode. Where
+a client departs from the protocol there, the test states exactly how.
 """
 
 from __future__ import annotations
 
-import contextlib
-import importlib.util
-import os
-import shutil
-import signal
 import struct
-import subprocess
-import sys
-import time
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
+from umockdev_scene import (
+    CUT_COLUMNS,
+    DURATION_US,
+    FULL,
+    IMU_RAW,
+    IMU_REST,
+    REGION,
+    SIGNAL_COLUMNS,
+    make_scene,
+)
+from umockdev_session import need_umockdev, run_client
 
-import mixtac_sim.usb.wire
-from mixtac_events.arrays import Events
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.imu_words import ImuReading
-from mixtac_sim.usb.server import UsbServer
 
 pytestmark = pytest.mark.umockdev
 
-HERE = Path(__file__).parent
-DEBIAN_PYTHON = '/usr/bin/python3'
-MODULES = {
-    'neuromorphic': 'neuromorphic_drivers',
-    'dv': 'dv_processing',
-    'libcaer': 'event_camera_drivers',
-}
-DURATION_US = 1_000_000
-LEAD_US = 300_000
-LIBCAER_BUFFER = 1024
-LIMIT_US = 60_000_000
+GRAVITY, DEGREE = 9.80665, np.pi / 180
+RESET_EDGE = 1
+GENERATOR = (16, 17)
+SCENE_FRAMES = 10
 
 
-def client_python(client):
-    """Return an interpreter that can import the client, or skip the test."""
-    module = MODULES[client]
-    named = os.environ.get('MIXTAC_CLIENT_PYTHON')
-    if named:
-        code = subprocess.run([named, '-c', f'import {module}'], capture_output=True, check=False)
-        if code.returncode == 0:
-            return named
-        pytest.skip(f'MIXTAC_CLIENT_PYTHON={named} has no {module}')
-    if importlib.util.find_spec(module) is None:
-        pytest.skip(f'no {module}: name an interpreter that has it in MIXTAC_CLIENT_PYTHON')
-    return sys.executable
+@pytest.fixture(scope='module')
+def sessions(tmp_path_factory):
+    """Return a function that runs a client, once, and returns what it saw and wrote."""
+    need_umockdev()
+    done = {}
+
+    def session(client):
+        if client not in done:
+            done[client] = run_client(client, tmp_path_factory.mktemp(client))
+        return done[client]
+
+    return session
 
 
-@pytest.fixture
-def umockdev():
-    """Skip where the system packages are missing."""
-    if shutil.which('umockdev-wrapper') is None:
-        pytest.skip('no umockdev-wrapper: apt-get install umockdev gir1.2-umockdev-1.0 python3-gi')
-    probe = "import gi; gi.require_version('UMockdev', '1.0')"
-    run = subprocess.run([DEBIAN_PYTHON, '-c', probe], capture_output=True, check=False)
-    if run.returncode:
-        pytest.skip(f'{DEBIAN_PYTHON} lacks gi or UMockdev: apt-get install gir1.2-umockdev-1.0')
+@pytest.fixture(scope='module', params=['ours', 'libcaer', 'neuromorphic', 'dv'])
+def result(request, sessions):
+    """What one client saw of the one camera."""
+    return sessions(request.param)
 
 
-@dataclass
-class Frame:
-    """A frame as the simulation hands it over."""
-
-    frame_start_us: int
-    exposure_start_us: int
-    exposure_end_us: int
-    frame_end_us: int
-    reset: np.ndarray
-    signal: np.ndarray
+def subtracted(reset, signal):
+    """The difference of both samples; too dark a reset sample means over-exposed."""
+    over = (reset < 384) | (signal == 0)
+    return np.where(over, 1023, np.clip(reset.astype(int) - signal, 0, 1023))
 
 
-@dataclass
-class Script:
-    """What the camera sees; times count from the start of the script."""
-
-    events: Events
-    frames: list
-    readings: list
-
-
-def make_script():
-    rng = np.random.default_rng(346)
-    t = np.sort(rng.integers(0, DURATION_US, 60_000))
-    events = Events(
-        t.astype(np.int64),
-        rng.integers(0, 346, len(t)).astype(np.uint16),
-        rng.integers(0, 260, len(t)).astype(np.uint16),
-        rng.integers(0, 2, len(t)).astype(bool),
-    )
-    frames = []
-    for start in range(5_000, DURATION_US - 40_000, 100_000):
-        reset = rng.integers(370, 1024, (260, 346)).astype(np.uint16)
-        signal = rng.integers(0, 1024, (260, 346)).astype(np.uint16)
-        times = (start, start + 6_000, start + 10_000, start + 16_000)
-        frames.append(Frame(*times, reset, signal))
-    readings = [
-        ImuReading(t, (k * 0.01, -1.0, 0.5), (k - 50.0, 20.0, 0.0), 30.0 + k * 0.1)
-        for k, t in enumerate(range(1_000, DURATION_US, 10_000))
-    ]
-    return Script(events, frames, readings)
-
-
-def moved(script, by):
-    events = script.events.shifted(by)
-    frames = [
-        Frame(
-            *(f.frame_start_us + by, f.exposure_start_us + by),
-            *(f.exposure_end_us + by, f.frame_end_us + by),
-            *(f.reset, f.signal),
-        )
-        for f in script.frames
-    ]
-    readings = [
-        ImuReading(r.t_us + by, r.acceleration_g, r.rate_dps, r.temperature_c)
-        for r in script.readings
-    ]
-    return Script(events, frames, readings)
-
-
-class Camera:
-    """A virtual camera in real time that plays the script once a client is ready."""
-
-    def __init__(self, folder):
-        self.start = time.monotonic_ns()
-        self.device = VirtualDavis346('V0000346', clock=self.now)
-        self.server = UsbServer(self.device, str(folder / 'camera.sock'))
-        self.ready = folder / 'ready'
-        self.began = None
-
-    def now(self):
-        return (time.monotonic_ns() - self.start) // 1000
-
-    def play_until(self, process, script):
-        while process.poll() is None:
-            now = self.now()
-            assert now < LIMIT_US, 'the client neither finished nor gave up'
-            if self.began is None and self.ready.exists():
-                self.began = now + LEAD_US
-                data = moved(script, self.began)
-                self.device.submit(data.events, data.frames, data.readings)
-            self.device.advance(now)
-            time.sleep(0.001)
-
-
-@dataclass
-class Result:
-    """What a client saw, and the script on the clock of the camera it saw."""
-
-    seen: dict
-    script: Script
-    losses: dict
-
-
-def run_client(client, folder):
-    python = client_python(client)
-    script = make_script()
-    camera = Camera(folder)
-    out = folder / 'seen.npz'
-    counts = (len(script.events), len(script.frames), len(script.readings))
-    counts = counts if client != 'libcaer' else (len(script.events), 0, 0)
-    process = subprocess.Popen(
-        [
-            *('umockdev-wrapper', DEBIAN_PYTHON, str(HERE / 'umockdev_bridge.py')),
-            *('--socket', camera.server.path, '--wire', mixtac_sim.usb.wire.__file__, '--'),
-            *(python, str(HERE / 'umockdev_clients.py'), client, str(out), str(camera.ready)),
-            *(str(count) for count in counts),
-        ],
-        start_new_session=True,
-    )
-    try:
-        camera.play_until(process, script)
-    finally:
-        # The wrapper, the bridge and the client are one process group.
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        camera.server.close()
-    assert process.returncode == 0
-    assert camera.began is not None
-    with np.load(out) as saved:
-        seen = dict(saved)
-    return Result(
-        seen, moved(script, camera.began - camera.device.clock_origin_us), camera.device.losses
-    )
-
-
-def expected_events(script):
-    e = script.events
-    return np.stack([e.t, e.x, e.y, e.polarity], axis=1).astype(np.int64)
-
-
-def expected_frame_times(script):
-    return np.array(
-        [
-            (f.frame_start_us, f.exposure_start_us, f.exposure_end_us, f.frame_end_us)
-            for f in script.frames
-        ]
-    )
-
-
-def neuromorphic_pixels(frame):
-    difference = frame.reset.astype(int) - frame.signal
-    over = (frame.reset < 384) | (frame.signal == 0)
-    return np.where(over, 1023, np.clip(difference, 0, 1023)) << 6
-
-
-def dv_pixels(frame):
-    reset, signal = frame.reset.astype(int) >> 2, frame.signal.astype(int) >> 2
+def subtracted_8_bit(reset, signal):
+    """The same of the upper eight bits."""
+    reset, signal = reset.astype(int) >> 2, signal.astype(int) >> 2
     return np.where((reset < 96) | (signal == 0), 255, np.maximum(reset - signal, 0))
 
 
-def test_neuromorphic_drivers_sees_the_script(umockdev, tmp_path):
-    result = run_client('neuromorphic', tmp_path)
-    np.testing.assert_array_equal(result.seen['events'], expected_events(result.script))
-    np.testing.assert_array_equal(result.seen['frame_times'], expected_frame_times(result.script))
-    for image, frame in zip(result.seen['frames'], result.script.frames, strict=True):
-        np.testing.assert_array_equal(image, neuromorphic_pixels(frame))
-    check_imu(result, gravity=9.80665, degree=np.pi / 180)
+def image(client, reset, signal):
+    """Return the picture that a client makes of samples, by its own rule."""
+    if client == 'dv':
+        return subtracted_8_bit(reset, signal)
+    return subtracted(reset, signal) << (0 if client == 'ours' else 6)
+
+
+def units(client):
+    """Return a client's units of acceleration [g] and turn rate [deg/s]."""
+    return (GRAVITY, DEGREE) if client in {'ours', 'neuromorphic'} else (1.0, 1.0)
+
+
+def check_frame(result, number, frame, corner=(0, 0), late_us=0):
+    """Compare a frame with what was sent, as far as the client tells."""
+    expected = image(result.client, frame.reset, frame.signal)
+    np.testing.assert_array_equal(result.frames[number], expected)
+    assert tuple(result.seen['corners'][number]) == corner
+    times = [t + late_us for t in frame.times]
+    if result.client == 'dv':
+        # It takes the exposure from the register words, which say 4 us in the frames by hand.
+        exposure_us = 4 if number >= SCENE_FRAMES else times[2] - times[1]
+        times = [-1, times[1], times[1] + exposure_us, -1]
+    assert result.seen['frame_times'][number].tolist() == times
+
+
+# The mixed scene.
+
+
+def test_events_are_those_of_the_scene(result):
+    e = result.scene.events
+    expected = np.stack([e.t, e.x, e.y, e.polarity], axis=1).astype(np.int64)
+    np.testing.assert_array_equal(result.seen['events'][: len(expected)], expected)
     assert result.losses['events_dropped'] == 0
 
 
-def test_dv_processing_sees_the_script(umockdev, tmp_path):
-    result = run_client('dv', tmp_path)
-    np.testing.assert_array_equal(result.seen['events'], expected_events(result.script))
-    np.testing.assert_array_equal(
-        result.seen['frame_times'][:, 1:3], expected_frame_times(result.script)[:, 1:3]
-    )
-    for image, frame in zip(result.seen['frames'], result.script.frames, strict=True):
-        np.testing.assert_array_equal(image.reshape(260, 346), dv_pixels(frame))
-    check_imu(result, gravity=1.0, degree=1.0)
-    assert result.losses['events_dropped'] == 0
+def test_frames_are_those_of_the_scene(result):
+    assert len(result.scene.frames) == SCENE_FRAMES
+    for number, frame in enumerate(result.scene.frames):
+        check_frame(result, number, frame)
+    assert result.losses['frames_dropped'] == 0
 
 
-def test_libcaer_sees_the_events(umockdev, tmp_path):
-    result = run_client('libcaer', tmp_path)
-    expected, seen = expected_events(result.script), result.seen['events']
-    # The wrapper hands out full buffers and repeats some events from one to the next: each
-    # buffer must be a stretch of the script, and none may be left out in between. It ends when
-    # it has counted enough events, repeats included: the last few percent stay unread.
-    place = {tuple(event): k for k, event in enumerate(expected.tolist())}
-    end = 0
-    for batch in np.split(seen, range(LIBCAER_BUFFER, len(seen), LIBCAER_BUFFER)):
-        first = place[tuple(batch[0].tolist())]
-        assert first <= end
-        end = first + len(batch)
-        np.testing.assert_array_equal(batch, expected[first:end])
-    assert end > 0.9 * len(expected)
-
-
-def check_imu(result, *, gravity, degree):
-    readings = result.script.readings
-    seen = result.seen['imu']
+def test_inertial_samples_are_those_of_the_scene(result):
+    readings = result.scene.readings
+    seen = result.seen['imu'][: len(readings)]
+    gravity, degree = units(result.client)
     np.testing.assert_array_equal(seen[:, 0], [r.t_us for r in readings])
     acceleration = np.array([r.acceleration_g for r in readings]) * gravity
     rate = np.array([r.rate_dps for r in readings]) * degree
-    # Half a step of 16 bits at the widest full scale (16 g, 2000 deg/s).
-    np.testing.assert_allclose(seen[:, 1:4], acceleration, atol=16 / 32768 * gravity)
-    np.testing.assert_allclose(seen[:, 4:7], rate, atol=2000 / 32768 * degree)
-    np.testing.assert_allclose(seen[:, 7], [r.temperature_c for r in readings], atol=0.01)
+    # Half a step of 16 bits at 4 g and 500 deg/s, which all of them set.
+    half_steps = 4 / 65536 * gravity, 500 / 65536 * degree
+    np.testing.assert_allclose(seen[:, 1:4], acceleration, rtol=1e-6, atol=half_steps[0])
+    np.testing.assert_allclose(seen[:, 4:7], rate, rtol=1e-6, atol=half_steps[1])
+    np.testing.assert_allclose(seen[:, 7], [r.temperature_c for r in readings], atol=0.002)
 
 
-def test_our_decoder_and_the_script_agree(tmp_path):
-    """The same script through our own decoder, without a client."""
+def test_edges_are_those_of_the_scene(result):
+    expected = result.scene.edges
+    if result.client == 'neuromorphic':
+        # It has no edges of the generator.
+        expected = [(t, code) for t, code in expected if code not in GENERATOR]
+    assert result.seen['edges'][: len(expected)].tolist() == [list(edge) for edge in expected]
+
+
+# The hard words.
+
+
+def test_wrap_counts_and_resets_move_the_time_of_events(result):
+    hard = result.hard
+    seen = result.seen['events'][len(result.scene.events) :].tolist()
+    expected = [list(event) for event in hard.events]
+    before = [event[0] > 1_000_000 for event in expected].count(True)
+    if result.client == 'dv':
+        for event in expected[before:]:
+            event[0] += int(result.seen['restart_us'])
+        # At a reset it forgets events that it has not handed on yet, up to 10 ms of them.
+        seen_before = len(seen) - len(expected) + before
+        assert before - 1 <= seen_before
+        expected[seen_before:before] = []
+    if result.client == 'neuromorphic':
+        # It counts every wrap word as one wrap, and its clock knows no reset and never goes back.
+        for event, late in zip(expected[:before], hard.lateness[:before], strict=True):
+            event[0] -= late
+        for event in expected[before:]:
+            event[0] = neuromorphic_time_after_reset(result)
+    assert seen == expected
+
+
+def neuromorphic_time_after_reset(result):
+    """Return where its clock stands: at the last stamp before the reset, every wrap being one."""
+    hard = result.hard
+    return hard.marks['last_before_reset'] - hard.late
+
+
+def test_frame_of_a_region(result):
+    frame = result.hard.marks['region']
+    if result.client != 'neuromorphic':
+        check_frame(result, SCENE_FRAMES, frame, REGION[:2])
+        return
+    # It takes every frame for a whole one and fills it from the upper left corner.
+    expected = np.zeros((260, 346), int)
+    expected[:60, :100] = image(result.client, frame.reset, frame.signal)
+    np.testing.assert_array_equal(result.frames[SCENE_FRAMES], expected)
+
+
+def test_frame_of_a_rolling_shutter(result):
+    check_frame(result, SCENE_FRAMES + 1, result.hard.marks['rolling'], FULL[:2])
+
+
+def test_incomplete_frames_are_dropped(result):
+    frames = result.frames[SCENE_FRAMES + 2 :]
+    if result.client != 'neuromorphic':
+        assert len(frames) == 1
+        return
+    # It hands both on; the bare reset sample stands where the signal is missing.
+    incomplete, cut, _ = frames
+    frame = result.hard.marks['incomplete']
+    expected = frame.reset.astype(int)
+    expected[:SIGNAL_COLUMNS] = image(
+        result.client, frame.reset[:SIGNAL_COLUMNS], frame.signal[:SIGNAL_COLUMNS]
+    )
+    np.testing.assert_array_equal(incomplete, expected)
+    expected = result.hard.marks['cut'].astype(int)
+    expected[CUT_COLUMNS:] = 0
+    np.testing.assert_array_equal(cut, expected)
+
+
+def test_frame_after_a_reset(result):
+    frame = result.hard.marks['whole']
+    if result.client == 'neuromorphic':
+        expected = image(result.client, frame.reset, frame.signal)
+        np.testing.assert_array_equal(result.frames[-1], expected)
+        return
+    check_frame(result, len(result.frames) - 1, frame, late_us=int(result.seen['restart_us']))
+
+
+def test_inertial_sample_cut_by_a_reset(result):
+    seen = result.seen['imu'][len(result.scene.readings) :]
+    expected = [imu_row(result.client, IMU_RAW)]
+    if result.client in {'neuromorphic', 'dv'}:
+        # They put the bytes before and after the reset together.
+        data = struct.pack('>7h', *IMU_RAW)[:7] + bytes(IMU_REST)
+        expected.insert(0, imu_row(result.client, struct.unpack('>7h', data)))
+    assert len(seen) == len(expected)
+    np.testing.assert_allclose(seen[:, 1:], expected, rtol=1e-5, atol=1e-6)
+    if result.client != 'neuromorphic':
+        assert seen[-1, 0] == result.hard.marks['imu'] + int(result.seen['restart_us'])
+
+
+def imu_row(client, raw):
+    gravity, degree = units(client)
+    acceleration = [value * 4 / 32768 * gravity for value in raw[:3]]
+    rate = [value * 500 / 32768 * degree for value in raw[4:]]
+    return [*acceleration, *rate, raw[3] / 333.87 + 21]
+
+
+def test_edges_around_a_reset(result):
+    seen = result.seen['edges'].tolist()
+    rising = [result.hard.marks['rising'] + int(result.seen['restart_us']), 3]
+    if result.client == 'neuromorphic':
+        rising[0] = neuromorphic_time_after_reset(result)
+    assert seen[-1] == rising
+    # Only these two report the reset.
+    resets = sum(code == RESET_EDGE for _, code in seen)
+    assert resets == (result.client in {'ours', 'libcaer'})
+
+
+# What the clients wrote.
+
+
+REGISTERS_UNLIKE_LIBCAER = {
+    'ours': {},
+    # It leaves the edge detector off and lets the generator's pulses touch: 5 us every 5 us.
+    'neuromorphic': {(4, k): 0 for k in range(4)} | {(4, 13): 605, (4, 14): 605},
+    # It wants no edges, frames as often as can be, and three biases switched off.
+    'dv': {
+        **{(4, k): 0 for k in range(1, 6)},
+        (4, 13): 1210,
+        (4, 14): 605,
+        (2, 13): 0,
+        (5, 9): 14,
+        (5, 26): 14,
+        (5, 27): 14,
+    },
+}
+
+
+@pytest.mark.parametrize('client', REGISTERS_UNLIKE_LIBCAER)
+def test_registers_are_those_that_libcaer_writes(sessions, client):
+    """All writable ones, biases included; that is what makes a camera see alike."""
+    reference, written = sessions('libcaer').registers, sessions(client).registers
+    unlike = {place: value for place, value in written.items() if value != reference[place]}
+    assert unlike == REGISTERS_UNLIKE_LIBCAER[client]
+    assert len(written) > 100
+
+
+# Without a client.
+
+
+def test_our_decoder_and_the_scene_agree():
+    """The same scene through our own decoder, without USB."""
     from mixtac_driver.decoder import StreamDecoder
     from mixtac_driver.identity import Geometry
 
-    script = make_script()
+    scene = make_scene()
     device = VirtualDavis346('V0000346', clock=lambda: 0)
     for module, param in ((0, 3), (9, 0), (0, 1), (0, 0), (1, 3), (2, 4), (3, 2), (3, 3), (3, 4)):
         device.control(0x40, 0xBF, module, param, struct.pack('>I', 1))
-    device.submit(script.events, script.frames, script.readings)
+    device.submit(scene.events, scene.frames, scene.readings)
     decoder = StreamDecoder(Geometry())
     events, frames, samples = [], [], []
     for t in range(0, DURATION_US + 50_000, 1000):
@@ -292,7 +291,9 @@ def test_our_decoder_and_the_script_agree(tmp_path):
             events.append(np.stack([e.t, e.x, e.y, e.polarity], axis=1).astype(np.int64))
             frames += batch.frames
             samples += batch.imu.t.tolist()
-    np.testing.assert_array_equal(np.concatenate(events), expected_events(script))
-    for seen, frame in zip(frames, script.frames, strict=True):
-        np.testing.assert_array_equal(seen.image, neuromorphic_pixels(frame) >> 6)
-    assert samples == [r.t_us for r in script.readings]
+    e = scene.events
+    expected = np.stack([e.t, e.x, e.y, e.polarity], axis=1).astype(np.int64)
+    np.testing.assert_array_equal(np.concatenate(events), expected)
+    for seen, frame in zip(frames, scene.frames, strict=True):
+        np.testing.assert_array_equal(seen.image, image('ours', frame.reset, frame.signal))
+    assert samples == [r.t_us for r in scene.readings]

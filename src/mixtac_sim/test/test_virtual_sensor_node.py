@@ -129,6 +129,43 @@ def test_publishes_reference_and_truth_and_plays_on_request(bench):
     assert not list(camera.enumerate_devices())
 
 
+def test_touches_on_request_and_follows_commanded_forces(bench):
+    bench.start('device_seed:=3', 'press_force:=0.4', 'hold_seconds:=0.0', 'object:=weight_20_g')
+    bench.spin_until(lambda: len(bench.truth) > 100)
+    for gesture, words, reached in (
+        ('press', '0.4 N', lambda f: abs(f[-1] - 0.4) < 0.02),
+        ('load', 'weight_20_g', lambda f: abs(f[-1] - 0.196) < 0.01),
+        ('release', 'released', lambda f: f[-1] == 0.0),
+        ('drop', '50.0 mm', lambda f: f[-100:].max() > 1.0),
+    ):
+        client = bench.node.create_client(Trigger, f'/mixtac/virtual_sensor/{gesture}')
+        bench.spin_until(client.service_is_ready)
+        future = client.call_async(Trigger.Request())
+        bench.spin_until(future.done)
+        assert future.result().success
+        assert words in future.result().message
+        bench.spin_until(lambda reached=reached: reached(normal_force(bench.truth)))
+
+    topic = '/mixtac/virtual_sensor/force_command'
+    publisher = bench.node.create_publisher(WrenchStamped, topic, QOS_FORCE)
+    command = WrenchStamped()
+
+    def commanded(force):
+        command.wrench.force.z = force
+        publisher.publish(command)
+        bench.executor.spin_once(timeout_sec=0.02)
+        return abs(normal_force(bench.truth[-1:])[0] - force) < 0.02
+
+    for force in (0.8, 0.3):
+        bench.spin_until(lambda force=force: commanded(force))
+    bench.spin_until(lambda: normal_force(bench.truth[-1:])[0] == 0.0)
+    commanded(float('nan'))
+    bench.spin_until(
+        lambda: {v.key: v.value for v in status(bench).values}['force_commands_refused'] == '1'
+    )
+    assert bench.finish()[0] == 0
+
+
 def status(bench):
     found = [s for array in bench.diagnostics for s in array.status if 'virtual_sensor' in s.name]
     return found[-1]

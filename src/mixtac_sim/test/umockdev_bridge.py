@@ -59,6 +59,10 @@ class Camera:
     def __init__(self, wire, path):
         self.wire = wire
         self.path = path
+        self.begin()
+
+    def begin(self):
+        """Begin a session; the one before ends with its connections."""
         self.session = secrets.randbits(63) | 1
         self.control_channel = self.connect()
 
@@ -73,7 +77,12 @@ class Camera:
             return 0, self.wire.call(connection, operation, session=self.session, **fields)
         except OSError as error:
             refused = isinstance(error, self.wire.TransferError)
-            return -(error.errno if refused else errno.ENODEV), b''
+            number = error.errno if refused else errno.ENODEV
+            if number == errno.ENODEV and connection is self.control_channel:
+                # The camera was unplugged: once it is back, that is another session.
+                connection.close()
+                self.begin()
+            return -number, b''
 
     def control(self, setup, data):
         kind, request, value, index, length = struct.unpack('<BBHHH', setup)
@@ -111,13 +120,16 @@ class Endpoint:
             return found
 
     def serve(self):
-        connection = self.camera.connect()
+        self.connection = self.camera.connect()
         self.settle()
         while True:
             with self.changed:
                 self.changed.wait_for(lambda: self.waiting)
                 urb, length = self.waiting[0]
-            result = self.read(connection, urb.client_addr, length)
+            result = self.read(urb.client_addr, length)
+            if result[0] == -errno.ENODEV:
+                self.connection.close()
+                self.connection = self.camera.connect()
             with self.changed:
                 self.waiting.popleft()
                 self.discarded.discard(urb.client_addr)
@@ -135,10 +147,10 @@ class Endpoint:
                 count = len(self.waiting)
                 self.changed.wait_for(lambda: len(self.waiting) > count, SETTLE_S)  # noqa: B023
 
-    def read(self, connection, address, length):
+    def read(self, address, length):
         while address not in self.discarded:
             status, data = self.camera.call(
-                connection,
+                self.connection,
                 self.camera.wire.READ,
                 kind=self.address,
                 wanted=length,
@@ -173,7 +185,7 @@ class UsbFs(UMockdev.IoctlBase):
             RELEASE: lambda _: 0,
             SET_INTERFACE: lambda _: 0,
             SET_CONFIGURATION: lambda _: 0,
-            CLEAR_HALT: lambda _: 0,
+            CLEAR_HALT: self.clear_halt,
             RESET: lambda _: 0,
         }.get(request, lambda _: -errno.ENOTTY)
         self.complete(client, answer(client))
@@ -186,6 +198,10 @@ class UsbFs(UMockdev.IoctlBase):
     def capabilities(self, client):
         client.get_arg().resolve(0, 4).update(0, struct.pack('<I', CAPABILITY_BITS))
         return 0
+
+    def clear_halt(self, client):
+        (endpoint,) = struct.unpack('<I', bytes(client.get_arg().resolve(0, 4).retrieve()))
+        return self.camera.control(struct.pack('<BBHHH', 0x02, 1, 0, endpoint, 0), b'')[0]
 
     def submit(self, client):
         urb = client.get_arg().resolve(0, URB_SIZE)

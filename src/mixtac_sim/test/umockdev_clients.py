@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Reads a DAVIS346 with other people's drivers and saves what they saw.
+"""Reads a DAVIS346 with a driver, ours or somebody else's, and saves what it saw.
 
 Run by an interpreter that has the driver::
 
-    python umockdev_clients.py neuromorphic|dv|libcaer OUT.npz READY EVENTS FRAMES SAMPLES
+    python umockdev_clients.py ours|libcaer|neuromorphic|dv OUT.npz READY DONE
 
-It touches READY when the camera streams and ends when it has seen that many events, frames and
-inertial samples, or has waited long enough for the tester to see what is missing.
+It touches READY when the camera streams and ends when DONE exists and nothing more arrives.
+Edges are saved under the codes of the wire; a reset of the camera's clock, where the driver reports
+one, as code 1.
 """
 
 from __future__ import annotations
@@ -19,40 +20,125 @@ from pathlib import Path
 
 import numpy as np
 
-PATIENCE_S = 20.0
+PATIENCE_S = 40.0
+QUIET_S = 0.3
+RESET, FALLING, RISING, PULSE, GENERATOR_FALLING, GENERATOR_RISING = 1, 2, 3, 4, 16, 17
+LIBCAER_EDGES = {1: RESET, 2: RISING, 3: FALLING, 4: PULSE, 12: GENERATOR_RISING}
+LIBCAER_EDGES[13] = GENERATOR_FALLING
 
 
 class Seen:
-    """Collects what a driver delivers."""
+    """Collects what a driver delivers, and knows when that is all."""
 
-    def __init__(self, ready, wanted):
-        self.ready = ready
-        self.wanted = wanted
-        self.events = []
-        self.frames = []
-        self.frame_times = []
-        self.imu = []
-        self.deadline = time.monotonic() + PATIENCE_S
+    def __init__(self, ready, done):
+        self.ready, self.done = ready, done
+        self.events, self.frames, self.imu, self.edges = [], [], [], []
+        self.restart_us = 0
+        self.heard = time.monotonic()
+        self.deadline = self.heard + PATIENCE_S
 
-    def done(self):
-        self.ready.touch()
-        counts = (sum(len(part) for part in self.events), len(self.frames), len(self.imu))
-        enough = all(count >= wanted for count, wanted in zip(counts, self.wanted, strict=True))
-        return enough or time.monotonic() > self.deadline
+    def add_events(self, t, x, y, polarity):
+        columns = [np.asarray(c).astype(np.int64).ravel() for c in (t, x, y, polarity)]
+        if len(columns[0]):
+            self.events.append(np.stack(columns, axis=1))
+            self.heard = time.monotonic()
+
+    def add_frame(self, pixels, times, corner=(0, 0)):
+        """Times are frame start, exposure start, exposure end, frame end; -1 where not told."""
+        self.frames.append((np.array(pixels).squeeze(), times, corner))
+        self.heard = time.monotonic()
+
+    def add_imu(self, t, acceleration, rate, temperature):
+        self.imu.append((t, *acceleration, *rate, temperature))
+        self.heard = time.monotonic()
+
+    def add_edge(self, t, kind):
+        self.edges.append((t, kind))
+        self.heard = time.monotonic()
+
+    def finished(self):
+        now = time.monotonic()
+        return now > self.deadline or (self.done.exists() and now > self.heard + QUIET_S)
 
     def save(self, path):
-        events = np.concatenate(self.events) if self.events else np.zeros((0, 4), np.int64)
+        images = {f'frame_{k}': image for k, (image, _, _) in enumerate(self.frames)}
         np.savez(
             path,
-            events=events,
-            frames=np.array(self.frames),
-            frame_times=np.array(self.frame_times),
-            imu=np.array(self.imu),
+            events=np.concatenate(self.events) if self.events else np.zeros((0, 4), np.int64),
+            imu=np.array(self.imu, float).reshape(-1, 8),
+            restart_us=self.restart_us,
+            edges=np.array(self.edges, np.int64).reshape(-1, 2),
+            frame_times=np.array([times for _, times, _ in self.frames]).reshape(-1, 4),
+            corners=np.array([corner for _, _, corner in self.frames]).reshape(-1, 2),
+            **images,
         )
 
 
-def columns(t, x, y, polarity):
-    return np.stack([np.asarray(c).astype(np.int64).ravel() for c in (t, x, y, polarity)], axis=1)
+def ours(seen):
+    """Acceleration in m/s^2, turn rate in rad/s; the clock restarts after a reset."""
+    from mixtac_driver.camera import Davis346
+    from mixtac_driver.configuration import Configuration
+
+    every_edge = Configuration(detect_rising=True, detect_falling=True)
+    with Davis346('davis346', configuration=every_edge) as camera:
+        camera.start()
+        resets = None
+        for batch in until_finished(camera, seen):
+            decoded = batch.decoded
+            if resets is not None and decoded.resets != resets:
+                seen.add_edge(0, RESET)
+            resets = decoded.resets
+            e = decoded.events
+            seen.add_events(e.t, e.x, e.y, e.polarity)
+            imu = decoded.imu
+            for row in zip(
+                imu.t, imu.acceleration, imu.angular_velocity, imu.temperature, strict=True
+            ):
+                seen.add_imu(*row)
+            for t, kind in zip(decoded.edges.t, decoded.edges.kind, strict=True):
+                seen.add_edge(t, kind)
+            for f in decoded.frames:
+                times = (f.frame_start_us, f.exposure_start_us, f.exposure_end_us, f.frame_end_us)
+                seen.add_frame(f.image, times, (f.x, f.y))
+
+
+def until_finished(camera, seen):
+    """Yield the camera's batches; without data its iterator waits, so a thread ends it."""
+    import threading
+
+    def watch():
+        while not seen.finished():
+            time.sleep(0.02)
+        camera.request_stop()
+
+    threading.Thread(target=watch, daemon=True).start()
+    for batch in camera.batches():
+        seen.ready.touch()
+        yield batch
+
+
+def libcaer(seen):
+    """Acceleration in g, turn rate in deg/s."""
+    from umockdev_libcaer import Libcaer
+
+    camera = Libcaer()
+    camera.start()
+    seen.ready.touch()
+    while not seen.finished():
+        for packet in camera.packets():
+            if packet.kind == 'polarity':
+                seen.add_events(*packet.events())
+            elif packet.kind == 'frame':
+                for frame in packet.frames():
+                    seen.add_frame(*frame)
+            elif packet.kind == 'imu':
+                for t, acceleration, rate, temperature in packet.samples():
+                    seen.add_imu(t, acceleration, rate, temperature)
+            else:
+                for t, kind in packet.specials():
+                    if kind in LIBCAER_EDGES:
+                        seen.add_edge(t, LIBCAER_EDGES[kind])
+    camera.close()
 
 
 def neuromorphic(seen):
@@ -61,68 +147,75 @@ def neuromorphic(seen):
 
     with nd.open(iterator_timeout=0.1) as device:
         for _, packet in device:
+            seen.ready.touch()
             if packet is not None:
                 if packet.polarity_events is not None:
                     e = packet.polarity_events
-                    seen.events.append(columns(e['t'], e['x'], e['y'], e['on']))
+                    seen.add_events(e['t'], e['x'], e['y'], e['on'])
                 if packet.imu_events is not None:
-                    seen.imu += [tuple(float(value) for value in row) for row in packet.imu_events]
+                    for row in packet.imu_events:
+                        t, *values = (float(value) for value in row)
+                        seen.add_imu(t, values[:3], values[3:6], values[6])
                 for frame in packet.frames:
-                    seen.frames.append(frame.pixels)
                     times = (frame.start_t, frame.exposure_start_t, frame.exposure_end_t, frame.t)
-                    seen.frame_times.append(times)
-            if seen.done():
+                    seen.add_frame(frame.pixels, [-1 if t is None else t for t in times])
+                if packet.trigger_events is not None:
+                    for row in packet.trigger_events:
+                        kind = (FALLING, RISING, PULSE)[int(row['polarity'])]
+                        seen.add_edge(int(row['t']), kind)
+            if seen.finished():
                 return
 
 
 def dv(seen):
-    """Times count from the host's epoch; acceleration in g, turn rate in deg/s."""
+    """Times count from the host's epoch; acceleration in g, turn rate in deg/s.
+
+    A reset of the camera's clock moves that count on by the time that the host saw pass.
+    """
     import dv_processing
 
     camera = dv_processing.io.camera.DAVIS()
     # It takes the exposure from the register words of the frame, and changes it by itself.
     camera.setAutoExposure(False)
     camera.setExposureDuration(timedelta(milliseconds=4))
-    offset = camera.getTimestampOffset()
-    offset_us = (offset.days * 86_400 + offset.seconds) * 1_000_000 + offset.microseconds
-    while not seen.done():
+    offset_us = camera.getTimestampOffset() // timedelta(microseconds=1)
+    trigger = dv_processing.TriggerType
+    codes = {
+        trigger.TIMESTAMP_RESET: RESET,
+        trigger.EXTERNAL_SIGNAL_FALLING_EDGE: FALLING,
+        trigger.EXTERNAL_SIGNAL_RISING_EDGE: RISING,
+        trigger.EXTERNAL_SIGNAL_PULSE: PULSE,
+        trigger.EXTERNAL_GENERATOR_FALLING_EDGE: GENERATOR_FALLING,
+        trigger.EXTERNAL_GENERATOR_RISING_EDGE: GENERATOR_RISING,
+    }
+    seen.ready.touch()
+    while not seen.finished():
         events = camera.getNextEventBatch()
         if events is not None:
             e = events.numpy()
-            seen.events.append(columns(e['timestamp'] - offset_us, e['x'], e['y'], e['polarity']))
+            seen.add_events(e['timestamp'] - offset_us, e['x'], e['y'], e['polarity'])
         frame = camera.getNextFrame()
         if frame is not None:
             start = frame.timestamp - offset_us
-            seen.frames.append(np.array(frame.image))
             exposure_us = round(frame.exposure.total_seconds() * 1e6)
-            seen.frame_times.append((-1, start, start + exposure_us, -1))
+            corner = (frame.positionX, frame.positionY)
+            seen.add_frame(frame.image, (-1, start, start + exposure_us, -1), corner)
         for sample in camera.getNextImuBatch() or ():
             acceleration = (sample.accelerometerX, sample.accelerometerY, sample.accelerometerZ)
             rate = (sample.gyroscopeX, sample.gyroscopeY, sample.gyroscopeZ)
-            time_us = sample.timestamp - offset_us
-            seen.imu.append((time_us, *acceleration, *rate, sample.temperature))
+            seen.add_imu(sample.timestamp - offset_us, acceleration, rate, sample.temperature)
+        for edge in camera.getNextTriggerBatch() or ():
+            if edge.type in codes:
+                seen.add_edge(edge.timestamp - offset_us, codes[edge.type])
         if events is None and frame is None:
             time.sleep(0.002)
-
-
-def libcaer(seen):
-    """Events only: the Python wrapper hands nothing else on."""
-    import event_camera_drivers
-
-    camera = event_camera_drivers.InivationCamera()
-    # Its iterator blocks until there are events, so the tester must not wait for the first.
-    seen.ready.touch()
-    for e in camera:
-        if len(e):
-            seen.events.append(columns(e['t'], e['x'], e['y'], e['on']))
-        if seen.done():
-            return
+    seen.restart_us = camera.getTimestampOffset() // timedelta(microseconds=1) - offset_us
 
 
 def main():
-    client, out, ready, *wanted = sys.argv[1:]
-    seen = Seen(Path(ready), [int(count) for count in wanted])
-    {'neuromorphic': neuromorphic, 'dv': dv, 'libcaer': libcaer}[client](seen)
+    client, out, ready, done = sys.argv[1:]
+    seen = Seen(Path(ready), Path(done))
+    {'ours': ours, 'libcaer': libcaer, 'neuromorphic': neuromorphic, 'dv': dv}[client](seen)
     seen.save(out)
 
 

@@ -1,20 +1,38 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How fast the decoder is on this machine, with the speed of memcpy beside it.
+"""How fast the decoder is on this machine, with a plain memory copy of the same bytes beside it.
 
-Run `python -m mixtac_driver.benchmark.decode_benchmark [--json FILE]`.
+Streams are larger than the caches, so that decoder and copy both read from memory. The two take
+turns many times, each through the whole stream, in pieces of about a millisecond. For each piece
+the shortest time counts: so other load on the machine, which disturbs some pieces in every turn,
+hardly shows.
+
+Run `mixtac bench decode` or `python -m mixtac_driver.benchmark.decode_benchmark`.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
+import json as json_module
+import subprocess
+import sys
 import time
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Optional
 
 import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
 
+from mixtac_driver.benchmark.streams import (
+    FRAME_COLUMNS,
+    FRAME_ROWS,
+    event_stream,
+    frame_stream,
+    repeated,
+)
 from mixtac_driver.decoder import StreamDecoder
 from mixtac_driver.identity import Geometry
 
@@ -23,121 +41,214 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-ROWS_PER_STAMP = 10
-TRANSFER_BYTES = 65536
-REPEATS = 7
+OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
+
+EVENTS_PER_ROW = (1, 2, 8)
+TRANSFER_BYTES = 256 << 10
+"""Large enough that Python's share, about 5 us per transfer, hardly counts."""
+EVENT_BYTES = 13
+"""What an event takes in the decoder's arrays."""
+FRAME_BYTES = 2 * FRAME_COLUMNS * FRAME_ROWS
+SEED_EVENTS = 2_000_000
+SEED_FRAMES = 4
+MIN_TURNS = 5
+STARTS = 4
+PIECE_BYTES = 16 * TRANSFER_BYTES
+START = (
+    'import time; start = time.perf_counter()\n'
+    'from mixtac_driver.decoder import StreamDecoder\n'
+    'from mixtac_driver.identity import Geometry\n'
+    'list(StreamDecoder(Geometry()).push(bytes(64)))\n'
+    'print(time.perf_counter() - start)'
+)
 
 
-def event_stream(
-    events_per_row: int, count: int, *, random: bool, seed: int = 1
-) -> NDArray[np.uint16]:
-    """Return a stream of about `count` events.
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """How fast one stream went.
+
+    Attributes:
+        per_s: Events or frames decoded per second.
+        memcpy_ratio: Time to decode over time to copy the stream.
+        output_memcpy_ratio: Time to decode over time to copy as many bytes as the output takes.
+    """
+
+    per_s: float
+    memcpy_ratio: float
+    output_memcpy_ratio: float
+
+
+@dataclass(frozen=True, slots=True)
+class DecodeReport:
+    """Speeds of the decoder on one core.
+
+    Attributes:
+        fixed: By events per row: 1, 2, 8; the same in every row.
+        random: By mean events per row; their number is geometrically distributed.
+        frames: Full frames.
+        memcpy_bytes_per_s: Of the fastest copy.
+        start_s: Time [s] to import, construct and decode in a fresh process, compiled before.
+        stream_bytes: Size of the streams.
+        transfer_bytes: Size of the pieces in which the decoder gets them.
+    """
+
+    fixed: dict[int, Speed]
+    random: dict[int, Speed]
+    frames: Speed
+    memcpy_bytes_per_s: float
+    start_s: float
+    stream_bytes: int
+    transfer_bytes: int
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the figures by their names in the JSON file."""
+        return {
+            **_figures(self.fixed),
+            'frames_per_s': self.frames.per_s,
+            'frames_memcpy_ratio': self.frames.memcpy_ratio,
+            'random_rows': _figures(self.random),
+            'memcpy_bytes_per_s': self.memcpy_bytes_per_s,
+            'start_s': self.start_s,
+            'stream_bytes': self.stream_bytes,
+            'transfer_bytes': self.transfer_bytes,
+        }
+
+
+def _figures(speeds: dict[int, Speed]) -> dict[str, dict[str, float]]:
+    rows = {str(k): asdict(speed) for k, speed in speeds.items()}
+    names = ('memcpy_ratio', 'output_memcpy_ratio')
+    figures = {'events_per_s': {k: row['per_s'] for k, row in rows.items()}}
+    return figures | {name: {k: row[name] for k, row in rows.items()} for name in names}
+
+
+def _shortest(jobs: list[list[Callable[[], None]]], seconds: float) -> list[float]:
+    """Return the times [s] of jobs in pieces that take turns for a while.
 
     Args:
-        events_per_row: Events that share a row address.
-        count: Events.
-        random: True for a geometric spread of the events per row and of the stamps.
-        seed: Of addresses and polarities.
+        jobs: The pieces of each job, of which the shortest times are added up.
+        seconds: Time [s] that all turns take together, and at least MIN_TURNS.
     """
-    rng = np.random.default_rng(seed)
-    rows = count // events_per_row
-    lengths = np.full(rows, events_per_row)
-    stamped = np.arange(rows) % ROWS_PER_STAMP == 0
-    if random:
-        lengths = rng.geometric(1 / events_per_row, rows)
-        stamped = rng.random(rows) < 1 / ROWS_PER_STAMP
-        stamped[0] = True
-    ticks = np.cumsum(stamped)
-    wrapped = stamped & (ticks % 0x8000 == 0)
-    sizes = lengths + 1 + stamped
-    starts = np.cumsum(sizes) - sizes
-    total = int(sizes.sum())
-    words = rng.integers(0, 260, total) | np.where(rng.random(total) < 0.5, 0x2000, 0x3000)
-    words[starts[stamped]] = 0x8000 | (ticks[stamped] & 0x7FFF)
-    words[starts[wrapped]] = 0x7001
-    words[starts + stamped] = 0x1000 | rng.integers(0, 346, rows)
-    return words.astype('<u2')
+    best = [[np.inf] * len(pieces) for pieces in jobs]
+    end = time.perf_counter() + seconds
+    turns = 0
+    while turns < MIN_TURNS or time.perf_counter() < end:
+        for pieces, shortest in zip(jobs, best, strict=True):
+            for k, piece in enumerate(pieces):
+                start = time.perf_counter()
+                piece()
+                shortest[k] = min(shortest[k], time.perf_counter() - start)
+        turns += 1
+    return [sum(shortest) for shortest in best]
 
 
-def frame_stream(frames: int, seed: int = 1) -> NDArray[np.uint16]:
-    """Return a stream of full global-shutter frames."""
-    rng = np.random.default_rng(seed)
-    region = [0x5100, 0x5200, 0x5100, 0x5200, 0x5101, 0x5259, 0x5101, 0x5203]
-    head = [8, 0x6000, 0x6000, 0x6000, *region]
-
-    def columns(kind: int, low: int, high: int) -> NDArray[np.int64]:
-        block = np.full((260, 348), 13)
-        block[:, 0] = kind
-        block[:, 1:-1] = 0x4000 | rng.integers(low, high, (260, 346))
-        return block.ravel()
-
-    reset, signal = columns(11, 700, 1000), columns(12, 100, 700)
-    frame = np.concatenate((head, reset, [14, 15], signal, [10]))
-    return np.tile(frame, frames).astype('<u2')
+def _decode(decoder: StreamDecoder, words: NDArray[np.uint16]) -> None:
+    for start in range(0, len(words), TRANSFER_BYTES // 2):
+        for _ in decoder.push(words[start : start + TRANSFER_BYTES // 2], short_packet=False):
+            pass
 
 
-def best_seconds(run: Callable[[], None]) -> float:
-    """Return the shortest of several runs [s]."""
-    durations = []
-    for _ in range(REPEATS):
-        start = time.perf_counter()
-        run()
-        durations.append(time.perf_counter() - start)
-    return min(durations)
+def _measure(words: NDArray[np.uint16], seconds: float) -> tuple[Speed, Speed, float]:
+    """Return the speeds of events and of frames, and of the copy [B/s]."""
+    decoder = StreamDecoder(Geometry(), capacity=TRANSFER_BYTES // 2)
+    target = np.empty_like(words)
+    _decode(decoder, words)
+    counters = decoder.counters
+    cuts = range(PIECE_BYTES // 2, len(words), PIECE_BYTES // 2)
+    pieces, targets = np.split(words, cuts), np.split(target, cuts)
+    decoding, copying = _shortest(
+        [
+            [partial(_decode, decoder, piece) for piece in pieces],
+            [partial(np.copyto, *pair) for pair in zip(targets, pieces, strict=True)],
+        ],
+        seconds,
+    )
+    rate = words.nbytes / copying
+    output = counters.events * EVENT_BYTES + counters.frames * FRAME_BYTES
+    ratios = (decoding / copying, decoding * rate / output)
+    events, frames = (Speed(n / decoding, *ratios) for n in (counters.events, counters.frames))
+    return events, frames, rate
 
 
-def decode_seconds(words: NDArray[np.uint16]) -> tuple[float, int, int]:
-    """Return the time to decode a stream [s] and the events and frames found in one run."""
-    decoder = StreamDecoder(Geometry())
-    transfers = np.split(words, range(TRANSFER_BYTES // 2, len(words), TRANSFER_BYTES // 2))
-    found = [0, 0]
+def start_seconds() -> float:
+    """Return the time [s] to import, construct and decode in a fresh process.
 
-    def run() -> None:
-        found[:] = 0, 0
-        for transfer in transfers:
-            for batch in decoder.push(transfer):
-                found[0] += len(batch.events)
-                found[1] += len(batch.frames)
+    The first process only sees to it that everything is compiled; the fastest of the others counts.
+    """
+    times = [
+        float(
+            subprocess.run(
+                [sys.executable, '-c', START], check=True, capture_output=True, text=True
+            ).stdout
+        )
+        for _ in range(1 + STARTS)
+    ]
+    return min(times[1:])
 
-    return best_seconds(run), found[0], found[1]
 
-
-def measure(count: int) -> dict[str, float]:
-    """Return all figures: event rates [1/s], frame rate [1/s], memcpy [B/s].
+def run_decode_benchmark(*, seconds: float = 1.5, stream_bytes: int = 128 << 20) -> DecodeReport:
+    """Measure the decoder.
 
     Args:
-        count: Events per stream.
+        seconds: Time [s] for each of the seven streams.
+        stream_bytes: Size of each stream; more than the processor's caches hold.
     """
-    figures: dict[str, float] = {}
+    speeds: dict[bool, dict[int, Speed]] = {False: {}, True: {}}
+    rates = []
+    count = min(SEED_EVENTS, stream_bytes // 4)
     for random in (False, True):
-        for events_per_row in (1, 2, 8):
-            words = event_stream(events_per_row, count, random=random)
-            seconds, events, _ = decode_seconds(words)
-            name = f'events_per_s_{events_per_row}_per_row{"_random" if random else ""}'
-            figures[name] = events / seconds
-            if not random:
-                target = np.empty_like(words)
-                copying = best_seconds(lambda w=words, t=target: np.copyto(t, w))  # type: ignore[misc]
-                figures[f'memcpy_bytes_per_s_{events_per_row}_per_row'] = words.nbytes / copying
-    seconds, _, frames = decode_seconds(frame_stream(20))
-    figures['frames_per_s'] = frames / seconds
-    return figures
+        for k in EVENTS_PER_ROW:
+            words = repeated(event_stream(k, count, random=random), stream_bytes)
+            speeds[random][k], _, rate = _measure(words, seconds)
+            rates.append(rate)
+    _, frames, _ = _measure(repeated(frame_stream(SEED_FRAMES), stream_bytes), seconds)
+    return DecodeReport(
+        fixed=speeds[False],
+        random=speeds[True],
+        frames=frames,
+        memcpy_bytes_per_s=max(rates),
+        start_s=start_seconds(),
+        stream_bytes=stream_bytes,
+        transfer_bytes=TRANSFER_BYTES,
+    )
 
 
-def main(args: list[str] | None = None) -> int:
-    """Measure, print and, if asked, write the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--events', type=int, default=4_000_000, help='events per stream')
-    parser.add_argument('--json', type=Path, help='file to write the figures to')
-    options = parser.parse_args(args)
-    figures = measure(options.events)
-    for name, value in figures.items():
-        unit = 'frames/s' if name.startswith('frames') else 'million/s'
-        print(f'{name:36s} {value if unit == "frames/s" else value / 1e6:10.0f} {unit}')
-    if options.json is not None:
-        options.json.write_text(json.dumps(figures, indent=2) + '\n')
-    return 0
+def _print(console: Console, report: DecodeReport) -> None:
+    table = Table(title='Decoder, one core', caption='copy: of the same bytes, memory to memory')
+    for name in ('stream', 'speed', 'time over copy', 'over copy of output'):
+        table.add_column(name, justify='left' if name == 'stream' else 'right')
+    for title, speeds in (('events per row', report.fixed), ('on average', report.random)):
+        for k, speed in speeds.items():
+            table.add_row(
+                f'{k} {title}',
+                f'{speed.per_s / 1e6:.0f} Mev/s',
+                f'{speed.memcpy_ratio:.1f}',
+                f'{speed.output_memcpy_ratio:.1f}',
+            )
+    frames = report.frames
+    table.add_row(
+        'frames',
+        f'{frames.per_s:.0f} frames/s',
+        f'{frames.memcpy_ratio:.1f}',
+        f'{frames.output_memcpy_ratio:.1f}',
+    )
+    console.print(table)
+    console.print(f'memory copy {report.memcpy_bytes_per_s / 1e9:.1f} GB/s')
+    console.print(f'start-up of the decoder, compiled before: {report.start_s:.2f} s')
+
+
+def decode(
+    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+    seconds: Annotated[float, typer.Option(min=0, help='Time for each of seven streams.')] = 1.5,
+    megabytes: Annotated[
+        int, typer.Option(min=1, help='Size of each stream; more than the caches hold.')
+    ] = 128,
+) -> None:
+    """Measure how fast events and frames are decoded, beside a plain copy of the same bytes."""
+    report = run_decode_benchmark(seconds=seconds, stream_bytes=megabytes << 20)
+    _print(Console(), report)
+    if json is not None:
+        json.write_text(json_module.dumps(report.as_dict(), indent=2) + '\n')
 
 
 if __name__ == '__main__':
-    raise SystemExit(main())
+    typer.run(decode)

@@ -16,6 +16,7 @@ from mixtac_sim.usb.errors import (
     NoVirtualSensorError,
     UsbBusy,
     UsbGone,
+    UsbOverflow,
     UsbStall,
     UsbTimeout,
     VirtualUsbError,
@@ -27,11 +28,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _CONTROL_CHANNEL: Final = 0
+# How long after its time-out an answer may come before the server counts as dead.
+_GRACE_S: Final = 5.0
+# What needs no answer of the camera, only of its server, takes no longer.
+_QUICK_MS: Final = 100
 _ERRORS: Final = {
     errno.EPIPE: UsbStall,
     errno.ETIMEDOUT: UsbTimeout,
     errno.EBUSY: UsbBusy,
     errno.ENODEV: UsbGone,
+    errno.EOVERFLOW: UsbOverflow,
 }
 
 
@@ -54,9 +60,15 @@ class SocketLink:
         self._channel(_CONTROL_CHANNEL)
 
     def control(
-        self, request_type: int, request: int, value: int, index: int, data: bytes | int
+        self,
+        request_type: int,
+        request: int,
+        value: int,
+        index: int,
+        data: bytes | int,
+        timeout_ms: int = 0,
     ) -> bytes:
-        """Make a control request."""
+        """Make a control request; a timeout of 0 waits for ever."""
         sent, wanted = (b'', data) if isinstance(data, int) else (data, 0)
         return self._call(
             wire.CONTROL,
@@ -66,6 +78,7 @@ class SocketLink:
             index=index,
             data=sent,
             wanted=wanted,
+            timeout_ms=timeout_ms,
         )
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
@@ -76,6 +89,7 @@ class SocketLink:
             *(wire.READ, endpoint, 0, 0, 0, len(view), timeout_ms, self._session)
         )
         with self._errors(), lock:
+            _set_patience(connection, timeout_ms)
             connection.sendall(header)
             status, size = wire.REPLY.unpack(wire.receive(connection, wire.REPLY.size))
             if status:
@@ -118,9 +132,11 @@ class SocketLink:
         index: int = 0,
         data: bytes = b'',
         wanted: int = 0,
+        timeout_ms: int = _QUICK_MS,
     ) -> bytes:
         connection, lock = self._channel(_CONTROL_CHANNEL)
         with self._errors(), lock:
+            _set_patience(connection, timeout_ms)
             return wire.call(
                 connection,
                 operation,
@@ -130,6 +146,7 @@ class SocketLink:
                 index=index,
                 data=data,
                 wanted=wanted,
+                timeout_ms=timeout_ms,
                 session=self._session,
             )
 
@@ -150,6 +167,11 @@ class SocketLink:
             raise kind(f'virtual camera on {self._path}: {error.strerror}') from error
         except OSError as error:
             raise UsbGone(f'virtual camera on {self._path} is gone: {error}') from error
+
+
+def _set_patience(connection: socket.socket, timeout_ms: int) -> None:
+    # A server that was stopped must not hold its hosts up for ever.
+    connection.settimeout(timeout_ms / 1000 + _GRACE_S if timeout_ms else None)
 
 
 def _connect(path: str) -> socket.socket:

@@ -27,5 +27,13 @@ class UsbBusy(VirtualUsbError):  # noqa: N818 - the USB term
     """Somebody else has claimed the interface; a host sees ``EBUSY``."""
 
 
+class UsbOverflow(VirtualUsbError):  # noqa: N818 - the USB term
+    """The device sent more than was asked for (babble); a host sees ``EOVERFLOW``."""
+
+
+class FaultError(VirtualUsbError):
+    """A fault that cannot be injected."""
+
+
 class NoVirtualSensorError(VirtualUsbError):
     """Nobody serves a virtual sensor where one was looked for."""

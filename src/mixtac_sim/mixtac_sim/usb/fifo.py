@@ -55,11 +55,24 @@ class ByteFifo:
 
     def pop(self, limit: int) -> bytes:
         """Remove and return at most ``limit`` bytes, whole words only."""
-        count = min(limit & ~1, self._size)
-        first = min(count, len(self._ring) - self._start)
-        head = self._ring[self._start : self._start + first].tobytes()
-        if first < count:
-            head += self._ring[: count - first].tobytes()
+        out = np.empty(min(limit & ~1, self._size), np.uint8)
+        self.pop_into(out)
+        return out.tobytes()
+
+    def pop_into(self, out: NDArray[np.uint8]) -> int:
+        """Move bytes to ``out`` and return how many.
+
+        Whole words leave the ring: where ``out`` has an odd length, half of the last one is lost.
+        """
+        count = min(len(out) + len(out) % 2, self._size)
+        first = min(count, len(self._ring) - self._start, len(out))
+        size = min(count, len(out))
+        out[:first] = self._ring[self._start : self._start + first]
+        out[first:size] = self._ring[: size - first]
+        self.drop(count)
+        return size
+
+    def drop(self, count: int) -> None:
+        """Remove the oldest ``count`` bytes; there must be as many."""
         self._start = (self._start + count) % len(self._ring)
         self._size -= count
-        return head

@@ -23,22 +23,30 @@ class InProcessLink:
 
     def __init__(self, device: VirtualDavis346) -> None:
         self._device = device
+        self._plugs = device.plugs
 
     def control(
-        self, request_type: int, request: int, value: int, index: int, data: bytes | int
+        self,
+        request_type: int,
+        request: int,
+        value: int,
+        index: int,
+        data: bytes | int,
+        timeout_ms: int = 0,
     ) -> bytes:
-        """Make a control request."""
-        return self._device.control(request_type, request, value, index, data)
+        """Make a control request; a timeout of 0 waits for ever."""
+        self._device.check_present(self._plugs)
+        limit_s = timeout_ms / 1000 or None
+        return self._device.control(request_type, request, value, index, data, limit_s)
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
         """Read at most a buffer full; a timeout of 0 waits for ever."""
-        view = memoryview(buffer).cast('B')
-        data = self._device.read_bulk(endpoint, len(view), timeout_ms / 1000 or None)
-        view[: len(data)] = data
-        return len(data)
+        self._device.check_present(self._plugs)
+        return self._device.read_into(endpoint, buffer, timeout_ms / 1000 or None)
 
     def claim(self) -> None:
         """Claim the interface for this session."""
+        self._device.check_present(self._plugs)
         self._device.claim(self)
 
     def release(self) -> None:
@@ -47,6 +55,7 @@ class InProcessLink:
 
     def reset(self) -> None:
         """Do a USB port reset."""
+        self._device.check_present(self._plugs)
         self._device.reset()
 
     def close(self) -> None:

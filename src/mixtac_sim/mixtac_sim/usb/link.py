@@ -17,9 +17,18 @@ class Link(Protocol):
     """
 
     def control(
-        self, request_type: int, request: int, value: int, index: int, data: bytes | int
+        self,
+        request_type: int,
+        request: int,
+        value: int,
+        index: int,
+        data: bytes | int,
+        timeout_ms: int = 0,
     ) -> bytes:
-        """Make a control request, as `mixtac_sim.usb.device.VirtualDavis346.control`."""
+        """Make a control request (see `mixtac_sim.usb.device.VirtualDavis346.control`).
+
+        A timeout of 0 waits for ever.
+        """
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
         """Read at most a buffer full and return the bytes read; a timeout of 0 waits for ever."""

@@ -14,7 +14,15 @@ from usb.backend import IBackend
 from usb.core import USBError, USBTimeoutError
 
 from mixtac_sim.usb import descriptors
-from mixtac_sim.usb.errors import UsbBusy, UsbGone, UsbStall, UsbTimeout, VirtualUsbError
+from mixtac_sim.usb.errors import (
+    NoVirtualSensorError,
+    UsbBusy,
+    UsbGone,
+    UsbOverflow,
+    UsbStall,
+    UsbTimeout,
+    VirtualUsbError,
+)
 
 if TYPE_CHECKING:
     from array import array
@@ -25,6 +33,8 @@ if TYPE_CHECKING:
 
 _GET_DESCRIPTOR: Final = 6
 _SUPER_SPEED: Final = 4
+# libusb and the kernel wait this long for the answers to standard requests.
+_STANDARD_MS: Final = 1000
 
 
 @contextmanager
@@ -35,10 +45,12 @@ def _as_usb_errors() -> Iterator[None]:
         raise USBTimeoutError(str(error), -7, errno.ETIMEDOUT) from error
     except UsbStall as error:
         raise USBError(str(error), -9, errno.EPIPE) from error
-    except UsbGone as error:
+    except (UsbGone, NoVirtualSensorError) as error:
         raise USBError(str(error), -4, errno.ENODEV) from error
     except UsbBusy as error:
         raise USBError(str(error), -6, errno.EBUSY) from error
+    except UsbOverflow as error:
+        raise USBError(str(error), -8, errno.EOVERFLOW) from error
     except VirtualUsbError as error:
         raise USBError(str(error), -1, errno.EIO) from error
 
@@ -126,17 +138,17 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
     def set_configuration(self, dev_handle: Link, config_value: int) -> None:
         """Choose a configuration."""
         with _as_usb_errors():
-            dev_handle.control(0x00, 9, config_value, 0, b'')
+            dev_handle.control(0x00, 9, config_value, 0, b'', _STANDARD_MS)
 
     def get_configuration(self, dev_handle: Link) -> int:
         """Return the value of the active configuration."""
         with _as_usb_errors():
-            return dev_handle.control(0x80, 8, 0, 0, 1)[0]
+            return dev_handle.control(0x80, 8, 0, 0, 1, _STANDARD_MS)[0]
 
     def set_interface_altsetting(self, dev_handle: Link, intf: int, altsetting: int) -> None:
         """Choose an alternate setting; there is only 0."""
         with _as_usb_errors():
-            dev_handle.control(0x01, 11, altsetting, intf, b'')
+            dev_handle.control(0x01, 11, altsetting, intf, b'', _STANDARD_MS)
 
     def claim_interface(self, dev_handle: Link, intf: int) -> None:
         """Claim the interface for this session."""
@@ -176,16 +188,17 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
         with _as_usb_errors():
             view: Any = memoryview(data).cast('B')
             if not bmRequestType & 0x80:
-                dev_handle.control(bmRequestType, bRequest, wValue, wIndex, bytes(view))
+                dev_handle.control(bmRequestType, bRequest, wValue, wIndex, bytes(view), timeout)
                 return len(view)
-            answer = dev_handle.control(bmRequestType, bRequest, wValue, wIndex, len(view))
+            wanted = len(view)
+            answer = dev_handle.control(bmRequestType, bRequest, wValue, wIndex, wanted, timeout)
             view[: len(answer)] = answer
             return len(answer)
 
     def clear_halt(self, dev_handle: Link, ep: int) -> None:
         """Clear a halted endpoint."""
         with _as_usb_errors():
-            dev_handle.control(0x02, 1, 0, ep, b'')
+            dev_handle.control(0x02, 1, 0, ep, b'', _STANDARD_MS)
 
     def reset_device(self, dev_handle: Link) -> None:
         """Reset the camera to its power-up state."""

@@ -10,17 +10,21 @@ import select
 import socket
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from mixtac_sim.usb import wire
 from mixtac_sim.usb.errors import (
+    FaultError,
     UsbBusy,
     UsbGone,
+    UsbOverflow,
     UsbStall,
     UsbTimeout,
     VirtualUsbError,
 )
+from mixtac_sim.usb.faults import Fault
 
 if TYPE_CHECKING:
     from mixtac_sim.usb.device import VirtualDavis346
@@ -33,6 +37,8 @@ _STATUS: Final = {
     UsbTimeout: errno.ETIMEDOUT,
     UsbBusy: errno.EBUSY,
     UsbGone: errno.ENODEV,
+    UsbOverflow: errno.EOVERFLOW,
+    FaultError: errno.EINVAL,
 }
 
 
@@ -55,7 +61,7 @@ class UsbServer:
         self.path = path
         self._lock = threading.Lock()
         self._connections: set[socket.socket] = set()
-        self._sessions: dict[int, int] = {}
+        self._sessions: dict[int, _Session] = {}
         self._closing = False
         self._listener = _listen(path)
         self._threads = [threading.Thread(target=self._accept, name='usb-accept', daemon=True)]
@@ -94,76 +100,122 @@ class UsbServer:
             thread.start()
 
     def _serve(self, connection: socket.socket) -> None:
-        session = 0
+        session = None
+        reply = bytearray(wire.REPLY.size)
         try:
             with connection, contextlib.suppress(OSError):
                 while True:
                     header = wire.REQUEST.unpack(wire.receive(connection, wire.REQUEST.size))
-                    session = self._join(session, header[-1])
-                    self._reply(connection, header)
+                    session = session or self._join(header[-1])
+                    reply = self._reply(connection, header, session, reply)
         finally:
             self._leave(session)
             with self._lock:
                 self._connections.discard(connection)
 
-    def _join(self, before: int, session: int) -> int:
-        if not before and session:
-            with self._lock:
-                self._sessions[session] = self._sessions.get(session, 0) + 1
-        return before or session
-
-    def _leave(self, session: int) -> None:
+    def _join(self, number: int) -> _Session:
         with self._lock:
-            if session:
-                self._sessions[session] -= 1
-            ended = session and not self._sessions[session]
-            if ended:
-                del self._sessions[session]
-        if ended:
-            self._device.release(session)
+            session = self._sessions.setdefault(number, _Session(number, self._device.plugs))
+            session.connections += 1
+            return session
 
-    def _reply(self, connection: socket.socket, header: tuple[int, ...]) -> None:
-        status, answer = 0, b''
+    def _leave(self, session: _Session | None) -> None:
+        if session is None:
+            return
+        with self._lock:
+            session.connections -= 1
+            ended = not session.connections
+            if ended:
+                del self._sessions[session.number]
+        if ended:
+            self._device.release(session.number)
+
+    def _reply(
+        self,
+        connection: socket.socket,
+        header: tuple[int, ...],
+        session: _Session,
+        reply: bytearray,
+    ) -> bytearray:
+        """Answer a request; return the buffer to use for the next reply."""
+        status, size, start = 0, 0, wire.REPLY.size
         try:
-            answer = self._perform(connection, header)
+            if header[0] == wire.READ:
+                if len(reply) != start + header[5]:
+                    reply = bytearray(start + _checked(header[5]))
+                with memoryview(reply) as view:
+                    size = self._read(connection, header, session, view[start:])
+            else:
+                answer = self._perform(connection, header, session)
+                size = len(answer)
+                reply[start : start + size] = answer
         except VirtualUsbError as error:
             status = _STATUS.get(type(error), errno.EIO)
-        connection.sendall(wire.REPLY.pack(status, len(answer)) + answer)
+        wire.REPLY.pack_into(reply, 0, status, size)
+        with memoryview(reply) as view:
+            connection.sendall(view[: start + size])
+        return reply
 
-    def _perform(self, connection: socket.socket, header: tuple[int, ...]) -> bytes:
-        operation, kind, request, value, index, length, timeout_ms, session = header
-        if length > wire.MAX_TRANSFER:
-            raise ConnectionAbortedError(f'a transfer of {length} bytes is not sensible')
+    def _perform(
+        self, connection: socket.socket, header: tuple[int, ...], session: _Session
+    ) -> bytes:
+        operation, kind, request, value, index, length, timeout_ms, _ = header
+        incoming = kind & wire.DIRECTION_IN and operation == wire.CONTROL
+        data = length if incoming else wire.receive(connection, _checked(length))
+        if operation == wire.FAULT and isinstance(data, bytes):
+            self._device.inject(Fault.from_json(data))
+            return b''
+        self._device.check_present(session.plugs)
         if operation == wire.CONTROL:
-            incoming = kind & wire.DIRECTION_IN
-            data = length if incoming else wire.receive(connection, length)
-            return self._device.control(kind, request, value, index, data)
-        if operation == wire.READ:
-            return self._read(connection, kind, length, timeout_ms)
+            limit_s = timeout_ms / 1000 or None
+            return self._device.control(kind, request, value, index, data, limit_s)
         if operation == wire.CLAIM:
-            self._device.claim(session)
+            self._device.claim(session.number)
         elif operation == wire.RELEASE:
-            self._device.release(session)
+            self._device.release(session.number)
         elif operation == wire.RESET:
             self._device.reset()
         else:
             raise ConnectionAbortedError(f'unknown operation {operation}')
         return b''
 
-    def _read(self, connection: socket.socket, endpoint: int, length: int, limit_ms: int) -> bytes:
+    def _read(
+        self,
+        connection: socket.socket,
+        header: tuple[int, ...],
+        session: _Session,
+        view: memoryview,
+    ) -> int:
+        endpoint, limit_ms = header[1], header[6]
+        self._device.check_present(session.plugs)
         deadline = time.monotonic() + limit_ms / 1000 if limit_ms else None
         while True:
             wait = _SLICE_S
             if deadline is not None:
                 wait = min(wait, max(0.0, deadline - time.monotonic()))
             try:
-                return self._device.read_bulk(endpoint, length, wait)
+                return self._device.read_into(endpoint, view, wait)
             except UsbTimeout:
                 if deadline is not None and time.monotonic() >= deadline:
                     raise
             # The host sends nothing while it waits: anything readable is its hang-up.
             if select.select([connection], [], [], 0)[0]:
                 raise ConnectionResetError('the host hung up')
+
+
+@dataclass(slots=True)
+class _Session:
+    """One host's session: its number, the plugging-in it began after, and its connections."""
+
+    number: int
+    plugs: int
+    connections: int = 0
+
+
+def _checked(length: int) -> int:
+    if length > wire.MAX_TRANSFER:
+        raise ConnectionAbortedError(f'a transfer of {length} bytes is not sensible')
+    return length
 
 
 def check_free(path: str) -> None:

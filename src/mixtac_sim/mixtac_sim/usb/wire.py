@@ -7,6 +7,9 @@ timeout in ms where 0 means none, session), followed by that many bytes where da
 A reply is `REPLY` (0 or an errno value, length), followed by that many bytes. One request at a time
 travels on a connection; a host opens one connection for control and one for each endpoint, all
 under one session number of its choice, so that the interface belongs to the session.
+
+`FAULT` is no USB transfer: its data are a JSON object (see `mixtac_sim.usb.faults.Fault`), and it
+lets something go wrong on the virtual camera.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ READ: Final = 2
 CLAIM: Final = 3
 RELEASE: Final = 4
 RESET: Final = 5
+FAULT: Final = 6
 MAX_TRANSFER: Final = 16 << 20
 DIRECTION_IN: Final = 0x80
 
@@ -82,7 +86,7 @@ def call(
 
     Args:
         connection: A connected socket that nobody else uses meanwhile.
-        operation: `CONTROL`, `READ`, `CLAIM`, `RELEASE` or `RESET`.
+        operation: `CONTROL`, `READ`, `CLAIM`, `RELEASE`, `RESET` or `FAULT`.
         kind: ``bmRequestType`` or endpoint address.
         request: ``bRequest``.
         value: ``wValue``.

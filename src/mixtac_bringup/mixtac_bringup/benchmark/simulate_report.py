@@ -1,0 +1,143 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac bench simulate`: how much faster than time the virtual sensor runs."""
+
+from __future__ import annotations
+
+import json as json_format
+import statistics
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Optional
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from mixtac_bringup.benchmark.simulate_chain import Chain, ChainRun
+from mixtac_bringup.benchmark.simulate_stages import time_by_stage
+from mixtac_bringup.simulate.generation import generate
+from mixtac_bringup.simulate.trial_bag import write_trial
+from mixtac_sim.datasets.description import DatasetDescription
+from mixtac_sim.datasets.plans import plan_profile
+
+if TYPE_CHECKING:
+    from mixtac_sim.datasets.trial_spec import TrialSpec
+
+OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
+PROFILE: Final = 'dynamic'
+ONLINE_RUNS: Final = 3
+BATCH_JOBS: Final = 2
+BATCH_TRIALS: Final = 4
+WARM_UP_S: Final = 3.0
+STAGE_S: Final = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class SimulateReport:
+    """What was measured.
+
+    Attributes:
+        online: Runs of the full chain on one core.
+        batch_s: Simulated time of the batch [s].
+        batch_wall_s: Time the batch took on two cores [s].
+        online_stages: Share of each stage in the chain.
+        batch_stages: Share of each stage when a bag is written.
+    """
+
+    online: tuple[ChainRun, ...]
+    batch_s: float
+    batch_wall_s: float
+    online_stages: dict[str, float]
+    batch_stages: dict[str, float]
+
+    @property
+    def online_factor(self) -> float:
+        """Simulated over real time of the chain, median of the runs."""
+        return statistics.median(run.simulated_s / run.wall_s for run in self.online)
+
+    @property
+    def online_cpu_factor(self) -> float:
+        """Simulated over processor time of the chain, median of the runs."""
+        return statistics.median(run.simulated_s / run.cpu_s for run in self.online)
+
+    @property
+    def batch_factor(self) -> float:
+        """Simulated over real time of the batch."""
+        return self.batch_s / self.batch_wall_s
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report for JSON."""
+        simulated_s = sum(run.simulated_s for run in self.online)
+        return {
+            'realtime_factor': {'online': self.online_factor, 'batch': self.batch_factor},
+            'online_cpu_factor': self.online_cpu_factor,
+            'events_per_s': sum(run.events for run in self.online) / simulated_s,
+            'usb_bytes_per_s': sum(run.octets for run in self.online) / simulated_s,
+            'share_of_time': {'online': self.online_stages, 'batch': self.batch_stages},
+        }
+
+
+def simulate(
+    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+    seconds: Annotated[float, typer.Option(min=5, max=600, help='Length of a trial.')] = 25.0,
+    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = 'paper_like',
+) -> None:
+    """Measure the virtual sensor: full chain with USB words on one core, bags on two."""
+    console = Console()
+    with console.status('simulating'):
+        report = measure(seconds, preset)
+    print_report(console, report, seconds, preset)
+    if json is not None:
+        json.parent.mkdir(parents=True, exist_ok=True)
+        json.write_text(json_format.dumps(report.as_dict(), indent=2) + '\n', encoding='utf8')
+
+
+def measure(seconds: float, preset: str) -> SimulateReport:
+    """Measure both ways out of the simulator.
+
+    Args:
+        seconds: Length of a trial [s].
+        preset: How hard the effects are.
+    """
+    specs = plan_profile(PROFILE, BATCH_TRIALS, seconds, preset=preset)
+    warm = plan_profile(PROFILE, BATCH_JOBS, WARM_UP_S, preset=preset)
+    staged = plan_profile(PROFILE, 1, min(seconds, STAGE_S), preset=preset)[0]
+    Chain(warm[0]).run()
+    online = tuple(Chain(spec).run() for spec in specs[:ONLINE_RUNS])
+    with tempfile.TemporaryDirectory(prefix='mixtac-bench-') as name:
+        folder = Path(name)
+        _batch(warm, folder / 'warm')
+        begin = time.perf_counter()
+        _batch(specs, folder / 'bags')
+        batch_wall_s = time.perf_counter() - begin
+        chain = Chain(staged)
+        online_stages = time_by_stage(chain.run)
+        batch_stages = time_by_stage(lambda: write_trial(staged, folder / 'staged'))
+    return SimulateReport(online, seconds * BATCH_TRIALS, batch_wall_s, online_stages, batch_stages)
+
+
+def _batch(specs: list[TrialSpec], folder: Path) -> None:
+    preset = specs[0].preset
+    plan = DatasetDescription.of_simulator(PROFILE, 0, preset, 'trial', specs)
+    generate(plan, folder, jobs=BATCH_JOBS)
+
+
+def print_report(console: Console, report: SimulateReport, seconds: float, preset: str) -> None:
+    """Print the report as tables."""
+    table = Table(title=f'{PROFILE}, {preset}, {seconds:g} s trials', title_justify='left')
+    table.add_column('what')
+    table.add_column('times real time', justify='right')
+    table.add_row('online: full chain, USB words, one core', f'{report.online_factor:.2f}')
+    table.add_row('the same by processor time', f'{report.online_cpu_factor:.2f}')
+    table.add_row(f'batch: bags, {BATCH_JOBS} processes', f'{report.batch_factor:.2f}')
+    console.print(table)
+    stages = Table(title='where the time goes', title_justify='left')
+    for heading in ('stage', 'online', 'batch'):
+        stages.add_column(heading, justify='left' if heading == 'stage' else 'right')
+    for name in {**report.online_stages, **report.batch_stages}:
+        shares = (report.online_stages.get(name), report.batch_stages.get(name))
+        stages.add_row(name, *('' if share is None else f'{share:.0%}' for share in shares))
+    console.print(stages)

@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The computer: processor, kernel, clock, disk, network buffers."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import shutil
+from typing import TYPE_CHECKING
+
+from mixtac_driver.doctor.finding import Finding, Level, Value, ok
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mixtac_driver.doctor.host_files import HostFiles
+
+CPUS = '/sys/devices/system/cpu'
+RECEIVE_LIMIT = '/proc/sys/net/core/rmem_max'
+SLOW_GOVERNORS = frozenset({'powersave', 'ondemand', 'conservative'})
+OWN_GOVERNOR = frozenset({'intel_pstate', 'amd-pstate-epp'})
+"""Drivers whose `powersave` lets the processor go as fast as it needs to."""
+LEAST_CORES = 2
+LEAST_DISK_GB = 10.0
+BURST_BYTES = 1_400_000
+"""A frame of 16 bits (180 kB) and 10 ms of events at the sensor's limit of 12 million per second
+(480 kB), twice because the kernel counts its bookkeeping too."""
+UNSYNCHRONISED = 0x40
+"""STA_UNSYNC of adjtimex(2)."""
+LONG_BYTES, TIMEX_BYTES, TIMEX_STATUS_AT, TIMEX_ERROR_AT = 8, 208, 40, 24
+
+
+def check_processor(files: HostFiles) -> Finding:
+    """Say how many cores there are and how their clock is governed."""
+    cores = len(os.sched_getaffinity(0))
+    settings = sorted(files.path(CPUS).glob('cpu[0-9]*/cpufreq/scaling_governor'))
+    governors = {path.read_text().strip() for path in settings}
+    driver = files.text(f'{CPUS}/cpu0/cpufreq/scaling_driver') or ''
+    listed = ', '.join(sorted(governors)) or 'not visible'
+    values: dict[str, Value] = {'cores': cores, 'governor': listed}
+    found = f'{cores} cores, frequency governor {listed}'
+    if cores < LEAST_CORES:
+        remedy = f'give the process {LEAST_CORES} cores or more: USB and decoding are two threads'
+        return Finding('processor', Level.WARN, found, remedy, values)
+    if governors & SLOW_GOVERNORS and driver not in OWN_GOVERNOR:
+        remedy = 'for steady latency: sudo cpupower frequency-set -g performance'
+        return Finding('processor', Level.WARN, found, remedy, values)
+    return Finding('processor', Level.OK, found, values=values)
+
+
+def check_kernel(files: HostFiles) -> Finding:
+    """Say which kernel runs and whether it is a real-time one."""
+    realtime = files.text('/sys/kernel/realtime') == '1'
+    release = f'{platform.system()} {platform.release()}'
+    return ok('kernel', release + (', real-time' if realtime else ''), realtime=realtime)
+
+
+def kernel_clock() -> tuple[bool, float]:
+    """Return whether the kernel's clock is synchronised, and the greatest error it assumes [s].
+
+    Raises:
+        OSError: The kernel does not tell.
+    """
+    if ctypes.sizeof(ctypes.c_long) != LONG_BYTES:
+        raise OSError('the layout of timex is known for 64-bit systems only')
+    library = ctypes.CDLL(None, use_errno=True)
+    state = ctypes.create_string_buffer(TIMEX_BYTES)  # modes = 0: nothing is set
+    if library.adjtimex(state) < 0:
+        raise OSError(ctypes.get_errno(), 'adjtimex')
+    status = int.from_bytes(state.raw[TIMEX_STATUS_AT : TIMEX_STATUS_AT + 4], 'little')
+    error_us = int.from_bytes(state.raw[TIMEX_ERROR_AT : TIMEX_ERROR_AT + 8], 'little')
+    return not status & UNSYNCHRONISED, error_us / 1e6
+
+
+def check_clock(synchronised: bool | None, error_s: float) -> Finding:
+    """Say whether the computer's clock is kept by a time server.
+
+    Args:
+        synchronised: As `kernel_clock` says, None where it does not tell.
+        error_s: Greatest error that the kernel assumes [s].
+    """
+    name = 'real-time clock'
+    if synchronised is None:
+        return ok(name, 'the kernel does not tell')
+    if synchronised:
+        return ok(name, f'synchronised, at most {error_s * 1e3:.1f} ms off', error_s=error_s)
+    found = 'not synchronised: times of several machines cannot be compared'
+    remedy = 'where several machines take part: sudo apt-get install chrony'
+    return Finding(name, Level.WARN, found, remedy)
+
+
+def check_disk(folder: Path) -> Finding:
+    """Say how much room a recording in this folder has."""
+    free_gb = shutil.disk_usage(folder).free / 1e9
+    values = {'free [GB]': round(free_gb, 1)}
+    found = f'{free_gb:.0f} GB free in {folder}'
+    if free_gb < LEAST_DISK_GB:
+        remedy = 'record to another disk: a busy scene writes some GB per minute'
+        return Finding('disk', Level.WARN, found, remedy, values)
+    return Finding('disk', Level.OK, found, values=values)
+
+
+def check_receive_buffer(files: HostFiles) -> Finding:
+    """Say whether bursts fit the receive buffers of DDS between machines."""
+    limit = files.number(RECEIVE_LIMIT)
+    if limit is None:
+        return ok('network buffers', 'the kernel does not tell')
+    values = {'limit [bytes]': limit, 'needed [bytes]': BURST_BYTES}
+    if limit >= BURST_BYTES:
+        return Finding('network buffers', Level.OK, f'{limit} bytes', values=values)
+    found = f'{limit} bytes; a frame and a burst of events need {BURST_BYTES} between machines'
+    remedy = 'to receive on another machine, there: sudo sysctl -w net.core.rmem_max=4194304'
+    return Finding('network buffers', Level.WARN, found, remedy, values)
+
+
+def check_computer(files: HostFiles, folder: Path) -> list[Finding]:
+    """Return all findings on the computer.
+
+    Args:
+        files: Files of the operating system.
+        folder: Where recordings would go.
+    """
+    try:
+        synchronised, error_s = kernel_clock()
+    except (OSError, AttributeError):
+        return [*_plain_findings(files, folder), check_clock(None, 0.0)]
+    return [*_plain_findings(files, folder), check_clock(synchronised, error_s)]
+
+
+def _plain_findings(files: HostFiles, folder: Path) -> list[Finding]:
+    return [
+        check_processor(files),
+        check_kernel(files),
+        check_disk(folder),
+        check_receive_buffer(files),
+    ]

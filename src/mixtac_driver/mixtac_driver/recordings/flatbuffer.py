@@ -1,0 +1,134 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Reading FlatBuffers: just what AEDAT4 files need, whole columns of a vector of tables at once.
+
+A table begins with the distance back to its list of fields; that holds its own size, the size of
+the table, and per field its distance from the table's beginning, 0 where the field is left out
+(https://flatbuffers.dev/internals). All offsets come from the file and are checked.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mixtac_driver.errors import DamagedRecordingError
+
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike, NDArray
+
+    Octets = NDArray[np.uint8]
+    Positions = NDArray[np.int64]
+
+PREFIX = 4
+"""Bytes of the size in front of a buffer."""
+
+
+def check(data: Octets, identifier: str) -> None:
+    """Refuse a size-prefixed buffer that is not whole or holds something else.
+
+    Args:
+        data: The buffer with its prefix.
+        identifier: Four letters that it must carry.
+
+    Raises:
+        DamagedRecordingError: As said.
+    """
+    size = int(values(data, np.array([0]), '<u4')[0])
+    if size + PREFIX > len(data):
+        raise DamagedRecordingError(f'a buffer of {size} bytes has only {len(data) - PREFIX}')
+    found = data[8:12].tobytes()
+    if found != identifier.encode():
+        raise DamagedRecordingError(f'a buffer holds {found!r} in place of {identifier}')
+
+
+def root(data: Octets) -> Positions:
+    """Return the position of the outermost table of a size-prefixed buffer, as `int64` [1]."""
+    return PREFIX + values(data, np.array([PREFIX]), '<u4').astype(np.int64)
+
+
+def column(
+    data: Octets, tables: Positions, index: int, dtype: DTypeLike, default: float
+) -> NDArray[Any]:
+    """Return one field of many tables.
+
+    Args:
+        data: The buffer.
+        tables: `int64` [n], positions of the tables.
+        index: Number of the field in the schema.
+        dtype: Little-endian type of the field.
+        default: Value of those that leave it out.
+    """
+    positions = fields(data, tables, index)
+    there = positions > 0
+    if there.all():
+        return values(data, positions, dtype)
+    column_values = np.full(len(tables), default, dtype)
+    column_values[there] = values(data, positions[there], dtype)
+    return column_values
+
+
+def fields(data: Octets, tables: Positions, index: int) -> Positions:
+    """Return where a field of many tables is, as `int64` [n]; 0 where it is left out."""
+    lists = tables - values(data, tables, '<i4').astype(np.int64)
+    size = values(data, lists, '<u2')
+    slot = 4 + 2 * index
+    there = size >= slot + 2
+    offsets = np.zeros(len(tables), np.int64)
+    offsets[there] = values(data, lists[there] + slot, '<u2')
+    return np.where(offsets > 0, tables + offsets, 0)
+
+
+def vector(data: Octets, table: Positions, index: int) -> tuple[int, int]:
+    """Return (position of the first element, number of elements) of a field of one table."""
+    where = fields(data, table, index)
+    if not where[0]:
+        return 0, 0
+    start = where + values(data, where, '<u4').astype(np.int64)
+    return int(start[0]) + 4, int(values(data, start, '<u4')[0])
+
+
+def structs(data: Octets, table: Positions, index: int, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return a vector of structs or scalars of one table as a view.
+
+    Raises:
+        DamagedRecordingError: It does not fit into the buffer.
+    """
+    start, count = vector(data, table, index)
+    end = start + count * dtype.itemsize
+    if end > len(data):
+        raise DamagedRecordingError(
+            f'{count} elements at byte {start} do not fit into {len(data)} bytes'
+        )
+    return data[start:end].view(dtype)
+
+
+def tables(data: Octets, table: Positions, index: int) -> Positions:
+    """Return the positions of the tables in a vector of tables of one table, as `int64` [n].
+
+    Raises:
+        DamagedRecordingError: It does not fit into the buffer.
+    """
+    start, count = vector(data, table, index)
+    slots = start + 4 * np.arange(count, dtype=np.int64) if start + 4 * count <= len(data) else None
+    if slots is None:
+        raise DamagedRecordingError(
+            f'{count} tables at byte {start} do not fit into {len(data)} bytes'
+        )
+    return slots + values(data, slots, '<u4').astype(np.int64)
+
+
+def values(data: Octets, positions: Positions, dtype: DTypeLike) -> NDArray[Any]:
+    """Return little-endian numbers from many positions.
+
+    Raises:
+        DamagedRecordingError: One of them is outside the buffer.
+    """
+    kind = np.dtype(dtype)
+    last = len(data) - kind.itemsize
+    if len(positions) and not (int(positions.min()) >= 0 and int(positions.max()) <= last):
+        raise DamagedRecordingError(f'an offset leads out of a buffer of {len(data)} bytes')
+    octets = data[positions[:, None] + np.arange(kind.itemsize)]
+    found: NDArray[Any] = octets.view(kind)[:, 0]
+    return found

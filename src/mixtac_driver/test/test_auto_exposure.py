@@ -1,0 +1,147 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Auto-exposure in a closed loop with a simple model of the pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mixtac_driver.auto_exposure import AutoExposure, ExposureLimits, right_exposure
+
+LIMITS = ExposureLimits(0.35, 20, 30_000)
+
+
+class Sensor:
+    """Pixels of given brightness that saturate; requests take effect after some frames.
+
+    Args:
+        brightness: Signal per microsecond of exposure, any shape.
+        exposure_us: To begin with.
+        delay: Frames between a request and the first frame that shows it.
+    """
+
+    def __init__(self, brightness, exposure_us, delay=2, seed=0):
+        self.brightness = brightness
+        self.exposures = [exposure_us] * delay
+        self.latest = exposure_us
+        self.rng = np.random.default_rng(seed)
+
+    def frame(self):
+        self.exposures.append(self.latest)
+        exposure_us = self.exposures.pop(0)
+        signal = self.brightness * exposure_us + self.rng.normal(0, 2, self.brightness.shape)
+        image = np.clip(np.round(signal), 0, 1023).astype(np.uint16)
+        # As in the camera: from some signal on a pixel reads as over-exposed.
+        image[signal > 700] = 1023
+        return image, exposure_us
+
+    def request(self, exposure_us):
+        self.latest = exposure_us
+
+
+def scene(level, contrast=0.5, seed=3):
+    return level * np.exp(np.random.default_rng(seed).normal(0, contrast, (65, 87)))
+
+
+def run(sensor, controller, frames=60):
+    exposures, means = [], []
+    for _ in range(frames):
+        image, exposure_us = sensor.frame()
+        wanted = controller.update(image, exposure_us)
+        if wanted is not None:
+            sensor.request(wanted)
+            controller.accept(wanted)
+        exposures.append(exposure_us)
+        means.append(image.mean() / 1023)
+    return np.array(exposures), np.array(means)
+
+
+@pytest.mark.parametrize('start_us', [20, 500, 7000, 30_000])
+@pytest.mark.parametrize('level', [0.02, 0.1, 1.0, 5.0])
+@pytest.mark.parametrize('delay', [0, 2, 4])
+def test_it_comes_to_the_target_from_anywhere_and_rests(level, start_us, delay):
+    controller = AutoExposure(start_us, LIMITS)
+    exposures, means = run(Sensor(scene(level), start_us, delay), controller, 80)
+    assert abs(means[-1] - 0.35) < 0.05
+    assert len(set(exposures[-20:])) == 1
+
+
+def test_it_does_not_swing_past_the_target():
+    controller = AutoExposure(500, LIMITS)
+    exposures, _ = run(Sensor(scene(0.1), 500, delay=4), controller)
+    settled = exposures[-1]
+    assert exposures.max() <= settled * 1.15
+    controller = AutoExposure(30_000, LIMITS)
+    exposures, _ = run(Sensor(scene(0.1, 0.2), 30_000, delay=4), controller)
+    assert exposures.min() >= exposures[-1] / 1.15
+
+
+def test_it_is_there_within_a_second_of_frames_at_25_hz():
+    for start_us in (20, 30_000):
+        controller = AutoExposure(start_us, LIMITS)
+        _, means = run(Sensor(scene(0.5), start_us, delay=2), controller, frames=25)
+        assert abs(means[-1] - 0.35) < 0.06
+
+
+def test_darkness_and_glare_end_at_the_limits():
+    for level, end_us in ((0.0, 30_000), (1000.0, 20)):
+        controller = AutoExposure(7000, LIMITS)
+        exposures, _ = run(Sensor(scene(level), 7000), controller)
+        assert exposures[-1] == end_us
+        assert len(set(exposures[-20:])) == 1
+
+
+def test_it_follows_a_light_that_changes():
+    controller = AutoExposure(7000, LIMITS)
+    sensor = Sensor(scene(0.1), 7000)
+    run(sensor, controller)
+    sensor.brightness = scene(0.8)
+    _, means = run(sensor, controller)
+    assert abs(means[-1] - 0.35) < 0.05
+
+
+def test_flicker_within_the_dead_band_is_left_alone():
+    controller = AutoExposure(3000, LIMITS)
+    base = scene(0.1)
+    sensor = Sensor(base, 3000)
+    run(sensor, controller)
+    changes = 0
+    for k in range(50):
+        sensor.brightness = base * (1 + 0.05 * np.sin(k))
+        image, exposure_us = sensor.frame()
+        changes += controller.update(image, exposure_us) is not None
+    assert changes == 0
+
+
+def test_what_the_camera_was_not_told_is_asked_again():
+    controller = AutoExposure(1000, LIMITS)
+    sensor = Sensor(scene(1.0), 1000)
+    for _ in range(10):
+        assert controller.update(*sensor.frame()) is not None
+    assert controller.exposure_us == 1000
+
+
+@settings(deadline=None)
+@given(st.integers(0, 1023), st.integers(0, 100), st.floats(1, 1e6), st.floats(0.05, 0.9))
+def test_one_step_is_bounded_and_goes_the_right_way(value, saturated, exposure_us, target):
+    image = np.full(100, value, np.uint16)
+    image[:saturated] = 1023
+    right = right_exposure(image, exposure_us, target)
+    assert exposure_us / 4.0001 <= right <= exposure_us * 4.0001
+    if image.mean() / 1023 > target:
+        assert right < exposure_us * 1.0001
+
+
+@given(st.integers(1, 300), st.integers(1, 300))
+def test_below_saturation_every_exposure_says_the_same(first, second):
+    pixels = np.linspace(0.5, 2.0, 100)
+    answers = [
+        right_exposure(np.round(pixels * us).astype(np.uint16), us, 0.1) for us in (first, second)
+    ]
+    ideal = 0.1 * 1023 / pixels.mean()
+    for us, answer in zip((first, second), answers, strict=True):
+        bounded = min(max(ideal, us / 4), us * 4)
+        assert answer == pytest.approx(bounded, rel=0.05)

@@ -1,0 +1,224 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Settings that change while a camera is open, on a fake USB camera."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+from davis_fake import FakeBackend, FakeCamera
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mixtac_driver.biases import ShiftedSourceBias, VoltageBias
+from mixtac_driver.camera import Davis346
+from mixtac_driver.camera_control import CameraControl
+from mixtac_driver.configuration import Configuration, Region
+from mixtac_driver.errors import ConfigurationError, DriverError, UsbError
+from mixtac_driver.registers import Chip
+
+
+@pytest.fixture(autouse=True)
+def quick_settling(monkeypatch):
+    monkeypatch.setattr('mixtac_driver.sequences.BIASES_SETTLE_S', 0.0)
+    monkeypatch.setattr('mixtac_driver.sequences.LOGIC_SETTLE_S', 0.0)
+
+
+@pytest.fixture
+def fake():
+    return FakeCamera()
+
+
+@pytest.fixture
+def camera(fake):
+    with Davis346(backend=FakeBackend(fake)) as camera:
+        fake.log.clear()
+        yield camera
+
+
+def test_what_did_not_change_is_not_written(camera, fake):
+    camera.apply(Configuration())
+    assert fake.writes() == []
+    camera.apply(Configuration(aps_exposure_us=2000, aps_frame_interval_us=20000))
+    assert fake.writes() == [(2, 12, 60480), (2, 13, 604800)]
+
+
+def test_biases_of_every_kind_are_written_when_they_change(camera, fake):
+    biases = {'ApsCas': VoltageBias(1, 2), 'SSN': ShiftedSourceBias(2, 3, 1, 2)}
+    camera.apply(Configuration(biases=biases, chip={Chip.USE_A_OUT: 1}))
+    assert fake.writes() == [
+        (5, 1, 1 | 2 << 6),
+        (5, 36, 1 | 2 << 2 | 2 << 4 | 3 << 10),
+        (5, 141, 1),
+    ]
+
+
+def test_the_chip_learns_of_the_shutter_first(camera, fake):
+    camera.apply(Configuration(aps_global_shutter=False))
+    assert fake.writes() == [(5, 142, 0), (2, 7, 0)]
+
+
+def test_the_generator_starts_with_its_new_settings_and_stops_before_they_change(camera, fake):
+    camera.apply(Configuration(generator_enabled=True, generator_interval_us=100))
+    assert fake.writes() == [(4, 13, 12096), (4, 11, 1)]
+    fake.log.clear()
+    camera.apply(Configuration())
+    assert fake.writes() == [(4, 11, 0), (4, 13, 1210)]
+
+
+def test_a_region_of_frames_is_taken_at_once_while_they_are_off(camera, fake):
+    region = [(2, 8, 10), (2, 9, 20), (2, 10, 345), (2, 11, 259)]
+    camera.apply(Configuration(aps_roi=Region(10, 20, 345, 259)))
+    assert fake.log == [('many', 5), *(('write', *w) for w in [(2, 4, 0), *region])]
+    camera.start()
+    fake.log.clear()
+    camera.apply(Configuration(aps_roi=Region(10, 20, 300, 259)))
+    region[2] = (2, 10, 300)
+    assert fake.log == [('many', 6), *(('write', *w) for w in [(2, 4, 0), *region, (2, 4, 1)])]
+
+
+def test_sensors_are_switched_while_the_camera_streams(camera, fake):
+    camera.apply(Configuration(dvs_enabled=False))
+    assert fake.writes() == []
+    camera.start()
+    assert fake.registers[1, 3] == 0
+    fake.log.clear()
+    camera.apply(Configuration(aps_enabled=False, imu_temperature_enabled=False))
+    assert fake.writes() == [(1, 3, 1), (2, 4, 0), (3, 4, 0)]
+    camera.stop()
+    fake.log.clear()
+    camera.apply(Configuration())
+    assert fake.writes() == []
+
+
+def test_settings_out_of_range_change_nothing(camera, fake):
+    with pytest.raises(ConfigurationError):
+        camera.apply(Configuration(aps_exposure_us=1000, skip_events_every=256))
+    assert fake.writes() == []
+    camera.apply(Configuration())
+    assert fake.writes() == []
+
+
+def test_a_request_that_fails_sets_back_what_was_written(camera, fake):
+    fake.refused.add((2, 13))
+    with pytest.raises(UsbError, match='2:13'):
+        camera.apply(Configuration(aps_exposure_us=1000, aps_frame_interval_us=20000))
+    assert fake.registers[2, 12] == 120_960
+    assert camera.control.configuration == Configuration()
+    fake.refused.clear()
+    fake.log.clear()
+    # Whether the refused one was obeyed is not known, so it is written anew.
+    camera.apply(Configuration())
+    assert fake.writes() == [(2, 13, 1_209_600)]
+
+
+def test_settings_survive_closing(fake):
+    camera = Davis346(backend=FakeBackend(fake))
+    camera.apply(Configuration(aps_exposure_us=1000))
+    for _ in range(2):
+        with camera:
+            assert fake.registers[2, 12] == 30240
+        fake.registers[2, 12] = 0
+    assert not camera.is_open
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    st.lists(
+        st.builds(
+            Configuration,
+            dvs_enabled=st.booleans(),
+            aps_enabled=st.booleans(),
+            aps_exposure_us=st.integers(1, 4_194_303),
+            aps_global_shutter=st.booleans(),
+            roi=st.builds(Region, st.integers(0, 100), st.integers(0, 100)),
+            aps_roi=st.builds(Region, st.integers(0, 100), st.integers(0, 100)),
+            pixel_filter=st.lists(
+                st.tuples(st.integers(0, 345), st.integers(0, 259)), max_size=8
+            ).map(tuple),
+            generator_enabled=st.booleans(),
+        ),
+        max_size=4,
+    )
+)
+def test_any_path_of_changes_ends_in_the_registers_of_a_fresh_start(configurations):
+    changed, fresh = FakeCamera(), FakeCamera()
+    with Davis346(backend=FakeBackend(changed)) as camera:
+        camera.start()
+        for configuration in configurations:
+            camera.apply(configuration)
+        final = configurations[-1] if configurations else Configuration()
+        with Davis346(backend=FakeBackend(fresh), configuration=final) as other:
+            other.start()
+            for address, value in fresh.registers.items():
+                assert changed.registers.get(address, 0) == value, address
+
+
+def test_exposure_alone_is_one_write_and_stays(camera, fake):
+    assert camera.control.set_exposure(1000)
+    assert fake.writes() == [(2, 12, 30240)]
+    assert camera.control.configuration.aps_exposure_us == 1000
+    with pytest.raises(ConfigurationError):
+        camera.control.set_exposure(1 << 22)
+
+
+def test_exposure_waits_for_nobody(camera, fake):
+    entered, leave = threading.Event(), threading.Event()
+
+    def slow():
+        entered.set()
+        leave.wait(10)
+
+    thread = threading.Thread(target=lambda: camera.control.start(slow))
+    thread.start()
+    assert entered.wait(10)
+    assert not camera.control.set_exposure(1000)
+    leave.set()
+    thread.join(10)
+    assert camera.control.set_exposure(1000)
+
+
+def test_a_frame_is_asked_for_only_where_none_come(camera, fake):
+    camera.control.request_frame()
+    assert fake.log == []
+    camera.apply(Configuration(aps_enabled=False))
+    camera.start()
+    fake.log.clear()
+    camera.control.request_frame()
+    assert fake.log == [('many', 2), ('write', 2, 4, 1), ('write', 2, 4, 0)]
+
+
+def test_a_closed_camera_takes_settings_and_no_requests():
+    control = CameraControl(Configuration())
+    control.apply(Configuration(aps_exposure_us=5))
+    assert control.set_exposure(6)
+    assert control.configuration.aps_exposure_us == 6
+    assert control.statistics() is None
+    for request in (control.request_frame, control.reset_timestamps):
+        with pytest.raises(DriverError, match='closed'):
+            request()
+
+
+def test_clock_is_reset_when_asked_and_published_time_goes_on(camera, fake):
+    with pytest.raises(DriverError, match='does not stream yet'):
+        camera.reset_timestamps()
+    camera.start()
+    batches = camera.batches()
+    fake.send([0x8064, 0x1001, 0x2001])
+    times = []
+    while not times:
+        batch = next(batches)
+        times += (batch.decoded.events.t + batch.origin.us).tolist()
+    before_us = time.time_ns() // 1000
+    camera.reset_timestamps()
+    after_us = time.time_ns() // 1000
+    fake.send([0x8003, 0x1001, 0x2001])
+    while len(times) < 2:
+        batch = next(batches)
+        times += (batch.decoded.events.t + batch.origin.us).tolist()
+    assert times[1] > times[0]
+    assert before_us <= batch.origin.us <= after_us
+    assert batch.origin.uncertainty_ns <= (after_us - before_us) * 500 + 1500
+    assert camera.clock_resets == 0

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Events and time: dense streams, everything out of range, and times of many days."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from davis_oracle import Oracle
+from decoder_cases import SETTINGS, assert_same, decode, geometries
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_driver.identity import Geometry
+
+UNUSUAL = [0, 1, 3, 6, 18, 0x0FFF, 0x4123, 0x5012, 0x5412, 0x6400, 0x7000, 0x7003, 0x1FFF, 0x2FFF]
+
+
+def both(words, geometry=None, **how):
+    geometry = geometry or Geometry()
+    found = decode(words, geometry, **how)
+    assert_same(found, Oracle(geometry).words(words))
+    counters = found.decoder.counters
+    assert counters.words == counters.words_accounted == len(words)
+    assert counters.events == len(found.events)
+    return found
+
+
+def dense(rng, geometry, size, *, sound=False):
+    """Rows, columns and stamps in any order; times go on where `sound`, else also back."""
+    kinds = rng.choice([1, 2, 3, 8], size, p=[0.25, 0.35, 0.35, 0.05])
+    stamps = 0x8000 | rng.integers(0, 0x8000, size)
+    if sound:
+        stamps = np.sort(stamps)
+    rows = 0x1000 | rng.integers(0, geometry.dvs_rows, size)
+    columns = kinds << 12 | rng.integers(0, geometry.dvs_columns, size)
+    return np.select([kinds == 8, kinds == 1], [stamps, rows], columns)
+
+
+@pytest.mark.parametrize('sound', [False, True])
+@pytest.mark.parametrize('capacity', [1, 31, 32, 33, 100, 4096])
+def test_dense_streams(capacity, sound):
+    rng = np.random.default_rng(capacity)
+    for inverted in (False, True):
+        size = (260, 346) if inverted else (346, 260)
+        geometry = Geometry(*size, inverted)
+        words = dense(rng, geometry, 3000, sound=sound)
+        found = both(words, geometry, capacity=capacity, cuts=range(0, 6000, 1501))
+        assert len(found.events) > 1500
+        assert (found.decoder.counters.timestamps_backwards > 0) != sound
+
+
+@pytest.mark.parametrize('unusual', UNUSUAL)
+def test_unusual_word_at_every_place_of_a_dense_stream(unusual):
+    rng = np.random.default_rng(unusual)
+    for place in range(1, 70):
+        words = [0x1003, *dense(rng, Geometry(), 100)]
+        words.insert(place, unusual)
+        both(words)
+
+
+@SETTINGS
+@given(st.lists(st.tuples(st.integers(0, 90), st.sampled_from(UNUSUAL)), max_size=12), geometries())
+def test_unusual_words_anywhere_in_a_dense_stream(places, geometry):
+    rng = np.random.default_rng(len(places))
+    parts = [[*dense(rng, geometry, size), word] for size, word in places]
+    both([w for part in parts for w in part], geometry, capacity=300)
+
+
+@SETTINGS
+@given(st.integers(0, 0xFFFF), geometries())
+def test_every_word_among_usual_ones(word, geometry):
+    for before in (1, 40):
+        both([0x8005, *[0x1003, 0x2004] * before, word, *[0x2005] * 40, 0x8006, 0x3006], geometry)
+
+
+def test_row_outside_the_array_keeps_the_row_before():
+    found = both([0x1002, 0x2001, 0x115A, 0x2002, 0x1FFF, 0x2003], Geometry())
+    assert [e[2:4] for e in found.events] == [(2, 1), (2, 2), (2, 3)]
+    assert found.decoder.counters.rows_outside == 2
+
+
+def test_column_outside_the_array_is_dropped():
+    found = both([0x1002, 0x2103, 0x2104, 0x3FFF, 0x3103], Geometry())
+    assert [e[3] for e in found.events] == [259, 259]
+    assert found.decoder.counters.events_outside == 2
+
+
+def test_events_before_the_first_row_are_dropped():
+    found = both([0x8001, *[0x2001] * 40, 0x1000, 0x2001])
+    assert len(found.events) == 1
+    assert found.decoder.counters.events_without_row == 40
+
+
+@pytest.mark.parametrize('code', [0, 6, 18, 100, 0xFFF])
+def test_unknown_specials_are_counted_and_change_nothing(code):
+    found = both([0x8005, 0x1001, 0x2001, code, 0x2002])
+    assert [e[1:4] for e in found.events] == [(5, 1, 1), (5, 1, 2)]
+    assert found.decoder.counters.specials_unknown == 1
+
+
+def test_arrays_of_more_rows_than_share_a_vector_lane():
+    geometry = Geometry(4096, 4096, False)
+    rng = np.random.default_rng(1)
+    both(dense(rng, geometry, 1000), geometry, capacity=1000)
+    geometry = Geometry(346, 1024, False)
+    both(dense(rng, geometry, 1000), geometry, capacity=1000)
+
+
+def test_stamp_that_goes_back_keeps_the_time_and_is_counted():
+    found = both([0x8010, 0x1001, *[0x2001] * 40, 0x800F, 0x2001, 0x8010, 0x2001, 0x8011, 0x2001])
+    assert [e[1] for e in found.events[-4:]] == [16, 16, 16, 17]
+    assert found.decoder.counters.timestamps_backwards == 1
+
+
+def test_time_after_a_wrap_is_the_wrap_and_the_last_stamp_before_it_may_be_the_largest():
+    words = [0xFFFF, 0x1001, 0x2001, 0x7001, 0x2001, 0x1001, 0x2002, 0x8001, 0x2001]
+    assert [e[1] for e in both(words).events] == [32767, 32768, 32768, 32769]
+
+
+def test_wrap_of_nothing_is_counted_and_keeps_the_time():
+    found = both([0x8005, 0x7000, 0x1001, 0x2001])
+    assert found.events[0][1] == 5
+    assert found.decoder.counters.timestamps_backwards == 1
+
+
+def test_times_of_twenty_days_are_exact():
+    day_us = 24 * 3600 * 10**6
+    wraps = 20 * day_us // 32768
+    words = [0x7FFF] * (wraps // 0xFFF) + [0x7000 | wraps % 0xFFF]
+    assert wraps % 0xFFF
+    found = both([*words, 0x9234, 0x1001, *[0x2001] * 100])
+    assert {e[1] for e in found.events} == {wraps * 32768 + 0x1234}
+    assert found.events[0][1] > 19 * day_us > 1 << 40
+
+
+def test_reset_starts_the_time_anew_in_a_batch_of_its_own():
+    dense_row = [0x1001, *[0x2001] * 40]
+    words = [0x7005, 0x8007, *dense_row, 1, *[0x2001] * 40, 0x8003, *dense_row]
+    found = both(words, capacity=500)
+    assert [e[:2] for e in found.events[::40]] == [(0, 5 * 32768 + 7), (1, 0), (1, 3)]
+    assert found.times == [(0, 5 * 32768 + 7), (1, 3)]
+    assert found.decoder.counters.resets == 1
+
+
+@pytest.mark.parametrize('code', [2, 3, 4, 16, 17])
+def test_edges_carry_the_time_before_them(code):
+    words = [0x8004, *[code] * 3, 0x7001, code, 1, code]
+    expected = [(0, 4, code)] * 3 + [(0, 32768, code), (1, 0, code)]
+    assert both(words).edges == expected

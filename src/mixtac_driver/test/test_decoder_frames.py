@@ -1,0 +1,213 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Frames: every orientation, region and shutter, and what is missing from them."""
+
+from __future__ import annotations
+
+from itertools import chain
+
+import numpy as np
+import pytest
+from davis_oracle import Oracle
+from decoder_cases import assert_same, decode, region_words
+
+from mixtac_driver.identity import Geometry
+
+SMALL = (7, 4)  # width and height of frames in tests that take many
+
+
+def oriented(code, *, dvs_inverted=False):
+    dvs = (260, 346) if dvs_inverted else (346, 260)
+    aps = (260, 346) if code & 4 else (346, 260)
+    return Geometry(*dvs, dvs_inverted, *aps, bool(code & 4), bool(code & 2), bool(code & 1))
+
+
+def frame(rng, geometry, origin=(0, 0), size=SMALL, *, delay=None, between=list):
+    """A sound frame; signals come `delay` columns after the resets, or after all of them."""
+    (x, y), (width, height) = origin, size
+    columns, rows = (height, width) if geometry.aps_inverted else (width, height)
+    delay = columns if delay is None else delay
+
+    def column(kind):
+        words = [kind, *(0x4000 | rng.integers(0, 1024, rows)), 13]
+        return list(chain.from_iterable([*between(), int(w)] for w in words))
+
+    body = []
+    for k in range(columns + delay):
+        body += column(11) if k < columns else []
+        body += [14] if k == delay else []
+        body += column(12) if k >= delay else []
+    region = region_words(x, y, x + width - 1, y + height - 1)
+    start = 8 if delay == columns else 9
+    return [start, *(0x6000 | rng.integers(0, 1024, 3)), *region, *body, 15, 10]
+
+
+def both(words, geometry, **how):
+    found, oracle = decode(words, geometry, **how), Oracle(geometry).words(words)
+    assert_same(found, oracle)
+    counters = found.decoder.counters
+    assert counters.words == counters.words_accounted == len(words)
+    return found
+
+
+@pytest.mark.parametrize('code', range(8))
+def test_full_frames_in_every_orientation(code):
+    geometry = Geometry(
+        *((260, 346) if code & 4 else (346, 260)),
+        bool(code & 4),
+        *((260, 346) if code & 4 else (346, 260)),
+        bool(code & 4),
+        bool(code & 2),
+        bool(code & 1),
+    )
+    rng = np.random.default_rng(code)
+    columns, rows = geometry.aps_columns, geometry.aps_rows
+    reset = rng.integers(300, 1024, (columns, rows))
+    signal = rng.integers(0, 1024, (columns, rows))
+    words = [8, 0x6001, 0x6002, 0x6003, *region_words(0, 0, 345, 259)]
+    for kind, samples in ((11, reset), (12, signal)):
+        for column in samples:
+            words += [kind, *(0x4000 | column), 13]
+    words += [10]
+    difference = np.clip(reset - signal, 0, 1023)
+    difference[(reset < 384) | (signal == 0)] = 1023
+    image = difference[:, ::-1] if code & 1 else difference
+    image = image[::-1] if code & 2 else image
+    image = image if code & 4 else image.T
+    found = decode(words, geometry, cuts=range(0, 400_000, 8192))
+    assert len(found.frames) == 1
+    assert found.frames[0][4] == 1 | 2 << 10 | 3 << 20
+    np.testing.assert_array_equal(np.array(found.frames[0][5]), image)
+
+
+@pytest.mark.parametrize(
+    ('region', 'place', 'size'),
+    [
+        ((0, 0, 345, 0), (0, 0), (346, 1)),
+        ((400, 3, 1, 3), (0, 3), (2, 1)),
+        ((340, 3, 400, 3), (340, 3), (6, 1)),
+        ((344, 3, 2, 3), (344, 3), (2, 1)),
+        ((9, 300, 9, 259), (9, 0), (1, 260)),
+    ],
+)
+def test_regions_that_leave_the_array_are_cut_to_it(region, place, size):
+    width, height = size
+    columns = [[kind, *[0x4200] * width, 13] for kind in [11] * height + [12] * height]
+    found = decode([8, *region_words(*region), *chain(*columns), 10])
+    assert len(found.frames) == 1
+    assert found.frames[0][2] == place
+    assert np.shape(found.frames[0][5]) == size[::-1]
+    assert found.decoder.counters.roi_outside == (
+        region[0] > 340 or region[1] > 259 or 400 in region
+    )
+
+
+@pytest.mark.parametrize('dvs_inverted', [False, True])
+@pytest.mark.parametrize('code', range(8))
+def test_regions_in_every_orientation_among_events(code, dvs_inverted):
+    rng = np.random.default_rng(code)
+    geometry = oriented(code, dvs_inverted=dvs_inverted)
+
+    def events():
+        if rng.random() < 0.97:
+            return []
+        return [0x8000 | int(rng.integers(0x8000)), 0x1000 | int(rng.integers(300)), 0x3007]
+
+    words = []
+    for delay in (None, 0, 3):
+        origin = (int(rng.integers(0, 240)), int(rng.integers(0, 190)))
+        words += frame(rng, geometry, origin, (100, 60), delay=delay, between=events)
+    found = both(words, geometry, cuts=range(1, 200_000, 4097))
+    assert len(found.frames) == 3
+    assert [f[3] for f in found.frames] == [True, False, False]
+    assert len(found.events) > 20
+
+
+@pytest.mark.parametrize('delay', [None, 1])
+def test_frame_that_lost_a_word_is_dropped_or_still_whole(delay):
+    geometry = oriented(2)
+    words = frame(np.random.default_rng(1), geometry, delay=delay)
+    (whole,) = both(words, geometry).frames
+    for k in range(len(words)):
+        found = both(words[:k] + words[k + 1 :], geometry)
+        if found.frames:
+            assert found.frames[0][5] == whole[5]
+            assert words[k] >> 12 == 6 or words[k] in {0x5100, 14, 15}
+        else:
+            assert found.decoder.counters.frames_dropped == (0 < k < len(words) - 1)
+
+
+@pytest.mark.parametrize('delay', [None, 1])
+def test_frame_with_a_word_twice(delay):
+    geometry = oriented(5)
+    words = frame(np.random.default_rng(1), geometry, delay=delay)
+    for k in range(len(words)):
+        both(words[: k + 1] + words[k:], geometry)
+
+
+def test_start_inside_a_frame_drops_what_there_was():
+    geometry = oriented(0)
+    rng = np.random.default_rng(1)
+    first, second = frame(rng, geometry), frame(rng, geometry)
+    for k in range(1, len(first)):
+        found = both(first[:k] + second, geometry)
+        assert len(found.frames) == 1
+        assert found.decoder.counters.frames_dropped == 1
+
+
+def test_words_of_frames_before_the_first_start_or_after_a_reset_do_nothing():
+    geometry = oriented(0)
+    words = frame(np.random.default_rng(1), geometry)
+    found = both(words[1:], geometry)
+    assert not found.frames
+    assert found.decoder.counters.frames_dropped == 0
+    unexpected = found.decoder.counters.aps_unexpected
+    middle = len(words) // 2
+    found = both([*words[:middle], 1, *words[middle:], *words], geometry)
+    assert len(found.frames) == 1
+    assert found.decoder.counters.frames_dropped == 1
+    assert 0 < found.decoder.counters.aps_unexpected < unexpected
+
+
+@pytest.mark.parametrize(
+    ('reset', 'signal', 'pixel'),
+    [
+        (383, 1, 1023),
+        (384, 1, 383),
+        (1023, 0, 1023),
+        (1023, 1, 1022),
+        (500, 500, 0),
+        (500, 501, 0),
+        (384, 1023, 0),
+        (0, 0, 1023),
+    ],
+)
+def test_difference_of_the_samples(reset, signal, pixel):
+    columns = [11, *[0x4000 | reset] * 40, 13, 12, *[0x4000 | signal] * 40, 13]
+    for size in ((1, 40), (40, 1)):
+        region = region_words(0, 0, size[0] - 1, size[1] - 1)
+        found = both([8, *region, *columns, 10], oriented(4 if size[1] == 1 else 0))
+        assert np.array(found.frames[0][5]).tolist() == [[pixel] * size[0]] * size[1]
+
+
+def test_high_bits_of_samples_do_not_count():
+    words = [8, *region_words(0, 0, 0, 0), 11, 0x4000 | 0xC00 | 900, 13, 12, 0x4400 | 100, 13, 10]
+    assert both(words, oriented(0)).frames[0][5] == [[800]]
+
+
+def test_times_and_exposure_of_a_frame():
+    stamped = [[0x8001, 8], [0x8002, 14], [0x8004, 15], [0x8009, 10]]
+    body = [0x63FF, 0x6000, 0x6001, *region_words(2, 3, 2, 3)]
+    columns = [11, 0x4300, 13, 12, 0x4100, 13]
+    words = [*stamped[0], *body, *columns, *stamped[1], *stamped[2], *stamped[3]]
+    ((_, times, place, is_global, cycles, _),) = both(words, oriented(0)).frames
+    assert times == (1, 2, 4, 9)
+    assert (place, is_global, cycles) == ((2, 3), True, 0x3FF | 1 << 20)
+
+
+def test_frame_without_exposure_marks_lasts_from_start_to_end_and_is_counted():
+    words = frame(np.random.default_rng(1), oriented(0))
+    words = [0x8003, *(w for w in words[:-1] if w not in {14, 15}), 0x8007, 10]
+    found = both(words, oriented(0))
+    assert found.frames[0][1] == (3, 3, 7, 7)
+    assert found.decoder.counters.frames_without_exposure == 1

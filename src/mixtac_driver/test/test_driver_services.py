@@ -1,0 +1,198 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Services of the driver on a fake USB camera, without DDS."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip('std_srvs.srv')
+
+from davis_fake import FakeBackend, FakeCamera
+
+from mixtac_driver import driver_services
+from mixtac_driver.camera import Davis346
+from mixtac_driver.driver_parameters import DriverParameters
+from mixtac_driver.driver_services import DriverServices, NextFrame
+from mixtac_driver.driver_settings import DriverSettings
+from mixtac_driver.pixel_mask import PixelMask, load_mask
+from mixtac_driver.readings import Frame
+from mixtac_events.arrays import Events
+
+HOT = [(10 * k + 5, 7) for k in range(10)]
+
+
+class Node:
+    """Keeps the callbacks of services."""
+
+    def __init__(self):
+        self.services = {}
+
+    def create_service(self, _kind, name, callback):
+        self.services[name] = callback
+
+    def call(self, name):
+        return self.services[name](None, SimpleNamespace(success=None, message=None))
+
+
+class Rig:
+    """A camera, the services on it, and a thread that plays the one that decodes."""
+
+    def __init__(self, parameters):
+        self.fake = FakeCamera()
+        self.settings = DriverSettings(parameters)
+        configuration = self.settings.configuration()
+        self.camera = Davis346(backend=FakeBackend(self.fake), configuration=configuration)
+        self.node = Node()
+        self.reports = []
+        self.services = DriverServices(
+            self.node, self.camera, self.settings, lambda: self.reports.append(1)
+        )
+        self.stop = threading.Event()
+        self.filters = []
+        self.time_us = 0
+
+    def decode(self, step):
+        def run():
+            while not self.stop.wait(0.002):
+                self.time_us += 1000
+                step()
+
+        self.thread = threading.Thread(target=run)
+        self.thread.start()
+
+    def close(self):
+        self.stop.set()
+        self.thread.join(10)
+        self.camera.close()
+
+
+@pytest.fixture
+def rig(monkeypatch, tmp_path):
+    monkeypatch.setattr('mixtac_driver.sequences.BIASES_SETTLE_S', 0.0)
+    monkeypatch.setattr('mixtac_driver.sequences.LOGIC_SETTLE_S', 0.0)
+    monkeypatch.setattr(driver_services, 'REPORT_PERIOD_S', 0.05)
+    parameters = replace(
+        DriverParameters(),
+        hot_pixels_duration=0.3,
+        hot_pixels_file=str(tmp_path / 'mask.png'),
+        aps_enabled=False,
+        aps_frame_interval=1000,
+    )
+    rig = Rig(parameters)
+    yield rig
+    rig.close()
+
+
+def events():
+    """One event of each hot pixel, more of the first ones."""
+    x = np.repeat(np.arange(5, 105, 10), np.arange(10, 0, -1)).astype(np.uint16)
+    y = np.full(len(x), 7, np.uint16)
+    return Events(np.zeros(len(x), np.int64), x, y, np.zeros(len(x), np.bool_))
+
+
+def watch(rig):
+    rig.filters.append(rig.fake.registers.get((1, 12)))
+    rig.services.watch_events(events(), rig.time_us)
+
+
+def test_hot_pixels_are_found_masked_and_saved(rig):
+    rig.settings.file_mask = PixelMask([(300, 200)])
+    # Found before, quiet now.
+    rig.settings.use_mask(PixelMask([(99, 99)]), rig.camera.apply)
+    rig.camera.open()
+    assert rig.fake.registers[1, 12] == 99
+    rig.decode(lambda: watch(rig))
+    answer = rig.node.call('~/find_hot_pixels')
+    assert answer.success, answer.message
+    assert answer.message.startswith('10 hot pixels: (5, 7), (15, 7)')
+    assert '11 masked, 8 of them by the camera' in answer.message
+    # The camera's filters were open meanwhile.
+    assert 346 in rig.filters
+    slots = [
+        (rig.fake.registers[1, 12 + 2 * k], rig.fake.registers[1, 11 + 2 * k]) for k in range(8)
+    ]
+    assert slots == HOT[:8]
+    assert rig.settings.mask.pixels == (*HOT, (300, 200))
+    saved = load_mask(rig.settings.parameters.hot_pixels_file)
+    assert set(saved.in_camera) == set(HOT[:8])
+    assert set(saved.pixels) == {*HOT, (300, 200)}
+    assert rig.reports
+
+
+def test_without_a_stream_the_mask_stays(rig, monkeypatch):
+    monkeypatch.setattr(driver_services, 'MARGIN_S', 0.1)
+    rig.settings.use_mask(PixelMask([(300, 200)]), rig.camera.apply)
+    rig.camera.open()
+    rig.decode(lambda: None)
+    answer = rig.node.call('~/find_hot_pixels')
+    assert not answer.success
+    assert '/diagnostics' in answer.message
+    assert rig.fake.registers[1, 12] == 300
+    assert rig.settings.mask.pixels == ((300, 200),)
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_counting(rig):
+    rig.settings.parameters = replace(rig.settings.parameters, hot_pixels_file='/none/mask.png')
+    rig.decode(lambda: None)
+    answer = rig.node.call('~/find_hot_pixels')
+    assert not answer.success
+    assert '/none/mask.png' in answer.message
+
+
+def frame(start_us):
+    return Frame(
+        np.zeros((1, 1), np.uint16),
+        0,
+        0,
+        start_us,
+        start_us,
+        start_us + 10,
+        0,
+        0,
+        global_shutter=True,
+    )
+
+
+def answer_requests(rig):
+    if ('many', 2) in rig.fake.log:
+        rig.services.watch_frame(frame(rig.time_us), 5_000_000)
+    rig.services.watch_events(Events.empty(), rig.time_us + 5_000_000)
+
+
+def test_a_snapshot_is_asked_for_and_awaited(rig):
+    rig.camera.open()
+    rig.decode(lambda: answer_requests(rig))
+    answer = rig.node.call('~/snapshot')
+    assert answer.success, answer.message
+    assert answer.message.startswith('frame of 5.')
+
+
+def test_a_snapshot_that_does_not_come_is_an_error(rig, monkeypatch):
+    monkeypatch.setattr(driver_services, 'MARGIN_S', 0.1)
+    rig.camera.open()
+    rig.decode(lambda: None)
+    answer = rig.node.call('~/snapshot')
+    assert not answer.success
+    assert 'no frame within' in answer.message
+
+
+def test_a_closed_camera_is_named(rig):
+    rig.decode(lambda: None)
+    for name in ('~/snapshot', '~/reset_timestamps'):
+        answer = rig.node.call(name)
+        assert not answer.success
+        assert 'camera' in answer.message
+
+
+def test_frames_exposed_before_do_not_count():
+    waiting = NextFrame(1000)
+    waiting.add(frame(100), 899)
+    assert not waiting.done.is_set()
+    waiting.add(frame(100), 900)
+    assert (waiting.done.is_set(), waiting.stamp_us) == (True, 1005)

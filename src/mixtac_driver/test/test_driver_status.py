@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What the driver says of itself, with a fake camera."""
+
+from __future__ import annotations
+
+from collections import Counter
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip('diagnostic_msgs.msg')
+
+from davis_fake import FakeBackend, FakeCamera
+
+from mixtac_driver.camera import Davis346
+from mixtac_driver.driver_meters import DriverMeters
+from mixtac_driver.driver_parameters import DriverParameters
+from mixtac_driver.driver_settings import DriverSettings
+from mixtac_driver.driver_status import DriverStatus
+from mixtac_driver.pixel_mask import PixelMask
+from mixtac_driver.supervisor import State
+from mixtac_node.diagnostics import ERROR, OK, WARN
+
+
+@pytest.fixture
+def fake():
+    return FakeCamera(registers={(1, 84): 1000})
+
+
+@pytest.fixture
+def camera(fake):
+    with Davis346(backend=FakeBackend(fake)) as camera:
+        yield camera
+
+
+@pytest.fixture
+def supervisor():
+    return SimpleNamespace(
+        state=State.STREAMING, error='', failures=2, failures_by_kind=Counter(UsbError=2),
+        reconnects=1, outage_s=0.25, quiet_s=0.0,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def status(camera, supervisor):
+    settings = DriverSettings(DriverParameters())
+    settings.use_mask(PixelMask([(1, 1), (2, 2)]), lambda _configuration: None)
+    return DriverStatus('davis346', camera, supervisor, settings, DriverMeters())
+
+
+def test_a_sound_stream_is_ok_and_told_in_figures(status):
+    said = status.status()
+    assert (said.level, said.message) == (OK, 'streaming')
+    values = said.values
+    assert (values['serial'], values['firmware'], values['logic']) == ('00000123', '0.6', '18.1')
+    assert (values['pixels masked'], values['events masked on the host']) == (2, 0)
+    assert values['camera dvs dropped'] == 0
+    assert (values['failures UsbError'], values['reconnects']) == (2, 1)
+    assert 'temperature [C]' not in values
+
+
+def test_what_the_camera_dropped_is_a_warning_until_it_stops(status, fake):
+    assert status.status().level == OK
+    fake.registers[0, 84] = 5
+    said = status.status()
+    assert said.level == WARN
+    assert 'camera dropped' in said.message
+    assert status.status().level == OK
+
+
+def test_no_stream_is_an_error_with_its_reason(status, supervisor, camera):
+    supervisor.state, supervisor.error = State.WAITING, 'the camera was unplugged'
+    camera.close()
+    said = status.status()
+    assert (said.level, said.message) == (ERROR, 'the camera was unplugged')
+    assert said.values['serial'] == '00000123'
+    assert 'camera dvs dropped' not in said.values
+
+
+def test_an_outage_between_two_reports_is_a_warning_once(status, supervisor):
+    assert status.status().level == OK
+    supervisor.reconnects += 1
+    assert status.status().level == WARN
+    assert status.status().level == OK
+
+
+def test_a_stream_that_brings_nothing_is_an_error(status, supervisor):
+    supervisor.quiet_s = 7.0
+    assert status.status().level == ERROR
+    assert 'no data for 7 s' in status.status().message
+
+
+def test_the_end_of_a_recording_is_no_error(status, supervisor):
+    supervisor.state = State.ENDED
+    assert status.status().level == OK

@@ -1,0 +1,244 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What is published for whom, with a node that keeps messages."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+pytest.importorskip('event_camera_msgs.msg')
+pytest.importorskip('mixtac_msgs.msg')
+
+from davis_fake import FakeBackend, FakeCamera
+from sensor_msgs.msg import CameraInfo
+from sensor_msgs.srv import SetCameraInfo
+
+from mixtac_driver import edge_publisher, messages
+from mixtac_driver.calibration.camera_calibration import CameraCalibration
+from mixtac_driver.calibration.camera_info_file import write_camera_info
+from mixtac_driver.camera import Davis346
+from mixtac_driver.device_parameters import DeviceParameters
+from mixtac_driver.driver_meters import DriverMeters
+from mixtac_driver.driver_parameters import DriverParameters
+from mixtac_driver.edge_publisher import EdgePublisher
+from mixtac_driver.event_publisher import EventPublisher
+from mixtac_driver.frame_publisher import FramePublisher
+from mixtac_driver.inertial_publisher import InertialPublisher
+from mixtac_driver.readings import Edges, Frame, InertialSamples
+from mixtac_driver.rectified_publisher import RectifiedPublisher
+from mixtac_events.arrays import Events
+from mixtac_events.codec import decode_message
+from mixtac_node.base_node import stamp_to_us
+
+ORIGIN_US = 1_760_000_000_000_000
+
+
+class Publisher:
+    """Keeps what is published."""
+
+    def __init__(self):
+        self.listeners = 0
+        self.sent = []
+
+    def get_subscription_count(self):
+        return self.listeners
+
+    def publish(self, message):
+        self.sent.append(message)
+
+
+class Node:
+    """Makes publishers that keep messages."""
+
+    def __init__(self):
+        self.topics = {}
+        self.services = []
+
+    def create_service(self, _kind, name, call):
+        self.services.append((name, call))
+
+    def get_logger(self):
+        return logging.getLogger('driver')
+
+    def create_publisher(self, _kind, topic, _qos):
+        return self.topics.setdefault(topic, Publisher())
+
+
+@pytest.fixture
+def node():
+    return Node()
+
+
+@pytest.fixture(scope='module')
+def identity():
+    with Davis346(backend=FakeBackend(FakeCamera())) as camera:
+        return camera.identity
+
+
+def edges(count):
+    t = np.arange(count, dtype=np.int64)
+    return Edges(t, np.full(count, 3, np.uint8))
+
+
+def test_too_many_edges_are_dropped_and_counted(node, monkeypatch):
+    now_s = [0.0]
+    monkeypatch.setattr(edge_publisher.time, 'monotonic', lambda: now_s[0])
+    meters = DriverMeters()
+    publisher = EdgePublisher(node, 'cam', meters)
+    topic = node.topics['external_edges']
+    publisher.publish(edges(7), ORIGIN_US)
+    assert topic.sent == []
+    topic.listeners = 1
+    publisher.publish(edges(3), ORIGIN_US)
+    assert [message.seq for message in topic.sent] == [7, 8, 9]
+    assert [stamp_to_us(m.header.stamp) - ORIGIN_US for m in topic.sent] == [0, 1, 2]
+    assert meters.edges_dropped == 0
+    publisher.publish(edges(10_000), ORIGIN_US)
+    assert len(topic.sent) == edge_publisher.BURST
+    assert meters.edges_dropped == 10_003 - edge_publisher.BURST
+    now_s[0] = 0.1
+    publisher.publish(edges(1000), ORIGIN_US)
+    assert len(topic.sent) == edge_publisher.BURST + edge_publisher.MOST_PER_SECOND / 10
+    assert topic.sent[-1].seq == 10 + 10_000 + 199
+    assert meters.edges.total == 11_010
+
+
+def samples(count, temperature=30.0):
+    t = np.arange(count, dtype=np.int64) * 1000
+    return InertialSamples(
+        t, np.zeros((count, 3)), np.zeros((count, 3)), np.full(count, temperature)
+    )
+
+
+def test_temperature_comes_ten_times_a_second(node):
+    publisher = InertialPublisher(node, 'imu')
+    node.topics['temperature'].listeners = 1
+    for k in range(50):
+        publisher.publish(samples(10), ORIGIN_US + 10_000 * k)
+    sent = node.topics['temperature'].sent
+    times = [stamp_to_us(message.header.stamp) for message in sent]
+    assert np.diff(times).tolist() == [100_000] * 4
+    assert sent[0].temperature == 30.0
+    assert node.topics['imu'].sent == []
+    publisher.publish(samples(1, np.nan), ORIGIN_US + 10**7)
+    assert len(sent) == 5
+
+
+@pytest.mark.parametrize('wanted', ['image_raw', 'camera_info', 'image_exposure', 'none', 'all'])
+def test_frames_are_made_only_for_those_who_listen(node, identity, monkeypatch, wanted):
+    made = []
+    convert = messages.image
+    monkeypatch.setattr(messages, 'image', lambda *args: made.append(1) or convert(*args))
+    publisher = FramePublisher(node, 'cam', lambda info: info)
+    for name, topic in node.topics.items():
+        topic.listeners = wanted in {name, 'all'}
+    image = np.zeros((260, 346), np.uint16)
+    publisher.publish(
+        Frame(image, 0, 0, 0, 10, 20, 30, 0, global_shutter=True), ORIGIN_US, identity
+    )
+    sent = {name for name, topic in node.topics.items() if topic.sent}
+    assert sent == (set(node.topics) if wanted == 'all' else {wanted} - {'none'})
+    assert len(made) == (wanted in {'image_raw', 'all'})
+    headers = [topic.sent[0].header for topic in node.topics.values() if topic.sent]
+    assert all(stamp_to_us(header.stamp) == ORIGIN_US + 15 for header in headers)
+
+
+def test_packets_after_a_pause_begin_where_the_stream_is(node):
+    meters = DriverMeters()
+    publisher = EventPublisher(node, DeviceParameters(), meters)
+    topic = node.topics['events']
+    assert not publisher.wanted
+    topic.listeners = 1
+    assert publisher.wanted
+
+    def publish(start_us):
+        for t_us in range(start_us, start_us + 5000, 500):
+            xy = np.array([1], np.uint16)
+            events = Events(np.array([t_us]), xy, xy, np.array([True]))
+            publisher.publish(events, t_us + 400, t_us * 1000, 0, (346, 260))
+
+    publish(ORIGIN_US)
+    before = len(topic.sent)
+    publisher.restart()
+    publish(ORIGIN_US + 10**6)
+    decoded = [decode_message(message) for message in topic.sent]
+    assert [message.seq for message in topic.sent] == list(range(len(topic.sent)))
+    assert decoded[before].events.t[0] == ORIGIN_US + 10**6
+    ends = [each.complete_until for each in decoded]
+    assert ends == sorted(ends)
+    assert meters.packets.total == len(topic.sent)
+
+
+def board(tmp_path):
+    """Write a calibration whose undistorted pixels are the raw ones shifted by (10, 5)."""
+    path = tmp_path / 'davis346.yaml'
+    camera = np.array([[200.0, 0.0, 170.0], [0.0, 200.0, 130.0], [0.0, 0.0, 1.0]])
+    projection = np.hstack([camera, np.zeros((3, 1))])
+    projection[0, 2] += 10.0
+    projection[1, 2] += 5.0
+    write_camera_info(
+        path,
+        CameraCalibration(
+            'davis346', 346, 260, 'plumb_bob', np.zeros(5), camera, np.eye(3), projection
+        ),
+    )
+    return str(path)
+
+
+def rectified(node, tmp_path, **wanted):
+    p = DriverParameters(camerainfo_url=board(tmp_path), **wanted)
+    return RectifiedPublisher(node, p)
+
+
+def test_undistorted_topics_exist_only_where_they_are_asked_for(node, tmp_path):
+    rectified(node, tmp_path)
+    assert set(node.topics) == set()
+    rectified(node, tmp_path, undistort_frames=True, undistort_events=True)
+    assert set(node.topics) == {'image_rect', 'events_rect'}
+
+
+def test_events_and_frames_come_at_undistorted_pixels(node, identity, tmp_path):
+    publisher = rectified(node, tmp_path, undistort_frames=True, undistort_events=True)
+    publisher.use((346, 260))
+    for topic in node.topics.values():
+        topic.listeners = 1
+    t = np.arange(3, dtype=np.int64)
+    x, y = np.array([20, 340, 0], np.uint16), np.array([30, 30, 0], np.uint16)
+    events = Events(t, x, y, np.array([True, True, False]))
+    publisher.publish_events(events, ORIGIN_US + 1, 0, ORIGIN_US, (346, 260))
+    publisher.publish_events(Events.empty(), ORIGIN_US + 2000, 0, ORIGIN_US, (346, 260))
+    got = decode_message(node.topics['events_rect'].sent[0]).events
+    assert list(zip(got.x.tolist(), got.y.tolist(), strict=True)) == [(30, 35), (10, 5)]
+    assert got.t[0] == ORIGIN_US
+    image = np.zeros((260, 346), np.uint16)
+    image[30, 20] = 1000
+    publisher.publish_frame(
+        Frame(image, 0, 0, 0, 10, 20, 30, 0, global_shutter=True), ORIGIN_US, identity
+    )
+    message = node.topics['image_rect'].sent[0]
+    pixels = np.frombuffer(message.data, np.uint16).reshape(260, 346)
+    assert np.unravel_index(pixels.argmax(), pixels.shape) == (35, 30)
+    assert message.encoding == 'mono16'
+    assert stamp_to_us(message.header.stamp) == ORIGIN_US + 15
+
+
+def test_camera_info_carries_the_calibration_and_the_service_replaces_it(node, tmp_path):
+    publisher = rectified(node, tmp_path)
+    name, save = node.services[0]
+    assert name == '~/set_camera_info'
+    request, response = SetCameraInfo.Request(), SetCameraInfo.Response()
+    assert not save(request, response).success
+    assert 'no camera' in response.status_message
+    publisher.use((346, 260))
+    info = publisher.complete(CameraInfo())
+    assert info.k[0] == 200.0
+    request.camera_info = info
+    request.camera_info.k[0] = 210.0
+    assert save(request, response).success, response.status_message
+    assert publisher.complete(CameraInfo()).k[0] == 210.0
+    request.camera_info.width = 640
+    assert not save(request, response).success
+    assert '640' in response.status_message

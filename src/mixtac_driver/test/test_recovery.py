@@ -1,0 +1,293 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What each failure of the bus, the camera or its data leads to."""
+
+from __future__ import annotations
+
+import errno
+import random
+import threading
+import time
+from array import array
+
+import pytest
+import usb.util
+from davis_fake import FakeBackend, FakeCamera
+from hypothesis import given
+from hypothesis import strategies as st
+from usb.core import USBError, USBTimeoutError
+
+from mixtac_driver import connection as connection_module
+from mixtac_driver.backend import attached_cameras, find_camera
+from mixtac_driver.camera import Davis346
+from mixtac_driver.clock_jump import JUMP_US, JumpGuard
+from mixtac_driver.configuration import Configuration
+from mixtac_driver.connection import Connection
+from mixtac_driver.errors import (
+    AccessError,
+    BusError,
+    DisconnectedError,
+    DriverError,
+    InUseError,
+    NoAnswerError,
+    NoCameraError,
+    StallError,
+    StreamError,
+    UsbError,
+)
+from mixtac_driver.protocol import Protocol, usb_failure
+from mixtac_driver.recovery_parameters import RecoveryParameters, recovery_settings
+from mixtac_driver.recovery_settings import Backoff, RecoveryPolicy, RecoverySettings
+from mixtac_driver.registers import Write
+from mixtac_node.parameters import ParameterError, build, specs
+
+
+@pytest.mark.parametrize(
+    ('number', 'kind', 'words'),
+    [
+        (errno.ENODEV, DisconnectedError, 'unplugged'),
+        (errno.ENOENT, DisconnectedError, 'unplugged'),
+        (errno.EACCES, AccessError, '65-mixtac.rules'),
+        (errno.EPERM, AccessError, '65-mixtac.rules'),
+        (errno.EBUSY, InUseError, 'stop the other program'),
+        (errno.EPIPE, StallError, 'stall'),
+        (errno.ETIMEDOUT, NoAnswerError, 'no answer'),
+        (errno.EOVERFLOW, BusError, 'more than was asked'),
+        (errno.EIO, BusError, 'cable'),
+        (errno.ENOMEM, UsbError, 'what pyusb said'),
+        (None, UsbError, 'what pyusb said'),
+    ],
+)
+def test_each_error_of_the_bus_has_its_kind_and_remedy(number, kind, words):
+    failure = usb_failure(USBError('what pyusb said', None, number), 'reading data')
+    assert type(failure) is kind
+    assert words in str(failure)
+    assert 'reading data' in str(failure)
+
+
+class Device:
+    """Answers requests with what it is told, in turn."""
+
+    def __init__(self, *answers):
+        self.answers = list(answers)
+        self.asked = []
+
+    def ctrl_transfer(self, *request):
+        self.asked.append(request)
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+def late():
+    return USBTimeoutError('late', -7, errno.ETIMEDOUT)
+
+
+def test_requests_that_may_be_repeated_are_tried_once_more():
+    device = Device(late(), b'\0\0\0\7', late(), 4)
+    protocol = Protocol(device)
+    assert protocol.read(6, 0) == 7
+    protocol.write(5, 1, 9)
+    assert protocol.retries == 2
+    assert device.asked[0] == device.asked[1]
+    assert device.asked[2] == device.asked[3]
+
+
+def test_they_are_not_tried_a_third_time():
+    protocol = Protocol(Device(late(), late(), b'\0\0\0\7'))
+    with pytest.raises(NoAnswerError, match='register 6:0'):
+        protocol.read(6, 0)
+
+
+def test_many_writes_at_once_are_never_repeated():
+    device = Device(late(), 12)
+    with pytest.raises(NoAnswerError):
+        Protocol(device).write_at_once([Write(0, 2, 1), Write(0, 2, 0)])
+    assert len(device.asked) == 1
+
+
+def test_other_failures_are_not_repeated():
+    device = Device(USBError('stall', -9, errno.EPIPE), b'\0\0\0\7')
+    with pytest.raises(StallError):
+        Protocol(device).read(6, 0)
+    assert len(device.asked) == 1
+
+
+@pytest.mark.parametrize(
+    ('serial', 'preferred', 'got'),
+    [('B', 'A', 'B'), ('', 'A', 'A'), ('', 'B', 'B'), ('', 'C', None), ('C', 'A', None)],
+)
+def test_camera_is_chosen_by_serial_then_by_what_it_was_before(serial, preferred, got):
+    cameras = FakeCamera('A'), FakeCamera('B')
+    if got is None:
+        with pytest.raises(NoCameraError, match='A, B'):
+            find_camera(FakeBackend(*cameras), 'davis346', serial, preferred)
+    else:
+        camera, number = find_camera(FakeBackend(*cameras), 'davis346', serial, preferred)
+        assert number == camera.serial_number == got
+        usb.util.dispose_resources(camera)
+    assert [camera.handles for camera in cameras] == [0, 0]
+
+
+def test_another_single_camera_is_taken_where_the_former_is_gone():
+    camera, number = find_camera(FakeBackend(FakeCamera('B')), 'davis346', '', 'A')
+    assert number == 'B'
+    usb.util.dispose_resources(camera)
+
+
+def test_camera_that_may_not_be_opened_does_not_hide_the_wanted_one():
+    broken, wanted = FakeCamera('A'), FakeCamera('B')
+    broken.open_error = USBError('busy', -6, errno.EBUSY)
+    backend = FakeBackend(broken, wanted)
+    camera, number = find_camera(backend, 'davis346', 'B')
+    assert number == 'B'
+    usb.util.dispose_resources(camera)
+    with pytest.raises(InUseError):
+        find_camera(backend, 'davis346', 'A')
+
+
+def test_attached_cameras_are_seen_without_opening_any():
+    camera = FakeCamera()
+    camera.open_error = USBError('no', -3, errno.EACCES)
+    assert attached_cameras('davis346', FakeBackend(camera)) == {(1, 1)}
+    assert attached_cameras('davis346', FakeBackend()) == frozenset()
+    assert attached_cameras('nonsense') == frozenset()
+
+
+class HungBackend(FakeBackend):
+    """A camera whose reads return only after the port was reset, or not even then."""
+
+    def __init__(self, camera, *, resets_work):
+        super().__init__(camera)
+        self.released = threading.Event()
+        self.resets_work = resets_work
+        self.resets = 0
+
+    def bulk_read(self, handle, ep, intf, buff, timeout):
+        self.released.wait(20)
+        raise USBError('reset', -1, errno.EIO)
+
+    def reset_device(self, handle):
+        self.resets += 1
+        if self.resets_work:
+            self.released.set()
+
+
+def read_in_thread(connection):
+    def read():
+        with pytest.raises(USBError):
+            connection.read_data(array('B', bytes(64)), 100)
+
+    thread = threading.Thread(target=read, daemon=True)
+    thread.start()
+    time.sleep(0.02)
+    return thread
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    monkeypatch.setattr(connection_module, 'LAST_READ_S', 0.02)
+    monkeypatch.setattr(connection_module, 'STUCK_READ_S', 0.1)
+    monkeypatch.setattr(connection_module, '_abandoned', [])
+
+
+def test_read_that_never_returns_is_ended_by_a_reset_of_the_port(impatient):
+    camera = FakeCamera()
+    backend = HungBackend(camera, resets_work=True)
+    connection = Connection('davis346', backend=backend)
+    thread = read_in_thread(connection)
+    connection.close()
+    thread.join(5.0)
+    assert not thread.is_alive()
+    assert (backend.resets, camera.handles, camera.claimed) == (1, 0, False)
+
+
+def test_handle_below_a_read_that_not_even_a_reset_ends_is_left_alone(impatient):
+    camera = FakeCamera()
+    backend = HungBackend(camera, resets_work=False)
+    connection = Connection('davis346', backend=backend)
+    thread = read_in_thread(connection)
+    connection.close()
+    assert (camera.handles, camera.claimed) == (1, True)
+    with pytest.raises(InUseError, match='restart the driver'):
+        Connection('davis346', backend=backend)
+    backend.released.set()
+    thread.join(5.0)
+
+
+@pytest.mark.parametrize('seed', range(30))
+def test_registers_that_read_as_garbage_are_refused_in_clear_words(seed):
+    rng = random.Random(seed)
+    garbage = {}
+    real = FakeCamera().registers
+    # Some are left as they are, so that not always the first one is refused.
+    for address, value in real.items():
+        garbage[address] = value if rng.random() < 0.8 else rng.getrandbits(32)
+    fake = FakeCamera(registers=garbage)
+    camera = Davis346(backend=FakeBackend(fake))
+    try:
+        camera.open()
+    except DriverError as error:
+        assert len(str(error).splitlines()) == 1  # noqa: PT017 - not every garbage is refused
+    camera.close()
+    assert fake.handles == 0
+
+
+def test_settings_changed_while_the_camera_was_away_are_there_after_it_is_opened_again():
+    fake = FakeCamera()
+    camera = Davis346(backend=FakeBackend(fake))
+    camera.open()
+    camera.apply(Configuration(aps_exposure_us=9000, skip_events_every=7))
+    before = {address: value for address, value in fake.registers.items() if address[0] != 6}
+    camera.close()
+    fake.registers = dict(FakeCamera().registers)
+    camera.apply(Configuration(aps_exposure_us=9000, skip_events_every=8))
+    camera.open()
+    after = dict(fake.registers)
+    assert after[1, 52] == 8
+    assert {**before, (1, 52): 8} == {a: v for a, v in after.items() if a[0] != 6}
+    camera.close()
+
+
+def test_pauses_double_up_to_a_bound_and_begin_again():
+    backoff = Backoff(0.1, 0.5)
+    assert [backoff.next() for _ in range(5)] == [0.1, 0.2, 0.4, 0.5, 0.5]
+    backoff.reset()
+    assert backoff.next() == 0.1
+    assert Backoff(2.0, 0.5).next() == 0.5
+
+
+def test_parameters_name_the_policies():
+    assert recovery_settings(RecoveryParameters()) == RecoverySettings()
+    stop = build(RecoveryParameters, {'recovery_policy': 'fail_stop', 'recovery_give_up_after': 3})
+    assert recovery_settings(stop).policy is RecoveryPolicy.FAIL_STOP
+    assert recovery_settings(stop).gives_up(3.0)
+    assert not recovery_settings(stop).gives_up(2.9)
+    assert not RecoverySettings().gives_up(1e9)
+    assert all(spec.read_only for spec in specs(RecoveryParameters))
+    with pytest.raises(ParameterError, match='reconnect, fail_stop'):
+        build(RecoveryParameters, {'recovery_policy': 'hope'})
+
+
+@given(
+    st.floats(-500e-6, 500e-6),
+    st.lists(st.tuples(st.integers(0, 10**7), st.integers(0, 10**8)), max_size=200),
+)
+def test_late_data_and_slow_or_fast_clocks_are_no_jump(rate, steps):
+    guard = JumpGuard()
+    guard.restart(1000)
+    time_us = 0
+    for step_us, late_us in steps:
+        time_us += step_us
+        guard.check(time_us + int(time_us * rate), time_us + late_us)
+
+
+@given(st.integers(0, 10**12), st.integers(JUMP_US + 1000, 10**15))
+def test_data_from_the_future_are_a_jump(time_us, ahead_us):
+    guard = JumpGuard()
+    guard.restart(100)
+    guard.check(time_us, time_us + 500)
+    with pytest.raises(StreamError, match='ahead'):
+        guard.check(time_us + ahead_us, time_us + 600)
+    guard.check(time_us + 100, time_us + 600)

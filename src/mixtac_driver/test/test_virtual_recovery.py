@@ -1,0 +1,228 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Every fault of the virtual camera against camera and supervisor: named, survived, restored."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip('mixtac_sim.usb.device')
+
+from virtual_scene import Scene
+
+from mixtac_driver.camera import Davis346
+from mixtac_driver.configuration import Configuration
+from mixtac_driver.errors import UsbError
+from mixtac_driver.register_writes import register_writes
+from mixtac_driver.stream import StreamSettings
+from mixtac_driver.supervisor import State, Supervisor
+from mixtac_sim.usb.faults import Fault, FaultKind
+from mixtac_sim.usb.in_process import in_process_backend
+from mixtac_sim.usb.server import UsbServer
+
+GARBAGE_WRAP = 0x7FFF
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    monkeypatch.setattr('mixtac_driver.sequences.BIASES_SETTLE_S', 0.01)
+    monkeypatch.setattr('mixtac_driver.sequences.LOGIC_SETTLE_S', 0.01)
+    monkeypatch.setattr('mixtac_driver.protocol.CONTROL_TIMEOUT_MS', 50)
+
+
+class Rig:
+    """A scene, a camera on it, a supervisor, and everything that was published."""
+
+    def __init__(self, serve=None, device='davis346'):
+        self.scene = Scene()
+        self.device = self.scene.device
+        self.server = serve(self.device) if serve else None
+        self.times, self.errors, self.starts = [], [], []
+        backend = None if serve else in_process_backend(self.device)
+        stream = StreamSettings(silence_s=0.8)
+        self.camera = Davis346(device, backend=backend, stream=stream)
+        self.supervisor = Supervisor(
+            self.camera,
+            on_start=lambda: self.starts.append(len(self.times)),
+            on_batch=lambda batch: self.times.append(batch.time_us),
+            on_error=self.errors.append,
+        )
+        self.supervisor.start()
+        self.wait_for_stream()
+
+    def wait_until(self, condition, seconds=15.0):
+        deadline = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < deadline, (self.supervisor.state, self.errors)
+            time.sleep(0.002)
+
+    def wait_for_stream(self):
+        before = len(self.times)
+        self.wait_until(lambda: len(self.times) > before + 5)
+
+    def check(self):
+        """Stop, and look whether everything is as it should be."""
+        writes = register_writes(self.camera.control.configuration, self.camera.identity)
+        wanted = {(write.module, write.parameter): write.value for write in writes}
+        assert {address: self.device.register(*address) for address in wanted} == wanted
+        assert self.times == sorted(self.times)
+        assert self.supervisor.state is State.STREAMING
+
+    def close(self):
+        assert self.supervisor.stop()
+        self.scene.close()
+        if self.server:
+            self.server.close()
+
+
+@pytest.fixture
+def rig():
+    rig = Rig()
+    yield rig
+    rig.close()
+
+
+@pytest.mark.parametrize(
+    ('fault', 'kind'),
+    [
+        (Fault(FaultKind.UNPLUG, seconds=0.2), 'DisconnectedError'),
+        (Fault(FaultKind.STALL_DATA, seconds=0.1), 'StallError'),
+        (Fault(FaultKind.STALL_DATA, count=15), 'StallError'),
+        (Fault(FaultKind.FREEZE), 'StreamError'),
+        (Fault(FaultKind.FREEZE, seconds=1.2), 'StreamError'),
+        (Fault(FaultKind.BABBLE, count=1), 'BusError'),
+        (Fault(FaultKind.READ_ERROR, count=3), 'BusError'),
+    ],
+)
+def test_failures_that_end_a_stream_are_named_and_the_stream_comes_back(rig, fault, kind):
+    rig.camera.apply(dataclasses.replace(Configuration(), aps_exposure_us=7777))
+    rig.device.inject(fault)
+    rig.wait_until(lambda: rig.supervisor.failures)
+    rig.wait_until(lambda: rig.supervisor.reconnects and not rig.supervisor.error)
+    rig.wait_for_stream()
+    assert kind in rig.supervisor.failures_by_kind
+    assert rig.errors
+    assert rig.device.exposure_us == 7777
+    rig.check()
+
+
+@pytest.mark.parametrize(
+    'fault',
+    [
+        Fault(FaultKind.STALL_DATA, count=3),
+        Fault(FaultKind.SHORT_READS, seconds=0.2),
+        Fault(FaultKind.DROP_BYTES, size=5001),
+        Fault(FaultKind.FREEZE, seconds=0.1),
+        Fault(FaultKind.HANG_READS, seconds=0.2),
+        Fault(FaultKind.CLOCK_RESET),
+    ],
+)
+def test_lesser_faults_do_not_end_the_stream(rig, fault):
+    rig.device.inject(fault)
+    time.sleep(0.25)
+    rig.wait_for_stream()
+    assert rig.supervisor.failures == 0
+    assert len(rig.starts) == 1
+    assert rig.camera.transport_counters.stalls == (3 if fault.kind is FaultKind.STALL_DATA else 0)
+    assert rig.camera.clock_resets == (fault.kind is FaultKind.CLOCK_RESET)
+    rig.check()
+
+
+def test_time_that_garbage_threw_ahead_is_not_published(rig):
+    rig.device.feed(np.array([GARBAGE_WRAP], np.uint16))
+    rig.wait_until(lambda: rig.supervisor.reconnects)
+    rig.wait_for_stream()
+    assert 'ahead' in rig.errors[0]
+    assert rig.times[-1] < time.time_ns() // 1000 + 1_000_000
+    rig.check()
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_garbage_is_survived(rig, seed):
+    rig.device.inject(Fault(FaultKind.GARBAGE_WORDS, size=4000, seed=seed))
+    rig.wait_for_stream()
+    rig.wait_until(lambda: not rig.supervisor.error)
+    rig.wait_for_stream()
+    rig.check()
+
+
+@pytest.mark.parametrize(
+    ('kind', 'name'),
+    [
+        (FaultKind.STALL_CONTROL, 'StallError'),
+        (FaultKind.TIMEOUT_CONTROL, 'NoAnswerError'),
+        (FaultKind.GARBAGE_REGISTERS, 'UnsupportedCameraError'),
+    ],
+)
+def test_camera_that_is_ill_when_plugged_in_is_opened_when_it_is_well(rig, kind, name):
+    rig.device.unplug()
+    rig.wait_until(lambda: rig.supervisor.failures)
+    rig.device.plug_in()
+    rig.device.inject(Fault(kind))
+    rig.wait_until(lambda: name in rig.supervisor.failures_by_kind)
+    assert rig.supervisor.state is not State.STREAMING
+    rig.device.inject(Fault(FaultKind.CLEAR))
+    rig.wait_for_stream()
+    rig.check()
+
+
+def test_camera_that_another_program_took_is_opened_when_it_is_free(rig):
+    rig.device.unplug()
+    rig.wait_until(lambda: rig.supervisor.failures)
+    rig.device.plug_in()
+    rig.device.claim('another program')
+    rig.wait_until(lambda: 'InUseError' in rig.supervisor.failures_by_kind)
+    assert 'stop the other program' in rig.supervisor.error
+    rig.device.release('another program')
+    rig.wait_for_stream()
+    rig.check()
+
+
+def test_another_camera_in_its_place_is_taken_and_identified(rig):
+    rig.device.inject(Fault(FaultKind.UNPLUG, seconds=0.1, serial='V0000099'))
+    rig.wait_until(lambda: rig.supervisor.reconnects)
+    assert rig.camera.identity.serial == 'V0000099'
+    rig.check()
+
+
+def test_camera_whose_requests_find_no_answer_is_opened_anew(rig):
+    rig.device.inject(Fault(FaultKind.TIMEOUT_CONTROL))
+    with pytest.raises(UsbError, match='no answer'):
+        rig.camera.apply(dataclasses.replace(Configuration(), aps_exposure_us=9999))
+    rig.wait_until(lambda: 'NoAnswerError' in rig.supervisor.failures_by_kind)
+    rig.device.inject(Fault(FaultKind.CLEAR))
+    rig.wait_until(lambda: rig.supervisor.reconnects)
+    assert rig.camera.control.configuration.aps_exposure_us == 4000
+    rig.check()
+
+
+def test_one_lost_answer_is_made_good_by_asking_again(rig):
+    rig.device.inject(Fault(FaultKind.TIMEOUT_CONTROL, count=1))
+    rig.camera.apply(dataclasses.replace(Configuration(), aps_exposure_us=9999))
+    rig.wait_for_stream()
+    assert rig.supervisor.failures == 0
+    rig.check()
+
+
+def test_server_that_does_not_answer_counts_as_unplugged(tmp_path, monkeypatch):
+    monkeypatch.setattr('mixtac_sim.usb.backend._GRACE_S', 0.1)
+    path = str(tmp_path / 'camera.sock')
+    rig = Rig(lambda device: UsbServer(device, path), device=f'virtual:{path}')
+    rig.device.inject(Fault(FaultKind.HANG_READS, seconds=0.8))
+    rig.wait_until(lambda: 'DisconnectedError' in rig.supervisor.failures_by_kind)
+    rig.wait_until(lambda: rig.supervisor.reconnects)
+    rig.wait_for_stream()
+    rig.check()
+    rig.close()
+
+
+def test_reads_that_hang_are_seen_and_do_not_keep_stop_from_returning(rig, monkeypatch):
+    monkeypatch.setattr('mixtac_driver.supervisor.STOP_TIMEOUT_S', 0.3)
+    rig.device.inject(Fault(FaultKind.HANG_READS))
+    rig.wait_until(lambda: rig.supervisor.quiet_s > 0.5)
+    assert not rig.supervisor.stop()
+    rig.device.inject(Fault(FaultKind.CLEAR))

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The file `dataset.yaml` beside the bags of a data set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import yaml
+
+from mixtac_sim.datasets.generator import generator_digest, generator_version
+from mixtac_sim.datasets.trial_spec import TrialSpec
+from mixtac_sim.errors import SimulationError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FILE_NAME: Final = 'dataset.yaml'
+SCHEMA: Final = 'mixtac-dataset'
+SCHEMA_VERSION: Final = 1
+_SETTINGS: Final = ('name', 'seed', 'preset', 'split_by', 'complete', 'generator')
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetDescription:
+    """What a data set is and what it is made of.
+
+    Attributes:
+        name: Name of the data set or of its profile.
+        seed: Seed that its trials were planned with.
+        preset: How hard the effects are.
+        split_by: `trial` or `device`.
+        trials: Its trials; each has a bag of its name beside the file.
+        generator: Package, version and digest of the simulator.
+        complete: Whether all bags have been written.
+    """
+
+    name: str
+    seed: int
+    preset: str
+    split_by: str
+    trials: tuple[TrialSpec, ...]
+    generator: dict[str, str]
+    complete: bool = False
+
+    @staticmethod
+    def of_simulator(
+        name: str, seed: int, preset: str, split_by: str, trials: list[TrialSpec]
+    ) -> DatasetDescription:
+        """Return the description of trials that this simulator is about to make."""
+        generator = {
+            'package': 'mixtac_sim',
+            'version': generator_version(),
+            'digest': generator_digest(),
+        }
+        return DatasetDescription(name, seed, preset, split_by, tuple(trials), generator)
+
+    def completed(self) -> DatasetDescription:
+        """Return the same with all bags written."""
+        return replace(self, complete=True)
+
+    def same_trials_as(self, other: DatasetDescription) -> bool:
+        """Return whether the bags of both would be the same, byte by byte."""
+        return self.trials == other.trials and self.generator == other.generator
+
+    def split(self, name: str) -> list[TrialSpec]:
+        """Return the trials of `train` or `test`."""
+        return [trial for trial in self.trials if trial.split == name]
+
+    def write(self, folder: Path) -> None:
+        """Write the file, in one step: a reader sees the old file or the new one.
+
+        Args:
+            folder: Folder of the data set.
+        """
+        document: dict[str, Any] = {'schema': SCHEMA, 'schema_version': SCHEMA_VERSION}
+        document['simulated'] = True
+        document |= {key: getattr(self, key) for key in _SETTINGS}
+        document['trials'] = [trial.to_dict() for trial in self.trials]
+        partial = folder / f'.{FILE_NAME}.partial'
+        partial.write_text(yaml.safe_dump(document, sort_keys=False), encoding='utf8')
+        partial.replace(folder / FILE_NAME)
+
+    @staticmethod
+    def read(folder: Path) -> DatasetDescription:
+        """Read the file of a data set.
+
+        Args:
+            folder: Folder of the data set.
+
+        Raises:
+            SimulationError: It is missing, damaged, or of another schema.
+        """
+        path = folder / FILE_NAME
+        try:
+            document = yaml.safe_load(path.read_text(encoding='utf8'))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise SimulationError(f'{path} cannot be read ({error}): name a data set') from error
+        if not isinstance(document, dict) or document.get('schema') != SCHEMA:
+            raise SimulationError(f'{path} does not describe a Mixtac data set')
+        if document.get('schema_version') != SCHEMA_VERSION:
+            raise SimulationError(
+                f'{path} has schema version {document.get("schema_version")}, this is for '
+                f'{SCHEMA_VERSION}: use the matching release, or generate it anew'
+            )
+        try:
+            trials = tuple(TrialSpec.from_dict(fields) for fields in document['trials'])
+            return DatasetDescription(trials=trials, **{key: document[key] for key in _SETTINGS})
+        except (KeyError, TypeError) as error:
+            raise SimulationError(f'{path} lacks {error}: generate it anew') from error

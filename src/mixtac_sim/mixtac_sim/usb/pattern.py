@@ -1,0 +1,203 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A stretch of camera stream that repeats for ever, encoded once: load without computation.
+
+For tests and benchmarks of whatever reads the camera: at each moment it is known which events were
+sent, and sending them costs a copy. The first event of every period is a marker at pixel
+`MARKER`, where no other event is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mixtac_events.arrays import Events
+from mixtac_sim.usb.aps_words import Frame, ReadoutSettings, frame_blocks
+from mixtac_sim.usb.imu_words import ImuReading, ImuSettings, imu_blocks
+from mixtac_sim.usb.registers import HEIGHT, WIDTH
+from mixtac_sim.usb.word_encoder import Blocks, WordEncoder
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+WRAP_US: Final = 0x8000
+STEP_US: Final = 32
+MARKER: Final = (0, 0)
+MARKER_US: Final = 64
+_RESET_LEVEL: Final = 900
+_EXPOSURE_US: Final = 4000
+_READOUT_US: Final = 6000
+_WRAP_WORD: Final = 0x7000
+_MAX_WRAPS: Final = 0xFFF
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pattern:
+    """Stream words of one period, and where each step of time ends in them.
+
+    Attributes:
+        words: ``uint16`` stream words; the last is the time wrap that ends the period.
+        ends: One past the last word of each step of `STEP_US` [int64].
+        events: Events of a period, on a clock [us] that is zero at its start.
+        frames: Frames per period.
+        readings: Inertial samples per period.
+    """
+
+    words: NDArray[np.uint16]
+    ends: NDArray[np.int64]
+    events: Events
+    frames: int
+    readings: int
+
+    @property
+    def period_us(self) -> int:
+        """Length of a period [us]."""
+        return len(self.ends) * STEP_US
+
+
+@dataclass(frozen=True, slots=True)
+class _Still:
+    """A frame that shows the same at all times."""
+
+    frame_start_us: int
+    reset: NDArray[np.uint16]
+    signal: NDArray[np.uint16]
+
+    @property
+    def exposure_start_us(self) -> int:
+        return self.frame_start_us + _READOUT_US
+
+    @property
+    def exposure_end_us(self) -> int:
+        return self.exposure_start_us + _EXPOSURE_US
+
+    @property
+    def frame_end_us(self) -> int:
+        return self.exposure_end_us + _READOUT_US
+
+
+def make_pattern(
+    events_per_s: float,
+    *,
+    events_per_row: float = 1.0,
+    frame_interval_us: int = 0,
+    reading_interval_us: int = 0,
+    wraps: int = 2,
+    seed: int = 0,
+) -> Pattern:
+    """Return a period of random events with frames and inertial samples between them.
+
+    Args:
+        events_per_s: Mean rate of events [1/s].
+        events_per_row: Mean number of events that share a row and a time.
+        frame_interval_us: Time between frames [us], 0 for none.
+        reading_interval_us: Time between inertial samples [us], 0 for none.
+        wraps: Length of the period in wraps of the camera's 15-bit time.
+        seed: Of the random events.
+    """
+    rng = np.random.default_rng(seed)
+    period_us = wraps * WRAP_US
+    events = _random_events(rng, events_per_s, events_per_row, period_us)
+    blocks, frames, readings = _readout(rng, frame_interval_us, reading_interval_us, period_us)
+    encoder = WordEncoder(inverted=True)
+    parts = []
+    for start in range(0, period_us, STEP_US):
+        until = start + STEP_US
+        due, blocks = blocks.split(until)
+        first, last = np.searchsorted(events.t, (start, until))
+        parts.append(encoder.encode(events[int(first) : int(last)], due, until).copy())
+    ends = np.cumsum([len(part) for part in parts], dtype=np.int64)
+    return Pattern(np.concatenate(parts), ends, events, frames, readings)
+
+
+def _random_events(
+    rng: np.random.Generator, events_per_s: float, events_per_row: float, period_us: int
+) -> Events:
+    wanted = max(int(events_per_s * period_us / 1e6) - 1, 0)
+    rows = max(int(wanted / events_per_row), 1)
+    sizes = rng.poisson(events_per_row - 1, rows) + 1
+    # Time 0 belongs to the wrap word of the period before; the marker comes first.
+    starts = np.sort(rng.integers(MARKER_US + 1, period_us, rows))
+    x = rng.integers(1, WIDTH, rows)
+    t, x = np.repeat(starts, sizes)[:wanted], np.repeat(x, sizes)[:wanted]
+    return Events(
+        np.concatenate(([MARKER_US], t)).astype(np.int64),
+        np.concatenate(([MARKER[0]], x)).astype(np.uint16),
+        np.concatenate(([MARKER[1]], rng.integers(0, HEIGHT, len(t)))).astype(np.uint16),
+        np.concatenate(([1], rng.integers(0, 2, len(t)))).astype(np.bool_),
+    )
+
+
+def _readout(
+    rng: np.random.Generator, frame_interval_us: int, reading_interval_us: int, period_us: int
+) -> tuple[Blocks, int, int]:
+    parts = []
+    frames = readings = 0
+    region = (0, 0, WIDTH - 1, HEIGHT - 1)
+    settings = ReadoutSettings(
+        region=region, exposure_cycles=120_960, global_shutter=True, orientation=4
+    )
+    length_us = 2 * _READOUT_US + _EXPOSURE_US
+    reset = np.full((HEIGHT, WIDTH), _RESET_LEVEL, np.uint16)
+    signal = rng.integers(1, _RESET_LEVEL, (HEIGHT, WIDTH)).astype(np.uint16)
+    for start in range(1000, period_us - length_us, frame_interval_us or period_us * 2):
+        if frame_interval_us:
+            frame: Frame = _Still(start, reset, signal)
+            times = (start, frame.exposure_start_us, frame.exposure_end_us, frame.frame_end_us)
+            parts.append(frame_blocks(frame, np.array(times, np.int64), settings))
+            frames += 1
+    unit = ImuSettings(accel=True, gyro=True, temperature=True, accel_scale=1, gyro_scale=1)
+    for start in range(500, period_us, reading_interval_us or period_us * 2):
+        if reading_interval_us:
+            reading = ImuReading(start, (0.0, -1.0, 0.0), (0.0, 0.0, 0.0), 30.0)
+            parts.append(imu_blocks(reading, start, unit))
+            readings += 1
+    return Blocks.merge(parts), frames, readings
+
+
+class PatternPlayer:
+    """Plays a pattern again and again in step with the camera clock.
+
+    Args:
+        pattern: The pattern.
+
+    Attributes:
+        periods_lost: Stretches that were left out because nobody took them in time.
+    """
+
+    def __init__(self, pattern: Pattern) -> None:
+        self.periods_lost = 0
+        self._pattern = pattern
+        self._step = 0
+
+    def due(self, camera_us: int) -> NDArray[np.uint16]:
+        """Return the words between the time of the last call and now.
+
+        Args:
+            camera_us: Camera clock now [us]; going back starts the pattern anew.
+        """
+        step = camera_us // STEP_US
+        if step < self._step:
+            self._step = 0
+        parts = []
+        steps = len(self._pattern.ends)
+        while self._step < step:
+            at = self._step % steps
+            last = min(at + step - self._step, steps)
+            start = self._pattern.ends[at - 1] if at else 0
+            parts.append(self._pattern.words[start : self._pattern.ends[last - 1]])
+            self._step += last - at
+        return np.concatenate(parts) if parts else self._pattern.words[:0]
+
+    def refused(self, words: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """Return what to send instead of words that found no room: the time they took.
+
+        Args:
+            words: What the last call of `due` returned.
+        """
+        self.periods_lost += 1
+        wraps = int(np.sum(words[words >> 12 == _WRAP_WORD >> 12] & _MAX_WRAPS))
+        return np.array([_WRAP_WORD | wraps] if wraps else [], np.uint16)

@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Named data sets: their numbers, their seeds, their splits."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import combinations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_sim.contact import Mode
+from mixtac_sim.datasets.plans import DATASETS, plan_dataset, plan_profile
+from mixtac_sim.datasets.splits import split_groups
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.profiles import PROFILES, make_profile
+
+
+@pytest.mark.parametrize(
+    ('name', 'trials', 'seconds'),
+    [('static', 30, 25.0), ('long_term', 10, 25.0), ('dynamic', 30, 25.0), ('impact', 30, 4.25)],
+)
+def test_numbers_of_the_paper(name, trials, seconds):
+    planned = plan_dataset(name)
+    assert [spec.seconds for spec in planned] == [seconds] * trials
+    assert Counter(spec.split for spec in planned) == {
+        'train': trials * 8 // 10,
+        'test': trials * 2 // 10,
+    }
+    assert len({spec.device_seed for spec in planned}) == 1
+    assert len({spec.trial_seed for spec in planned}) == trials
+
+
+def test_new_gel_is_split_by_device():
+    planned = plan_dataset('new_gel')
+    devices = {
+        split: {spec.device_seed for spec in planned if spec.split == split}
+        for split in ('train', 'test')
+    }
+    assert (len(devices['train']), len(devices['test'])) == (8, 2)
+    assert not devices['train'] & devices['test']
+    for device in devices['train'] | devices['test']:
+        profiles = {spec.profile for spec in planned if spec.device_seed == device}
+        assert profiles == set(DATASETS['new_gel'].profiles)
+
+
+def test_seeds_of_data_sets_never_meet():
+    used = [
+        {spec.trial_seed for spec in plan_dataset(name, seed)}
+        for name in DATASETS
+        for seed in (0, 1, 899)
+    ]
+    used.append({spec.trial_seed for spec in plan_profile('dynamic', 1000, 25.0)})
+    assert all(not one & other for one, other in combinations(used, 2))
+    devices = [{spec.device_seed for spec in plan_dataset('new_gel', seed)} for seed in (0, 1, 899)]
+    assert all(not one & other for one, other in combinations(devices, 2))
+    assert max(max(each) for each in devices) < 10_000_000
+
+
+def test_every_trial_of_the_data_sets_can_be_made():
+    for name in DATASETS:
+        for spec in plan_dataset(name)[:3]:
+            if spec.profile not in PROFILES:
+                pytest.skip(f'profile {spec.profile} is not there')
+            made = make_profile(spec.profile, spec.trial_seed, spec.seconds, sync=True)
+            assert len(made.sync_s) == 2
+
+
+def test_an_impact_trial_is_one_drop():
+    for spec in plan_dataset('impact'):
+        made = make_profile('impact', spec.trial_seed, spec.seconds, sync=True)
+        drops = [segment for segment in made.segments if segment.mode == Mode.DROP]
+        assert len(drops) == 1
+        assert drops[0].end_s - drops[0].start_s > 1.0
+
+
+@given(st.integers(2, 500), st.integers(0, 2**32))
+def test_a_split_is_eight_to_two(count, seed):
+    tests = Counter(split_groups(count, seed))['test']
+    assert abs(tests - 0.2 * count) <= 0.5 or tests == 1
+    assert split_groups(count, seed) == split_groups(count, seed)
+
+
+@pytest.mark.parametrize(
+    'call',
+    [
+        lambda: plan_dataset('no_such'),
+        lambda: plan_dataset('static', 900),
+        lambda: plan_dataset('static', -1),
+        lambda: plan_profile('no_such', 1, 5.0),
+        lambda: plan_profile('press', 0, 5.0),
+        lambda: plan_profile('press', 1001, 5.0),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(call):
+    with pytest.raises(SimulationError):
+        call()

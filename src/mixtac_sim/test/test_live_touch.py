@@ -1,0 +1,184 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Requests to the live sensor: what they command, and how one follows on another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mixtac_sim import live_gestures
+from mixtac_sim.contact import Mode
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.live_objects import OBJECTS
+from mixtac_sim.live_profile import LiveProfile
+from mixtac_sim.sensor import TactileSensor
+from mixtac_sim.touch_control import ENDLESS_S, LARGEST_N, TouchControl
+from mixtac_sim.touch_parameters import TouchParameters
+
+STEP_US = 125
+AHEAD_US = 8_000
+
+
+class Sensor:
+    """A live sensor whose time the test turns; the contact is not simulated."""
+
+    def __init__(self):
+        self.profile = LiveProfile(tuple(OBJECTS.values()))
+        self.now_us = 0
+
+    def play(self, scenario):
+        self.profile.play(scenario, self.now_us + AHEAD_US)
+        return self.now_us + AHEAD_US
+
+    def commanded_force(self):
+        return self.profile.force_at(self.now_us + AHEAD_US)
+
+    def commands(self, until_us):
+        """Return modes and targets from now on and move on."""
+        first, last = self.now_us // STEP_US, until_us // STEP_US
+        self.now_us = until_us
+        modes, targets, _ = self.profile.commands(first, last - first)
+        return modes, targets
+
+
+@pytest.fixture
+def sensor():
+    return Sensor()
+
+
+@pytest.fixture
+def control(sensor):
+    return TouchControl(sensor)
+
+
+P = TouchParameters()
+
+
+def test_every_gesture_is_a_service_and_says_what_it_does(control):
+    p = replace(P, object='weight_20_g')
+    assert set(control.gestures) == {'press', 'load', 'drop', 'vibrate', 'release'}
+    assert all(gesture(p) for gesture in control.gestures.values())
+
+
+def test_a_press_reaches_its_force_and_goes_away(sensor, control):
+    control.press(replace(P, press_force=0.7, hold_seconds=1.0))
+    modes, targets = sensor.commands(2_000_000)
+    assert targets.max() == pytest.approx(0.7)
+    held = np.count_nonzero(np.isclose(targets, 0.7)) * STEP_US * 1e-6
+    assert held == pytest.approx(1.0, abs=0.02)
+    assert not modes[-100:].any()
+
+
+def test_a_load_is_the_weight_of_the_object(sensor, control):
+    control.load(replace(P, object='weight_50_g', hold_seconds=0.0))
+    _, targets = sensor.commands(60_000_000)
+    assert targets[-1] == pytest.approx(0.05 * 9.81)
+    control.release(P)
+    modes, targets = sensor.commands(61_000_000)
+    assert not modes[-100:].any()
+    assert np.abs(np.diff(targets)).max() < 0.01
+
+
+def test_a_drop_falls_from_its_height_again_and_again(sensor, control):
+    p = replace(P, object='weight_20_g', drop_height=30.0, hold_seconds=0.5)
+    for until_us in (400_000, 2_000_000):
+        control.drop(p)
+        modes, targets = sensor.commands(until_us)
+        falling = modes == Mode.DROP
+        begins = np.flatnonzero(falling[1:] & ~falling[:-1]) + 1
+        # Only a mass that was off is raised anew.
+        assert len(begins) == 1
+        assert targets[begins[0]] == 30.0
+
+
+def test_a_vibration_has_its_frequency_and_amplitude(sensor, control):
+    p = replace(P, vibration_frequency=80.0, vibration_amplitude=0.04, vibration_depth=0.2)
+    control.vibrate(p)
+    modes, targets = sensor.commands(1_500_000)
+    middle = targets[(modes == Mode.POSITION)][4000:8000]
+    assert middle.max() == pytest.approx(0.24, abs=1e-3)
+    assert middle.min() == pytest.approx(0.16, abs=1e-3)
+    spectrum = np.abs(np.fft.rfft(middle - middle.mean()))
+    assert np.fft.rfftfreq(len(middle), 125e-6)[spectrum.argmax()] == pytest.approx(80.0, abs=2.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(st.floats(0.0, LARGEST_N), st.integers(1, 400)), min_size=2, max_size=12))
+def test_commanded_forces_are_followed_without_a_gap(steps):
+    sensor = Sensor()
+    control = TouchControl(sensor)
+    modes, targets = [], []
+    for force, pause_ms in steps:
+        control.follow(P, force)
+        part = sensor.commands(sensor.now_us + 1000 * pause_ms)
+        modes.append(part[0])
+        targets.append(part[1])
+    modes, targets = np.concatenate(modes), np.concatenate(targets)
+    slopes = [abs(after - before) for before, after in pairwise(targets)]
+    # The steepest way is the smooth ramp of 10 ms.
+    assert max(slopes) <= 1.5 * LARGEST_N / 80 + 1e-9
+    touching = np.flatnonzero(modes == Mode.FORCE)
+    if all(pause_ms < 250 for _, pause_ms in steps):
+        assert np.all(np.diff(touching) == 1)
+
+
+def test_a_commanded_force_fades_when_no_new_one_comes(sensor, control):
+    control.follow(P, 1.0)
+    _, targets = sensor.commands(200_000)
+    assert targets[-1] == pytest.approx(1.0)
+    modes, _ = sensor.commands(600_000)
+    assert not modes[-1]
+
+
+@pytest.mark.parametrize('force', [float('nan'), float('inf'), -0.1, LARGEST_N + 1.0])
+def test_senseless_forces_are_refused(sensor, control, force):
+    with pytest.raises(SimulationError):
+        control.follow(P, force)
+    assert sensor.profile.end_us() is None
+
+
+@pytest.mark.parametrize(
+    ('gesture', 'changes'),
+    [
+        ('load', {}),
+        ('drop', {}),
+        ('vibrate', {'vibration_amplitude': 0.5, 'vibration_depth': 0.2}),
+    ],
+)
+def test_what_cannot_be_done_is_refused_and_changes_nothing(sensor, control, gesture, changes):
+    with pytest.raises(SimulationError):
+        control.gestures[gesture](replace(P, **changes))
+    assert sensor.profile.end_us() is None
+
+
+def test_a_scenario_goes_on_until_the_next_begins(sensor, control):
+    control.press(replace(P, press_force=0.5, hold_seconds=0.0))
+    sensor.commands(1_000_000)
+    control.press(replace(P, press_force=0.2, hold_seconds=0.0))
+    modes, targets = sensor.commands(1_000_000 + AHEAD_US)
+    assert (modes == Mode.FORCE).all()
+    assert np.allclose(targets, 0.5)
+    assert sensor.profile.end_us() > 1e6 * ENDLESS_S
+
+
+def test_memory_of_past_scenarios_is_bounded(sensor, control):
+    for _ in range(500):
+        control.follow(P, 0.3)
+        sensor.commands(sensor.now_us + 1000)
+    assert len(sensor.profile._plays) < 12
+
+
+@pytest.mark.parametrize('name', list(OBJECTS))
+def test_every_object_can_be_simulated(name):
+    profile = LiveProfile(tuple(OBJECTS.values()))
+    sensor = TactileSensor(1, 1, profile)
+    profile.play(live_gestures.press(OBJECTS[name], 0.5, 0.05), 0)
+    truth = sensor.advance(260_000).truth
+    assert truth['fz'].max() == pytest.approx(0.5, rel=0.02)
+    assert 0.05 < truth['depth_mm'].max() < 3.0

@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The mesh in view as it sags: geometry, what changes, and what it leaves alone."""
+
+import cv2
+import numpy as np
+import pytest
+
+from mixtac_sim.array_geometry import HEIGHT, PIXELS, TILE, TILES, WIDTH
+from mixtac_sim.device import draw_device
+from mixtac_sim.dvs import Dvs
+from mixtac_sim.mesh_motion import LEVELS_MM, MeshMotion
+from mixtac_sim.optics import Lens
+from mixtac_sim.pixels import PixelSettings
+from mixtac_sim.scene import Lighting, build_sagging, build_scene
+
+LENS = Lens(2.8, 2.0, 13.0, 4.0, 2.0, 0.0, 0.0, (172.5, 129.5))
+LIGHT = Lighting(200.0, (0.0, 0.0), 0.0, 0.05, 0.4, 0.15, 0.0, 0.3, (0.2, 0.1), corner_px=1e4)
+
+
+def image(scene):
+    return scene.floor[:PIXELS].reshape(HEIGHT, WIDTH)
+
+
+def test_mesh_that_comes_closer_is_magnified_about_the_axis():
+    rest = image(build_scene(LENS, LIGHT))
+    sag = 0.5
+    closer = image(build_sagging(LENS, LIGHT, (0.0, 0.0), np.array([sag]), 1e6)[0])
+    growth = 13.0 / (13.0 - sag)
+    rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
+    x = ((columns - 172.5) * growth + 172.5).astype(np.float32)
+    y = ((rows - 129.5) * growth + 129.5).astype(np.float32)
+    back = cv2.remap(closer, x, y, cv2.INTER_CUBIC)
+    middle = (slice(60, 200), slice(80, 260))
+    # Light falls off with the angle of the ray, which the magnification does not change.
+    falloff = cv2.remap(np.ones_like(rest), x, y, cv2.INTER_CUBIC)
+    assert falloff[middle].min() > 0.99
+    assert np.corrcoef(back[middle].ravel(), rest[middle].ravel())[0, 1] > 0.98
+    assert np.corrcoef(closer[middle].ravel(), rest[middle].ravel())[0, 1] < 0.95
+
+
+def test_scene_without_sag_is_the_one_at_rest():
+    device = draw_device(4)
+    still = build_sagging(device.lens, device.lighting, (1.0, 0.5), LEVELS_MM[:1], 8.0)[0]
+    np.testing.assert_array_equal(still.floor, device.scene.floor)
+    np.testing.assert_array_equal(still.gain, device.scene.gain)
+
+
+@pytest.fixture(scope='module')
+def parts():
+    device = draw_device(4)
+    dvs = Dvs(device.scene, device.spread, PixelSettings(), np.random.default_rng(0))
+    return device, dvs, MeshMotion(device, (1.0, 0.5))
+
+
+def test_pixels_see_the_mesh_where_the_load_puts_it(parts):
+    device, dvs, mesh = parts
+    dirty = np.zeros(TILES, np.uint8)
+    force = 0.22 * device.mesh_n_per_mm
+    mesh.show(dvs, dirty, force)
+    assert 0.3 < dirty.mean() < 1.0
+    dvs.settle(np.zeros(TILES * TILE, np.int32))
+    sagged = build_sagging(device.lens, device.lighting, (1.0, 0.5), np.array([0.22]), 8.0)[0]
+    seen = dvs.light.ravel()[:PIXELS]
+    np.testing.assert_allclose(seen, sagged.floor[:PIXELS], rtol=0.02, atol=0.3)
+    dirty[:] = 0
+    mesh.show(dvs, dirty, force + 0.002 * device.mesh_n_per_mm)
+    assert not dirty.any()
+    mesh.show(dvs, dirty, 0.0)
+    dvs.settle(np.zeros(TILES * TILE, np.int32))
+    np.testing.assert_allclose(dvs.light.ravel()[:PIXELS], device.scene.floor[:PIXELS], rtol=1e-6)

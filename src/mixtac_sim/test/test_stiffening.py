@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Stiffening at large strain: none where strains are small, bounded where they are large."""
+
+import numpy as np
+import pytest
+
+from mixtac_sim.bead_motion import BeadMotion
+from mixtac_sim.contact import Contact, Mode
+from mixtac_sim.device import draw_device
+from mixtac_sim.elastomer import Layer, force_law
+from mixtac_sim.indenter import HEMISPHERE, WEIGHT_20_G
+from mixtac_sim.presets import preset
+
+LAYER = Layer(180.0, 4.0)
+
+
+@pytest.mark.parametrize('stiffening', [0.5, 3.0])
+def test_small_strains_stay_linear(stiffening):
+    linear, stiff = force_law(LAYER, HEMISPHERE), force_law(LAYER, HEMISPHERE, np.inf, stiffening)
+    for depth in (0.1, 0.25, 0.4):  # up to 10 % of the thickness
+        assert stiff.force_at(depth) == pytest.approx(linear.force_at(depth), rel=0.031)
+
+
+@pytest.mark.parametrize('stiffening', [0.5, 3.0])
+def test_large_strains_stay_below_those_of_rubber_in_compression(stiffening):
+    # A neo-Hookean block has (1 / l^2 - l) / (3 (1 - l)) times the linear stress, l = 1 - strain.
+    linear, stiff = force_law(LAYER, HEMISPHERE), force_law(LAYER, HEMISPHERE, np.inf, stiffening)
+    for strain in (0.2, 0.3, 0.4):
+        depth, left = 4.0 * strain, 1.0 - strain
+        gain = stiff.force_at(depth) / linear.force_at(depth)
+        assert gain == pytest.approx(1.0 + stiffening * strain**2, rel=0.01)
+        assert gain < (left**-2 - left) / (3.0 * strain)
+
+
+def test_exponent_at_1_n_stays_in_the_range_of_layers():
+    for seed in range(8):
+        device = draw_device(seed, preset('paper_like'))
+        law = force_law(device.layer, HEMISPHERE, np.inf, device.stiffening)
+        depth = law.depth_at(1.0)
+        slope = (law.force_at(1.02 * depth) - law.force_at(0.98 * depth)) / (0.04 * depth)
+        assert 1.85 < slope * depth < 2.4
+
+
+def test_same_dent_moves_beads_alike():
+    device = draw_device(5)
+    linear = force_law(device.layer, HEMISPHERE)
+    stiff = force_law(device.layer, HEMISPHERE, np.inf, 2.0)
+    depth = linear.depth_at(1.0)
+
+    def moved(law):
+        beads = BeadMotion(device, device.layer, (0.0, 0.0), (HEMISPHERE,), [law])
+        rest = beads.place(0, 0.0, (0.0, 0.0)).copy()
+        return beads.place(0, law.force_at(depth), (0.0, 0.0)) - rest
+
+    # Only the mesh, which feels the force, moves more.
+    sag = stiff.force_at(depth) / linear.force_at(depth) - 1.0
+    np.testing.assert_allclose(moved(stiff)[:, :2], moved(linear)[:, :2], atol=0.02 + 2.0 * sag)
+
+
+def test_hard_drops_peak_higher_and_end_alike():
+    device = draw_device(3)
+
+    def fall(stiffening):
+        law = force_law(device.layer, WEIGHT_20_G, np.inf, stiffening)
+        steps = round(3.0 / 125e-6)
+        return Contact([law], [20.0], device.prony).advance(
+            np.full(steps, Mode.DROP, np.int8), np.full(steps, 50.0), np.zeros(steps, np.int8)
+        )
+
+    soft, stiff = fall(0.0), fall(2.0)
+    assert stiff.force_n.max() > 1.02 * soft.force_n.max()
+    assert stiff.force_n[-1] == pytest.approx(0.02 * 9.80665, rel=0.01)

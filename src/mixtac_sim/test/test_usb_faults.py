@@ -1,0 +1,290 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of the virtual camera as a host sees them, in process and over the socket."""
+
+from __future__ import annotations
+
+import errno
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+import usb.core
+import usb.util
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_sim.usb.backend import open_backend
+from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.errors import (
+    FaultError,
+    NoVirtualSensorError,
+    UsbGone,
+    UsbTimeout,
+    VirtualUsbError,
+)
+from mixtac_sim.usb.fault_client import inject
+from mixtac_sim.usb.faults import Fault, FaultKind
+from mixtac_sim.usb.in_process import in_process_backend
+from mixtac_sim.usb.server import UsbServer
+
+WORDS = np.arange(100, 400, dtype=np.uint16)
+DATA = WORDS.astype('<u2').tobytes()
+
+
+class Camera:
+    """A started virtual camera and the host's view of it."""
+
+    def __init__(self, device, backend, inject_fault):
+        self.device, self.backend, self.inject = device, backend, inject_fault
+        self.open()
+
+    def open(self):
+        self.usb = usb.core.find(idVendor=0x152A, idProduct=0x841A, backend=self.backend)
+        for module, param in ((0, 3), (9, 0), (0, 1), (0, 0)):
+            self.write(module, param, 1)
+
+    def write(self, module, param, value):
+        self.usb.ctrl_transfer(0x40, 0xBF, module, param, struct.pack('>I', value), 100)
+
+    def register(self, module, param):
+        answer = self.usb.ctrl_transfer(0xC0, 0xBF, module, param, 4, 100)
+        return struct.unpack('>I', answer)[0]
+
+    def read(self, length=4096, timeout_ms=200):
+        return self.usb.read(0x82, length, timeout_ms).tobytes()
+
+    def fails(self, number, call, *args):
+        with pytest.raises(usb.core.USBError) as failure:
+            call(*args)
+        assert failure.value.errno == number
+
+
+@pytest.fixture(params=['in_process', 'socket'])
+def camera(request, tmp_path):
+    device = VirtualDavis346('V0000042')
+    if request.param == 'in_process':
+        camera = Camera(device, in_process_backend(device), device.inject)
+        yield camera
+    else:
+        path = str(tmp_path / 'camera.sock')
+        server = UsbServer(device, path)
+        camera = Camera(device, open_backend(f'virtual:{path}'), lambda fault: inject(path, fault))
+        yield camera
+        server.close()
+    usb.util.dispose_resources(camera.usb)
+
+
+def test_unplugged_camera_is_gone_and_comes_back_as_after_power_up(camera):
+    camera.inject(Fault(FaultKind.UNPLUG))
+    assert usb.core.find(idVendor=0x152A, backend=camera.backend) is None
+    camera.fails(errno.ENODEV, camera.register, 6, 0)
+    camera.inject(Fault(FaultKind.PLUG_IN))
+    camera.fails(errno.ENODEV, camera.register, 6, 0)
+    camera.fails(errno.ENODEV, camera.read)
+    old = camera.usb
+    assert not camera.device.streaming
+    camera.open()
+    assert camera.device.streaming
+    camera.fails(errno.ENODEV, old.ctrl_transfer, 0xC0, 0xBF, 6, 0, 4)
+
+
+def test_it_comes_back_by_itself_with_another_serial_number(camera):
+    camera.inject(Fault(FaultKind.UNPLUG, seconds=0.05, serial='V0000099'))
+    while (found := usb.core.find(idVendor=0x152A, backend=camera.backend)) is None:
+        time.sleep(0.005)
+    assert found.serial_number == 'V0000099'
+
+
+def test_claim_does_not_survive_unplugging(camera):
+    usb.util.claim_interface(camera.usb, 0)
+    camera.device.unplug()
+    camera.device.plug_in()
+    camera.device.claim('somebody else')
+    camera.open()
+    camera.fails(errno.EBUSY, usb.util.claim_interface, camera.usb, 0)
+
+
+def test_read_that_waits_ends_when_the_camera_is_pulled_and_plugged_in_again(camera):
+    errors = []
+
+    def host():
+        try:
+            camera.read(timeout_ms=0)
+        except usb.core.USBError as error:
+            errors.append(error.errno)
+
+    thread = threading.Thread(target=host)
+    thread.start()
+    time.sleep(0.05)
+    with camera.device._condition:
+        camera.device.unplug()
+        camera.device.plug_in()
+    thread.join(5.0)
+    assert errors == [errno.ENODEV]
+
+
+def test_stalled_endpoint_stays_halted_until_the_halt_is_cleared(camera):
+    camera.device.feed(WORDS)
+    camera.inject(Fault(FaultKind.STALL_DATA, count=2))
+    for _ in range(2):
+        camera.fails(errno.EPIPE, camera.read)
+        camera.fails(errno.EPIPE, camera.read)
+        camera.usb.clear_halt(0x82)
+    assert camera.read() == DATA
+
+
+def test_requests_that_stall(camera):
+    camera.inject(Fault(FaultKind.STALL_CONTROL, count=2))
+    camera.fails(errno.EPIPE, camera.register, 6, 0)
+    camera.fails(errno.EPIPE, camera.write, 5, 10, 1)
+    assert camera.register(6, 0) == 18
+    assert camera.register(5, 10) == 0
+
+
+def test_requests_that_time_out_until_the_camera_answers_again(camera):
+    camera.inject(Fault(FaultKind.TIMEOUT_CONTROL, count=1))
+    camera.fails(errno.ETIMEDOUT, camera.register, 6, 0)
+    assert camera.register(6, 0) == 18
+    camera.inject(Fault(FaultKind.TIMEOUT_CONTROL, seconds=0.04))
+    assert camera.register(6, 0) == 18
+
+
+def test_requests_that_are_answered_late(camera):
+    camera.inject(Fault(FaultKind.DELAY_CONTROL, count=2, delay=0.05))
+    before = time.monotonic()
+    assert camera.register(6, 0) == 18
+    assert time.monotonic() - before >= 0.05
+    assert camera.register(6, 0) == 18
+
+
+def test_registers_that_read_as_garbage(camera):
+    camera.inject(Fault(FaultKind.GARBAGE_REGISTERS, count=3, seed=1))
+    assert len({camera.register(6, 0) for _ in range(4)} - {18}) == 3
+    assert camera.register(6, 0) == 18
+
+
+def test_short_reads_keep_every_word_that_was_not_cut(camera):
+    camera.inject(Fault(FaultKind.SHORT_READS, count=1000, seed=2))
+    camera.write(9, 1, 0)
+    camera.device.feed(WORDS)
+    got, lengths, lost = [], set(), 0
+    while len(got) + lost < len(WORDS):
+        data = camera.read()
+        lengths.add(len(data) % 2)
+        got += struct.unpack(f'<{len(data) // 2}H', data[: len(data) // 2 * 2])
+        lost += len(data) % 2
+    assert lengths == {0, 1}
+    assert set(got) <= set(WORDS.tolist())
+    assert len(got) == len(WORDS) - lost
+
+
+def test_lost_bytes_are_whole_words(camera):
+    camera.write(9, 1, 0)
+    camera.inject(Fault(FaultKind.DROP_BYTES, size=7))
+    camera.device.feed(WORDS)
+    assert camera.read() == DATA[8:]
+
+
+def test_garbage_words_come_before_what_follows(camera):
+    camera.write(9, 1, 0)
+    camera.inject(Fault(FaultKind.GARBAGE_WORDS, size=100, seed=5))
+    camera.device.feed(WORDS)
+    data = camera.read()
+    assert len(data) == 100 + len(DATA)
+    assert data[100:] == DATA
+
+
+def test_frozen_stream_goes_on_after_its_time_or_a_restart(camera):
+    camera.device.feed(WORDS)
+    camera.inject(Fault(FaultKind.FREEZE, seconds=0.05))
+    camera.fails(errno.ETIMEDOUT, camera.read, 4096, 10)
+    assert camera.read() == DATA
+    camera.inject(Fault(FaultKind.FREEZE))
+    camera.device.feed(WORDS)
+    camera.fails(errno.ETIMEDOUT, camera.read, 4096, 10)
+    camera.write(0, 0, 0)
+    camera.write(0, 0, 1)
+    camera.device.feed(WORDS)
+    assert camera.read() == DATA
+
+
+@pytest.mark.parametrize(
+    ('kind', 'number'), [(FaultKind.BABBLE, errno.EOVERFLOW), (FaultKind.READ_ERROR, errno.EIO)]
+)
+def test_reads_that_fail_on_the_bus(camera, kind, number):
+    camera.device.feed(WORDS)
+    camera.inject(Fault(kind, count=1))
+    camera.fails(number, camera.read)
+    assert camera.read() == DATA
+
+
+def test_clock_reset_is_announced(camera):
+    camera.write(9, 1, 0)
+    origin = camera.device.clock_origin_us
+    camera.inject(Fault(FaultKind.CLOCK_RESET))
+    assert camera.read() == b'\1\0'
+    assert camera.device.clock_origin_us > origin
+
+
+def test_hung_read_ignores_its_time_out_until_the_port_is_reset():
+    device = VirtualDavis346('V0000042')
+    device.inject(Fault(FaultKind.HANG_READS))
+    errors = []
+
+    def host():
+        with pytest.raises(VirtualUsbError) as failure:
+            device.read_bulk(0x82, 64, 0.01)
+        errors.append(failure.value)
+
+    thread = threading.Thread(target=host)
+    thread.start()
+    thread.join(0.1)
+    assert thread.is_alive()
+    device.reset()
+    thread.join(5.0)
+    assert not isinstance(errors[0], (UsbTimeout, UsbGone))
+
+
+def test_clearing_ends_everything(camera):
+    for kind in (FaultKind.STALL_DATA, FaultKind.FREEZE, FaultKind.GARBAGE_REGISTERS):
+        camera.inject(Fault(kind))
+    camera.device.feed(WORDS)
+    camera.fails(errno.EPIPE, camera.read)
+    camera.inject(Fault(FaultKind.CLEAR))
+    assert camera.register(6, 0) == 18
+    assert camera.read() == DATA
+
+
+def test_other_process_hears_what_is_wrong_with_its_fault(tmp_path, monkeypatch):
+    path = str(tmp_path / 'camera.sock')
+    with pytest.raises(NoVirtualSensorError):
+        inject(path, Fault(FaultKind.UNPLUG))
+    server = UsbServer(VirtualDavis346('V0000042'), path)
+    monkeypatch.setattr(Fault, 'to_json', lambda _self: b'{"kind": "flood"}')
+    with pytest.raises(FaultError):
+        inject(path, Fault(FaultKind.UNPLUG))
+    server.close()
+
+
+@pytest.mark.parametrize(
+    'data', [b'', b'[]', b'{}', b'{"kind": "flood"}', b'{"kind":"freeze","x":1}']
+)
+def test_what_is_no_fault_is_refused_with_the_known_kinds(data):
+    with pytest.raises(FaultError, match='unplug'):
+        Fault.from_json(data)
+
+
+@given(
+    st.builds(
+        Fault,
+        st.sampled_from(FaultKind),
+        seconds=st.floats(0, 1e6),
+        count=st.integers(0, 10**6),
+        serial=st.text(max_size=8),
+    )
+)
+def test_faults_travel_as_json(fault):
+    assert Fault.from_json(fault.to_json()) == fault
