@@ -124,7 +124,10 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
         spread=draw_spread(
             seed, rng.uniform(*pixels.mismatch), pixels.leak_decades, preset.light.hot_pixels
         ),
-        threshold_factor=(float(np.exp(common + skew)), float(np.exp(common - skew))),
+        threshold_factor=(
+            float(np.exp(common + skew)) * pixels.threshold,
+            float(np.exp(common - skew)) * pixels.threshold,
+        ),
         noise_factor=float(np.exp(rng.uniform(*pixels.noise_log))) * pixels.noise,
         leak_factor=pixels.noise,
         speed_factor=_draw_speed(speed, preset),

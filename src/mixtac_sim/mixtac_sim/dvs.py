@@ -71,7 +71,7 @@ class Dvs:
         self._state = _blank_state()
         self._row(FLOOR)[:] = _tiled(scene.floor)
         self._row(GAIN)[:] = _tiled(scene.gain)
-        self._flicker = Flicker(0.0, 0.0, 0.0)
+        self.light_by(Flicker(0.0, 0.0, 0.0))
         self._crossings = Crossings(np.empty(CAPACITY, np.int64), np.zeros(2, np.int64))
         self.configure(settings)
         # Every pixel is somewhere on its way to its next leak event.
@@ -110,6 +110,9 @@ class Dvs:
     def light_by(self, flicker: Flicker) -> None:
         """Let the lamp flicker; steady before the first call."""
         self._flicker = flicker
+        self._resolved = not (flicker.steady or flicker.small)
+        depth = 0.0 if flicker.steady or self._resolved else flicker.depth
+        self._ripple = Ripple(depth, flicker.hz, 2.0 * np.pi * flicker.phase, 0)
 
     def settle(self, cover: NDArray[np.int32]) -> None:
         r"""Take the light under a cover as one that has been there for long.
@@ -140,20 +143,17 @@ class Dvs:
             end_ns: End of the step [ns].
             block_ns: Begin of the block of steps [ns], which crossings count from.
         """
-        lamp = self._flicker
-        resolved = not (lamp.steady or lamp.small)
-        glow = (0.0, 0.0)
-        if resolved:
+        lamp, glow = self._flicker, (0.0, 0.0)
+        if self._resolved:
             glow = lamp.log_light(1e-3 * start_ns), lamp.log_light(1e-3 * end_ns)
-        depth = lamp.depth if lamp.small and not lamp.steady else 0.0
         develop(
             self._state,
             cover,
             dirty,
             self._corners,
             glow,
-            resolved,
-            Ripple(depth, lamp.hz, 2.0 * np.pi * lamp.phase, end_ns),
+            self._resolved,
+            self._ripple._replace(now_ns=end_ns) if self._ripple.depth else self._ripple,
             start_ns,
             end_ns,
             block_ns,

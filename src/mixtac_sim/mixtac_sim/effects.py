@@ -31,6 +31,7 @@ class PixelEffects:
         noise_log: Leak and shot noise of a chip over nominal [log-e].
         noise: Leak and shot noise over their usual rates; 0 for none.
         leak_decades: Spread between pixels of the leak [decades] (v2e: 0.1).
+        threshold: Thresholds over those that are asked for.
     """
 
     common_log_sd: float = 0.12
@@ -39,6 +40,7 @@ class PixelEffects:
     noise_log: Range = (-0.7, 0.7)
     noise: float = 1.0
     leak_decades: float = 0.1
+    threshold: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,8 +71,12 @@ class PixelBiases:
 
     @classmethod
     def from_registers(cls, registers: Mapping[int, int]) -> PixelBiases:
-        """Return the currents of register values by address; what is missing is at its default."""
-        known = {**DEFAULT_REGISTERS, **registers}
+        """Return the currents of register values by address.
+
+        What is missing or 0, as no host has written it yet, is at its default.
+        """
+        written = {place: value for place, value in registers.items() if value}
+        known = {**DEFAULT_REGISTERS, **written}
         places = (DIFF, ON, OFF, PHOTORECEPTOR, FOLLOWER, REFRACTORY)
         return cls(*(current_a(known[place]) for place in places))
 

@@ -80,7 +80,7 @@ EASY = Preset('easy')
 
 PAPER_LIKE = Preset(
     'paper_like',
-    pixels=PixelEffects(common_log_sd=0.18, skew_log_sd=0.1, mismatch=(0.1, 0.2)),
+    pixels=PixelEffects(common_log_sd=0.18, skew_log_sd=0.1, mismatch=(0.1, 0.2), threshold=1.15),
     gel=GelEffects(modulus_log_sd=0.3, thickness_mm=(3.0, 6.0), mesh_n_per_mm=(1.5, 10.0)),
     timing=TimingEffects(
         noise_n=(10e-3, 30e-3),
@@ -107,7 +107,7 @@ PAPER_LIKE = Preset(
 
 HARD = Preset(
     'hard',
-    pixels=PixelEffects(0.25, 0.15, (0.12, 0.25), (-0.7, 1.4), 2.0),
+    pixels=PixelEffects(0.25, 0.15, (0.12, 0.25), (-0.7, 1.4), 2.0, threshold=1.15),
     gel=GelEffects(0.35, (3.0, 6.0), (1.0, 10.0), (0.88, 1.12)),
     timing=TimingEffects(
         delay_s=(1.6e-3, 5e-3),

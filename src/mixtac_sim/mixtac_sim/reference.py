@@ -71,6 +71,7 @@ class ReferenceSensor:
         offset_s: Reading of the reference clock at true time 0 [s].
         drift_ppm: How much faster than true time it runs [ppm].
         delay_s: Delay of its filter and transport [s].
+        mount: What the sensor stands on it with.
     """
 
     def __init__(self, seed: int, rate_hz: float = 800.0, preset: Preset = EASY) -> None:
@@ -92,7 +93,7 @@ class ReferenceSensor:
         more = stream(seed, 'reference wander')
         self._wander_n = timing.wander_n
         self._wander = Wander(more, more.uniform(*timing.wander_s))
-        self._mount = _draw_mount(stream(seed, 'reference mount'), preset)
+        self.mount = _draw_mount(stream(seed, 'reference mount'), preset)
         self._next = int(np.ceil((self.offset_s + FILTER_US * 2e-6) * rate_hz))
         self._past_us = np.array([-1e9])
         self._past = np.zeros((1, 6))
@@ -130,7 +131,7 @@ class ReferenceSensor:
                 'times, later than those before, and [n, 6] forces and torques'
             )
             raise SimulationError(msg)
-        arrived = self._mount.transmit(t_us, wrench)
+        arrived = self.mount.transmit(t_us, wrench)
         self._past_us, self._past = times, np.concatenate([self._past, arrived])
 
     def _filtered(self, centre_us: NDArray[np.float64]) -> NDArray[np.float64]:

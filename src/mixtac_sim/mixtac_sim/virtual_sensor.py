@@ -17,6 +17,9 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 
 from mixtac_sim.aps import READOUT_US, RESET_US, ApsSettings
+from mixtac_sim.pixel_biases import DEFAULT_REGISTERS
+from mixtac_sim.pixels import PixelSettings
+from mixtac_sim.usb.registers import Module
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -46,6 +49,9 @@ class Simulation(Protocol):
 
     def configure_aps(self, settings: ApsSettings) -> None:
         """Change the frames to come."""
+
+    def configure_pixels(self, nominal: PixelSettings) -> None:
+        """Change the event pixels, as new biases would."""
 
 
 class Reference(Protocol):
@@ -125,6 +131,8 @@ class VirtualSensor:
         self._due_us = 0
         self._overruns = 0
         self._aps = (0, 0)
+        self._biases: dict[int, int] = {}
+        self._pixels = PixelSettings()
         self._pending: deque[tuple[int, SensorOutput]] = deque()
         self._lock = Lock()
         self._truth: deque[WrenchBatch] = deque()
@@ -213,6 +221,17 @@ class VirtualSensor:
             self._stop.wait(deadline - time.monotonic())
 
     def _follow_registers(self) -> None:
+        self._follow_aps()
+        biases = {place: self.device.register(Module.BIAS, place) for place in DEFAULT_REGISTERS}
+        if biases == self._biases:
+            return
+        self._biases = biases
+        pixels = PixelSettings.from_biases(biases, PixelSettings())
+        if pixels != self._pixels:
+            self._pixels = pixels
+            self._simulation.configure_pixels(pixels)
+
+    def _follow_aps(self) -> None:
         wanted = (self.device.exposure_us, self.device.frame_interval_us)
         if wanted == self._aps:
             return
@@ -226,6 +245,7 @@ class VirtualSensor:
     def _simulate(self) -> None:
         self._simulated_us += _CHUNK_US
         out = self._simulation.advance(self._simulated_us)
+        self._inertial.feel(out.wrench_us, out.wrench)
         readings = self._inertial.readings(self._simulated_us, self.device.imu_interval_us)
         self.device.submit(out.events, out.frames, readings)
         self._pending.append((self._simulated_us, out))

@@ -64,7 +64,7 @@ def test_pixels_see_the_mesh_where_the_load_puts_it(parts):
     seen = dvs.light.ravel()[:PIXELS]
     np.testing.assert_allclose(seen, sagged.floor[:PIXELS], rtol=0.02, atol=0.3)
     dirty[:] = 0
-    mesh.show(dvs, dirty, force + 0.002 * device.mesh_n_per_mm)
+    mesh.show(dvs, dirty, force + 0.004 * device.mesh_n_per_mm)
     assert not dirty.any()
     mesh.show(dvs, dirty, 0.0)
     dvs.settle(np.zeros(TILES * TILE, np.int32))

@@ -40,7 +40,9 @@ def simulate(
     jobs: Annotated[int, typer.Option(min=0, help='Processes; 0 for one per core.')] = 0,
     backend: Annotated[str, typer.Option(help='loky (this machine) or dask.')] = 'loky',
     scheduler: Annotated[str, typer.Option(help='Address of a running Dask scheduler.')] = '',
-    compress: Annotated[bool, typer.Option(help='Compress the bags (zstd).')] = True,
+    compress: Annotated[
+        bool, typer.Option(help='Compress the bags (zstd): half the size, somewhat slower.')
+    ] = False,
     preview: Annotated[
         OptionalPath, typer.Option(help='Draw the first trial to this picture.')
     ] = None,

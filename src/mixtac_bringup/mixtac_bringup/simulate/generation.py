@@ -32,7 +32,7 @@ def generate(
     jobs: int = 1,
     backend: str = 'loky',
     scheduler: str = '',
-    compress: bool = True,
+    compress: bool = False,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> int:
     """Write the bags of a data set that are not there yet, and its description.

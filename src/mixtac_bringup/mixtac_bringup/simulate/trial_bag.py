@@ -57,7 +57,7 @@ def is_finished(folder: Path, name: str) -> bool:
     return (folder / name / 'metadata.yaml').is_file()
 
 
-def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = True) -> int:
+def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int:
     """Write the bag of a trial, unless it is there already.
 
     The bag grows in a folder of its own and is moved to its place when it is complete.

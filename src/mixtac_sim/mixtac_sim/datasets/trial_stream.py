@@ -82,5 +82,6 @@ class TrialStream:
             end_us = min(start_us + STRETCH_US, last_us)
             output = self.sensor.advance(end_us)
             samples = self.reference.process(output.wrench_us, output.wrench)
+            self._inertial.feel(output.wrench_us, output.wrench)
             readings = self._inertial.readings(end_us, IMU_INTERVAL_US)
             yield Stretch(start_us, end_us, output, readings, samples)

@@ -1,0 +1,26 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What was drawn for a trial can be kept as JSON and says what the trial used."""
+
+import json
+
+import pytest
+
+from mixtac_sim.conditions import draw_conditions
+from mixtac_sim.device import draw_device
+from mixtac_sim.presets import PRESETS, preset
+from mixtac_sim.reference import ReferenceSensor
+from mixtac_sim.trial_record import describe_conditions, describe_device, describe_reference
+
+
+@pytest.mark.parametrize('name', PRESETS)
+def test_records_survive_json(name):
+    device, day = draw_device(3, preset(name)), draw_conditions(4, preset(name))
+    reference = ReferenceSensor(4, preset=preset(name))
+    records = (describe_device(device), describe_conditions(day), describe_reference(reference))
+    for record in records:
+        assert json.loads(json.dumps(record)) == record
+    assert records[0]['layer']['modulus_kpa'] == device.layer.modulus_kpa
+    assert records[0]['beads'] == len(device.markers.x_mm)
+    assert records[1]['contact_mm'] == list(day.contact_mm)
+    assert records[2]['offset_s'] == reference.offset_s
