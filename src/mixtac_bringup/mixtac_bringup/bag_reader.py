@@ -67,12 +67,25 @@ class BagFile:
         Raises:
             BagError: The topic was not recorded, or the data are damaged.
         """
-        chosen = [c for c in self._reader.connections if c.topic == topic]
-        if not chosen:
-            raise BagError(f'{self._path} has no topic {topic}; it has {", ".join(self.counts)}')
+        for _, received_ns, message in self.messages_of(topic):
+            yield received_ns, message
+
+    def messages_of(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
+        """Yield (topic, host time received [ns], message) of several topics in one pass.
+
+        Raises:
+            BagError: A topic was not recorded, or the data are damaged.
+        """
+        chosen = [c for c in self._reader.connections if c.topic in topics]
+        missing = set(topics) - {c.topic for c in chosen}
+        if missing:
+            raise BagError(
+                f'{self._path} has no topic {min(missing)}; it has {", ".join(self.counts)}'
+            )
         try:
             for connection, received_ns, data in self._reader.messages(chosen):
-                yield received_ns, self._types.deserialize_cdr(data, connection.msgtype)
+                message = self._types.deserialize_cdr(data, connection.msgtype)
+                yield connection.topic, received_ns, message
         except (GeneratorExit, BagError):
             raise
         except Exception as error:  # see above

@@ -13,8 +13,9 @@ def mount() -> None:
     """Add the commands; what they need takes a while to load."""
     from mixtac_bringup.benchmark.pipeline_report import pipeline
     from mixtac_bringup.benchmark.recovery import recovery
+    from mixtac_bringup.benchmark.simulate_report import simulate
     from mixtac_driver.benchmark.decode_benchmark import decode
     from mixtac_driver.benchmark.fuzz import fuzz
 
-    for command in (decode, pipeline, recovery, fuzz):
+    for command in (decode, pipeline, recovery, simulate, fuzz):
         app.command()(command)

@@ -116,12 +116,13 @@ def _mount_learning() -> None:
 
 
 def _mount_hardware() -> None:
-    # So does whatever opens cameras.
+    # So does whatever opens cameras, or pretends to be one.
     from mixtac_bringup.calibrate import calibrate
     from mixtac_bringup.doctor import doctor
+    from mixtac_bringup.simulate.command import simulate
 
-    app.command()(doctor)
-    app.command()(calibrate)
+    for command in (doctor, calibrate, simulate):
+        app.command()(command)
 
 
 def main(arguments: list[str] | None = None) -> int:

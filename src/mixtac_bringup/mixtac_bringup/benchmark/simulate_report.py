@@ -17,14 +17,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from mixtac_bringup.benchmark.simulate_chain import Chain, ChainRun
 from mixtac_bringup.benchmark.simulate_stages import time_by_stage
-from mixtac_bringup.simulate.generation import generate
-from mixtac_bringup.simulate.trial_bag import write_trial
-from mixtac_sim.datasets.description import DatasetDescription
-from mixtac_sim.datasets.plans import plan_profile
 
 if TYPE_CHECKING:
+    from mixtac_bringup.benchmark.simulate_chain import ChainRun
     from mixtac_sim.datasets.trial_spec import TrialSpec
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
@@ -110,6 +106,11 @@ def measure(seconds: float, preset: str) -> SimulateReport:
         seconds: Length of a trial [s].
         preset: How hard the effects are.
     """
+    # These compile; the command line starts without them.
+    from mixtac_bringup.benchmark.simulate_chain import Chain
+    from mixtac_bringup.simulate.trial_bag import write_trial
+    from mixtac_sim.datasets.plans import plan_profile
+
     specs = plan_profile(PROFILE, BATCH_TRIALS, seconds, preset=preset)
     warm = plan_profile(PROFILE, BATCH_JOBS, WARM_UP_S, preset=preset)
     staged = plan_profile(PROFILE, 1, min(seconds, STAGE_S), preset=preset)[0]
@@ -137,6 +138,9 @@ def processor_s() -> float:
 
 
 def _batch(specs: list[TrialSpec], folder: Path) -> None:
+    from mixtac_bringup.simulate.generation import generate
+    from mixtac_sim.datasets.description import DatasetDescription
+
     preset = specs[0].preset
     plan = DatasetDescription.of_simulator(PROFILE, 0, preset, 'trial', specs)
     generate(plan, folder, jobs=BATCH_JOBS)
