@@ -34,12 +34,14 @@ class EventFilter:
         muted: Pixels switched off by the pixel filter, ``bool [260, 346]``.
         flatten: Send every event as OFF.
         suppressed: Polarity that is not sent, or none.
+        idle: Whether nothing is filtered at all.
     """
 
     keep: NDArray[np.bool_]
     muted: NDArray[np.bool_]
     flatten: bool
     suppressed: bool | None
+    idle: bool
 
     @classmethod
     def from_registers(cls, registers: RegisterFile) -> EventFilter:
@@ -58,13 +60,17 @@ class EventFilter:
             if row < HEIGHT and column < WIDTH:
                 muted[row, column] = True
         suppressed = bool(read(Dvs.SUPPRESS_TYPE)) if read(Dvs.SUPPRESS) else None
-        return cls(keep, muted, bool(read(Dvs.FLATTEN)), suppressed)
+        flatten = bool(read(Dvs.FLATTEN))
+        idle = bool(keep.all()) and not muted.any() and suppressed is None and not flatten
+        return cls(keep, muted, flatten, suppressed, idle)
 
     def apply(self, events: Events) -> tuple[Events, int]:
         """Return the events that pass and how many the pixel filter took."""
         inside = (events.x < WIDTH) & (events.y < HEIGHT)
         if not inside.all():
             events = events[inside]
+        if self.idle:
+            return events, 0
         passing = self.keep[events.y, events.x]
         muted = self.muted[events.y, events.x]
         filtered = int(np.count_nonzero(passing & muted))

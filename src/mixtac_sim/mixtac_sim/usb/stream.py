@@ -128,17 +128,28 @@ class StreamAssembler:
         return Events(camera_us, events.x, events.y, events.polarity)
 
     def _due_blocks(self, true_us: int) -> Blocks:
-        parts = [self._readout]
+        frames = []
         while self._frames and self._frames[0].frame_start_us < true_us:
-            parts.append(self._begin_frame(self._frames.popleft()))
-        settings = self.imu_settings()
+            frames.append(self._begin_frame(self._frames.popleft()))
+        if frames:
+            self._readout = Blocks.merge([self._readout, *frames])
+        # What is left of a frame is large: it is cut first, and small things join what is due.
+        due, self._readout = self._readout.split(true_us)
+        samples = self._due_samples(true_us)
+        if samples:
+            due = Blocks.merge([due, *samples])
+        self._done_us = true_us
+        return Blocks(self._oscillator.to_camera(due.t), due.stamped, due.end, due.words)
+
+    def _due_samples(self, true_us: int) -> list[Blocks]:
+        if not (self._readings and self._readings[0].t_us < true_us):
+            return []
+        settings, samples = self.imu_settings(), []
         while self._readings and self._readings[0].t_us < true_us:
             reading = self._readings.popleft()
             if settings.running and reading.t_us >= self._oscillator.origin_us:
-                parts.append(imu_blocks(reading, reading.t_us, settings))
-        due, self._readout = Blocks.merge(parts).split(true_us)
-        self._done_us = true_us
-        return Blocks(self._oscillator.to_camera(due.t), due.stamped, due.end, due.words)
+                samples.append(imu_blocks(reading, reading.t_us, settings))
+        return samples
 
     def _begin_frame(self, frame: Frame) -> Blocks:
         run = self._registers.read(Module.APS, Aps.RUN)
