@@ -29,6 +29,7 @@ setup(
     entry_points={
         'console_scripts': [
             'mixtac = mixtac_bringup.cli:main',
+            'force_error_node = mixtac_bringup.align.force_error_node:main',
             'recorder_node = mixtac_bringup.recorder_node:main',
         ],
     },

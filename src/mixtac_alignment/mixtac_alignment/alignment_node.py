@@ -5,30 +5,54 @@
 from __future__ import annotations
 
 import sys
+from collections import deque
 from typing import TYPE_CHECKING
 
+import numpy as np
 from event_camera_msgs.msg import EventPacket
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
+from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
 
+from mixtac_alignment.align import align
 from mixtac_alignment.alignment_parameters import AlignmentParameters
+from mixtac_alignment.edges import fit_edges
 from mixtac_alignment.fit_message import to_fields
 from mixtac_alignment.force_history import ForceHistory
+from mixtac_alignment.frame_features import reduce_frame
+from mixtac_alignment.frame_history import FrameHistory
 from mixtac_alignment.rate_history import EventRateHistory
-from mixtac_alignment.two_impulse import fit_counts
 from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import CodecError, MixtacError
 from mixtac_msgs.msg import ClockFit as ClockFitMessage
-from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED, declare, run, stamp_to_ns
+from mixtac_msgs.msg import ExternalEdge, FrameExposure
+from mixtac_node.base_node import (
+    QOS_EVENTS,
+    QOS_FORCE,
+    QOS_LATCHED,
+    declare,
+    run,
+    stamp_to_ns,
+    stamp_to_us,
+    us_to_stamp,
+)
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 
 if TYPE_CHECKING:
     from mixtac_alignment.clock_fit import ClockFit
 
 
+PIXELS = {'mono8': ('u1', 255.0), '8UC1': ('u1', 255.0), 'mono16': ('u2', 65535.0)}
+"""Type and white of the image encodings that can be used."""
+MOST_EDGES = 10_000
+
+
 class AlignmentNode(Node):  # type: ignore[misc]
-    """Counts events, remembers the reference force, and fits both clocks when `~/fit` is called."""
+    """Counts events, remembers force and frames, and fits both clocks when `~/fit` is called.
+
+    From then on the reference force is republished on the camera clock as `~/reference`.
+    """
 
     def __init__(self) -> None:
         super().__init__('alignment', namespace='mixtac')
@@ -36,15 +60,31 @@ class AlignmentNode(Node):  # type: ignore[misc]
         p = self._settings
         self._rate = EventRateHistory(p.history)
         self._force = ForceHistory(p.history, round(p.history * p.reference_rate))
+        self._frames = FrameHistory(p.history)
+        self._camera_edges: deque[int] = deque(maxlen=MOST_EDGES)
+        self._reference_edges: deque[float] = deque(maxlen=MOST_EDGES)
         self._fit: ClockFit | None = None
         self._sequence: int | None = None
         self._packets = self._lost = self._undecodable = 0
         warm_up()
         self.create_subscription(EventPacket, 'events', self._on_events, QOS_EVENTS)
         self.create_subscription(WrenchStamped, p.reference_topic, self._on_force, QOS_FORCE)
+        self._subscribe_frames()
+        self._subscribe_edges()
+        self._aligned = self.create_publisher(WrenchStamped, '~/reference', QOS_FORCE)
         self._publisher = self.create_publisher(ClockFitMessage, 'clock_fit', QOS_LATCHED)
         self.create_service(Trigger, '~/fit', self._on_fit)
         self._diagnostics = DiagnosticsPublisher(self, 'alignment', self._status)
+
+    def _subscribe_frames(self) -> None:
+        self.create_subscription(Image, 'image_raw', self._on_image, QOS_FORCE)
+        self.create_subscription(FrameExposure, 'image_exposure', self._on_exposure, QOS_FORCE)
+
+    def _subscribe_edges(self) -> None:
+        self.create_subscription(ExternalEdge, 'external_edges', self._on_edge, QOS_FORCE)
+        self.create_subscription(
+            TimeReference, 'reference_edges', self._on_reference_edge, QOS_FORCE
+        )
 
     def _apply(self, parameters: AlignmentParameters) -> None:
         self._settings = parameters
@@ -67,13 +107,47 @@ class AlignmentNode(Node):  # type: ignore[misc]
     def _on_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
         self._force.push(stamp_to_ns(message.header.stamp), (force.x, force.y, force.z))
+        if self._fit is not None:
+            seconds = stamp_to_ns(message.header.stamp) / 1e9
+            message.header.stamp = us_to_stamp(int(self._fit.to_camera(seconds)))
+            self._aligned.publish(message)
+
+    def _on_image(self, message: Image) -> None:
+        if not self._settings.use_frames or message.encoding not in PIXELS:
+            return
+        kind, white = PIXELS[message.encoding]
+        order = '>' if message.is_bigendian else '<'
+        pixels = np.frombuffer(message.data, order + kind).reshape(message.height, -1)
+        values = reduce_frame(pixels[:, : message.width], white)
+        self._frames.push_image(stamp_to_ns(message.header.stamp), values)
+
+    def _on_exposure(self, message: FrameExposure) -> None:
+        self._frames.push_exposure(
+            stamp_to_ns(message.header.stamp),
+            stamp_to_us(message.exposure_start),
+            stamp_to_us(message.exposure_end),
+        )
+
+    def _on_edge(self, message: ExternalEdge) -> None:
+        self._camera_edges.append(stamp_to_us(message.header.stamp))
+
+    def _on_reference_edge(self, message: TimeReference) -> None:
+        self._reference_edges.append(stamp_to_ns(message.time_ref) / 1e9)
+
+    def _make_fit(self) -> ClockFit:
+        p = self._settings
+        if p.use_edges:
+            return fit_edges(
+                np.array(self._camera_edges, np.int64), np.array(self._reference_edges)
+            )
+        t_s, force = self._force.snapshot(p.reference_axis)
+        frames = self._frames.snapshot() if p.use_frames else None
+        counts = self._rate.snapshot()
+        return align(counts, t_s, force, frames, p.settings(), use_all=p.use_all)[0]
 
     def _on_fit(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        p = self._settings
         try:
-            counts = self._rate.snapshot()
-            t_s, force = self._force.snapshot(p.reference_axis)
-            self._fit = fit_counts(counts, t_s, force, p.settings(), use_all=p.use_all)
+            self._fit = self._make_fit()
         except MixtacError as error:
             response.success, response.message = False, str(error)
             return response
@@ -90,6 +164,8 @@ class AlignmentNode(Node):  # type: ignore[misc]
             'undecodable packets': self._undecodable,
             'remembered event bins': len(self._rate.snapshot().counts),
             'reference samples out of order': self._force.out_of_order,
+            'frames without exposure, or the other way': self._frames.unmatched,
+            'external edges': len(self._camera_edges),
             'clock restarts': self._rate.restarts + self._force.restarts,
         }
         if self._fit is None:

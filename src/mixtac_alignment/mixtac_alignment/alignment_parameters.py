@@ -70,11 +70,35 @@ class AlignmentParameters:
         maximum=3600.0,
     )
     max_drift: float = parameter(
-        500.0,
+        200.0,
         'Largest believable clock drift; crystals stay within 100.',
         unit='ppm',
         minimum=1.0,
         maximum=10000.0,
+    )
+    event_latency: float = parameter(
+        4.15,
+        'How long after the force its peak shows in the event rate: lag of the gel and latency of '
+        'the pixels. The default is the median of simulated sensors; darker light needs more.',
+        unit='ms',
+        minimum=0.0,
+        maximum=50.0,
+    )
+    event_latency_std: float = parameter(
+        0.7,
+        'Standard deviation of event_latency; part of the stated uncertainty.',
+        unit='ms',
+        minimum=0.0,
+        maximum=50.0,
+    )
+    use_frames: bool = parameter(
+        True,
+        'Refine the fit over all that is remembered, with the frames.',
+    )
+    use_edges: bool = parameter(
+        False,
+        'Fit edges of a trigger line in place of taps: external_edges of the driver against '
+        'reference_edges.',
     )
     use_all: bool = parameter(
         False,
@@ -89,4 +113,6 @@ class AlignmentParameters:
             min_burst_rate=self.min_burst_rate,
             min_baseline_s=self.min_baseline,
             max_drift=self.max_drift * 1e-6,
+            event_latency_s=self.event_latency * 1e-3,
+            event_latency_std_s=self.event_latency_std * 1e-3,
         )

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-MAX_DRIFT: Final = 5e-4
+MAX_DRIFT: Final = 2e-4
 """Largest believable ``|a - 1|``: two uncompensated crystals differ by up to 1e-4."""
 
 
@@ -133,6 +133,7 @@ def fit_clock(
     *,
     min_baseline_s: float = 1.0,
     max_drift: float = MAX_DRIFT,
+    common_std_s: float = 0.0,
     method: str | None = None,
 ) -> ClockFit:
     """Fit the clock map to anchors: exactly for two, by weighted least squares for more.
@@ -144,6 +145,7 @@ def fit_clock(
         anchors: At least two, any order.
         min_baseline_s: Shortest time between the first and the last anchor [s].
         max_drift: Largest believable ``|a - 1|``, besides three standard deviations of `a`.
+        common_std_s: Standard deviation of an error that all anchors share [s].
         method: Name of the method; by default that of the solution.
 
     Raises:
@@ -167,6 +169,7 @@ def fit_clock(
     residuals = y - (a * x + b)
     if len(ordered) > 2:
         covariance *= max(1.0, float(np.sum((residuals / std) ** 2)) / (len(ordered) - 2))
+    covariance[1, 1] += common_std_s**2
     fit = ClockFit(
         a=a,
         b=b,
@@ -213,6 +216,11 @@ def _require_baseline(anchors: tuple[Anchor, ...], min_baseline_s: float) -> Non
 
 
 def _require_drift(fit: ClockFit, max_drift: float) -> None:
+    """Refuse a drift beyond the largest believable one and three standard deviations.
+
+    Raises:
+        DriftError: As above.
+    """
     allowed = max_drift + 3.0 * float(np.sqrt(fit.covariance[0, 0]))
     if not abs(fit.a - 1.0) <= allowed:
         raise DriftError(

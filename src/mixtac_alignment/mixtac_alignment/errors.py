@@ -27,3 +27,15 @@ class ShortBaselineError(AlignmentError):
 
 class DriftError(AlignmentError):
     """A clock drift that no pair of working clocks has."""
+
+
+class RefinementError(AlignmentError):
+    """A recording that holds too little to refine a clock map."""
+
+
+class InconsistentFitError(AlignmentError):
+    """Parts of a recording that contradict each other about the clocks."""
+
+
+class GapError(AlignmentError):
+    """Data missing where they are needed, or a clock that jumped."""

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.signal import find_peaks, peak_widths
 
 from mixtac_alignment.errors import AlignmentError
+from mixtac_alignment.force_smoothing import noise_std
 from mixtac_alignment.impulses import Impulse, ImpulseSettings, strongest, vertex
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def find_force_impulses(
     _require_recording(t_s, force_N)
     force = _pressing(force_N)
     period = float(np.median(np.diff(t_s)))
-    least = max(chosen.min_force, NOISE_FACTOR * _noise(force))
+    least = max(chosen.min_force, NOISE_FACTOR * noise_std(force))
     window = 2 * max(3, round(2.0 * chosen.max_width_s / period)) + 1
     peaks, found = find_peaks(force, prominence=least, wlen=window)
     edges = (found['prominences'], found['left_bases'], found['right_bases'])
@@ -92,12 +93,6 @@ def _pressing(force_N: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the force with the sign that makes pressing positive, and rest at zero."""
     relative = force_N - np.median(force_N)
     return relative if relative.max() >= -relative.min() else -relative
-
-
-def _noise(force: NDArray[np.float64]) -> float:
-    """Return the standard deviation of white noise, from second differences."""
-    second = np.diff(force, 2)
-    return float(1.4826 * np.median(np.abs(second - np.median(second))) / np.sqrt(6.0))
 
 
 def _require_recording(t_s: NDArray[np.float64], force_N: NDArray[np.float64]) -> None:

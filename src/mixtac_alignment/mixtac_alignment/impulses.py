@@ -5,10 +5,11 @@
 An impulse is a sharp tap on the sensor. The force sensor sees a short peak; the camera sees two
 bursts of events, loading and unloading, with a trough between them where the silicone stands still
 at its largest deformation. Force peak and event trough are the same moment (paper, section Aligning
-Data). What stands between them and the true moment stays in the offset `b`: the delay of the force
-sensor's filter (1.5 to 3 ms for a 800 Hz stream), the lag of the silicone's force before its
-deformation, and the latency of the pixels. The module `stillness` says which moment of the trough
-is taken.
+Data). The events come later than that: the silicone's deformation lags its force, and pixels answer
+the later the darker they are. Their latency is a constant of the sensor (`event_latency_s`) and is
+taken off. The delay of the force sensor's filter (1.5 to 3 ms for a 800 Hz stream) stays in the
+offset `b`, from which nothing can tell it: a camera time maps to the stamp of the sample that shows
+the force of that moment. The module `stillness` says which moment of the trough is taken.
 """
 
 from __future__ import annotations
@@ -36,6 +37,12 @@ class ImpulseSettings:
         min_baseline_s: Shortest time between the two impulses [s].
         max_drift: Largest believable difference of clock rates.
         match_s: Largest disagreement of two impulses that are the same [s].
+        max_force_gap_s: Longest stretch without force samples [s]; behind a longer one the clock
+            of the force sensor may be another.
+        event_latency_s: How long after the force its peak shows in the events [s]: the median of
+            simulated sensors in ordinary light, where photoreceptor, comparator and gel each take a
+            part; a sensor in other light has another.
+        event_latency_std_s: Standard deviation of it from sensor to sensor [s].
     """
 
     min_force: float = 0.2
@@ -45,8 +52,11 @@ class ImpulseSettings:
     max_trough_ratio: float = 0.6
     readout_rate: float = 1.0e7
     min_baseline_s: float = 2.0
-    max_drift: float = 5e-4
+    max_drift: float = 2e-4
     match_s: float = 0.006
+    max_force_gap_s: float = 0.05
+    event_latency_s: float = 4.15e-3
+    event_latency_std_s: float = 0.7e-3
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,7 +86,7 @@ def _run_out(at: NDArray[np.float64], height: NDArray[np.float64]) -> tuple[floa
     u = at - middle
     slope = float(u @ height) / float(u @ u)
     mean = float(height.mean())
-    if slope >= 0.0:
+    if slope >= -1e-9 * (1.0 + abs(mean)):
         return middle, float(np.ptp(at))
     scatter = height - mean - slope * u
     variance = float(scatter @ scatter) / max(1, len(at) - 2)

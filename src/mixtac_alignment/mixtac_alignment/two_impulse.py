@@ -12,6 +12,7 @@ from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
 from mixtac_alignment.errors import AlignmentError, NoImpulseError, SaturatedImpulseError
 from mixtac_alignment.event_troughs import find_event_impulses
 from mixtac_alignment.force_peaks import find_force_impulses
+from mixtac_alignment.gaps import mark_gaps, require_continuous
 from mixtac_alignment.impulses import Impulse, ImpulseSettings
 from mixtac_alignment.isolation import prefer_isolated
 from mixtac_alignment.pairing import ImpulsePair, pair_impulses
@@ -75,16 +76,20 @@ def fit_counts(
         raise AlignmentError('no force recorded: check the topic of the reference sensor')
     start_s = float(np.floor(force_t_s[0]))
     time_s = force_t_s - start_s
+    require_continuous(time_s, chosen.max_force_gap_s)
+    counts = mark_gaps(counts)
     reference = prefer_isolated(find_force_impulses(time_s, force_N, chosen), time_s, force_N)
     camera = prefer_isolated(find_event_impulses(counts, chosen), *_coarse_rate(counts))
     _require_two(reference, 'force', f'tap so that the force passes {chosen.min_force:g} N')
     _require_two(camera, 'event rate', 'tap sharply on the gel, and check for lost packets')
     pairs = _synchronising(pair_impulses(camera, reference, chosen))
     used = pairs if use_all else (pairs[0], pairs[-1])
+    latency_us = round(1e6 * chosen.event_latency_s)
     return fit_clock(
-        [_anchor(pair, counts.start_us, start_s) for pair in used],
+        [_anchor(pair, counts.start_us - latency_us, start_s) for pair in used],
         min_baseline_s=chosen.min_baseline_s,
         max_drift=chosen.max_drift,
+        common_std_s=chosen.event_latency_std_s,
     )
 
 

@@ -33,6 +33,7 @@ class Scene:
     presses: bool = True
     seed: int = 1
     limit: float = field(default=np.inf)
+    latency_s: float = 4.15e-3  # the events come later than the force, as in the sensor
 
     def force(self, t: np.ndarray) -> np.ndarray:
         """Return the true force [N] at true times [s]."""
@@ -56,7 +57,7 @@ class Scene:
         sampled = np.arange(0.0, self.seconds, 1.0 / self.rate_hz)
         measured = np.minimum(self.force(sampled), self.limit)
         measured = measured + rng.normal(0.0, self.noise, len(sampled)) * (measured < self.limit)
-        camera = self.camera_start_us + np.rint(events * 1e6).astype(np.int64)
+        camera = self.camera_start_us + np.rint((events + self.latency_s) * 1e6).astype(np.int64)
         return camera, self.reference_s(sampled), measured
 
     def reference_s(self, t: np.ndarray) -> np.ndarray:

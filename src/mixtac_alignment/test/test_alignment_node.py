@@ -66,6 +66,7 @@ class Peer:
         self.executor.add_node(self.node)
         self.fits: list[Any] = []
         self._packet, self._wrench, self._trigger = EventPacket, WrenchStamped, Trigger
+        self._force_qos = QOS_FORCE
         self._fit_type, self._latched = ClockFit, QOS_LATCHED
         self._events = self.node.create_publisher(EventPacket, 'events', QOS_EVENTS)
         self._force = self.node.create_publisher(WrenchStamped, '/ft_sensor/wrench', QOS_FORCE)
@@ -93,6 +94,19 @@ class Peer:
         while not self.fits and time.monotonic() < deadline:
             self.executor.spin_once(timeout_sec=0.1)
         return self.fits[-1]
+
+    def hear_aligned(self, case: Any) -> None:
+        """Check that a sample comes back on the camera clock."""
+        heard: list[Any] = []
+        self.node.create_subscription(
+            self._wrench, 'alignment/reference', heard.append, self._force_qos
+        )
+        deadline = time.monotonic() + 20.0
+        while not heard and time.monotonic() < deadline:
+            self._send_force(float(case.reference_s(np.array(3.0))), 0.5)
+            self.executor.spin_once(timeout_sec=0.1)
+        stamp = heard[0].header.stamp
+        assert abs(stamp.sec * 1e6 + stamp.nanosec / 1e3 - float(case.camera_us(3.0))) < 2000.0
 
     def play(self, t_us: np.ndarray, force_s: np.ndarray, force: np.ndarray) -> None:
         """Publish packets and force samples side by side, faster than real time."""
@@ -148,6 +162,7 @@ def test_the_node_fits_and_latches_the_clock_map(
     times = np.array([case.camera_us(t) for t in case.taps_s])
     error = fit.to_reference(times) - case.reference_s(np.array(case.taps_s))
     assert np.abs(error).max() < 2e-3
+    peer.hear_aligned(case)
     assert message.method == 'two_impulse'
     assert message.message == answer.message
     assert message.header.stamp.sec > 0

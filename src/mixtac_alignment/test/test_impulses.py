@@ -59,7 +59,7 @@ def test_force_peaks_lie_between_the_samples(scene: Any, seed: int) -> None:
 
 @pytest.mark.parametrize('seed', range(4))
 def test_event_troughs_are_finer_than_a_millisecond(scene: Any, seed: int) -> None:
-    case = scene(seed=seed, tap_s=0.016)
+    case = scene(seed=seed, tap_s=0.016, latency_s=0.0)
     events, _, _ = case.recording()
     counts = EventCounts.of(events)
     found = find_event_impulses(counts)

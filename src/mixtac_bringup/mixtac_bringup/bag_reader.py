@@ -70,8 +70,14 @@ class BagFile:
         for _, received_ns, message in self.messages_of(topic):
             yield received_ns, message
 
-    def messages_of(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
+    def messages_of(
+        self, *topics: str, raw: tuple[str, ...] = ()
+    ) -> Iterator[tuple[str, int, Any]]:
         """Yield (topic, host time received [ns], message) of several topics in one pass.
+
+        Args:
+            topics: Absolute topic names.
+            raw: Those of them whose messages stay serialised: ``bytes`` in CDR.
 
         Raises:
             BagError: A topic was not recorded, or the data are damaged.
@@ -84,6 +90,9 @@ class BagFile:
             )
         try:
             for connection, received_ns, data in self._reader.messages(chosen):
+                if connection.topic in raw:
+                    yield connection.topic, received_ns, data
+                    continue
                 message = self._types.deserialize_cdr(data, connection.msgtype)
                 yield connection.topic, received_ns, message
         except (GeneratorExit, BagError):

@@ -117,11 +117,12 @@ def _mount_learning() -> None:
 
 def _mount_hardware() -> None:
     # So does whatever opens cameras, or pretends to be one.
+    from mixtac_bringup.align.command import align
     from mixtac_bringup.calibrate import calibrate
     from mixtac_bringup.doctor import doctor
     from mixtac_bringup.simulate.command import simulate
 
-    for command in (doctor, calibrate, simulate):
+    for command in (doctor, calibrate, simulate, align):
         app.command()(command)
 
 

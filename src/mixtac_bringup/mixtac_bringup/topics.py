@@ -155,6 +155,29 @@ TOPICS = (
         description='Map from the camera clock to the reference clock (alignment node).',
     ),
     Topic(
+        'alignment/reference',
+        'geometry_msgs/msg/WrenchStamped',
+        reliable=False,
+        depth=100,
+        description='The reference force, stamps on the camera clock, once there is a fit '
+        '(alignment node).',
+    ),
+    Topic(
+        'force_error/mae',
+        'std_msgs/msg/Float64',
+        reliable=False,
+        depth=100,
+        description='Running mean absolute error of `force` against the aligned reference [N] '
+        '(force error node).',
+    ),
+    Topic(
+        'force_error/rmse',
+        'std_msgs/msg/Float64',
+        reliable=False,
+        depth=100,
+        description='Its root mean square [N].',
+    ),
+    Topic(
         'slip',
         'mixtac_msgs/msg/SlipState',
         reliable=False,

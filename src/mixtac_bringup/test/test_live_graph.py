@@ -22,7 +22,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 pytestmark = pytest.mark.dds
-OTHER_GRAPHS = {'clock_fit', 'slip'}
+OTHER_GRAPHS = {
+    'clock_fit',
+    'slip',
+    'alignment/reference',
+    'force_error/mae',
+    'force_error/rmse',
+}
 
 
 @pytest.fixture(scope='module')

@@ -1,0 +1,52 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Edges of a trigger line as anchors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_alignment.edges import fit_edges
+from mixtac_alignment.errors import AmbiguousImpulsesError, DriftError, NoImpulseError
+
+EPOCH_US = 1_700_000_000_000_000
+
+
+@given(
+    gaps=st.lists(st.integers(20_000, 3_000_000), min_size=4, max_size=20, unique=True),
+    drift=st.floats(-1e-4, 1e-4),
+    missing=st.integers(0, 1),
+)
+def test_edges_give_the_clocks_to_microseconds(gaps: list[int], drift: float, missing: int) -> None:
+    camera = EPOCH_US + np.cumsum([0, 2_000_000, *gaps])
+    reference = 5.25 + (1.0 + drift) * (camera - EPOCH_US) * 1e-6
+    fit = fit_edges(camera.astype(np.int64), reference)
+    assert np.abs(fit.to_reference(camera) - reference).max() < 2e-6
+    assert fit.method == 'hardware_edges'
+    assert len(fit.anchors) == len(camera) - 0 * missing
+
+
+def test_edges_missing_on_one_side_are_left_out() -> None:
+    rng = np.random.default_rng(3)
+    camera = np.cumsum(rng.integers(50_000, 900_000, 30)).astype(np.int64)
+    reference = 100.0 + camera * 1e-6
+    fit = fit_edges(camera[2:], np.delete(reference, [5, 17])[:-3])
+    assert abs(float(fit.to_reference(0)) - 100.0) < 1e-6
+    assert len(fit.anchors) == 23
+
+
+def test_even_edges_with_one_missing_are_ambiguous() -> None:
+    camera = (np.arange(20) * 500_000).astype(np.int64)
+    with pytest.raises(AmbiguousImpulsesError, match='unequal'):
+        fit_edges(camera, np.arange(19) * 0.5)
+
+
+def test_edges_that_make_no_map_are_refused() -> None:
+    camera = np.array([0, 1_000_000, 2_500_000], np.int64)
+    with pytest.raises(NoImpulseError, match='cable'):
+        fit_edges(camera, np.array([1.0]))
+    with pytest.raises((NoImpulseError, DriftError)):
+        fit_edges(camera, np.array([0.0, 1.3, 2.9]))
