@@ -41,7 +41,7 @@ CONTROL_TIMEOUT_MS = 500
 """A camera answers within a few ms."""
 
 UDEV_REMEDY = (
-    'install the rule share/mixtac_driver/udev/65-mixtac.rules in /etc/udev/rules.d, '
+    'install the rule share/mixtac_driver/65-mixtac.rules in /etc/udev/rules.d, '
     'run "udevadm control --reload" and plug the camera in again'
 )
 _PLUG_REMEDY = 'if this goes on, plug the camera in again'
