@@ -63,4 +63,5 @@ def test_processor_time_of_children_counts():
     deadline = time.process_time() + 0.2
     while time.process_time() < deadline:
         pass
-    assert simulate_report.processor_s() - before >= 0.19
+    # The kernel counts in ticks of 10 ms, at both ends.
+    assert simulate_report.processor_s() - before > 0.175
