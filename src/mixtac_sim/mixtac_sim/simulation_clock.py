@@ -47,6 +47,15 @@ class SimulationClock:
             return 0
         return (self._monotonic_ns() - self._start_ns) // 1000 - self.lost_us
 
+    @property
+    def start_epoch_ns(self) -> int:
+        """Host time at which simulated time was 0 [ns since the Unix epoch].
+
+        Clocks of simulated devices count from it and stand still with simulated time: two of them
+        that did not would drift apart by every stall of the host.
+        """
+        return self._start_epoch_ns
+
     def lose(self, lost_us: int) -> None:
         """Let simulated time be ``lost_us`` [us] further behind the host."""
         self.lost_us += lost_us

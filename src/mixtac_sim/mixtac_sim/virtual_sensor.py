@@ -255,7 +255,7 @@ class VirtualSensor:
         while self._pending and self._pending[0][0] <= until_us:
             _, out = self._pending.popleft()
             self._hand_over(out.truth)
-            epoch_ns = self._clock.to_epoch_ns(np.zeros(1, np.int64))[0]
+            epoch_ns = self._clock.start_epoch_ns
             samples = self._reference.process(out.wrench_us, out.wrench)
             self._put(self._references, WrenchBatch(samples.t_ns + epoch_ns, samples.wrench))
 

@@ -243,3 +243,14 @@ def test_threaded_loop_starts_and_closes():
     until = simulation.until
     assert sensor.state().simulated_us == until
     assert batches[0].wrench.shape[1] == 6
+
+
+def test_device_clocks_stand_still_with_simulated_time():
+    now_ns = [0]
+    clock = SimulationClock(lambda: now_ns[0], lambda: 5_000_000_000 + now_ns[0])
+    clock.start()
+    started = clock.start_epoch_ns
+    now_ns[0] = 2_000_000_000
+    clock.lose(250_000)
+    assert clock.now_us() == 1_750_000
+    assert clock.start_epoch_ns == started == 5_000_000_000
