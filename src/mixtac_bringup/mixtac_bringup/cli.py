@@ -138,7 +138,10 @@ def main(arguments: list[str] | None = None) -> int:
     """
     _mount_learning()
     _mount_hardware()
-    bench.mount()
+    words = sys.argv[1:] if arguments is None else arguments
+    if words[:1] == ['bench']:
+        # Compiled code takes a second to load, which no other command should wait for.
+        bench.mount()
     try:
         result = app(arguments, standalone_mode=False)
     except MixtacError as error:
