@@ -108,11 +108,13 @@ def inspect(bag: Annotated[Path, typer.Argument(help='Folder of a rosbag2 record
 def _mount_learning() -> None:
     # Training pulls in torch; the other commands start without it.
     from mixtac_fger import difficulty_cli, training_cli
+    from mixtac_sim import vibration_cli
 
     app.command()(training_cli.train)
     app.command()(training_cli.evaluate)
     experiments.command()(difficulty_cli.difficulty)
     experiments.command()(difficulty_cli.ablation)
+    experiments.command()(vibration_cli.vibration)
 
 
 def _mount_hardware() -> None:

@@ -20,6 +20,7 @@ from mixtac_fger.trial_plan import calibration_plan, evaluation_plan, unseen_dev
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from mixtac_fger.event_integrator import Increments
     from mixtac_fger.trial_plan import TrialSpec
     from mixtac_fger.weights import LoadedModel
 
@@ -29,6 +30,10 @@ Preset = Annotated[str, typer.Option(help='easy, paper_like or hard.')]
 Devices = Annotated[int, typer.Option(min=1, help='Number of unseen sensors.')]
 Seconds = Annotated[float, typer.Option(min=6, help='Length of a trial.')]
 Seed = Annotated[int, typer.Option(min=3, help='Which fresh sensors and days.')]
+LESSONS = 4
+"""Trials of a sensor that its event integrator is fitted to."""
+LESSON = 50
+"""Their trial seeds begin so far behind that of the trial that is judged."""
 Json = Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')]
 
 
@@ -43,8 +48,12 @@ def difficulty(
     """Show what frames alone, events alone, brightness and event counts tell of the force."""
     specs, presses = _plans(preset, devices, seconds, seed)
     with Progress(transient=True) as progress:
-        bar = progress.add_task('judging', total=len(specs) + len(presses))
-        figures = _judge_all(_load(model), specs, presses, lambda: progress.advance(bar))
+        total = len(specs) * (2 + LESSONS) + len(presses)
+        bar = progress.add_task('judging', total=total)
+        loaded = _load(model)
+        figures = _judge_all(loaded, specs, presses, lambda: progress.advance(bar))
+        kept = loaded.config.reference_frames
+        figures |= _integrate_all(kept, specs, lambda: progress.advance(bar))
     table = Table(title=f'dynamic, {preset}, simulated', title_justify='left')
     table.add_column('figure')
     table.add_column('value', justify='right')
@@ -126,6 +135,36 @@ def _judge_all(
         judged.append(judge(model, simulate(spec), scales[spec.device_seed]))
         advance()
     return summarise(judged)
+
+
+def _integrate_all(
+    reference_frames: int, specs: Sequence[TrialSpec], advance: Callable[[], None]
+) -> dict[str, float]:
+    """Return the figures of an event integrator of each sensor, fitted to other trials of it."""
+    import numpy as np
+
+    from mixtac_fger.dataset import true_force
+    from mixtac_fger.event_integrator import (
+        EventIntegrator,
+        increments,
+        judge_integrator,
+        summarise_integrator,
+    )
+    from mixtac_fger.generation import simulate
+
+    def windows(spec: TrialSpec) -> Increments:
+        trial = simulate(spec)
+        advance()
+        return increments(trial, true_force(trial.truth), reference_frames)
+
+    rows, fits = [], []
+    for spec in specs:
+        days = [replace(spec, trial_seed=spec.trial_seed + LESSON + k) for k in range(LESSONS)]
+        integrator = EventIntegrator.choose([windows(day) for day in days])
+        quarters, r2 = judge_integrator(integrator, [windows(spec)])
+        rows.append(quarters)
+        fits.append(r2)
+    return summarise_integrator(np.concatenate(rows), float(np.mean(fits)))
 
 
 def _write(path: Path | None, content: dict[str, object]) -> None:

@@ -91,7 +91,7 @@ PAPER_LIKE = Preset(
     ),
     creep=CreepEffects(slow=(0.02, 0.06), times_log_sd=0.3, long=(0.01, 0.03)),
     optics=OpticsEffects(mesh_moves=True, beads=(380, 500), shift_px=1.0, roll_deg=0.3),
-    bandwidth=BandwidthEffects(follower=(0.35, 1.3), per_lux=(0.64, 1.6), refractory=(0.03, 5.0)),
+    bandwidth=BandwidthEffects(follower=(0.35, 1.3), per_lux=(4.0, 16.0), refractory=(0.03, 5.0)),
     light=LightEffects(day=(0.92, 1.08), exposure=(0.8, 1.2), ripple=(0.002, 0.01)),
     contact=ContactEffects(
         place_mm=2.5,
@@ -120,7 +120,7 @@ HARD = Preset(
     ),
     creep=CreepEffects((0.03, 0.09), 0.4, (0.02, 0.06)),
     optics=OpticsEffects((1.6, 2.4), mesh_moves=True, beads=(350, 600), shift_px=3.0, roll_deg=1.0),
-    bandwidth=BandwidthEffects((0.17, 1.3), (0.5, 1.6), (0.03, 5.0)),
+    bandwidth=BandwidthEffects((0.17, 1.3), (2.8, 16.0), (0.03, 5.0)),
     light=LightEffects(
         (0.8, 1.2),
         (-4e-4, 1e-4),
