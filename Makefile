@@ -5,7 +5,7 @@ SHELL := /bin/bash
 PYTHON ?= python3
 export PYTHON
 
-.PHONY: demo test setup lint docs clean
+.PHONY: demo test setup view lint docs clean
 
 demo:  ## set up and run the live demo on the virtual sensor
 	./mixtac demo $(ARGS)
@@ -15,6 +15,9 @@ test: setup  ## set up and run all tests
 
 setup:  ## environment, ROS 2, workspace; does nothing when nothing changed
 	$(PYTHON) tools/setup.py
+
+view:  ## set up, with the live view in a browser (rerun, 500 MB)
+	$(PYTHON) tools/setup.py --with view
 
 lint: setup  ## style, types, layers
 	. tools/env.sh && tools/lint.sh

@@ -25,6 +25,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 SUPPORTED_PYTHON = ((3, 10), (3, 13))
+EXTRAS = ('view',)
 SUPPORTED_DISTROS = ('jazzy', 'kilted', 'lyrical', 'rolling')
 
 
@@ -167,13 +168,13 @@ def make_venv(venv: Path, *, system_packages: bool) -> None:
     call([sys.executable, '-m', 'venv', *flags, str(venv)], 'the virtual environment failed')
 
 
-def install(venv: Path, steps: Steps, requirements: list[str]) -> None:
-    """Install the pinned requirements."""
-    files = [ROOT / 'requirements' / name for name in requirements]
+def install(venv: Path, steps: Steps, requirements: list[str], name: str = 'install') -> None:
+    """Install the pinned requirements; what they name together is resolved together."""
+    files = [ROOT / 'requirements' / each for each in requirements]
     wanted = fingerprint(files)
-    if steps.is_done('install', wanted):
+    if steps.is_done(name, wanted):
         return
-    say('installing pinned packages (a few minutes the first time)')
+    say(f'installing {", ".join(requirements)} (a few minutes the first time)')
     arguments = [part for path in files for part in ('-r', str(path))]
     call(
         [
@@ -186,7 +187,7 @@ def install(venv: Path, steps: Steps, requirements: list[str]) -> None:
         ],
         'pip could not install the requirements: is a package registry reachable?',
     )
-    steps.finish('install', wanted)
+    steps.finish(name, wanted)
 
 
 def repair_wheels(venv: Path, steps: Steps) -> None:
@@ -222,7 +223,8 @@ def workspace_inputs() -> list[Path]:
 def installed_names() -> str:
     """Return the names of the data files that the workspace installs by link."""
     folders = ('launch', 'config', 'models')
-    return '\n'.join(sorted(str(p) for f in folders for p in (ROOT / f).glob('*')))
+    found = [p for f in folders for p in (ROOT / f).rglob('*') if '__pycache__' not in p.parts]
+    return '\n'.join(sorted(map(str, found)))
 
 
 def has_package(env: dict[str, str], name: str) -> bool:
@@ -288,8 +290,13 @@ def forget_kernels(steps: Steps) -> None:
     steps.finish('kernels', wanted)
 
 
-def set_up(*, dev: bool) -> None:
-    """Do every step that is due."""
+def set_up(*, dev: bool, extras: list[str]) -> None:
+    """Do every step that is due.
+
+    Args:
+        dev: With what tests and checks need.
+        extras: Optional parts to install as well, named as their files in requirements/.
+    """
     check_python()
     distro = full_ros()
     venv = ROOT / ('.venv-ros' if distro else '.venv')
@@ -303,6 +310,9 @@ def set_up(*, dev: bool) -> None:
         steps.finish('system', 'ok')
         steps.finish('venv', 'ok')
     install(venv, steps, requirements)
+    for extra in extras:
+        # With the base, so that no extra moves what that pins.
+        install(venv, steps, ['base.txt', f'{extra}.txt'], name=extra)
     if not distro:
         repair_wheels(venv, steps)
     build(venv, steps, distro)
@@ -314,7 +324,18 @@ def set_up(*, dev: bool) -> None:
 def main() -> int:
     """Run the set-up; print one clear message where it cannot be done."""
     parser = argparse.ArgumentParser(description='set up the Mixtac environment and workspace')
-    parser.parse_args()
+    parser.add_argument(
+        '--with',
+        dest='extras',
+        action='append',
+        default=[],
+        choices=EXTRAS,
+        help='an optional part: view is the live view in a browser',
+    )
+    parser.add_argument(
+        '--runtime', action='store_true', help='without what only tests and checks need'
+    )
+    options = parser.parse_args()
     (ROOT / 'log').mkdir(exist_ok=True)
     with (ROOT / 'log' / 'setup.lock').open('w') as lock:
         try:
@@ -323,7 +344,7 @@ def main() -> int:
             say('waiting for another set-up of this folder to finish')
             fcntl.flock(lock, fcntl.LOCK_EX)
         try:
-            set_up(dev=True)
+            set_up(dev=not options.runtime, extras=options.extras)
         except SetupError as error:
             print(f'error: {error}', file=sys.stderr)
             return 1

@@ -8,6 +8,14 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'mixtac_bringup'
 
+
+def config_files() -> list[tuple[str, list[str]]]:
+    """Return the files of the folder config and of those in it, by where they are installed."""
+    folders = [Path('config'), *sorted(each for each in Path('config').iterdir() if each.is_dir())]
+    found = [(each, sorted(str(p) for p in each.glob('*') if p.is_file())) for each in folders]
+    return [(f'share/{PACKAGE}/{folder}', files) for folder, files in found]
+
+
 setup(
     name=PACKAGE,
     version='0.1.0',
@@ -18,7 +26,7 @@ setup(
         (f'share/{PACKAGE}', ['package.xml']),
         # launch and config are links to the folders of these names at the top of the repository.
         (f'share/{PACKAGE}/launch', sorted(map(str, Path('launch').glob('*.launch.py')))),
-        (f'share/{PACKAGE}/config', sorted(map(str, Path('config').glob('*')))),
+        *config_files(),
     ],
     install_requires=['setuptools'],
     zip_safe=True,
@@ -31,6 +39,8 @@ setup(
             'mixtac = mixtac_bringup.cli:main',
             'force_error_node = mixtac_bringup.align.force_error_node:main',
             'recorder_node = mixtac_bringup.recorder_node:main',
+            'view_node = mixtac_bringup.view.view_node:main',
+            'sensor_node = mixtac_bringup.compose.sensor_node:main',
         ],
     },
 )

@@ -62,7 +62,7 @@ class BagWriter:
 
     Attributes:
         written: Messages written so far, by topic.
-        dropped: Messages dropped because the disk was too slow.
+        dropped: Messages dropped because the disk was too slow, or has failed.
 
     Raises:
         BagError: The folder exists already or cannot be made.
@@ -71,6 +71,7 @@ class BagWriter:
     def __init__(self, path: Path) -> None:
         self.written: dict[str, int] = {}
         self.dropped = 0
+        self._failure: Exception | None = None
         self._types = typestore()
         try:
             self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
@@ -107,14 +108,38 @@ class BagWriter:
         except queue.Full:
             self.dropped += 1
 
+    @property
+    def failure(self) -> str:
+        """What the disk failed with, empty while it works."""
+        return ' '.join(str(self._failure).split()) if self._failure else ''
+
     def close(self) -> None:
-        """Write what is queued and finish the bag."""
+        """Write what is queued and finish the bag.
+
+        Raises:
+            BagError: The disk was full or failed; what was written before is there.
+        """
         self._queue.put(None)
         self._thread.join()
-        self._writer.close()
+        try:
+            self._writer.close()
+        except OSError as error:
+            self._failure = self._failure or error
+        if self._failure is not None:
+            raise BagError(
+                f'the bag could not be written to its end ({self.failure}): free some space'
+            ) from self._failure
 
     def _work(self) -> None:
         while (item := self._queue.get()) is not None:
             connection, received_ns, data = item
-            self._writer.write(connection, received_ns, data)
+            if self._failure is not None:
+                self.dropped += 1
+                continue
+            try:
+                self._writer.write(connection, received_ns, data)
+            except (OSError, WriterError) as error:
+                # The thread goes on, so that nobody waits for it.
+                self._failure = error
+                continue
             self.written[connection.topic] += 1

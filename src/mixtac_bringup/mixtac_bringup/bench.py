@@ -12,12 +12,15 @@ app = typer.Typer(name='bench', help='Measure the speed of the parts.', no_args_
 def mount() -> None:
     """Add the commands; what they need takes a while to load."""
     from mixtac_bringup.benchmark.align import align
+    from mixtac_bringup.benchmark.compose import compose
     from mixtac_bringup.benchmark.infer import infer
     from mixtac_bringup.benchmark.pipeline_report import pipeline
     from mixtac_bringup.benchmark.recovery import recovery
     from mixtac_bringup.benchmark.simulate_report import simulate
+    from mixtac_bringup.benchmark.two_sensors import two_sensors
     from mixtac_driver.benchmark.decode_benchmark import decode
     from mixtac_driver.benchmark.fuzz import fuzz
 
-    for command in (decode, pipeline, recovery, simulate, align, infer, fuzz):
+    measures = (decode, pipeline, recovery, simulate, align, infer, compose, two_sensors, fuzz)
+    for command in measures:
         app.command()(command)

@@ -74,13 +74,28 @@ def up(
     play: Annotated[
         bool, typer.Option(help='Play the scenario again and again (virtual device only).')
     ] = True,
+    view: Annotated[bool, typer.Option(help='Live view in the browser; docs/viewing.md.')] = False,
+    single_process: Annotated[
+        bool, typer.Option(help='Driver and estimator in one process.')
+    ] = False,
 ) -> None:
     """Run the sensor's nodes with their parameter files, as sensor.launch.py does."""
     from mixtac_bringup.up import UpOptions, run_graph
 
     if graph != 'sensor':
         raise typer.BadParameter(f'{graph!r}: choose sensor', param_hint='GRAPH')
-    options = UpOptions(device, namespace, params_file, log_level, seconds, record, autostart, play)
+    options = UpOptions(
+        device=device,
+        namespace=namespace,
+        params_file=params_file,
+        log_level=log_level,
+        seconds=seconds,
+        record=record,
+        autostart=autostart,
+        play=play,
+        view=view,
+        single_process=single_process,
+    )
     run_graph(Console(), options)
 
 
@@ -122,9 +137,12 @@ def _mount_hardware() -> None:
     from mixtac_bringup.align.command import align
     from mixtac_bringup.calibrate import calibrate
     from mixtac_bringup.doctor import doctor
+    from mixtac_bringup.export.command import export
+    from mixtac_bringup.record.command import record
     from mixtac_bringup.simulate.command import simulate
+    from mixtac_bringup.view.command import view
 
-    for command in (doctor, calibrate, simulate, align):
+    for command in (doctor, calibrate, simulate, align, view, record, export):
         app.command()(command)
 
 

@@ -11,3 +11,7 @@ class GraphError(MixtacError):
 
 class BagError(MixtacError):
     """A recording that is missing, damaged, or without the topics asked for."""
+
+
+class ViewError(MixtacError):
+    """A live view that cannot be served or written."""

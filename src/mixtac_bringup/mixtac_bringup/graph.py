@@ -62,7 +62,7 @@ class NodeSpec:
         for file in files:
             arguments += ['--params-file', str(file)]
         for name, value in self.overrides.items():
-            arguments += ['-p', f'{name}:={_yaml(value)}']
+            arguments += ['-p', f'{name}:={yaml_value(value)}']
         return [str(executable(self.package, self.executable)), *arguments]
 
 
@@ -113,7 +113,7 @@ def sensor_graph(
                 'mixtac_sim',
                 'virtual_sensor_node',
                 'virtual_sensor',
-                overrides=dict(virtual_sensor or {}),
+                overrides={**_socket(device), **(virtual_sensor or {})},
             )
         )
     nodes.append(
@@ -132,7 +132,13 @@ def sensor_graph(
     return nodes
 
 
-def _yaml(value: object) -> str:
+def _socket(device: str) -> dict[str, object]:
+    path = device.partition(':')[2]
+    return {'socket': path} if path else {}
+
+
+def yaml_value(value: object) -> str:
+    """Return a parameter value as YAML for the command line."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

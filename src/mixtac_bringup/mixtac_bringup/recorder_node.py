@@ -5,76 +5,58 @@
 from __future__ import annotations
 
 import sys
-import time
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-
-from mixtac_bringup.bag_writer import BagWriter
 from mixtac_bringup.errors import BagError
-from mixtac_bringup.message_types import message_class
+from mixtac_bringup.record.description import add_recording, read_recordings
+from mixtac_bringup.record.listener_node import Listener
 from mixtac_bringup.recorder_parameters import RecorderParameters
-from mixtac_bringup.topics import REFERENCE, TOPICS, Topic
 from mixtac_node.base_node import declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 
 
-class RecorderNode(Node):  # type: ignore[misc]
-    """Subscribes to every topic of the sensor, serialised, and hands the bytes to the writer."""
+class RecorderNode(Listener):
+    """Records from its start to its end; `mixtac record` is the same with checks and figures."""
 
     def __init__(self) -> None:
         super().__init__('recorder')
-        parameters = declare(self, RecorderParameters)
-        if not parameters.output:
+        self._p = declare(self, RecorderParameters)
+        if not self._p.output:
             raise BagError('parameter output is empty: name the folder of the new bag')
-        self._writer = BagWriter(Path(parameters.output))
-        chosen = [
-            replace(each, name=parameters.reference_topic) if each.name == REFERENCE else each
-            for each in TOPICS
-        ]
-        connections = [(each, self._announce(each)) for each in chosen]
-        for each, connection in connections:
-            self.create_subscription(
-                message_class(each.type_name),
-                each.name,
-                partial(self._on_message, connection),
-                _qos(each),
-                raw=True,
-            )
+        self._output = Path(self._p.output)
+        read_recordings(self._output.absolute().parent / 'dataset.yaml')
+        self.listen(self._p.reference_topic)
+        self.start(self._output)
         self._diagnostics = DiagnosticsPublisher(self, 'recorder', self._status)
 
     def close(self) -> None:
         """Finish the bag."""
-        self._writer.close()
-        if self._writer.dropped:
-            self.get_logger().warning(f'{self._writer.dropped} messages lost: disk too slow')
-
-    def _announce(self, each: Topic) -> object:
-        return self._writer.add_topic(
-            each.resolved(self.get_namespace()),
-            each.type_name,
-            reliable=each.reliable,
-            latched=each.latched,
-        )
-
-    def _on_message(self, connection: object, data: bytes) -> None:
-        self._writer.write(connection, time.time_ns(), data)  # type: ignore[arg-type]
+        try:
+            summary = self.finish()
+            if summary is None:
+                return
+            add_recording(self._output, summary, profile=self._p.profile, split=self._p.split)
+        except BagError as error:
+            self.get_logger().error(str(error))
+            return
+        say = self.get_logger().warning if summary.dropped else self.get_logger().info
+        say(f'{self._output}: {summary.seconds:.1f} s, {summary.verdict()}')
 
     def _status(self) -> Status:
-        dropped = self._writer.dropped
-        message = f'{dropped} messages lost: disk too slow' if dropped else 'recording'
-        return Status(WARN if dropped else OK, message, {'dropped': dropped})
-
-
-def _qos(each: Topic) -> QoSProfile:
-    return QoSProfile(
-        depth=max(1000, each.depth) if not each.latched else 1,
-        reliability=ReliabilityPolicy.RELIABLE if each.reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if each.latched else DurabilityPolicy.VOLATILE,
-    )
+        writer = self.writer
+        dropped = writer.dropped if writer else 0
+        missing = {m.topic.name: m.missing for m in self.meters if m.missing}
+        values: dict[str, object] = {
+            'dropped': dropped,
+            'messages': sum(m.messages for m in self.meters),
+            'bytes': sum(m.octets for m in self.meters),
+            **{f'missing {name}': count for name, count in missing.items()},
+        }
+        if writer is not None and writer.failure:
+            return Status(WARN, f'nothing is written any more: {writer.failure}', values)
+        if dropped:
+            return Status(WARN, f'{dropped} messages lost: disk too slow', values)
+        return Status(WARN if missing else OK, 'recording', values)
 
 
 def main(args: list[str] | None = None) -> int:

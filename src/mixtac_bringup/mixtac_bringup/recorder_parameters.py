@@ -18,3 +18,12 @@ class RecorderParameters:
     reference_topic: str = parameter(
         REFERENCE, 'Topic of the reference force sensor.', read_only=True
     )
+    profile: str = parameter(
+        '', 'What is done while recording, for dataset.yaml, for example static.', read_only=True
+    )
+    split: str = parameter(
+        '',
+        'What the recording is for, in dataset.yaml.',
+        choices=('', 'train', 'test'),
+        read_only=True,
+    )

@@ -29,6 +29,11 @@ class Topic:
     latched: bool = False
     condition: str = ''
 
+    @property
+    def has_header(self) -> bool:
+        """Whether its messages begin with a `std_msgs/Header`."""
+        return self.type_name not in {'std_msgs/msg/Float64', 'std_msgs/msg/Bool'}
+
     def resolved(self, namespace: str) -> str:
         """Return the absolute name."""
         return self.name if self.name.startswith('/') else f'/{namespace.strip("/")}/{self.name}'

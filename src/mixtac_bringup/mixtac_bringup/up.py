@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from mixtac_bringup.compose.process import in_one_process
 from mixtac_bringup.graph import NodeSpec, is_virtual, sensor_graph
 from mixtac_bringup.monitor_node import Monitor
 from mixtac_bringup.processes import ProcessGroup
@@ -31,6 +32,8 @@ class UpOptions:
         record: Folder of a new bag to record to.
         autostart: Configure and activate the lifecycle nodes.
         play: On the virtual sensor, play its scenario again and again once the force is there.
+        view: Show it live in the browser.
+        single_process: Driver and estimator in one process.
     """
 
     device: str = 'davis346'
@@ -41,6 +44,8 @@ class UpOptions:
     record: Path | None = None
     autostart: bool = True
     play: bool = True
+    view: bool = False
+    single_process: bool = False
 
 
 def run_graph(console: Console, options: UpOptions) -> None:
@@ -48,11 +53,18 @@ def run_graph(console: Console, options: UpOptions) -> None:
 
     Raises:
         GraphError: A node failed.
+        ViewError: The live view is not installed.
     """
     play = options.play and is_virtual(options.device)
     nodes = sensor_graph(options.device, virtual_sensor={'loop': True} if play else None)
+    if options.single_process:
+        nodes = in_one_process(nodes)
     if options.record is not None:
         nodes.append(recorder(options.record))
+    if options.view:
+        from mixtac_bringup.view.command import view_node
+
+        nodes.append(view_node())
     with ProcessGroup() as processes:
         for node in nodes:
             command = node.command(options.namespace, options.params_file, options.log_level)

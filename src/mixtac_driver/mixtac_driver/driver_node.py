@@ -12,6 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import TimeReference
 
 from mixtac_driver import messages, pixel_mask
+from mixtac_driver.clock_publisher import ClockPublisher
 from mixtac_driver.device_parameters import stream_settings
 from mixtac_driver.driver_meters import DriverMeters
 from mixtac_driver.driver_parameters import DriverParameters
@@ -29,7 +30,7 @@ from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import Supervisor
 from mixtac_events.codec import warm_up
 from mixtac_events.errors import MixtacError
-from mixtac_node.base_node import QOS_LATCHED, declare, run
+from mixtac_node.base_node import QOS_LATCHED, OverridableQos, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 CLOCK_PERIOD_S = 1.0
 
 
-class DriverNode(Node):  # type: ignore[misc]
+class DriverNode(OverridableQos, Node):  # type: ignore[misc]
     """Publishes what a DAVIS346 sees, on topics that somebody subscribes to."""
 
     def __init__(self) -> None:
@@ -58,6 +59,8 @@ class DriverNode(Node):  # type: ignore[misc]
         self._inertial = InertialPublisher(self, p.imu_frame_id)
         self._edges = EdgePublisher(self, p.camera_frame_id, self._meters)
         self._clock_publisher = self.create_publisher(TimeReference, 'camera_clock', QOS_LATCHED)
+        replayed = self._kind is SourceKind.RECORDED
+        self._time = ClockPublisher(self) if p.playback_clock and replayed else None
         self._camera = make_source(
             p.device,
             serial=p.serial,
@@ -124,6 +127,8 @@ class DriverNode(Node):  # type: ignore[misc]
     def _on_batch(self, batch: CameraBatch) -> None:
         decoded, origin_us = batch.decoded, batch.origin.us
         self._publish_events(batch)
+        if self._time is not None:
+            self._time.publish(batch)
         for frame in decoded.frames:
             self._publish_frame(frame, origin_us)
         if len(decoded.imu.t):

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +13,7 @@ from sensor_msgs.msg import CameraInfo, Image, Imu, Temperature, TimeReference
 
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
 from mixtac_node.base_node import ns_to_stamp, us_to_stamp
+from mixtac_node.image_conversion import fill
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -79,11 +79,7 @@ def filled(message: Image, pixels: NDArray[np.uint8 | np.uint16], encoding: str)
         pixels: [height, width] or [height, width, channels].
         encoding: ROS encoding.
     """
-    message.height, message.width = pixels.shape[:2]
-    message.encoding = encoding
-    message.is_bigendian = sys.byteorder == 'big'
-    message.step = pixels.nbytes // message.height
-    message.data.frombytes(np.ascontiguousarray(pixels).view(np.uint8))
+    fill(message, pixels, encoding)
     return message
 
 

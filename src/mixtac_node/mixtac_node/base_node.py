@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import signal
 import sys
@@ -21,13 +22,14 @@ from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 
 from mixtac_events.errors import MixtacError
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
 T = TypeVar('T')
 
@@ -51,6 +53,44 @@ QOS_LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 """The latest value for late joiners (clock fit, camera clock)."""
+
+
+class OverridableQos:
+    """Mixin, before rclpy's node class: QoS of its topics can be set by parameters.
+
+    Publishers and subscriptions take history, depth and reliability from the parameters
+    `qos_overrides.TOPIC.publisher.*` and `qos_overrides.TOPIC.subscription.*` where those are given
+    (https://design.ros2.org/articles/qos_configurability.html); lifecycle publishers as well.
+    """
+
+    def create_publisher(self, kind: Any, topic: str, *args: Any, **options: Any) -> Any:  # noqa: ANN401
+        """Create a publisher whose QoS can be overridden."""
+        return super().create_publisher(kind, topic, *_own(args), **_overridable(topic, options))  # type: ignore[misc]
+
+    def create_subscription(self, kind: Any, topic: str, *args: Any, **options: Any) -> Any:  # noqa: ANN401
+        """Create a subscription whose QoS can be overridden."""
+        return super().create_subscription(kind, topic, *_own(args), **_overridable(topic, options))  # type: ignore[misc]
+
+    def create_lifecycle_publisher(self, kind: Any, topic: str, *args: Any, **options: Any) -> Any:  # noqa: ANN401
+        """Create a lifecycle publisher whose QoS can be overridden."""
+        options = _overridable(topic, options)
+        return super().create_lifecycle_publisher(kind, topic, *_own(args), **options)  # type: ignore[misc]
+
+
+OWN_OF_RCLPY = ('/parameter_events', '/rosout', '/clock')
+
+
+def _own(values: Iterable[Any]) -> list[Any]:
+    # rclpy writes overrides into the profile that it is given: those of others stay as they are.
+    return [copy.copy(value) if isinstance(value, QoSProfile) else value for value in values]
+
+
+def _overridable(topic: str, options: dict[str, Any]) -> dict[str, Any]:
+    if topic in OWN_OF_RCLPY:
+        # They come before a node can have parameters.
+        return options
+    own = dict(zip(options, _own(options.values()), strict=True))
+    return {'qos_overriding_options': QoSOverridingOptions.with_default_policies(), **own}
 
 
 def us_to_stamp(t_us: int) -> Time:
@@ -143,14 +183,27 @@ def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
 
 
 def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
-    """Run one node until SIGINT or SIGTERM, then close it.
-
-    The node may have a `close()` method: it ends threads and devices before the node is destroyed.
-    It may have a `check()` method: called several times a second, and a MixtacError from it ends
-    the node as one from its construction does.
+    """Run one node until SIGINT or SIGTERM, then close it; see `run_together`.
 
     Args:
         node_class: Makes the node; called after `rclpy.init`.
+        args: ROS arguments, `sys.argv` if None.
+
+    Returns:
+        Exit status: 0 after a signal, 1 with one line on stderr after a MixtacError.
+    """
+    return run_together(lambda: [node_class()], args)
+
+
+def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = None) -> int:
+    """Run nodes in one executor until SIGINT or SIGTERM, then close them, the last one first.
+
+    A node may have a `close()` method: it ends threads and devices before the node is destroyed.
+    It may have a `check()` method: called several times a second, and a MixtacError from it ends
+    the process as one from its construction does.
+
+    Args:
+        make_nodes: Makes the nodes; called after `rclpy.init`.
         args: ROS arguments, `sys.argv` if None.
 
     Returns:
@@ -165,17 +218,18 @@ def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
 
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
-    node = None
+    nodes: list[Any] = []
     try:
-        node = node_class()
+        nodes = make_nodes()
         executor = EventsExecutor()
-        executor.add_node(node)
-        check = getattr(node, 'check', None)
+        for node in nodes:
+            executor.add_node(node)
+        checks = [node.check for node in nodes if hasattr(node, 'check')]
         while not stopping and rclpy.ok():
             # spin() of this executor never calls back in the wheels of Jazzy; spin_once does.
             executor.spin_once(timeout_sec=0.2)
             # Not in a timer: the executor would print a traceback before the one line.
-            if check is not None:
+            for check in checks:
                 check()
     except MixtacError as error:
         print(f'error: {error}', file=sys.stderr)
@@ -183,10 +237,10 @@ def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
     except ExternalShutdownException:
         return 0
     finally:
-        if node is not None:
-            close = getattr(node, 'close', None)
-            if close is not None:
-                close()
+        for node in reversed(nodes):
+            if hasattr(node, 'close'):
+                node.close()
+        for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0

@@ -6,16 +6,19 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
 from mixtac_alignment.align import align
 from mixtac_alignment.edges import fit_edges
 from mixtac_alignment.errors import NoImpulseError
+from mixtac_alignment.event_history import EventHistory, by_cell
 from mixtac_alignment.frame_features import reduce_frame
 from mixtac_alignment.frame_history import FrameHistory
 from mixtac_alignment.rate_history import BIN_US, EventCounts
+from mixtac_alignment.tap_anchors import FEWEST_FRAMES, fit_taps
+from mixtac_alignment.two_impulse import fit_counts
 from mixtac_bringup.bag_reader import BagFile
 from mixtac_bringup.errors import BagError
 from mixtac_events.codec import decode_message
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_alignment.clock_fit import ClockFit
+    from mixtac_alignment.event_history import CellEvents
     from mixtac_alignment.frame_features import FrameFeatures
     from mixtac_alignment.gel_lag import GelLag
     from mixtac_alignment.impulses import ImpulseSettings
@@ -40,6 +44,8 @@ ENCODINGS: Final = {
 }
 LONGEST_S: Final = 3600.0
 """Length of a recording of which frames are kept [s]."""
+EMPTY: Final = EventCounts(0, BIN_US, np.zeros(1, np.int64))
+Method = Literal['refined', 'two_impulse', 'paper', 'edges']
 _NS: Final = 1_000_000_000
 
 
@@ -49,47 +55,65 @@ class BagRecording:
 
     Attributes:
         counts: Event counts, with lost packets marked.
+        events: Events by cell; the latest ones where there are very many.
         frames: Frames, or none where the bag has no exposure times.
         force_t_s: Stamps of the reference sensor [s], ``float64 [n]``.
         force: Its normal force [N].
         edges_us: Edges at the camera's synchronisation input, camera clock [us].
+        reference_edges_s: The same edges on the reference clock [s].
     """
 
     counts: EventCounts
+    events: CellEvents
     frames: FrameFeatures | None
     force_t_s: NDArray[np.float64]
     force: NDArray[np.float64]
     edges_us: NDArray[np.int64]
+    reference_edges_s: NDArray[np.float64]
 
     def fit(
         self,
         settings: ImpulseSettings | None = None,
         lag: GelLag | None = None,
         *,
-        refined: bool = True,
-        reference_edges_s: NDArray[np.float64] | None = None,
+        method: Method = 'refined',
     ) -> tuple[ClockFit, Refinement | None]:
         """Return the clock map, and its refinement if it was refined.
 
         Args:
             settings: What counts as an impulse.
             lag: What is known of the gel.
-            refined: Whether to refine over the whole recording.
-            reference_edges_s: The camera's edges on the reference clock; used in place of impulses.
+            method: `refined`; `two_impulse`, the taps alone; `paper`, their troughs and peaks
+                alone; or `edges`, the edges of a trigger line in place of taps.
 
         Raises:
             AlignmentError: No trustworthy map.
         """
-        if reference_edges_s is not None:
-            if not len(self.edges_us):
-                raise NoImpulseError('no external edges in the bag: record external_edges as well')
-            return fit_edges(self.edges_us, reference_edges_s), None
-        frames = self.frames if refined else None
-        return align(self.counts, self.force_t_s, self.force, frames, settings, lag)
+        if method == 'edges':
+            return self._fit_edges(), None
+        force = (self.force_t_s, self.force)
+        if method == 'paper' or self.frames is None:
+            return fit_counts(self.counts, *force, settings), None
+        if method == 'two_impulse' and len(self.frames.start_us) >= FEWEST_FRAMES:
+            return fit_taps(self.counts, self.events, self.frames, *force, settings, lag), None
+        frames = self.frames if method == 'refined' else None
+        return align(self.counts, *force, frames, settings, lag, events=self.events)
+
+    def _fit_edges(self) -> ClockFit:
+        for name, edges in (
+            ('external_edges, from the camera', self.edges_us),
+            ('reference_edges, on the reference clock', self.reference_edges_s),
+        ):
+            if not len(edges):
+                raise NoImpulseError(
+                    f'no {name}, in the bag: record both topics with the trigger line connected, '
+                    'or align by taps'
+                )
+        return fit_edges(self.edges_us, self.reference_edges_s)
 
 
 def read_recording(
-    path: Path, reference: str = REFERENCE, namespace: str = NAMESPACE
+    path: Path, reference: str = REFERENCE, namespace: str = NAMESPACE, *, edges_only: bool = False
 ) -> BagRecording:
     """Read a bag.
 
@@ -97,21 +121,24 @@ def read_recording(
         path: Folder of the bag.
         reference: Topic of the reference force.
         namespace: Namespace of the camera's topics.
+        edges_only: Read the edges of the trigger line and nothing else.
 
     Raises:
         BagError: No bag, or a topic is missing.
         CodecError: Damaged packets.
     """
-    events, image, exposure, edge = (
-        f'{namespace}/{name}'
-        for name in ('events', 'image_raw', 'image_exposure', 'external_edges')
-    )
-    counter, frames, edges = _Counter(), FrameHistory(LONGEST_S), []
+    names = ('events', 'image_raw', 'image_exposure', 'external_edges', 'reference_edges')
+    events, image, exposure, edge, other = (f'{namespace}/{name}' for name in names)
+    needed = () if edges_only else (events, reference)
+    counter, frames = _Counter(), FrameHistory(LONGEST_S)
+    edges: list[int] = []
+    reference_edges: list[float] = []
     stamps: list[int] = []
     force: list[float] = []
     with BagFile(path) as bag:
-        optional = [topic for topic in (image, exposure, edge) if bag.counts.get(topic)]
-        for topic, _, message in bag.messages_of(events, reference, *optional, raw=(reference,)):
+        more = (edge, other) if edges_only else (image, exposure, edge, other)
+        optional = [topic for topic in more if bag.counts.get(topic)]
+        for topic, _, message in bag.messages_of(*needed, *optional, raw=(reference,)):
             if topic == events:
                 counter.add(message)
             elif topic == reference:
@@ -123,19 +150,23 @@ def read_recording(
             elif topic == exposure:
                 start, end = _ns(message.exposure_start), _ns(message.exposure_end)
                 frames.push_exposure(_ns(message.header.stamp), start // 1000, end // 1000)
-            else:
+            elif topic == edge:
                 edges.append(_ns(message.header.stamp) // 1000)
+            else:
+                reference_edges.append(_ns(message.time_ref) / 1e9)
     return BagRecording(
-        counts=counter.counts(f'{path} topic {events}'),
+        counts=EMPTY if edges_only else counter.counts(f'{path} topic {events}'),
+        events=counter.events(),
         frames=frames.snapshot(),
         force_t_s=np.array(stamps, np.int64) / 1e9,
         force=np.array(force),
         edges_us=np.array(edges, np.int64),
+        reference_edges_s=np.array(reference_edges),
     )
 
 
 class _Counter:
-    """Counts events packet by packet: all events of a bag would take gigabytes."""
+    """Counts events packet by packet and keeps them by cell: whole ones would take gigabytes."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[int, NDArray[np.int64]]] = []
@@ -143,6 +174,7 @@ class _Counter:
         self._sequence: int | None = None
         self._first: int | None = None
         self._end = 0
+        self._history = EventHistory(LONGEST_S)
 
     def add(self, message: Any) -> None:  # noqa: ANN401
         """Add an `EventPacket`."""
@@ -154,10 +186,15 @@ class _Counter:
             self._lost.append((self._end, start + 1))
         self._sequence = message.seq
         self._end = max(self._end, until)
+        self._history.push(by_cell(packet.events, message.width, message.height))
         if len(packet.events.t):
             bins = packet.events.t // BIN_US
             low = int(bins.min())
             self._parts.append((low, np.bincount(bins - low)))
+
+    def events(self) -> CellEvents:
+        """Return the events by cell."""
+        return self._history.snapshot()
 
     def counts(self, where: str) -> EventCounts:
         """Return the counts of all packets."""

@@ -9,7 +9,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Final, Optional, cast
 
 import typer
 
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from mixtac_alignment.clock_fit import ClockFit
+    from mixtac_alignment.sensor_pool import SensorTiming
+    from mixtac_bringup.align.bag_recording import Method
 
+METHODS: Final = ('refined', 'two_impulse', 'paper', 'edges')
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 
 
@@ -30,14 +33,16 @@ class Options:
     Attributes:
         reference: Topic of the reference force.
         namespace: Namespace of the camera's topics.
-        refined: Whether to refine over the whole recording.
+        method: As in `BagRecording.fit`.
+        pooled: Whether the bags of one sensor help each other.
         rewritten: Folder for bags on one clock; none for none.
         figures: Folder for figures; none for none.
     """
 
     reference: str
     namespace: str
-    refined: bool
+    method: Method
+    pooled: bool
     rewritten: Path | None
     figures: Path | None
 
@@ -65,9 +70,16 @@ def align(
         '/ft_sensor/wrench'
     ),
     namespace: Annotated[str, typer.Option(help="Namespace of the camera's topics.")] = '/mixtac',
-    impulses_only: Annotated[
-        bool, typer.Option('--impulses-only', help='The two impulses alone, as in the paper.')
-    ] = False,
+    method: Annotated[
+        str,
+        typer.Option(
+            help='refined; two_impulse: the taps alone; paper: their troughs and peaks alone; '
+            'edges: external_edges against reference_edges, in place of taps.'
+        ),
+    ] = 'refined',
+    pool: Annotated[
+        bool, typer.Option(help='Let bags of one sensor tell of its gel and its latency together.')
+    ] = True,
     rewrite: Annotated[
         OptionalPath, typer.Option(help='Folder for copies with the force on the camera clock.')
     ] = None,
@@ -81,13 +93,22 @@ def align(
     from mixtac_events.codec import warm_up
 
     console = Console()
+    if method not in METHODS:
+        raise typer.BadParameter(f'method {method!r}: choose one of {", ".join(METHODS)}')
     warm_up()
-    options = Options(reference, namespace, not impulses_only, rewrite, figure)
+    options = Options(reference, namespace, cast('Method', method), pool, rewrite, figure)
     found = [bag for path in bags for bag in find_bags(path)]
     if not found:
         raise typer.BadParameter(f'no bag in {", ".join(map(str, bags))}')
-    names = track(found, 'aligning', console=console, disable=len(found) < 2)
-    outcomes = [align_bag(bag, options) for bag in names]
+    quiet = len(found) < 2
+    timings = {}
+    if pool and not quiet and method in ('refined', 'two_impulse'):
+        from mixtac_bringup.align.pooling import sensor_timings
+
+        names = track(found, 'learning the sensors', console=console)
+        timings = sensor_timings(names, reference, namespace)
+    names = track(found, 'aligning', console=console, disable=quiet)
+    outcomes = [align_bag(bag, options, timings.get(bag)) for bag in names]
     console.print(_table(outcomes))
     if report is not None:
         report.write_text(json.dumps([_as_dict(o) for o in outcomes], indent=2) + '\n')
@@ -102,15 +123,17 @@ def find_bags(path: Path) -> list[Path]:
     return sorted(found.parent for found in path.glob('*/metadata.yaml'))
 
 
-def align_bag(bag: Path, options: Options) -> Outcome:
-    """Align one bag; a refusal is an outcome too."""
+def align_bag(bag: Path, options: Options, timing: SensorTiming | None = None) -> Outcome:
+    """Align one bag, with what is known of its sensor; a refusal is an outcome too."""
     from mixtac_bringup.align.bag_recording import read_recording
     from mixtac_bringup.align.fit_file import write_fit
 
     began = time.perf_counter()
     try:
-        recording = read_recording(bag, options.reference, options.namespace)
-        fit, _ = recording.fit(refined=options.refined)
+        edges_only = options.method == 'edges'
+        recording = read_recording(bag, options.reference, options.namespace, edges_only=edges_only)
+        known = (None, None) if timing is None else (timing.settings, timing.lag)
+        fit, _ = recording.fit(*known, method=options.method)
         write_fit(fit, bag)
         took = time.perf_counter() - began
         if options.rewritten is not None:
@@ -118,7 +141,7 @@ def align_bag(bag: Path, options: Options) -> Outcome:
 
             options.rewritten.mkdir(parents=True, exist_ok=True)
             rewrite(bag, fit, options.rewritten / bag.name, options.reference, options.namespace)
-        if options.figures is not None:
+        if options.figures is not None and not edges_only:
             from mixtac_bringup.align.figure import draw_alignment
 
             options.figures.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from std_msgs.msg import Float64
 
 from mixtac_bringup.align.force_pairing import ForcePairing
-from mixtac_node.base_node import QOS_FORCE, declare, run, stamp_to_ns
+from mixtac_node.base_node import QOS_FORCE, OverridableQos, declare, run, stamp_to_ns
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.parameters import parameter
 
@@ -43,7 +43,7 @@ class ForceErrorParameters:
     )
 
 
-class ForceErrorNode(Node):  # type: ignore[misc]
+class ForceErrorNode(OverridableQos, Node):  # type: ignore[misc]
     """Running mean absolute and root mean square error, as topics and diagnostics."""
 
     def __init__(self) -> None:

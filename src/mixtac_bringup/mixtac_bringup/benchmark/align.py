@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_alignment.gel_lag import GelLag
+    from mixtac_alignment.refinement import Refinement
+    from mixtac_alignment.sensor_pool import SensorTiming
     from mixtac_bringup.benchmark.align_trials import TrialRecording
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
@@ -26,7 +27,8 @@ POINTS: Final = 41
 """Times over a trial at which the error is taken."""
 WRONG_S: Final = 2e-3
 """A map with a larger error is wrong."""
-METHODS: Final = ('two_impulse', 'refined', 'refined_known_gel')
+METHODS: Final = ('paper', 'two_impulse', 'refined', 'two_impulse_pooled', 'refined_pooled')
+"""Pooled: with gel and latency of the sensor from all its trials, as `mixtac align` on a folder."""
 
 
 @dataclass(slots=True)
@@ -79,49 +81,64 @@ def align(
     console = Console()
     scores = {name: Scores() for name in METHODS}
     groups: dict[str, Scores] = {}
-    lags: dict[int, GelLag] = {}
     faults = DamageScores()
+    sensor: list[TrialRecording] = []
     for number in track(range(trials), 'aligning', console=console):
         recording = simulate_recording(number, cache)
-        score_whole(recording, scores, groups, lags)
+        if sensor and sensor[0].sensor != recording.sensor:
+            score_sensor(sensor, scores, groups)
+            sensor = []
+        sensor.append(recording)
         if number < damaged:
             faults.add(recording, number)
+    score_sensor(sensor, scores, groups)
     result = summarise(scores, groups, faults)
     console.print_json(data=result)
     if report is not None:
         report.write_text(json.dumps(result, indent=2) + '\n', encoding='utf-8')
 
 
-def score_whole(
-    recording: TrialRecording,
-    scores: dict[str, Scores],
-    groups: dict[str, Scores],
-    lags: dict[int, GelLag],
+def score_sensor(
+    recordings: list[TrialRecording], scores: dict[str, Scores], groups: dict[str, Scores]
 ) -> None:
-    """Fit a recording by all methods; lags of gels are kept from the first trial of each sensor."""
+    """Fit the recordings of a sensor, each alone and with what all of them say of the sensor."""
     from mixtac_alignment.refinement import refine
+    from mixtac_alignment.sensor_pool import pool_sensor
+    from mixtac_alignment.tap_anchors import fit_taps
+
+    def fit(each: TrialRecording, suffix: str, known: SensorTiming | None) -> Refinement | None:
+        lag, settings = (None, None) if known is None else (known.lag, known.settings)
+        data = (each.frames, each.force_t_s, each.force)
+        try:
+            first = fit_taps(each.counts, each.events, *data, settings, lag)
+        except MixtacError:
+            scores[f'two_impulse{suffix}'].refused += 1
+            scores[f'refined{suffix}'].refused += 1
+            return None
+        scores[f'two_impulse{suffix}'].add(first, each)
+        try:
+            refined = refine(first, *data, lag)
+        except MixtacError:
+            scores[f'refined{suffix}'].refused += 1
+            return None
+        scores[f'refined{suffix}'].add(refined.fit, each)
+        groups.setdefault(f'refined{suffix} {each.preset}', Scores()).add(refined.fit, each)
+        return refined
+
+    found = [fit(each, '', None) for each in recordings]
+    known = pool_sensor([refined for refined in found if refined is not None])
+    for each in recordings:
+        fit(each, '_pooled', known)
+        _score_paper(each, scores['paper'])
+
+
+def _score_paper(recording: TrialRecording, scores: Scores) -> None:
     from mixtac_alignment.two_impulse import fit_counts
 
-    t_s, force = recording.force_t_s, recording.force
     try:
-        first = fit_counts(recording.counts, t_s, force)
-        scores['two_impulse'].add(first, recording)
+        scores.add(fit_counts(recording.counts, recording.force_t_s, recording.force), recording)
     except MixtacError:
-        for each in scores.values():
-            each.refused += 1
-        return
-    try:
-        refined = refine(first, recording.frames, t_s, force)
-        scores['refined'].add(refined.fit, recording)
-        groups.setdefault(recording.preset, Scores()).add(refined.fit, recording)
-        if recording.profile == 'impact':
-            lags[recording.sensor] = refined.lag
-        elif recording.sensor in lags:
-            refined = refine(first, recording.frames, t_s, force, lags[recording.sensor])
-        scores['refined_known_gel'].add(refined.fit, recording)
-    except MixtacError:
-        scores['refined'].refused += 1
-        scores['refined_known_gel'].refused += 1
+        scores.refused += 1
 
 
 @dataclass(slots=True)
@@ -148,7 +165,13 @@ class DamageScores:
         kind = DAMAGES[number % len(DAMAGES)]
         try:
             broken = damage(recording, kind, np.random.default_rng(number))
-            fit, _ = align_recording(broken.counts, broken.force_t_s, broken.force, broken.frames)
+            fit, _ = align_recording(
+                broken.counts,
+                broken.force_t_s,
+                broken.force,
+                broken.frames,
+                events=broken.events,
+            )
         except MixtacError:
             self.refused[kind] = self.refused.get(kind, 0) + 1
             return
@@ -165,7 +188,7 @@ def summarise(
     """Return the result of the benchmark."""
     result: dict[str, Any] = {f'{name}_ms': each.summary() for name, each in scores.items()}
     result['coverage_95'] = result['refined_ms'].get('coverage_95')
-    result['refined_by_preset_ms'] = {name: each.summary() for name, each in groups.items()}
+    result['by_preset_ms'] = {name: each.summary() for name, each in groups.items()}
     result['silently_wrong'] = sum(faults.wrong.values())
     result['damaged'] = {
         'refused': faults.refused,
@@ -177,4 +200,4 @@ def summarise(
 
 
 def _times(recording: TrialRecording) -> NDArray[np.int64]:
-    return np.linspace(recording.events_us[0], recording.events_us[-1], POINTS).astype(np.int64)
+    return np.linspace(recording.events.t_us[0], recording.events.t_us[-1], POINTS).astype(np.int64)

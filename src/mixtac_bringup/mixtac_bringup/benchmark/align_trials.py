@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from mixtac_alignment.event_history import CellEvents, by_cell
 from mixtac_alignment.frame_features import FrameFeatures, reduce_frame
 from mixtac_alignment.rate_history import EventCounts
+from mixtac_events.codec import DAVIS346_HEIGHT, DAVIS346_WIDTH
 from mixtac_sim.presets import PRESETS, preset
 from mixtac_sim.trial import simulate_trial
 
@@ -36,7 +38,7 @@ class TrialRecording:
         sensor: Number of the sensor.
         profile: Force profile.
         preset: How hard it is.
-        events_us: Event times, camera clock [us].
+        events: Events by cell, camera clock.
         frames: Frames, camera clock.
         force_t_s: Reference stamps, reference clock [s].
         force: Reference force [N].
@@ -49,7 +51,7 @@ class TrialRecording:
     sensor: int
     profile: str
     preset: str
-    events_us: NDArray[np.int64]
+    events: CellEvents
     frames: FrameFeatures
     force_t_s: NDArray[np.float64]
     force: NDArray[np.float64]
@@ -60,7 +62,7 @@ class TrialRecording:
     @property
     def counts(self) -> EventCounts:
         """Return the event counts."""
-        return EventCounts.of(self.events_us)
+        return EventCounts.of(self.events.t_us)
 
     def true_s(self, camera_us: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return camera times [us] on the reference clock [s], in truth."""
@@ -69,7 +71,7 @@ class TrialRecording:
 
 def simulate_recording(number: int, cache: Path | None = None) -> TrialRecording:
     """Return recording `number` of the benchmark, from a cache where it has been simulated."""
-    path = None if cache is None else cache / f'{FIRST_SEED + number}.npz'
+    path = None if cache is None else cache / f'{FIRST_SEED + number}_cells.npz'
     if path is None or not path.exists():
         data = _simulated(number)
         if path is not None:
@@ -82,7 +84,7 @@ def simulate_recording(number: int, cache: Path | None = None) -> TrialRecording
         sensor=number // len(PROFILES),
         profile=PROFILES[number % len(PROFILES)],
         preset=_preset(number),
-        events_us=data['events_us'].astype(np.int64),
+        events=CellEvents(data['events_us'].astype(np.int64), data['cell'], data['on']),
         frames=FrameFeatures(data['start_us'], data['end_us'], data['values']),
         force_t_s=data['force_t_s'],
         force=data['force'],
@@ -108,8 +110,11 @@ def _simulated(number: int) -> dict[str, NDArray[Any]]:
         preset=preset(_preset(number)),
     )
     rate, offset_us = trial.clock
+    events = by_cell(trial.events, DAVIS346_WIDTH, DAVIS346_HEIGHT)
     return {
-        'events_us': trial.events.t.astype(np.int32),
+        'events_us': events.t_us.astype(np.int32),
+        'cell': events.cell,
+        'on': events.on,
         'start_us': trial.exposure_start_us,
         'end_us': trial.exposure_end_us,
         'values': np.stack([reduce_frame(frame, ADC_WHITE) for frame in trial.frames]),
@@ -142,13 +147,13 @@ def damage(recording: TrialRecording, kind: str, rng: np.random.Generator) -> Tr
 
 def _cut(recording: TrialRecording, start_s: float, end_s: float) -> TrialRecording:
     """Keep a part of the recording, on both clocks."""
-    t, frames = recording.events_us * 1e-6, recording.frames
+    t, frames = recording.events.t_us * 1e-6, recording.frames
     kept = (frames.start_us * 1e-6 > start_s) & (frames.end_us * 1e-6 < end_s)
     shown = (recording.force_t_s - recording.offset_s) / recording.rate
     inside = (shown > start_s) & (shown < end_s)
     return replace(
         recording,
-        events_us=recording.events_us[(t > start_s) & (t < end_s)],
+        events=_only(recording.events, (t > start_s) & (t < end_s)),
         frames=FrameFeatures(frames.start_us[kept], frames.end_us[kept], frames.values[kept]),
         force_t_s=recording.force_t_s[inside],
         force=recording.force[inside],
@@ -158,20 +163,24 @@ def _cut(recording: TrialRecording, start_s: float, end_s: float) -> TrialRecord
 def _double(recording: TrialRecording, apart_s: float) -> TrialRecording:
     """Repeat what happened at the first tap shortly after it, in both streams."""
     first = recording.taps_s[0]
-    t = recording.events_us * 1e-6
-    tap = recording.events_us[(t > first - 0.03) & (t < first + 0.05)]
-    events = np.sort(np.concatenate([recording.events_us, tap + round(apart_s * 1e6)]))
+    all_events = recording.events
+    t = all_events.t_us * 1e-6
+    tap = _only(all_events, (t > first - 0.03) & (t < first + 0.05))
+    times = np.concatenate([all_events.t_us, tap.t_us + round(apart_s * 1e6)])
+    cells = np.concatenate([all_events.cell, tap.cell])
+    polarity = np.concatenate([all_events.on, tap.on])
+    events = _only(CellEvents(times, cells, polarity), np.argsort(times, kind='stable'))
     at = recording.rate * first + recording.offset_s
     source = recording.force_t_s - apart_s
     near = np.abs(source - at) < 0.04
     force = recording.force.copy()
     force[near] += np.interp(source[near], recording.force_t_s, recording.force)
-    return replace(recording, events_us=events, force=force)
+    return replace(recording, events=events, force=force)
 
 
 def _gap(recording: TrialRecording, at_s: float) -> TrialRecording:
-    t = recording.events_us * 1e-6
-    return replace(recording, events_us=recording.events_us[(t < at_s) | (t > at_s + 0.2)])
+    t = recording.events.t_us * 1e-6
+    return replace(recording, events=_only(recording.events, (t < at_s) | (t > at_s + 0.2)))
 
 
 def _jump(recording: TrialRecording, at_s: float, jump_s: float) -> TrialRecording:
@@ -183,9 +192,14 @@ def _jump(recording: TrialRecording, at_s: float, jump_s: float) -> TrialRecordi
     whole = np.flatnonzero(np.diff(start[order], prepend=-1) > 0)
     kept = order[whole]
     kept = kept[end[kept] > start[kept]]
-    events = recording.events_us
+    t_us = recording.events.t_us
+    moved = replace(recording.events, t_us=np.where(t_us > at_us, t_us + jump_us, t_us))
     return replace(
         recording,
-        events_us=np.where(events > at_us, events + jump_us, events),
+        events=_only(moved, np.argsort(moved.t_us, kind='stable')),
         frames=FrameFeatures(start[kept], end[kept], frames.values[kept]),
     )
+
+
+def _only(events: CellEvents, chosen: NDArray[Any]) -> CellEvents:
+    return CellEvents(events.t_us[chosen], events.cell[chosen], events.on[chosen])

@@ -29,7 +29,7 @@ def _say(**values: object) -> None:
     print(json.dumps(values), flush=True)
 
 
-def _wake_in_time() -> None:
+def wake_in_time() -> None:
     """Let sleeping threads wake when they asked to: by default Linux adds 50 us, a camera none."""
     if sys.platform == 'linux':
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, TIMER_SLACK_NS, 0, 0, 0)
@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument('--frame-interval', type=int, default=0, help='us, 0 for none')
     parser.add_argument('--reading-interval', type=int, default=0, help='us, 0 for none')
     options = parser.parse_args()
-    _wake_in_time()
+    wake_in_time()
     stopping = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stopping.set())
     signal.signal(signal.SIGINT, lambda *_: stopping.set())

@@ -113,7 +113,7 @@ def run_pipeline(
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='mixtac-'))
         socket = str(Path(folder) / 'usb.sock')
-        camera = stack.enter_context(JsonProcess('camera', _camera_command(load, socket), env))
+        camera = stack.enter_context(JsonProcess('camera', camera_command(load, socket), env))
         pattern = camera.expect('ready', START_TIMEOUT_S)
         module = 'mixtac_bringup.benchmark.arrival_probe_node'
         probe = stack.enter_context(JsonProcess('subscriber', [sys.executable, '-m', module], env))
@@ -146,7 +146,8 @@ def run_pipeline(
     return PipelineRun(load, elapsed_s, figures, stalls, driver_s / elapsed_s, probe_s / elapsed_s)
 
 
-def _camera_command(load: Load, socket: str) -> list[str]:
+def camera_command(load: Load, socket: str) -> list[str]:
+    """Return the command line of the camera that sends a load on a socket."""
     options = {
         'socket': socket,
         'rate': load.rate,

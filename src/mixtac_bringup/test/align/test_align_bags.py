@@ -17,6 +17,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from mixtac_bringup.align.bag_recording import read_recording
 from mixtac_bringup.align.command import Options, align_bag, find_bags
 from mixtac_bringup.align.fit_file import fit_path, read_fit
+from mixtac_bringup.align.pooling import sensor_of
 from mixtac_bringup.bag_reader import BagFile
 from mixtac_bringup.bag_types import typestore
 from mixtac_bringup.errors import BagError
@@ -106,7 +107,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_clocks_are_found_and_the_fit_lies_beside_the_bag(bag: Path) -> None:
-    outcome = align_bag(bag, Options('/ft_sensor/wrench', '/mixtac', True, None, None))
+    outcome = align_bag(bag, Options('/ft_sensor/wrench', '/mixtac', 'refined', False, None, None))
     assert outcome.fit is not None, outcome.reason
     fit = read_fit(bag)
     camera = START_US + np.array([0, 4_000_000, 8_000_000])
@@ -117,7 +118,9 @@ def test_the_clocks_are_found_and_the_fit_lies_beside_the_bag(bag: Path) -> None
 
 
 def test_copies_have_the_force_on_the_camera_clock(bag: Path, tmp_path: Path) -> None:
-    options = Options('/ft_sensor/wrench', '/mixtac', True, tmp_path / 'one', tmp_path / 'figures')
+    options = Options(
+        '/ft_sensor/wrench', '/mixtac', 'refined', False, tmp_path / 'one', tmp_path / 'figures'
+    )
     outcome = align_bag(bag, options)
     assert outcome.fit is not None, outcome.reason
     assert (tmp_path / 'figures' / 'trial.png').stat().st_size > 10_000
@@ -135,7 +138,7 @@ def test_copies_have_the_force_on_the_camera_clock(bag: Path, tmp_path: Path) ->
 
 
 def test_what_cannot_be_aligned_is_refused_with_the_reason(bag: Path, tmp_path: Path) -> None:
-    outcome = align_bag(bag, Options('/other', '/mixtac', True, None, None))
+    outcome = align_bag(bag, Options('/other', '/mixtac', 'refined', False, None, None))
     assert outcome.fit is None
     assert '/other' in outcome.reason
     with pytest.raises(BagError, match='mixtac align'):
@@ -153,3 +156,54 @@ def test_counts_are_those_of_the_events(bag: Path) -> None:
     written = events_us(np.random.default_rng(4)) < START_US + 8_000_000
     assert int(recording.counts.counts.sum()) == int(written.sum())
     assert recording.counts.lost == ()
+
+
+@pytest.fixture
+def edges_bag(tmp_path: Path) -> Path:
+    """Write a bag with nothing but edges of a trigger line on both clocks."""
+    path, types = tmp_path / 'edges', typestore()
+    kinds = types.types
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        camera = writer.add_connection(
+            '/mixtac/external_edges', 'mixtac_msgs/msg/ExternalEdge', typestore=types
+        )
+        reference = writer.add_connection(
+            '/mixtac/reference_edges', 'sensor_msgs/msg/TimeReference', typestore=types
+        )
+        for k, t in enumerate(np.cumsum(np.random.default_rng(2).uniform(0.3, 0.9, 20))):
+            us = START_US + round(1e6 * float(t))
+            stamp = kinds['builtin_interfaces/msg/Time'](us // 10**6, us % 10**6 * 1000)
+            edge = kinds['mixtac_msgs/msg/ExternalEdge']
+            header = kinds['std_msgs/msg/Header'](stamp, '')
+            fields = {
+                name: 0
+                for name in edge.__dataclass_fields__
+                if name not in ('header', '__msgtype__')
+            }
+            writer.write(
+                camera, k, types.serialize_cdr(edge(header=header, **fields), edge.__msgtype__)
+            )
+            other = REFERENCE_S + RATE * float(t)
+            time = kinds['builtin_interfaces/msg/Time'](int(other), round(other % 1.0 * 1e9))
+            message = kinds['sensor_msgs/msg/TimeReference'](header, time, 'trigger')
+            writer.write(reference, k, types.serialize_cdr(message, message.__msgtype__))
+    return path
+
+
+def test_edges_of_a_trigger_line_serve_in_place_of_taps(edges_bag: Path, bag: Path) -> None:
+    options = Options('/ft_sensor/wrench', '/mixtac', 'edges', False, None, None)
+    outcome = align_bag(edges_bag, options)
+    assert outcome.fit is not None, outcome.reason
+    camera = START_US + np.array([0, 5_000_000, 10_000_000])
+    truth = REFERENCE_S + RATE * (camera - START_US) * 1e-6
+    assert np.abs(outcome.fit.to_reference(camera) - truth).max() < 5e-6
+    refused = align_bag(bag, options)
+    assert refused.fit is None
+    assert 'external_edges' in refused.reason
+
+
+def test_the_sensor_of_a_bag_stands_in_the_data_set(tmp_path: Path) -> None:
+    assert sensor_of(tmp_path / 'a') is None
+    text = 'trials: [{name: a, device_seed: 7}, {name: b, serial: x1}, {name: c, serial: ""}]'
+    (tmp_path / 'dataset.yaml').write_text(text)
+    assert [sensor_of(tmp_path / name) for name in 'abcd'] == ['7', 'x1', None, None]

@@ -53,6 +53,12 @@ class PlaybackParameters:
         'being those recorded',
         read_only=True,
     )
+    playback_clock: bool = parameter(
+        False,
+        'The recorded camera clock is published on /clock, for nodes with use_sim_time; the driver '
+        'itself stays on the host clock',
+        read_only=True,
+    )
     playback_events_topic: str = parameter(
         '', f'Which topic or stream of events to play; {_WHICH}', read_only=True
     )

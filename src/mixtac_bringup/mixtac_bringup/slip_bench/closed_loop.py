@@ -1,0 +1,248 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Grasp, sensor, slip controller, trajectories and arm in lock-step, 1 ms at a time.
+
+Faster than real time and the same on every run. What the real chain adds between the parts are the
+delays of `Transport`, which are measured over DDS by `mixtac bench slip`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_sim.arm.fr3 import READY, violations
+from mixtac_sim.arm.tracking import FingertipAdvance, Tracking
+from mixtac_sim.arm.trajectory_controller import JointTrajectoryController
+from mixtac_slip_control.arm.advance_planner import AdvancePlanner
+from mixtac_slip_control.arm.joint_limits import JointLimits
+from mixtac_slip_control.arm.serial_arm import SerialArm
+from mixtac_slip_control.controller import SlipController
+from mixtac_slip_control.flow_guide import GuideMaker
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
+    from mixtac_sim.aps import ApsFrame
+    from mixtac_sim.grasp.grasp import Grasp, GraspBlock
+    from mixtac_slip_control.arm.planned_trajectory import PlannedTrajectory
+    from mixtac_slip_control.arm.stream_settings import StreamSettings
+    from mixtac_slip_control.controller import SlipSettings
+    from mixtac_slip_control.slip_step import SlipStep
+
+    Floats = NDArray[np.float64]
+
+CYCLE_S = 1e-3
+STEPS = 8
+"""Grid steps of the grasp per cycle."""
+EPOCH_S = 100.0
+"""Controller time at the start: a stamp of zero would mean something else."""
+SIDEWAYS = (0.0, 1.0, 0.0)
+"""Contact normal in the base frame: at the ready pose the arm is fastest that way."""
+FORCE_EVERY = 2
+"""Cycles per estimate of the force: 500 Hz."""
+FORCE_NOISE_N = 0.03
+"""Standard deviation of an estimate of the force [N]."""
+FRAME_DELAY_S = 4e-3
+"""From the end of a frame's readout to its guide [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Transport:
+    """Delays between the parts [s].
+
+    Attributes:
+        events_s: From the end of a window to the controller: USB, driver and DDS.
+        command_s: From the controller's answer to the trajectory at the arm.
+        force_s: Age of an estimate of the force.
+    """
+
+    events_s: float = 0.7e-3
+    command_s: float = 0.8e-3
+    force_s: float = 3e-3
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSetup:
+    """The arm and how it is driven.
+
+    Attributes:
+        tracking: How it follows its commands.
+        normal: Of the contact, in the base frame.
+        stream: How advances are streamed; the planner's own settings if None.
+    """
+
+    tracking: Tracking = field(default_factory=Tracking)
+    normal: tuple[float, float, float] = SIDEWAYS
+    stream: StreamSettings | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopRecord:
+    """A whole run; times are true time [us] since the start.
+
+    Attributes:
+        t_us: On the grid of 125 us [n].
+        object_mm: Place of the object, downwards [n] [mm].
+        speed_mm_s: Its speed [n] [mm/s].
+        normal_n: Normal force [n] [N].
+        advance_mm: Place of the fingertip [n] [mm].
+        answered_us: When each window was answered [m].
+        steps: What the controller said of each window [m].
+        published_us: When trajectories were published [p].
+        rejected: Trajectories that the arm's controller rejected.
+        violations: Samples of the commanded motion that broke a limit.
+        q: Commanded joint positions, one per cycle [c, 7] [rad].
+        stopped: Why the interlock stopped the arm; empty if it did not.
+        events: Of each cycle [c].
+    """
+
+    t_us: NDArray[np.int64]
+    object_mm: Floats
+    speed_mm_s: Floats
+    normal_n: Floats
+    advance_mm: Floats
+    answered_us: Floats
+    steps: list[SlipStep]
+    published_us: Floats
+    rejected: int
+    violations: int
+    q: Floats
+    stopped: str
+    events: list[Events]
+
+
+class ClosedLoop:
+    """One run of the loop.
+
+    Args:
+        grasp: The grasp, with a camera.
+        settings: Of the slip controller; None leaves the loop open.
+        arm: The arm.
+        transport: Delays.
+        seed: Of the noise of the force estimates.
+    """
+
+    def __init__(
+        self,
+        grasp: Grasp,
+        settings: SlipSettings | None,
+        arm: ArmSetup | None = None,
+        transport: Transport | None = None,
+        seed: int = 0,
+    ) -> None:
+        setup = arm or ArmSetup()
+        self._grasp = grasp
+        self._transport = transport or Transport()
+        self._arm = JointTrajectoryController(1.0 / CYCLE_S)
+        self._arm.reset(READY, EPOCH_S)
+        planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), setup.stream)
+        self._controller = None
+        if settings is not None:
+            self._controller = SlipController(settings, planner, setup.normal)
+            self._guides = GuideMaker(settings.guide)
+        self._tip = FingertipAdvance(READY, np.array(setup.normal), setup.tracking, CYCLE_S)
+        self._rng = np.random.default_rng(seed)
+        self._under_way: list[tuple[float, PlannedTrajectory]] = []
+        self._frames: list[ApsFrame] = []
+        self._cycle, self._rejected, self._stopped = 0, 0, ''
+        self._blocks: list[GraspBlock] = []
+        self._ways: list[Floats] = []
+        self._commands: list[Floats] = []
+        self._answered: list[float] = []
+        self._steps: list[SlipStep] = []
+        self._published: list[float] = []
+
+    def run(self, seconds: float, enable_s: float) -> LoopRecord:
+        """Run to a time and return everything that happened.
+
+        Args:
+            seconds: Length [s].
+            enable_s: When the controller is enabled [s]; it must have learned its background.
+
+        Raises:
+            SlipControlError: The controller cannot be enabled.
+        """
+        enabled = False
+        while self._cycle * CYCLE_S < seconds - 1e-9:
+            self._step()
+            if not enabled and self._controller and self._cycle * CYCLE_S >= enable_s - 1e-9:
+                self._controller.enable(self._now_s)
+                enabled = True
+        return self._record()
+
+    @property
+    def _now_s(self) -> float:
+        """Return when the news of the last cycle reach the controller [s]."""
+        return EPOCH_S + self._cycle * CYCLE_S + self._transport.events_s
+
+    def _step(self) -> None:
+        """Go on by one cycle."""
+        now_s = EPOCH_S + self._cycle * CYCLE_S
+        due = [item for item in self._under_way if item[0] <= now_s]
+        self._under_way = self._under_way[len(due) :]
+        for arrival_s, trajectory in due:
+            self._rejected += self._arm.accept(trajectory, arrival_s) is not None
+        command = self._arm.sample(now_s)[0]
+        way = self._tip.follow(command, STEPS)
+        block = self._grasp.advance(way)
+        self._cycle += 1
+        self._blocks.append(block)
+        self._ways.append(way)
+        self._commands.append(command)
+        if self._controller is not None:
+            self._tell(block, self._controller)
+            self._ask(block, self._controller)
+
+    def _tell(self, block: GraspBlock, controller: SlipController) -> None:
+        """Hand the slower inputs to the controller."""
+        now_s, now_us = self._now_s, 1e6 * self._cycle * CYCLE_S
+        controller.on_heartbeat(now_s)
+        controller.on_joint_state(self._tip.q.tolist(), now_s)
+        if self._cycle % FORCE_EVERY == 0:
+            past = max(len(self._blocks) - 1 - round(self._transport.force_s / CYCLE_S), 0)
+            force = float(self._blocks[past].normal_n[-1]) + self._rng.normal(0.0, FORCE_NOISE_N)
+            controller.on_force(force, int(self._blocks[past].t_us[-1]), now_s)
+        self._frames += block.frames
+        while self._frames and self._frames[0].frame_end_us + 1e6 * FRAME_DELAY_S <= now_us:
+            frame = self._frames.pop(0)
+            middle = (frame.exposure_start_us + frame.exposure_end_us) // 2
+            controller.guide(self._guides.make(frame.intensity, middle))
+
+    def _ask(self, block: GraspBlock, controller: SlipController) -> None:
+        """Hand over the events and send what the controller asks for."""
+        now_s = self._now_s
+        assert block.events is not None  # noqa: S101  (a loop has a camera)
+        steps = controller.on_events(block.events, int(block.t_us[-1]), now_s)
+        now_us = 1e6 * (now_s - EPOCH_S)
+        self._answered += [now_us] * len(steps)
+        self._steps += steps
+        planned = controller.plan(now_s)
+        if planned is None and controller.interlock.reason and not self._stopped:
+            self._stopped = controller.interlock.reason
+            planned = controller.braking(now_s)
+        if planned is not None:
+            self._under_way.append((now_s + self._transport.command_s, planned))
+            self._published.append(now_us)
+
+    def _record(self) -> LoopRecord:
+        blocks = self._blocks
+        q = np.stack(self._commands)
+        return LoopRecord(
+            t_us=np.concatenate([b.t_us for b in blocks]),
+            object_mm=np.concatenate([b.object_mm for b in blocks]),
+            speed_mm_s=np.concatenate([b.speed_mm_s for b in blocks]),
+            normal_n=np.concatenate([b.normal_n for b in blocks]),
+            advance_mm=np.concatenate(self._ways),
+            answered_us=np.array(self._answered),
+            steps=self._steps,
+            published_us=np.array(self._published),
+            rejected=self._rejected,
+            violations=violations(q, CYCLE_S),
+            q=q,
+            stopped=self._stopped,
+            events=[b.events for b in blocks if b.events is not None],
+        )

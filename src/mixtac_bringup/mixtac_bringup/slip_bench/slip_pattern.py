@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A stretch of camera stream in which an object is knocked again and again, encoded once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_events.arrays import Events
+from mixtac_sim.contact_steps import STEP_US
+from mixtac_sim.grasp.slip_scene import SlipScene
+from mixtac_sim.presets import preset
+from mixtac_sim.usb.aps_words import ReadoutSettings, frame_blocks
+from mixtac_sim.usb.pattern import STEP_US as WORD_STEP_US
+from mixtac_sim.usb.pattern import WRAP_US, Pattern
+from mixtac_sim.usb.registers import HEIGHT, WIDTH
+from mixtac_sim.usb.word_encoder import Blocks, WordEncoder
+
+if TYPE_CHECKING:
+    from mixtac_sim.aps import ApsFrame
+
+QUIET_S = 2.5
+"""Rest at the beginning of each period, for the background to be learned [s]."""
+SPACING_S = 0.75
+"""Mean time between knocks [s]."""
+SLIP_S = 0.01
+"""How long the object slips after a knock [s]."""
+RISE_S = 5e-4
+"""Time in which a knock brings the object to its speed [s]."""
+BLOCK_STEPS = 8
+NEAR_US = 128 * WORD_STEP_US
+SETTINGS = ReadoutSettings(
+    region=(0, 0, WIDTH - 1, HEIGHT - 1),
+    exposure_cycles=120_960,
+    global_shutter=True,
+    orientation=4,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlipPattern:
+    """The stream and the truth.
+
+    Attributes:
+        pattern: What the camera sends.
+        onsets_us: Begin of each knock from the start of a period [us].
+        speeds_mm_s: Its speed [mm/s].
+    """
+
+    pattern: Pattern
+    onsets_us: list[int]
+    speeds_mm_s: list[float]
+
+
+def make_slip_pattern(
+    seconds: float,
+    seed: int,
+    speeds_mm_s: tuple[float, float] = (30.0, 100.0),
+    preset_name: str = 'paper_like',
+    quiet_s: float = QUIET_S,
+) -> SlipPattern:
+    """Simulate knocks on one sensor and encode what its camera sends.
+
+    Args:
+        seconds: Length of a period, rounded to the camera's time wraps [s].
+        seed: Draws the sensor, the day, the times and speeds.
+        speeds_mm_s: Range of the speeds.
+        preset_name: How hard the sensor is.
+        quiet_s: Rest at the beginning [s].
+    """
+    wraps = max(round(1e6 * seconds / WRAP_US), 1)
+    period_us = wraps * WRAP_US
+    rng = np.random.default_rng([seed, 11])
+    count = max(int((1e-6 * period_us - quiet_s) / SPACING_S), 0)
+    starts = quiet_s + SPACING_S * (np.arange(count) + rng.uniform(0.0, 0.4, count))
+    onsets = [int(STEP_US * round(1e6 * s / STEP_US)) for s in starts]
+    speeds = rng.uniform(*speeds_mm_s, count).tolist()
+    t_us = (np.arange(period_us // STEP_US) + 1) * STEP_US
+    profile = np.zeros(len(t_us))
+    for onset, speed in zip(onsets, speeds, strict=True):
+        since = 1e-6 * (t_us - onset)
+        shape = np.minimum(since / RISE_S, (SLIP_S - since) / RISE_S)
+        profile += speed * np.clip(shape, 0.0, 1.0)
+    scene = SlipScene(seed, seed, preset(preset_name))
+    blocks = list(scene.play(profile, block_steps=BLOCK_STEPS))
+    events = Events.concatenate([block.events for block in blocks])
+    frames = [frame for block in blocks for frame in block.frames]
+    pattern = _encode(events, frames, period_us)
+    return SlipPattern(pattern, onsets, speeds)
+
+
+def _encode(events: Events, frames: list[ApsFrame], period_us: int) -> Pattern:
+    """Return the words of a period; frames that would not end in it are left out."""
+    whole = [f for f in frames if f.frame_end_us < period_us]
+    parts = []
+    for frame in whole:
+        ends = (frame.exposure_start_us, frame.exposure_end_us, frame.frame_end_us)
+        times = np.array((frame.frame_start_us, *ends), np.int64)
+        parts.append(frame_blocks(frame, times, SETTINGS))
+    waiting = Blocks.merge(parts)
+    encoder = WordEncoder(inverted=True)
+    words = []
+    # Time 0 belongs to the wrap word of the period before.
+    kept = events[int(np.searchsorted(events.t, 1)) :]
+    near = Blocks.merge([])
+    for start in range(0, period_us, WORD_STEP_US):
+        until = start + WORD_STEP_US
+        if start % NEAR_US == 0:
+            # A split copies what remains: from a few milliseconds it costs little.
+            near, waiting = waiting.split(start + NEAR_US)
+        due, near = near.split(until)
+        first, last = np.searchsorted(kept.t, (start, until))
+        words.append(encoder.encode(kept[int(first) : int(last)], due, until).copy())
+    ends_at = np.cumsum([len(part) for part in words], dtype=np.int64)
+    return Pattern(np.concatenate(words), ends_at, kept, len(whole), 0)

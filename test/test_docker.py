@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The structure of the images: pinned, multi-stage, non-root, made of files that exist."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCKERFILES = sorted((ROOT / 'docker').glob('*Dockerfile'))
+COMPOSE = yaml.safe_load((ROOT / 'docker' / 'compose.yaml').read_text())
+
+
+def instructions(path: Path) -> list[tuple[str, str]]:
+    """Return (instruction, arguments), continuation lines joined, comments left out."""
+    text = re.sub(r'^\s*#.*\n', '', path.read_text(), flags=re.MULTILINE).replace('\\\n', ' ')
+    return [
+        (each.partition(' ')[0], each.partition(' ')[2].strip())
+        for each in text.splitlines()
+        if each.strip()
+    ]
+
+
+def stages(path: Path) -> list[list[tuple[str, str]]]:
+    found: list[list[tuple[str, str]]] = []
+    for instruction in instructions(path):
+        if instruction[0] == 'FROM':
+            found.append([])
+        if found:
+            found[-1].append(instruction)
+    return found
+
+
+def in_context(name: str) -> bool:
+    """Tell whether .dockerignore lets a top-level file or folder into the build."""
+    return f'!{name}' in (ROOT / '.dockerignore').read_text().splitlines()
+
+
+@pytest.mark.parametrize('path', DOCKERFILES, ids=lambda p: p.name)
+def test_images_are_pinned_multi_stage_and_not_root(path):
+    defaults = dict(re.findall(r'^ARG (\w+)=(\S+)', path.read_text(), re.MULTILINE))
+    first, *_, last = stages(path)
+    assert first is not last
+    for stage in stages(path):
+        image = re.sub(r'\$\{(\w+)\}', lambda m: defaults[m[1]], stage[0][1].split()[0])
+        tag = image.partition(':')[2]
+        assert tag
+        assert tag != 'latest'
+    users = [text for name, text in last if name == 'USER']
+    assert users
+    assert users[-1] not in {'root', '0'}
+    assert 'HEALTHCHECK' in dict(last)
+    for form in ('ENTRYPOINT', 'CMD'):
+        assert dict(last)[form].startswith('[')
+
+
+@pytest.mark.parametrize('path', DOCKERFILES, ids=lambda p: p.name)
+def test_what_is_copied_is_there_and_in_the_context(path):
+    for name, text in instructions(path):
+        if name != 'COPY' or '--from' in text:
+            continue
+        *sources, _ = [word for word in text.split() if not word.startswith('--')]
+        for source in sources:
+            assert (ROOT / source).exists(), source
+            assert in_context(source.split('/')[0]), source
+
+
+@pytest.mark.parametrize('path', DOCKERFILES, ids=lambda p: p.name)
+def test_python_comes_from_the_same_tool_and_files_as_everywhere(path):
+    runs = ' '.join(text for name, text in instructions(path) if name == 'RUN')
+    assert 'tools/setup.py --runtime' in runs
+    assert 'pip install' not in runs
+    for tool in re.findall(r'tools/\S+\.py', runs):
+        help_text = subprocess.run(
+            ['python3', str(ROOT / tool), '--help'], capture_output=True, text=True, check=True
+        ).stdout
+        assert '--runtime' in help_text
+        assert '--with' in help_text
+
+
+def test_the_torch_that_the_cpu_image_rewrites_is_in_the_requirements():
+    lines = (ROOT / 'requirements' / 'base.txt').read_text().splitlines()
+    assert [each for each in lines if re.fullmatch(r'torch==[0-9.]+', each)]
+
+
+def test_scripts_can_be_run_and_parse():
+    for path in (ROOT / 'docker').glob('*.sh'):
+        assert os.access(path, os.X_OK)
+        subprocess.run(['bash', '-n', str(path)], check=True)
+
+
+def test_services_share_an_image_and_have_a_profile_each():
+    assert set(COMPOSE['services']) == {'sensor', 'sensor-cuda', 'virtual', 'view'}
+    for service in COMPOSE['services'].values():
+        assert service['profiles']
+        assert (ROOT / 'docker' / service['build']['context'] / 'README.md').resolve().exists()
+        assert (ROOT / service['build']['dockerfile']).exists()
+        assert service['cap_drop'] == ['ALL']
+        assert not service.get('privileged')
+        known = set(re.findall(r'^ARG (\w+)', DOCKERFILES[0].read_text(), re.MULTILINE))
+        assert set(service['build']['args']) <= known
+
+
+def test_only_the_camera_services_reach_usb():
+    with_usb = {name for name, each in COMPOSE['services'].items() if 'device_cgroup_rules' in each}
+    assert with_usb == {'sensor', 'sensor-cuda'}
+
+
+def test_commands_of_the_services_exist():
+    for name, service in COMPOSE['services'].items():
+        command = service['command']
+        if command[0] == 'ros2':
+            assert (ROOT / 'launch' / command[3]).exists(), name
+        else:
+            assert command == ['mixtac', 'view']

@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Every package.xml declares what its package imports, under the keys that rosdep knows."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = sorted(each.parent.name for each in ROOT.glob('src/*/package.xml'))
+KEYS = {
+    'cv2': 'python3-opencv',
+    'joblib': 'python3-joblib',
+    'matplotlib': 'python3-matplotlib',
+    'numba': 'python3-numba',
+    'numpy': 'python3-numpy',
+    'psutil': 'python3-psutil',
+    'rich': 'python3-rich',
+    'rosbags': 'python3-rosbags-pip',
+    'scipy': 'python3-scipy',
+    'torch': 'python3-torch',
+    'typer': 'python3-typer',
+    'usb': 'python3-usb',
+    'yaml': 'python3-yaml',
+}
+"""rosdep key of each module that has one (rosdep/python.yaml of rosdistro, August 2026)."""
+WITHOUT_KEY = {
+    'backports': 'requirements/base.txt',
+    'libusb_package': 'requirements/base.txt',
+    'lz4': 'requirements/base.txt',
+    'safetensors': 'requirements/base.txt',
+    'threadpoolctl': 'requirements/base.txt',
+    'dask': 'requirements/cluster.txt',
+    'rerun': 'requirements/view.txt',
+    'rerun_cli': 'requirements/view.txt',
+    'pylibfranka': '',
+}
+"""Modules without a key, and the file that pip installs them from; empty for the robot's own."""
+OPTIONAL = {'cv_bridge', 'compression', 'llvmlite'}
+"""Used where present (cv_bridge, Python 3.14), or a part of another (numba)."""
+
+
+def imported(package: str) -> set[str]:
+    """Return the top-level names of what the modules of a package import."""
+    found: set[str] = set()
+    for path in (ROOT / 'src' / package / package).rglob('*.py'):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition('.')[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                found.add(node.module.partition('.')[0])
+    return found - set(sys.stdlib_module_names) - {package, '__future__'} - OPTIONAL
+
+
+def manifest(package: str) -> ET.Element:
+    return ET.parse(ROOT / 'src' / package / 'package.xml').getroot()
+
+
+def declared(package: str) -> set[str]:
+    kinds = ('depend', 'exec_depend')
+    return {str(each.text) for each in manifest(package) if each.tag in kinds}
+
+
+@pytest.mark.parametrize('package', PACKAGES)
+def test_what_is_imported_is_declared(package):
+    wanted = {KEYS.get(name, name) for name in imported(package) - set(WITHOUT_KEY)}
+    assert sorted(wanted - declared(package)) == []
+
+
+@pytest.mark.parametrize('package', PACKAGES)
+def test_what_is_declared_is_imported(package):
+    if package == 'mixtac_msgs':
+        pytest.skip('has no Python modules')
+    launch = {'launch', 'launch_ros', 'rosidl_default_runtime'}
+    # What its parameter files and launch files start counts as used by mixtac_bringup.
+    workspace = set(PACKAGES) if package == 'mixtac_bringup' else set()
+    used = {KEYS.get(name, name) for name in imported(package)} | launch | workspace
+    assert sorted(declared(package) - used) == []
+
+
+def test_what_has_no_key_is_in_the_requirements():
+    for module, file in WITHOUT_KEY.items():
+        if file:
+            name = module.replace('_', '-').removesuffix('-cli')
+            assert re.search(rf'^{name}', (ROOT / file).read_text(), re.MULTILINE), module
+
+
+def test_the_manifests_agree_on_version_licence_and_maintainer():
+    facts = {
+        tuple(manifest(each).findtext(tag) for tag in ('version', 'license', 'maintainer'))
+        for each in PACKAGES
+    }
+    assert len(facts) == 1
+    version = next(iter(facts))[0]
+    for path in ROOT.glob('src/*/setup.py'):
+        assert f"version='{version}'" in path.read_text(), path
+
+
+@pytest.mark.parametrize('package', PACKAGES)
+def test_each_manifest_is_of_format_3_and_says_how_it_is_built(package):
+    root = manifest(package)
+    assert root.get('format') == '3'
+    assert root.findtext('name') == package
+    kinds = {'mixtac_msgs': 'ament_cmake'}
+    assert root.findtext('export/build_type') == kinds.get(package, 'ament_python')
+    assert len(str(root.findtext('description'))) > 20
