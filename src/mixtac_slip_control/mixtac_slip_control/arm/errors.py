@@ -1,0 +1,21 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What the arm part of slip control refuses."""
+
+from mixtac_slip_control.errors import SlipControlError
+
+
+class ArmError(SlipControlError):
+    """An arm, a state or a request that cannot be followed; the text says what to do."""
+
+
+class RobotDescriptionError(ArmError):
+    """A URDF that holds no usable serial arm."""
+
+
+class UnreachableError(ArmError):
+    """A pose or an advance that the arm cannot reach from where it stands."""
+
+
+class BackendError(ArmError):
+    """A robot, or the library that talks to it, that is missing or reports a fault."""

@@ -1,0 +1,176 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What the joints of an arm may do: position, velocity, acceleration, jerk, torque."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_slip_control.arm.errors import ArmError
+from mixtac_slip_control.arm.serial_arm import SerialArm
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VelocityEnvelope:
+    r"""Velocity limits that fall towards the end of a joint's range.
+
+    Towards the upper end: :math:`\max(0, -c + \sqrt{\max(0, k (q^+ - q))})`; mirrored below.
+
+    Attributes:
+        offset: c (n,) [rad/s].
+        slope: k (n,) [rad/s2].
+        upper: Position at the upper end (n,) [rad].
+        lower: Position at the lower end (n,) [rad].
+    """
+
+    offset: Floats
+    slope: Floats
+    upper: Floats
+    lower: Floats
+
+    def bounds(self, q: Floats) -> tuple[Floats, Floats]:
+        """Return the lowest and the highest velocity (n,) [rad/s] at joint positions (n,)."""
+        high = np.sqrt(np.maximum(0.0, self.slope * (self.upper - q))) - self.offset
+        low = np.sqrt(np.maximum(0.0, self.slope * (q - self.lower))) - self.offset
+        return -np.maximum(0.0, low), np.maximum(0.0, high)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointLimits:
+    """Limits of each joint (n,), and of the tip's translation.
+
+    Attributes:
+        lower: Smallest position [rad].
+        upper: Largest position [rad].
+        velocity: Largest speed [rad/s].
+        acceleration: Largest acceleration [rad/s2].
+        jerk: Largest jerk [rad/s3].
+        torque: Largest torque [Nm]; inf where unknown.
+        torque_rate: Largest change of torque [Nm/s]; inf where unknown.
+        envelope: Velocity limits that depend on the position; None without.
+        tip: Largest speed [m/s], acceleration [m/s2] and jerk [m/s3] of the tip.
+    """
+
+    lower: Floats
+    upper: Floats
+    velocity: Floats
+    acceleration: Floats
+    jerk: Floats
+    torque: Floats
+    torque_rate: Floats
+    envelope: VelocityEnvelope | None = None
+    tip: tuple[float, float, float] = (math.inf, math.inf, math.inf)
+
+    def __post_init__(self) -> None:
+        """Refuse limits that allow nothing or belong to different arms.
+
+        Raises:
+            ArmError: Lengths differ, a range is empty or a limit is not positive.
+        """
+        rates = (self.velocity, self.acceleration, self.jerk, self.torque, self.torque_rate)
+        if any(values.shape != self.lower.shape for values in (self.upper, *rates)):
+            raise ArmError('joint limits of different lengths: give one value for each joint')
+        if not (self.lower < self.upper).all():
+            raise ArmError(
+                f'joint positions from {self.lower.tolist()} to {self.upper.tolist()} rad leave a '
+                'joint no room: give lower < upper'
+            )
+        if not all((values > 0.0).all() for values in rates):
+            raise ArmError('a joint limit of velocity, acceleration, jerk or torque is not > 0')
+
+    @classmethod
+    def fr3(cls) -> JointLimits:
+        """Return the limits of the Franka Research 3.
+
+        Positions, speeds and torques: franka_description 1.0; rates and the velocity envelope:
+        libfranka's rate_limiting.h, for system versions from 5.9 on.
+        """
+        envelope = VelocityEnvelope(
+            offset=np.array([0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35]),
+            slope=np.array([12.0, 5.17, 7.00, 8.00, 34.0, 11.0, 34.0]),
+            upper=np.array([2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196]),
+            lower=np.array([-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.54092, -3.0196]),
+        )
+        return cls.from_arm(
+            SerialArm.fr3(),
+            acceleration=10.0,
+            jerk=5000.0,
+            torque_rate=1000.0,
+            envelope=envelope,
+            tip=(3.0, 9.0, 4500.0),
+        )
+
+    @classmethod
+    def from_arm(
+        cls,
+        arm: SerialArm,
+        acceleration: float,
+        jerk: float,
+        torque_rate: float = math.inf,
+        envelope: VelocityEnvelope | None = None,
+        tip: tuple[float, float, float] = (math.inf, math.inf, math.inf),
+    ) -> JointLimits:
+        """Return the limits in an arm's URDF, with the rates that a URDF does not hold.
+
+        Args:
+            arm: Arm read from a URDF.
+            acceleration: Of every joint [rad/s2].
+            jerk: Of every joint [rad/s3].
+            torque_rate: Of every joint [Nm/s].
+            envelope: Velocity limits that depend on the position.
+            tip: Speed [m/s], acceleration [m/s2] and jerk [m/s3] of the tip.
+
+        Raises:
+            ArmError: A limit is missing in the URDF or makes no sense.
+        """
+        velocity = np.array([joint.velocity for joint in arm.joints])
+        if not np.isfinite(velocity).all():
+            raise ArmError(
+                f'the URDF gives no velocity limit for a joint of {", ".join(arm.names)}: add '
+                '<limit velocity="..."/>'
+            )
+        same = np.ones(arm.dof)
+        return cls(
+            lower=np.array([joint.lower for joint in arm.joints]),
+            upper=np.array([joint.upper for joint in arm.joints]),
+            velocity=velocity,
+            acceleration=acceleration * same,
+            jerk=jerk * same,
+            torque=np.array([joint.effort for joint in arm.joints]),
+            torque_rate=torque_rate * same,
+            envelope=envelope,
+            tip=tip,
+        )
+
+    def velocity_bounds(self, q: Floats) -> tuple[Floats, Floats]:
+        """Return the lowest and the highest velocity (n,) [rad/s] at joint positions (n,)."""
+        if self.envelope is None:
+            return -self.velocity, self.velocity
+        low, high = self.envelope.bounds(q)
+        return np.maximum(low, -self.velocity), np.minimum(high, self.velocity)
+
+    def violation(self, q: Floats, names: tuple[str, ...], margin: float = 0.0) -> str | None:
+        """Return which joint is outside its range, in words, or None.
+
+        Args:
+            q: Joint positions (n,) [rad].
+            names: Of the joints.
+            margin: Distance from the ends to keep [rad].
+        """
+        outside = ~((q >= self.lower + margin) & (q <= self.upper - margin))
+        if not outside.any():
+            return None
+        i = int(np.argmax(outside))
+        return (
+            f'{names[i]} at {q[i]:.4f} rad is outside {self.lower[i]:.4f} to {self.upper[i]:.4f} '
+            f'rad less {margin:g}'
+        )

@@ -1,0 +1,148 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+import numpy as np
+import pytest
+
+from mixtac_sim.arm.fr3 import READY, flange_place
+from mixtac_slip_control.arm.advance_planner import AdvancePlanner
+from mixtac_slip_control.arm.errors import ArmError, UnreachableError
+from mixtac_slip_control.arm.joint_limits import JointLimits
+from mixtac_slip_control.arm.serial_arm import SerialArm
+from mixtac_slip_control.arm.stream_settings import StreamSettings
+
+ARM, LIMITS = SerialArm.fr3(), JointLimits.fr3()
+X = np.array([1.0, 0.0, 0.0])
+
+
+@pytest.fixture
+def planner():
+    planner = AdvancePlanner(ARM, LIMITS)
+    planner.reset(READY, X)
+    return planner
+
+
+def test_the_flange_moves_straight_along_the_normal_without_turning(planner):
+    trajectory = planner.plan(5.0, 0.01, np.array([2.0, 0.0, 0.0]))
+    start, turn = flange_place(READY), ARM.pose(READY)[:3, :3]
+    for t, q in zip(trajectory.times_s, trajectory.q, strict=True):
+        advance = planner.advance_at(trajectory.stamp_s + t)
+        assert np.allclose(flange_place(q) - start, advance * X, atol=1e-9)
+        assert np.allclose(ARM.pose(q)[:3, :3], turn, atol=1e-9)
+    assert advance == pytest.approx(0.01, abs=1e-12)
+
+
+def test_velocities_and_accelerations_are_the_derivatives(planner):
+    trajectory = planner.plan(5.0, 0.003, X)
+    h = trajectory.times_s[1] - trajectory.times_s[0]
+    assert np.allclose(
+        np.diff(trajectory.q, axis=0) / h,
+        (trajectory.dq[1:] + trajectory.dq[:-1]) / 2 - h / 12 * np.diff(trajectory.ddq, axis=0),
+        atol=1e-7,
+    )
+    mean = (trajectory.ddq[1:] + trajectory.ddq[:-1]) / 2
+    assert np.allclose(np.diff(trajectory.dq, axis=0) / h, mean, atol=2e-3)
+    assert not trajectory.dq[-1].any()
+    assert not trajectory.ddq[-1].any()
+
+
+def test_a_new_trajectory_repeats_the_committed_part_exactly(planner):
+    first = planner.plan(5.0, 0.002, X)
+    second = planner.plan(5.0043, 0.004, X)
+    times = {first.stamp_ns + round(t * 1e9): k for k, t in enumerate(first.times_s)}
+    branch = second.stamp_ns + round(second.branch_s * 1e9)
+    assert branch >= 5.0043e9 + 6e6
+    shared = 0
+    for k, t in enumerate(second.times_s):
+        at = second.stamp_ns + round(t * 1e9)
+        if at <= branch and at in times:
+            shared += 1
+            for name in ('q', 'dq', 'ddq'):
+                assert (getattr(second, name)[k] == getattr(first, name)[times[at]]).all()
+    assert shared >= 6
+    assert second.stamp_s + second.times_s[0] < 5.0043 - 1e-3
+
+
+def test_nothing_new_is_sent_for_the_same_target_or_too_soon(planner):
+    assert planner.plan(5.0, 0.0, X) is None
+    assert planner.plan(5.0, 1e-4, X) is not None
+    assert planner.plan(5.001, 2e-4, X) is None
+    assert planner.plan(5.002, 2e-4, X) is not None
+    assert planner.plan(5.004, 2e-4, X) is None
+    assert planner.plan(5.2, 1e-4, X) is not None
+
+
+def test_the_first_tenth_of_a_millimetre_takes_what_the_arm_allows(planner):
+    """Against the optimum in closed form for the acceleration and jerk of the worst joint."""
+    slope = np.abs(planner.path.derivatives(0.0)[1]).max()
+    A, J = 9.5 / slope, 4750.0 / slope
+    optimum = A / J + np.sqrt((A / J) ** 2 + 4 * 1e-4 / A)
+    trajectory = planner.plan(5.0, 1e-4, X)
+    moving = trajectory.times_s[-1] - trajectory.branch_s
+    assert optimum - 1e-9 <= moving <= optimum + 2e-3
+
+
+def test_stop_brakes_within_the_limits_and_comes_to_rest(planner):
+    planner.plan(5.0, 0.02, X)
+    speed = planner.advance_velocity_at(5.05)
+    trajectory = planner.stop(5.05)
+    assert speed > 0.05
+    assert planner.target < 0.02
+    assert np.abs(trajectory.ddq).max() <= 10.0
+    assert planner.advance_velocity_at(trajectory.end_s) == 0.0
+    assert trajectory.end_s - 5.05 < 0.006 + 2 * speed / planner.motion_limits.acceleration + 0.01
+    assert planner.stop(6.0) is None
+
+
+def test_the_commanded_velocity_is_the_derivative_of_the_advance(planner):
+    trajectory = planner.plan(1.7e9, 0.001, X)
+    t = trajectory.stamp_s + np.linspace(0.005, 0.04, 50)
+    h = 1e-4
+    for at in t:
+        slope = (planner.advance_at(at + h) - planner.advance_at(at - h)) / (2 * h)
+        assert planner.advance_velocity_at(at) == pytest.approx(slope, abs=2e-3)
+    assert planner.advance_at(1.7e9 - 10) == 0.0
+    assert planner.advance_at(1.7e9 + 10) == pytest.approx(0.001)
+
+
+def test_without_a_plan_nothing_is_commanded(planner):
+    assert (planner.advance_at(1.0), planner.advance_velocity_at(1.0)) == (0.0, 0.0)
+    assert planner.stop(1.0) is None
+
+
+@pytest.mark.parametrize(
+    ('now', 'advance', 'normal', 'error', 'words'),
+    [
+        (5.0, np.nan, X, ArmError, 'finite'),
+        (np.inf, 1e-4, X, ArmError, 'finite'),
+        (5.0, -1e-4, X, UnreachableError, 'outside'),
+        (5.0, 0.03, X, UnreachableError, 'outside'),
+        (5.0, 1e-4, -X, ArmError, 'normal changed'),
+        (5.0, 1e-4, np.full(3, np.nan), ArmError, 'normal changed'),
+        (4.0, 1e-4, X, ArmError, 'time ran back'),
+    ],
+)
+def test_what_cannot_be_followed_is_refused(planner, now, advance, normal, error, words):
+    planner.plan(4.5, 1e-5, X)
+    with pytest.raises(error, match=words):
+        planner.plan(now, advance, normal)
+
+
+def test_a_planner_must_be_reset_first():
+    with pytest.raises(ArmError, match='reset'):
+        AdvancePlanner(ARM, LIMITS).plan(1.0, 1e-4, X)
+
+
+def test_an_advance_beyond_the_reach_is_refused_at_the_reset():
+    stretched = np.array([0.0, 1.5, 0.0, -0.16, 0.0, 1.7, 0.0])
+    with pytest.raises(UnreachableError):
+        AdvancePlanner(ARM, LIMITS).reset(stretched, ARM.pose(stretched)[:3, 3])
+
+
+@pytest.mark.parametrize(
+    'bad',
+    [{'lead_s': -1.0}, {'share': 0.0}, {'share': 1.5}, {'spacing_s': 0.0}, {'max_advance': 1}],
+)
+def test_settings_without_a_meaning_are_refused(bad):
+    with pytest.raises(ArmError, match=next(iter(bad))):
+        StreamSettings(**bad)

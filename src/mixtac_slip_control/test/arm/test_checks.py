@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mixtac_sim.arm.fr3 import DQ_MAX, Q_LOWER, Q_UPPER, READY
+from mixtac_slip_control.arm.checks import BoxWorkspace, SphereWorkspace, StateChecks
+from mixtac_slip_control.arm.errors import ArmError
+from mixtac_slip_control.arm.joint_limits import JointLimits
+from mixtac_slip_control.arm.serial_arm import SerialArm
+
+ARM, LIMITS = SerialArm.fr3(), JointLimits.fr3()
+REST = np.zeros(7)
+TIP = tuple(ARM.pose(READY)[:3, 3])
+
+
+def test_the_limits_are_those_written_down_elsewhere():
+    assert (LIMITS.lower == Q_LOWER).all()
+    assert (LIMITS.upper == Q_UPPER).all()
+    assert (LIMITS.velocity == DQ_MAX).all()
+
+
+def test_the_velocity_envelope_closes_towards_the_ends():
+    low, high = LIMITS.velocity_bounds(LIMITS.upper)
+    assert (high < 0.5).all()
+    assert (low == -LIMITS.velocity).all()
+    q = READY.copy()
+    q[3] = -0.1458 - 0.5  # by hand: -0.30 + sqrt(8 * 0.5) = 1.7
+    assert LIMITS.velocity_bounds(q)[1][3] == pytest.approx(1.7)
+
+
+def test_a_good_state_passes():
+    checks = StateChecks(ARM, LIMITS, BoxWorkspace((0, -0.5, 0.2), (0.6, 0.5, 0.9)))
+    assert checks.check(READY, REST) is None
+    assert checks.check(READY) is None
+
+
+@pytest.mark.parametrize('joint', range(7))
+def test_a_joint_near_its_end_trips(joint):
+    for end, sign in ((Q_UPPER, -1), (Q_LOWER, 1)):
+        q = READY.copy()
+        q[joint] = end[joint] + sign * 0.01
+        assert f'fr3_joint{joint + 1}' in StateChecks(ARM, LIMITS, min_singular=0.0).check(q, REST)
+
+
+def test_a_fast_joint_trips():
+    speeds = REST.copy()
+    speeds[4] = -5.3
+    assert 'fr3_joint5 moves at -5.300' in StateChecks(ARM, LIMITS).check(READY, speeds)
+
+
+def test_leaving_the_workspace_trips():
+    box = BoxWorkspace((0, -0.5, 0.2), (0.3, 0.5, 0.9))
+    assert 'x = 0.3069' in StateChecks(ARM, LIMITS, box).check(READY)
+    ball = SphereWorkspace((TIP[0], TIP[1], TIP[2] - 0.2), 0.19)
+    assert '0.2000 m from' in StateChecks(ARM, LIMITS, ball).check(READY)
+    assert StateChecks(ARM, LIMITS, SphereWorkspace(TIP, 0.01)).check(READY) is None
+
+
+def test_a_singularity_trips():
+    checks = StateChecks(ARM, LIMITS)
+    for q in ([0, 0, np.pi / 2, -1.5, 0, np.pi, 0], [0, 0, 0, -0.18, 0, 1.6, 0]):
+        assert 'singularity' in checks.check(np.array(q, np.float64))
+
+
+@pytest.mark.parametrize('bad', [np.full(7, np.nan), np.zeros(6)])
+def test_what_is_no_state_trips(bad):
+    checks = StateChecks(ARM, LIMITS)
+    assert '7 finite numbers' in checks.check(bad)
+    assert '7 finite numbers' in checks.check(READY, bad)
+
+
+def test_empty_workspaces_and_limits_are_refused():
+    with pytest.raises(ArmError, match='lower < upper'):
+        BoxWorkspace((0, 0, 0), (1, 0, 1))
+    with pytest.raises(ArmError, match='radius'):
+        SphereWorkspace((0, 0, 0), float('nan'))
+    with pytest.raises(ArmError, match='no room'):
+        dataclasses.replace(LIMITS, lower=LIMITS.upper)
+    with pytest.raises(ArmError, match='not > 0'):
+        dataclasses.replace(LIMITS, jerk=REST)
+    with pytest.raises(ArmError, match='different lengths'):
+        dataclasses.replace(LIMITS, jerk=np.ones(6))

@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A disturbed run through Franka's own client against an independent control unit, over loopback.
+
+Runs where `MIXTAC_FRANKA_PYTHON`, or `.venv-franka`, has what requirements/franka.txt lists.
+"""
+
+import importlib.util
+import os
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fr3_mjcf import fr3_mjcf
+
+from mixtac_slip_control.arm.advance_planner import AdvancePlanner
+from mixtac_slip_control.arm.errors import BackendError
+from mixtac_slip_control.arm.joint_limits import JointLimits
+from mixtac_slip_control.arm.libfranka_backend import LibfrankaBackend
+from mixtac_slip_control.arm.serial_arm import SerialArm
+from mixtac_slip_control.arm.stream_settings import StreamSettings
+
+HERE = Path(__file__).resolve().parent
+VENV = HERE.parents[3] / '.venv-franka' / 'bin' / 'python'
+PYTHON = os.environ.get('MIXTAC_FRANKA_PYTHON', str(VENV))
+ADDRESS, PORT = '127.0.0.1', 1337
+X = np.array([1.0, 0.0, 0.0])
+RUN_S = 5.0
+
+
+def answers():
+    with socket.socket() as probe:
+        return probe.connect_ex((ADDRESS, PORT)) == 0
+
+
+@pytest.fixture
+def control_unit(tmp_path):
+    probe = [PYTHON, '-c', 'import franka_sim, pylibfranka']
+    if not Path(PYTHON).exists() or subprocess.run(probe, check=False).returncode:
+        pytest.skip('no franka-sim: make .venv-franka from requirements/franka.txt')
+    if os.getloadavg()[0] > 0.5 * (os.cpu_count() or 1):
+        pytest.skip('the machine is busy: the simulated control unit must run in real time')
+    if answers():
+        pytest.skip(f'port {PORT} on {ADDRESS} is taken, and libfranka knows no other')
+    model, log = tmp_path / 'fr3.xml', tmp_path / 'server.log'
+    model.write_text(fr3_mjcf())
+    with log.open('w') as stream:
+        server = subprocess.Popen(
+            [PYTHON, str(HERE / 'franka_server.py'), str(model)], stdout=stream, stderr=stream
+        )
+        try:
+            deadline = time.monotonic() + 60.0
+            while not answers():
+                assert server.poll() is None, log.read_text()
+                assert time.monotonic() < deadline, log.read_text()
+                time.sleep(0.1)
+            yield log
+        finally:
+            server.terminate()
+            server.wait()
+
+
+def resting(backend):
+    """Return the commanded positions once they no longer change."""
+    before = backend.state().commanded
+    for _ in range(200):
+        time.sleep(0.2)
+        after = backend.state().commanded
+        if (after == before).all():
+            return after
+        before = after
+    pytest.fail('the arm does not come to rest')
+
+
+def test_a_disturbed_run_has_no_reflex_discontinuity_or_communication_error(control_unit):
+    # The lead covers a machine that is busy with other tests: this is not about latency.
+    arm = SerialArm.fr3()
+    planner = AdvancePlanner(arm, JointLimits.fr3(), StreamSettings(lead_s=0.2))
+    backend = LibfrankaBackend(ADDRESS, PYTHON)
+    try:
+        state = backend.state()
+        planner.reset(state.commanded, X)
+        place = arm.pose(state.commanded)[0, 3]
+        rng = np.random.default_rng(1)
+        advance, sent, farthest = 0.0, 0, 0.0
+        ends = time.monotonic() + RUN_S
+        while time.monotonic() < ends:
+            if rng.random() < 0.3:
+                advance = float(np.clip(advance + rng.normal() * 3e-4, 0.0, 5e-3))
+            trajectory = planner.plan(time.time(), advance, X)
+            try:
+                if trajectory is not None:
+                    backend.send(trajectory)
+                    sent += 1
+                farthest = max(farthest, arm.pose(backend.state().q)[0, 3] - place)
+            except BackendError as error:
+                # A simulation that catches up after a stall runs ahead of the host's clock.
+                if 'arrived after' not in str(error):
+                    raise
+                planner.reset(resting(backend), X)
+                advance = 0.0
+            time.sleep(0.01)
+        deadline = time.monotonic() + 30.0
+        goal = planner.path.derivatives(planner.target)[0]
+        while not np.allclose(backend.state().commanded, goal, atol=1e-9):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    finally:
+        backend.stop()
+    assert sent > 50
+    assert farthest > 3e-4
+    words = control_unit.read_text()
+    assert 'violat' not in words
+    assert 'aborting' not in words
+
+
+def test_a_missing_client_library_is_named():
+    if importlib.util.find_spec('pylibfranka'):
+        pytest.skip('pylibfranka is installed here')
+    with pytest.raises(BackendError, match='pip install pylibfranka'):
+        LibfrankaBackend(ADDRESS)

@@ -1,0 +1,44 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The planner's stream through an emulation of joint_trajectory_controller, written apart from it.
+
+`MIXTAC_LIMIT_TRIALS=100000` plays as many sequences as the acceptance test asks for, in minutes.
+"""
+
+import os
+
+from mixtac_sim.arm.trajectory_controller import JointTrajectoryController
+from mixtac_slip_control.arm import limit_trials
+from mixtac_slip_control.arm.limit_trials import run_trials
+from mixtac_slip_control.arm.stream_settings import StreamSettings
+
+COUNT = int(os.environ.get('MIXTAC_LIMIT_TRIALS', '400'))
+
+
+def jazzy():
+    return JointTrajectoryController(1000.0, release='jazzy')
+
+
+def humble():
+    return JointTrajectoryController(1000.0, release='humble')
+
+
+def test_no_random_sequence_breaks_a_limit_of_the_fr3():
+    tally = run_trials(COUNT, seed=1, controllers=(jazzy, humble))
+    assert tally.trials == COUNT
+    assert tally.trajectories > 2 * COUNT
+    assert tally.refused == tally.rejected == 0
+    assert tally.violations == 0, tally
+    # The stream uses what the arm has: a slow one would pass too.
+    assert tally.acceleration > 0.9
+    assert tally.jerk > 0.85
+
+
+def test_trajectories_later_than_the_lead_break_limits(monkeypatch):
+    monkeypatch.setattr(limit_trials, 'CYCLES_FOR_CONTROLLER', -5)
+    assert run_trials(60, seed=1, controllers=(jazzy,)).violations > 0
+
+
+def test_without_an_overlap_humble_breaks_limits():
+    settings = StreamSettings(overlap_s=0.0)
+    assert run_trials(60, seed=1, controllers=(humble,), settings=settings).violations > 0

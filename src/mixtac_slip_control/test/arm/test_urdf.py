@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+import pytest
+
+from mixtac_slip_control.arm.errors import RobotDescriptionError
+from mixtac_slip_control.arm.serial_arm import fr3_urdf
+from mixtac_slip_control.arm.urdf import read_chain
+
+JOINT = (
+    '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/>'
+    '<axis xyz="{4}"/><limit lower="-1" upper="1" velocity="2" effort="3"/></joint>'
+)
+
+
+def robot(*joints):
+    return f'<robot name="r">{"".join(joints)}</robot>'
+
+
+def test_the_fr3_has_seven_joints_with_limits_and_a_flange():
+    chain = read_chain(fr3_urdf())
+    assert [joint.kind for joint in chain] == ['revolute'] * 7 + ['fixed']
+    assert (chain[3].lower, chain[3].upper) == (-3.0421, -0.1518)
+    assert (chain[4].velocity, chain[4].effort) == (5.26, 12.0)
+
+
+def test_a_chain_is_read_from_base_to_tip_past_branches():
+    text = robot(
+        JOINT.format('b', 'revolute', 'l1', 'l2', '0 0 2'),
+        JOINT.format('a', 'prismatic', 'l0', 'l1', '0 1 0'),
+        JOINT.format('finger', 'prismatic', 'l1', 'finger', '0 1 0'),
+    )
+    chain = read_chain(text, 'l0', 'l2')
+    assert [joint.name for joint in chain] == ['a', 'b']
+    assert chain[1].axis == (0.0, 0.0, 1.0)
+    with pytest.raises(RobotDescriptionError, match='name the tip link'):
+        read_chain(text)
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('<robot', 'well-formed'),
+        ('<urdf/>', '<urdf>'),
+        ('<!DOCTYPE r [<!ENTITY a "b">]><robot/>', 'document type'),
+        (robot(), 'name the tip link'),
+        (robot(JOINT.format('a', 'floating', 'l0', 'l1', '0 0 1')), 'floating'),
+        (robot(JOINT.format('a', 'revolute', 'l0', 'l1', '0 0 0')), 'length zero'),
+        (robot(JOINT.format('a', 'revolute', 'l0', 'l1', '0 nan 0')), 'three numbers'),
+        (robot(JOINT.format('a', 'revolute', 'l0', 'l1', '1 0')), 'three numbers'),
+        (robot('<joint name="a" type="fixed"/>'), 'lacks its parent'),
+        (robot(JOINT.format('a', 'revolute', 'l0', 'l1', '0 0 1').replace('"2"', '"x"')), 'number'),
+    ],
+)
+def test_what_is_no_serial_arm_is_refused(text, words):
+    with pytest.raises(RobotDescriptionError, match=words):
+        read_chain(text)
+
+
+def test_a_missing_link_is_named():
+    with pytest.raises(RobotDescriptionError, match='nowhere'):
+        read_chain(fr3_urdf(), tip='nowhere')
+    with pytest.raises(RobotDescriptionError, match='nowhere'):
+        read_chain(fr3_urdf(), base='nowhere')
