@@ -12,11 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from mixtac_alignment.alignment_parameters import AlignmentParameters
+from mixtac_bringup.align.force_error_parameters import ForceErrorParameters
 from mixtac_bringup.recorder_parameters import RecorderParameters
 from mixtac_bringup.topics import SERVICES, TOPICS
+from mixtac_bringup.view.view_parameters import ViewParameters
 from mixtac_driver.driver_parameters import DriverParameters
 from mixtac_fger.fger_parameters import FgerParameters
 from mixtac_node.parameters import ParameterSpec, specs
+from mixtac_sim.virtual_arm_parameters import VirtualArmParameters
+from mixtac_sim.virtual_grasp_parameters import VirtualGraspParameters
 from mixtac_sim.virtual_sensor_parameters import VirtualSensorParameters
 from mixtac_slip_control.slip_control_parameters import SlipControlParameters
 
@@ -24,10 +28,14 @@ ROOT = Path(__file__).resolve().parent.parent
 SCHEMAS: dict[str, type[Any]] = {
     'driver': DriverParameters,
     'virtual_sensor': VirtualSensorParameters,
+    'virtual_arm': VirtualArmParameters,
+    'virtual_grasp': VirtualGraspParameters,
     'fger': FgerParameters,
     'alignment': AlignmentParameters,
+    'force_error': ForceErrorParameters,
     'slip_control': SlipControlParameters,
     'recorder': RecorderParameters,
+    'view': ViewParameters,
 }
 HEADER = (
     '# SPDX-FileCopyrightText: 2026 Mixtac maintainers\n# SPDX-License-Identifier: Apache-2.0\n'

@@ -22,7 +22,11 @@ setup(
     description='The virtual Mixtac sensor and its virtual USB camera',
     license='Apache-2.0',
     entry_points={
-        'console_scripts': ['virtual_sensor_node = mixtac_sim.virtual_sensor_node:main'],
+        'console_scripts': [
+            'virtual_arm_node = mixtac_sim.virtual_arm_node:main',
+            'virtual_grasp_node = mixtac_sim.virtual_grasp_node:main',
+            'virtual_sensor_node = mixtac_sim.virtual_sensor_node:main',
+        ],
         'mixtac.usb_backends': ['virtual = mixtac_sim.usb.backend:open_backend'],
     },
 )

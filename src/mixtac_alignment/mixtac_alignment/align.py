@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from mixtac_alignment.errors import RefinementError
 from mixtac_alignment.refinement import Refinement, refine
+from mixtac_alignment.tap_anchors import FEWEST_FRAMES, fit_taps
 from mixtac_alignment.two_impulse import fit_counts
 
 if TYPE_CHECKING:
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_alignment.clock_fit import ClockFit
+    from mixtac_alignment.event_history import CellEvents
     from mixtac_alignment.frame_features import FrameFeatures
     from mixtac_alignment.gel_lag import GelLag
     from mixtac_alignment.impulses import ImpulseSettings
@@ -29,6 +31,7 @@ def align(
     settings: ImpulseSettings | None = None,
     lag: GelLag | None = None,
     *,
+    events: CellEvents | None = None,
     use_all: bool = False,
 ) -> tuple[ClockFit, Refinement | None]:
     """Fit the clock map to impulses, and refine it where there are frames enough.
@@ -40,6 +43,7 @@ def align(
         frames: Frames, camera clock; none leaves it at the impulses.
         settings: What counts as an impulse.
         lag: What is known of the gel.
+        events: Events around the taps at least; with frames, they time the taps better.
         use_all: Fit all strong impulses by least squares instead of the first and the last.
 
     Returns:
@@ -48,11 +52,31 @@ def align(
     Raises:
         AlignmentError: No trustworthy map; the text says why and what to do.
     """
-    first = fit_counts(counts, force_t_s, force_N, settings, use_all=use_all)
     if frames is None:
-        return first, None
+        return fit_counts(counts, force_t_s, force_N, settings, use_all=use_all), None
+    first = _first(counts, events, frames, force_t_s, force_N, settings, lag, use_all=use_all)
     try:
         refined = refine(first, frames, force_t_s, force_N, lag)
     except RefinementError:
         return first, None
     return refined.fit, refined
+
+
+def _first(
+    counts: EventCounts,
+    events: CellEvents | None,
+    frames: FrameFeatures,
+    force_t_s: NDArray[np.float64],
+    force_N: NDArray[np.float64],
+    settings: ImpulseSettings | None,
+    lag: GelLag | None,
+    *,
+    use_all: bool,
+) -> ClockFit:
+    """Return the map from the taps' whole course, or from their flanks where frames are too few."""
+    if events is None or len(frames.start_us) < FEWEST_FRAMES:
+        return fit_counts(counts, force_t_s, force_N, settings, use_all=use_all)
+    if not len(events.t_us) or events.start_us > counts.start_us + 500_000:
+        # Memory held fewer events than their counts: the first tap may be missing.
+        return fit_counts(counts, force_t_s, force_N, settings, use_all=use_all)
+    return fit_taps(counts, events, frames, force_t_s, force_N, settings, lag, use_all=use_all)

@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 from mixtac_alignment.align import align
 from mixtac_alignment.alignment_parameters import AlignmentParameters
 from mixtac_alignment.edges import fit_edges
+from mixtac_alignment.event_history import EventHistory, by_cell
 from mixtac_alignment.fit_message import to_fields
 from mixtac_alignment.force_history import ForceHistory
 from mixtac_alignment.frame_features import reduce_frame
@@ -31,6 +32,7 @@ from mixtac_node.base_node import (
     QOS_EVENTS,
     QOS_FORCE,
     QOS_LATCHED,
+    OverridableQos,
     declare,
     run,
     stamp_to_ns,
@@ -48,7 +50,7 @@ PIXELS = {'mono8': ('u1', 255.0), '8UC1': ('u1', 255.0), 'mono16': ('u2', 65535.
 MOST_EDGES = 10_000
 
 
-class AlignmentNode(Node):  # type: ignore[misc]
+class AlignmentNode(OverridableQos, Node):  # type: ignore[misc]
     """Counts events, remembers force and frames, and fits both clocks when `~/fit` is called.
 
     From then on the reference force is republished on the camera clock as `~/reference`.
@@ -59,6 +61,7 @@ class AlignmentNode(Node):  # type: ignore[misc]
         self._settings = declare(self, AlignmentParameters, self._apply)
         p = self._settings
         self._rate = EventRateHistory(p.history)
+        self._history = EventHistory(p.history)
         self._force = ForceHistory(p.history, round(p.history * p.reference_rate))
         self._frames = FrameHistory(p.history)
         self._camera_edges: deque[int] = deque(maxlen=MOST_EDGES)
@@ -103,6 +106,8 @@ class AlignmentNode(Node):  # type: ignore[misc]
             self._lost += missing
             self._rate.mark_lost(packet.start_us)
         self._rate.push(packet.events.t, packet.complete_until)
+        if self._settings.use_frames:
+            self._history.push(by_cell(packet.events, message.width, message.height))
 
     def _on_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
@@ -143,7 +148,8 @@ class AlignmentNode(Node):  # type: ignore[misc]
         t_s, force = self._force.snapshot(p.reference_axis)
         frames = self._frames.snapshot() if p.use_frames else None
         counts = self._rate.snapshot()
-        return align(counts, t_s, force, frames, p.settings(), use_all=p.use_all)[0]
+        events = self._history.snapshot()
+        return align(counts, t_s, force, frames, p.settings(), events=events, use_all=p.use_all)[0]
 
     def _on_fit(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
@@ -165,6 +171,7 @@ class AlignmentNode(Node):  # type: ignore[misc]
             'remembered event bins': len(self._rate.snapshot().counts),
             'reference samples out of order': self._force.out_of_order,
             'frames without exposure, or the other way': self._frames.unmatched,
+            'events dropped for want of memory': self._history.dropped,
             'external edges': len(self._camera_edges),
             'clock restarts': self._rate.restarts + self._force.restarts,
         }

@@ -91,6 +91,21 @@ class AlignmentParameters:
         minimum=0.0,
         maximum=50.0,
     )
+    tap_latency: float = parameter(
+        1.3,
+        'The same with frames, where the whole course of a tap is fitted. `mixtac align` finds '
+        'the value of a sensor from several of its recordings.',
+        unit='ms',
+        minimum=0.0,
+        maximum=50.0,
+    )
+    tap_latency_std: float = parameter(
+        1.0,
+        'Standard deviation of tap_latency; part of the stated uncertainty.',
+        unit='ms',
+        minimum=0.0,
+        maximum=50.0,
+    )
     use_frames: bool = parameter(
         True,
         'Refine the fit over all that is remembered, with the frames.',
@@ -115,4 +130,6 @@ class AlignmentParameters:
             max_drift=self.max_drift * 1e-6,
             event_latency_s=self.event_latency * 1e-3,
             event_latency_std_s=self.event_latency_std * 1e-3,
+            tap_latency_s=self.tap_latency * 1e-3,
+            tap_latency_std_s=self.tap_latency_std * 1e-3,
         )

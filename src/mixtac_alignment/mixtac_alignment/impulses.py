@@ -43,6 +43,9 @@ class ImpulseSettings:
             simulated sensors in ordinary light, where photoreceptor, comparator and gel each take a
             part; a sensor in other light has another.
         event_latency_std_s: Standard deviation of it from sensor to sensor [s].
+        tap_latency_s: The same where the whole course of a tap is fitted (`tap_waveform`), which
+            accounts for gel and thresholds [s].
+        tap_latency_std_s: Standard deviation of it from sensor to sensor [s].
     """
 
     min_force: float = 0.2
@@ -57,6 +60,8 @@ class ImpulseSettings:
     max_force_gap_s: float = 0.05
     event_latency_s: float = 4.15e-3
     event_latency_std_s: float = 0.7e-3
+    tap_latency_s: float = 1.3e-3
+    tap_latency_std_s: float = 1.0e-3
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,11 +68,13 @@ class Refinement:
         fit: The map; anchors are those of the first fit, residuals are theirs to this map.
         lag: Lag of the gel, from the prior and this trial.
         residual_std: Force that frames and reference disagree by, robust standard deviation [N].
+        lag_covariance: Covariance of the weights of the lag, 6 x 6.
     """
 
     fit: ClockFit
     lag: GelLag
     residual_std: float
+    lag_covariance: NDArray[np.float64]
 
 
 @dataclass(slots=True)
@@ -241,7 +243,8 @@ def _result(first: ClockFit, state: _State, prior: GelLag) -> Refinement:
     own = np.sqrt(np.diag(state.covariance)[2:])
     std = np.minimum(np.array(prior.std), np.maximum(own, 0.01))
     lag = GelLag(tuple(map(float, state.weights)), tuple(map(float, std)))
-    return Refinement(fit, lag, state.noise)
+    weights = INFLATION**2 * state.covariance[2:, 2:]
+    return Refinement(fit, lag, state.noise, weights)
 
 
 def _checked(first: ClockFit, refined: Refinement) -> Refinement:

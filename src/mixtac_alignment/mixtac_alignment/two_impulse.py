@@ -19,6 +19,8 @@ from mixtac_alignment.pairing import ImpulsePair, pair_impulses
 from mixtac_alignment.rate_history import EventCounts
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 STRONG: Final = 0.02
@@ -72,17 +74,9 @@ def fit_counts(
         AlignmentError: As `fit_two_impulses`.
     """
     chosen = settings or ImpulseSettings()
-    if len(force_t_s) == 0:
-        raise AlignmentError('no force recorded: check the topic of the reference sensor')
-    start_s = float(np.floor(force_t_s[0]))
-    time_s = force_t_s - start_s
-    require_continuous(time_s, chosen.max_force_gap_s)
-    counts = mark_gaps(counts)
-    reference = prefer_isolated(find_force_impulses(time_s, force_N, chosen), time_s, force_N)
-    camera = prefer_isolated(find_event_impulses(counts, chosen), *_coarse_rate(counts))
-    _require_two(reference, 'force', f'tap so that the force passes {chosen.min_force:g} N')
-    _require_two(camera, 'event rate', 'tap sharply on the gel, and check for lost packets')
-    pairs = _synchronising(pair_impulses(camera, reference, chosen))
+    pairs, start_s = paired_impulses(
+        counts, force_t_s, force_N, chosen, lambda marked: find_event_impulses(marked, chosen)
+    )
     used = pairs if use_all else (pairs[0], pairs[-1])
     latency_us = round(1e6 * chosen.event_latency_s)
     return fit_clock(
@@ -91,6 +85,37 @@ def fit_counts(
         max_drift=chosen.max_drift,
         common_std_s=chosen.event_latency_std_s,
     )
+
+
+def paired_impulses(
+    counts: EventCounts,
+    force_t_s: NDArray[np.float64],
+    force_N: NDArray[np.float64],
+    settings: ImpulseSettings,
+    find: Callable[[EventCounts], list[Impulse]],
+) -> tuple[tuple[ImpulsePair, ...], float]:
+    """Return the synchronising impulses of both recordings, and the zero of the force's times [s].
+
+    Args:
+        counts: Event counts, camera clock.
+        force_t_s: As `fit_two_impulses`.
+        force_N: As `fit_two_impulses`.
+        settings: What counts as an impulse.
+        find: Finds impulses in event counts in which gaps are marked.
+
+    Raises:
+        AlignmentError: As `fit_two_impulses`.
+    """
+    if len(force_t_s) == 0:
+        raise AlignmentError('no force recorded: check the topic of the reference sensor')
+    start_s = float(np.floor(force_t_s[0]))
+    time_s = force_t_s - start_s
+    require_continuous(time_s, settings.max_force_gap_s)
+    reference = prefer_isolated(find_force_impulses(time_s, force_N, settings), time_s, force_N)
+    camera = prefer_isolated(find(mark_gaps(counts)), *_coarse_rate(counts))
+    _require_two(reference, 'force', f'tap so that the force passes {settings.min_force:g} N')
+    _require_two(camera, 'event rate', 'tap sharply on the gel, and check for lost packets')
+    return _synchronising(pair_impulses(camera, reference, settings)), start_s
 
 
 def _coarse_rate(counts: EventCounts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -18,9 +18,20 @@ def mount() -> None:
     from mixtac_bringup.benchmark.recovery import recovery
     from mixtac_bringup.benchmark.simulate_report import simulate
     from mixtac_bringup.benchmark.two_sensors import two_sensors
+    from mixtac_bringup.slip_bench.slip_bench import slip
     from mixtac_driver.benchmark.decode_benchmark import decode
     from mixtac_driver.benchmark.fuzz import fuzz
 
-    measures = (decode, pipeline, recovery, simulate, align, infer, compose, two_sensors, fuzz)
-    for command in measures:
+    for command in (
+        decode,
+        pipeline,
+        recovery,
+        simulate,
+        align,
+        infer,
+        compose,
+        two_sensors,
+        slip,
+        fuzz,
+    ):
         app.command()(command)

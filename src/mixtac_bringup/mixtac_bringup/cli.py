@@ -29,6 +29,8 @@ experiments = typer.Typer(
     name='experiments', help='Experiments on the virtual sensor.', no_args_is_help=True
 )
 app.add_typer(experiments)
+up_commands = typer.Typer(name='up', invoke_without_command=True)
+app.add_typer(up_commands)
 
 INTERRUPTED = 130
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
@@ -59,9 +61,9 @@ def demo(
     print_summary(console, report, folder)
 
 
-@app.command()
+@up_commands.callback()
 def up(
-    graph: Annotated[str, typer.Argument(help='What to bring up: sensor.')] = 'sensor',
+    context: typer.Context,
     device: Annotated[str, typer.Option(help='davis346, virtual or a recording.')] = 'davis346',
     namespace: Annotated[str, typer.Option(help='ROS namespace of all nodes.')] = 'mixtac',
     params_file: Annotated[
@@ -80,10 +82,10 @@ def up(
     ] = False,
 ) -> None:
     """Run the sensor's nodes with their parameter files, as sensor.launch.py does."""
+    if context.invoked_subcommand is not None:
+        return
     from mixtac_bringup.up import UpOptions, run_graph
 
-    if graph != 'sensor':
-        raise typer.BadParameter(f'{graph!r}: choose sensor', param_hint='GRAPH')
     options = UpOptions(
         device=device,
         namespace=namespace,
@@ -122,14 +124,23 @@ def inspect(bag: Annotated[Path, typer.Argument(help='Folder of a rosbag2 record
 
 def _mount_learning() -> None:
     # Training pulls in torch; the other commands start without it.
+    from mixtac_bringup.align.learning_effect import alignment
+    from mixtac_bringup.slip_bench.experiment import slip
     from mixtac_fger import difficulty_cli, training_cli
+    from mixtac_fger.experiments import models_cli
     from mixtac_sim import vibration_cli
 
     app.command()(training_cli.train)
     app.command()(training_cli.evaluate)
-    experiments.command()(difficulty_cli.difficulty)
-    experiments.command()(difficulty_cli.ablation)
-    experiments.command()(vibration_cli.vibration)
+    for experiment in (
+        difficulty_cli.difficulty,
+        difficulty_cli.ablation,
+        vibration_cli.vibration,
+        models_cli.models,
+        alignment,
+        slip,
+    ):
+        experiments.command()(experiment)
 
 
 def _mount_hardware() -> None:
@@ -140,10 +151,12 @@ def _mount_hardware() -> None:
     from mixtac_bringup.export.command import export
     from mixtac_bringup.record.command import record
     from mixtac_bringup.simulate.command import simulate
+    from mixtac_bringup.slip_bench.up_slip import slip
     from mixtac_bringup.view.command import view
 
     for command in (doctor, calibrate, simulate, align, view, record, export):
         app.command()(command)
+    up_commands.command()(slip)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -265,9 +265,14 @@ SERVICES = (
     Service('alignment/fit', 'std_srvs/srv/Trigger', 'Fits the clocks to what was seen so far.'),
     Service('slip_control/enable', 'std_srvs/srv/SetBool', 'Lets slip move the arm, or not.'),
     Service(
-        'slip_control/calibrate',
+        'slip_control/tare',
         'std_srvs/srv/Trigger',
         'Learns the background of events anew; keep the object still.',
+    ),
+    Service(
+        'slip_control/reset',
+        'std_srvs/srv/Trigger',
+        'Leaves a latched stop; refused while its cause lasts.',
     ),
 )
 

@@ -44,13 +44,31 @@ class Sequences:
     frame_trial: Tensor
     device: Tensor
 
+    def to(self, target: torch.device) -> Sequences:
+        """Return the sequences with everything that is computed with on a device."""
+        if target.type == 'cpu':
+            return self
+        moved = {name: getattr(self, name).to(target) for name in self.__slots__ if name != 'slots'}
+        return Sequences(**moved, slots=FrameSlots(*(part.to(target) for part in self.slots)))
 
-def stack(samples: Sequence[Sample]) -> Sequences:
-    """Put trials side by side."""
-    length = max(len(sample.force) for sample in samples)
+
+def stack(
+    samples: Sequence[Sample],
+    devices: Sequence[int] | None = None,
+    length: int | None = None,
+) -> Sequences:
+    """Put trials side by side.
+
+    Args:
+        samples: Trials.
+        devices: Number of the sensor of each; None to count them by their origins' device seeds.
+        length: Windows to pad to; None for those of the longest.
+    """
+    if length is None:
+        length = max(len(sample.force) for sample in samples)
     counts = [len(sample.frame_force) for sample in samples]
-    seeds = [sample.origin.get('device_seed', column) for column, sample in enumerate(samples)]
-    devices = sorted(set(seeds))
+    if devices is None:
+        devices = _count_devices(samples)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
 
     def padded(name: str, fill: int = 0) -> Tensor:
@@ -71,8 +89,14 @@ def stack(samples: Sequence[Sample]) -> Sequences:
         frame_inputs=torch.from_numpy(np.concatenate([s.frame_inputs for s in samples])),
         frame_force=torch.from_numpy(np.concatenate([s.frame_force for s in samples])),
         frame_trial=torch.repeat_interleave(torch.arange(len(samples)), torch.tensor(counts)),
-        device=torch.tensor([devices.index(seed) for seed in seeds]),
+        device=torch.tensor(list(devices)),
     )
+
+
+def _count_devices(samples: Sequence[Sample]) -> list[int]:
+    seeds = [sample.origin.get('device_seed', column) for column, sample in enumerate(samples)]
+    known = sorted(set(seeds))
+    return [known.index(seed) for seed in seeds]
 
 
 def mirror_frames(frames: Tensor, config: FgerConfig, columns: bool, rows: bool) -> Tensor:
@@ -80,11 +104,12 @@ def mirror_frames(frames: Tensor, config: FgerConfig, columns: bool, rows: bool)
     axes = [axis for axis, wanted in ((-2, rows), (-1, columns)) if wanted]
     turned = {'flow_x': columns, 'flow_y': rows}
     signs = [-1.0 if turned.get(name, False) else 1.0 for name in config.frame_channels]
-    return frames.flip(axes) * torch.tensor(signs, dtype=frames.dtype)[:, None, None]
+    sign = torch.tensor(signs, dtype=frames.dtype, device=frames.device)
+    return frames.flip(axes) * sign[:, None, None]
 
 
 def mirror_events(features: Tensor, columns: bool, rows: bool) -> Tensor:
     """Return grid features [..., rows, columns, 4] as a mirrored sensor would give them."""
     axes = [axis for axis, wanted in ((-3, rows), (-2, columns)) if wanted]
     signs = [-1.0 if columns else 1.0, -1.0 if rows else 1.0, 1.0, 1.0]
-    return features.flip(axes) * torch.tensor(signs, dtype=features.dtype)
+    return features.flip(axes) * torch.tensor(signs, dtype=features.dtype, device=features.device)

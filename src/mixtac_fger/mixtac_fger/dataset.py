@@ -13,8 +13,10 @@ import numpy as np
 
 from mixtac_fger.errors import DatasetError
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
+from mixtac_fger.windows_of_trial import frame_arrivals, window_ends
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -23,7 +25,9 @@ if TYPE_CHECKING:
     from mixtac_fger.config import FgerConfig
 
 CONTACT_N = 0.01
-"""Largest force during the reference frames [N]."""
+"""Largest true force during the reference frames [N]."""
+MEASURED_CONTACT_N = 0.1
+"""The same of a measured force, which has noise and a zero of its own [N] (estimate)."""
 STORED = np.float16
 """Precision of stored features: 0.05 % is far below the noise, and memory is half."""
 
@@ -82,7 +86,7 @@ def true_force(truth: NDArray[np.void]) -> ForceLabel:
 
 
 def aligned_force(
-    reference_t_us: NDArray[np.floating],
+    reference_t_us: NDArray[np.floating] | NDArray[np.integer],
     force: NDArray[np.floating],
     scale: float,
     offset_us: float,
@@ -125,7 +129,11 @@ class Sample:
 
 
 def make_sample(
-    config: FgerConfig, trial: RecordedTrial, label: ForceLabel, origin: dict[str, Any]
+    config: FgerConfig,
+    trial: RecordedTrial,
+    label: ForceLabel,
+    origin: dict[str, Any],
+    contact_n: float = CONTACT_N,
 ) -> Sample:
     """Compute the features of a trial, with frames available from their arrival on.
 
@@ -136,6 +144,7 @@ def make_sample(
         trial: Events and frames.
         label: Force on the camera clock.
         origin: Kept with the sample.
+        contact_n: A larger force during the reference frames is a contact [N].
 
     Raises:
         DatasetError: The trial has too few frames, ends before they have arrived, or begins in
@@ -143,21 +152,19 @@ def make_sample(
     """
     kept = config.reference_frames
     width = config.window_us
-    last_us = int(label.t_us[-1])
-    if len(trial.frames) <= kept or last_us < trial.arrival_us[kept - 1] + width:
+    if len(trial.frames) <= kept or label.t_us[-1] < trial.arrival_us[kept - 1] + width:
         raise DatasetError(
             f'trial {origin} has {len(trial.frames)} frames: more than {kept} are needed, and'
             ' a label that lasts beyond them'
         )
     forces = label.mean(trial.exposure_start_us, trial.exposure_end_us)
-    if np.abs(forces[:kept]).max() > CONTACT_N:
+    if np.abs(forces[:kept]).max() > contact_n:
         raise DatasetError(
             f'trial {origin} begins with {np.abs(forces[:kept]).max():.2f} N: its first {kept}'
             ' frames must be without contact'
         )
-    first_us = -(-int(trial.arrival_us[kept - 1]) // width) * width
-    ends = np.arange(first_us, last_us + 1, width, dtype=np.int64)
-    slots = _arrivals(trial.arrival_us, ends, kept - 1)
+    ends = window_ends(trial, label, width, int(trial.arrival_us[kept - 1]))
+    slots = frame_arrivals(trial.arrival_us, ends, kept - 1)
     middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
     lags = [
         correction_lag(int(end) - width, int(middle[slot]), width) if slot >= 0 else 0
@@ -176,18 +183,6 @@ def make_sample(
     )
 
 
-def _arrivals(
-    arrival_us: NDArray[np.int64], ends: NDArray[np.int64], first: int
-) -> NDArray[np.int64]:
-    """Return, per window, the latest frame from `first` on that arrived in it, -1 for none."""
-    slots = np.full(len(ends), -1, np.int64)
-    for frame in range(first, len(arrival_us)):
-        window = int(np.searchsorted(ends, arrival_us[frame]))
-        if window < len(ends):
-            slots[window] = frame
-    return slots
-
-
 def _features(
     config: FgerConfig,
     trial: RecordedTrial,
@@ -196,20 +191,25 @@ def _features(
 ) -> tuple[NDArray[np.float16], NDArray[np.float16]]:
     """Return the inputs of the frame network from the reference on, and the event features."""
     preparation, window = FramePreparation(config), WindowFeatures(config)
-    contrasts = [preparation.contrast(frame) for frame in trial.frames]
     kept = config.reference_frames
-    reference = mean_contrast([c.coarse for c in contrasts[:kept]])
-    inputs = np.stack([preparation.network_input(c, reference) for c in contrasts[kept - 1 :]])
+    first = [preparation.contrast(frame) for frame in trial.frames[:kept]]
+    reference = mean_contrast([c.coarse for c in first])
+    count = len(trial.frames) - (kept - 1)
+    channels = len(config.frame_channels)
+    inputs = np.empty((count, channels, *config.frame_shape), STORED)
+    for index in range(count):
+        contrast = preparation.contrast(trial.frames[index + kept - 1])
+        inputs[index] = preparation.network_input(contrast, reference)
     out = np.zeros(window.shape, np.float32)
     features = np.empty((len(ends), *window.shape), STORED)
-    guide = preparation.guide(contrasts[kept - 1])
+    guide = preparation.guide(first[-1])
     cuts = np.searchsorted(trial.events.t, [ends[0] - config.window_us, *ends])
     for index, slot in enumerate(slots):
         if slot >= 0:
-            guide = preparation.guide(contrasts[slot])
+            guide = preparation.guide(preparation.contrast(trial.frames[slot]))
         window.compute(trial.events[cuts[index] : cuts[index + 1]], guide, out)
         features[index] = out
-    return inputs.astype(STORED), features
+    return inputs, features
 
 
 def save_sample(path: Path, sample: Sample, config: FgerConfig) -> None:
@@ -231,7 +231,7 @@ _ARRAYS = (
     'frame_inputs',
     'frame_force',
 )
-_UNSEEN_BY_SAMPLES = {
+UNSEEN_BY_SAMPLES = {
     'reference_stillness',
     'event_hidden',
     'event_size',
@@ -251,17 +251,41 @@ def load_sample(path: Path, config: FgerConfig) -> Sample:
     Raises:
         DatasetError: The file is missing, damaged or was prepared in another way.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            header = json.loads(str(file['header']))
-            arrays = {name: file[name] for name in _ARRAYS}
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise DatasetError(f'sample {path} cannot be read ({error}): generate it anew') from error
+    header, arrays = _read_part(
+        path,
+        lambda file: (json.loads(str(file['header'])), {name: file[name] for name in _ARRAYS}),
+    )
     wanted = config.to_dict()
-    for name in set(wanted) - _UNSEEN_BY_SAMPLES:
+    for name in set(wanted) - UNSEEN_BY_SAMPLES:
         if header['config'].get(name) != wanted[name]:
             raise DatasetError(
                 f'sample {path} was prepared with {name} = {header["config"].get(name)}, but'
                 f' {wanted[name]} is needed: generate it anew'
             )
     return Sample(**arrays, origin=header['origin'])
+
+
+def sample_origin(path: Path) -> dict[str, Any]:
+    """Return where the sample in a file came from, without reading the rest.
+
+    Raises:
+        DatasetError: The file cannot be read.
+    """
+    return dict(_read_part(path, lambda file: json.loads(str(file['header']))['origin']))
+
+
+def sample_windows(path: Path) -> int:
+    """Return the number of windows of the sample in a file.
+
+    Raises:
+        DatasetError: The file cannot be read.
+    """
+    return int(_read_part(path, lambda file: len(file['force'])))
+
+
+def _read_part(path: Path, part: Callable[[Any], Any]) -> Any:  # noqa: ANN401
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return part(file)
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise DatasetError(f'sample {path} cannot be read ({error}): generate it anew') from error

@@ -27,3 +27,7 @@ class TareError(MixtacError):
 
 class CalibrationError(MixtacError):
     """A measurement that a sensor cannot be calibrated with."""
+
+
+class TrainingError(MixtacError):
+    """A training run that cannot begin or go on."""

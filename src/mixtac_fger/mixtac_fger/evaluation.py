@@ -5,16 +5,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_fger.metrics import Metrics, measure
 from mixtac_fger.streaming import ForceEstimator
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from numpy.typing import NDArray
 
     from mixtac_fger.dataset import ForceLabel, RecordedTrial
@@ -56,8 +53,9 @@ def stream(
     estimator = ForceEstimator(model)
     width = model.config.window_us
     middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
-    ends = np.arange(width, int(label.t_us[-1]) + 1, width)
-    cuts = np.searchsorted(trial.events.t, [0, *ends])
+    begin = min(int(trial.arrival_us[0]), int(label.t_us[0])) // width * width
+    ends = np.arange(begin + width, int(label.t_us[-1]) + 1, width)
+    cuts = np.searchsorted(trial.events.t, [begin, *ends])
     arrived = np.searchsorted(trial.arrival_us[:frames], ends, side='right')
     done = 0
     rows = []
@@ -71,25 +69,3 @@ def stream(
     table = np.array(rows, np.float64).reshape(-1, 3)
     times = table[:, 0].astype(np.int64)
     return Run(times, table[:, 1], table[:, 2], label.at(times))
-
-
-def summarise(runs: Iterable[tuple[Run, float]]) -> dict[str, Any]:
-    """Return the pooled figures of runs: fused, frames only, and fused after calibration.
-
-    Args:
-        runs: Runs, each with the scale of its sensor from another trial.
-    """
-    pairs = list(runs)
-    kept = [run for run, _ in pairs]
-    calibrated = np.concatenate([run.scaled(scale).force for run, scale in pairs])
-    truth = np.concatenate([run.truth for run in kept])
-    fused: Metrics = measure(truth, np.concatenate([run.force for run in kept]))
-    frames = measure(truth, np.concatenate([run.frames_only for run in kept]))
-    after = measure(truth, calibrated)
-    extra = {
-        'trials': len(kept),
-        'frames_only_mae': round(frames.mae, 4),
-        'calibrated_mae': round(after.mae, 4),
-        'calibrated_rmse': round(after.rmse, 4),
-    }
-    return fused.to_dict() | extra

@@ -24,6 +24,7 @@ from mixtac_node.base_node import (
     QOS_EVENTS,
     QOS_FORCE,
     QOS_SENSOR,
+    OverridableQos,
     declare,
     run,
     stamp_to_us,
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from mixtac_fger.weights import LoadedModel
 
 
-class FgerNode(LifecycleNode):  # type: ignore[misc]
+class FgerNode(OverridableQos, LifecycleNode):  # type: ignore[misc]
     """Estimates force while active.
 
     Configure loads and checks the model; activate starts with the no-contact reference, so the

@@ -124,10 +124,10 @@ class FgerNetwork(nn.Module):
 
     def initial_state(self, sequences: int) -> SequenceState:
         """Return the state before the first window: no force, nothing remembered."""
-        config = self.config
-        zeros = torch.zeros(sequences, config.lstm_size)
-        history = torch.zeros(config.history_windows, sequences)
-        return SequenceState(zeros, zeros, history, torch.zeros(sequences))
+        config, device = self.config, self.gates_force.weight.device
+        zeros = torch.zeros(sequences, config.lstm_size, device=device)
+        history = torch.zeros(config.history_windows, sequences, device=device)
+        return SequenceState(zeros, zeros, history, torch.zeros(sequences, device=device))
 
     def forward(
         self,

@@ -4,8 +4,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+from mixtac_fger.errors import ConfigError
+
+if TYPE_CHECKING:
+    import torch
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +31,9 @@ class TrainingSettings:
         loss_knee_n: Errors above this count linearly, below it quadratically [N].
         gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see `Trainer`.
         mirror: Show mirror images too.
+        force_weight: How much more an error counts per newton of force [1/N]; impacts are short.
+        group_trials: Trials in memory at a time.
+        patience: Epochs without a better validation error after which a stage ends; 0 for never.
     """
 
     seed: int = 0
@@ -41,6 +49,30 @@ class TrainingSettings:
     loss_knee_n: float = 0.05
     gain_prior: float = 0.01
     mirror: bool = True
+    force_weight: float = 0.0
+    group_trials: int = 128
+    patience: int = 0
+
+    def flips(self, random: torch.Generator) -> tuple[bool, bool]:
+        """Return whether to mirror columns and rows this time."""
+        if not self.mirror:
+            return False, False
+        import torch
+
+        columns, rows = torch.randint(0, 2, (2,), generator=random).tolist()
+        return bool(columns), bool(rows)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> TrainingSettings:
+        """Return the settings of such values; absent ones keep their defaults.
+
+        Raises:
+            ConfigError: A field is unknown.
+        """
+        known = {field.name for field in fields(cls)}
+        if odd := sorted(set(values) - known):
+            raise ConfigError(f'training has no settings {odd}; it has {sorted(known)}')
+        return cls(**values)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON-ready values."""

@@ -72,7 +72,12 @@ def _spec(
 
 
 def training_plan(
-    trials: int, gels: int, seconds: float, seed: int, preset: str = DEFAULT_PRESET
+    trials: int,
+    gels: int,
+    seconds: float,
+    seed: int,
+    preset: str = DEFAULT_PRESET,
+    profiles: tuple[str, ...] = TRAINING_PROFILES,
 ) -> list[TrialSpec]:
     """Return `trials` trials over `gels` sensors, profiles in turn.
 
@@ -82,13 +87,14 @@ def training_plan(
         seconds: Length of a trial.
         seed: Shifts all seeds: another seed gives other sensors and other days.
         preset: How hard the simulated sensors are.
+        profiles: Force profiles, in turn.
     """
     first = TRAINING_DEVICES + 1000 * (seed % 100)
     return [
         _spec(
             first + index % gels,
             TRAINING_TRIALS + 1000 * (seed % 100) + index,
-            TRAINING_PROFILES[(index + index // gels) % len(TRAINING_PROFILES)],
+            profiles[(index + (index // gels if gels > 1 else 0)) % len(profiles)],
             seconds,
             preset,
         )

@@ -33,6 +33,17 @@ class ToyTrial:
     exposure_end_us: np.ndarray
     arrival_us: np.ndarray
     label: ForceLabel
+    clock: tuple[float, float] = (1.0, 0.0)
+
+    @property
+    def reference_t_us(self) -> np.ndarray:
+        return self.label.t_us.astype(np.int64)
+
+    @property
+    def reference_wrench(self) -> np.ndarray:
+        wrench = np.zeros((len(self.label.force), 6))
+        wrench[:, 2] = self.label.force + 0.01
+        return wrench
 
     @property
     def truth(self) -> np.ndarray:
@@ -82,6 +93,14 @@ def toy_trial(seconds: float, seed: int) -> ToyTrial:
         arrival,
         label,
     )
+
+
+@pytest.fixture(scope='session', autouse=True)
+def one_thread() -> None:
+    """Small networks on a busy machine: threads wait for each other longer than they help."""
+    import torch
+
+    torch.set_num_threads(1)
 
 
 @pytest.fixture(scope='session')

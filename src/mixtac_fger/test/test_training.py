@@ -33,7 +33,7 @@ def errors(network: FgerNetwork, sequences: Sequences) -> tuple[float, float, fl
 
 def test_training_learns_the_toy_sensor(config, toy_sequences):
     trained, other = toy_sequences
-    stages = []
+    stages: list = []
     network = Trainer(config, SHORT, lambda *row: stages.append(row)).run(trained)
     assert [row[:3] for row in stages if row[1] == row[2]] == [
         ('frames', 12, 12),

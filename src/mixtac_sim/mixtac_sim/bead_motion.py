@@ -150,6 +150,26 @@ class BeadMotion:
         )
         return self.spots
 
+    def place_sheared(
+        self,
+        indenter: int,
+        elastic_n: float,
+        direction: tuple[float, float],
+        amount_mm: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return what ``place`` does where every bead is sheared by an amount of its own.
+
+        Args:
+            indenter: What touches.
+            elastic_n: Elastic force [N].
+            direction: Of the shear, right and down, of length 1.
+            amount_mm: Shear displacement of each bead along it [n] [mm].
+        """
+        row = float(self.row_of(indenter, np.array(elastic_n)))
+        table = self._tables[indenter]
+        _place(table, row, *direction, amount_mm, self._rest, self._optics, self.spots)
+        return self.spots
+
 
 def _moved(rest: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return displaced places; inwards is deeper below the skin."""

@@ -27,15 +27,15 @@ MOTION_PX = 0.3
 
 
 def cut_block(travel_px: NDArray[np.float64], longest: int = BLOCK_STEPS) -> list[int]:
-    """Return the ends of the steps of a block, in grid steps, the last being 32.
+    """Return the ends of the steps of a block, in grid steps, the last being its length.
 
     Args:
-        travel_px: Motion of the fastest bead in each grid step [32] [px].
+        travel_px: Motion of the fastest bead in each grid step [n] [px].
         longest: Longest step [grid steps]: what is fast and small needs short ones, too.
     """
     ends: list[int] = []
     travelled = np.append(0.0, np.cumsum(travel_px))
-    _halve(travelled, 0, BLOCK_STEPS, longest, ends)
+    _halve(travelled, 0, len(travel_px), longest, ends)
     return ends
 
 

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
-from mixtac_node.base_node import QOS_FORCE, declare, ns_to_stamp, run
+from mixtac_node.base_node import QOS_FORCE, OverridableQos, declare, ns_to_stamp, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_sim.presets import preset
 from mixtac_sim.profiles import make_profile
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 PUBLISH_PERIOD_S: Final = 0.004
 
 
-class VirtualSensorNode(Node):  # type: ignore[misc]
+class VirtualSensorNode(OverridableQos, Node):  # type: ignore[misc]
     """Runs a virtual sensor, serves its camera and publishes what a bench would measure.
 
     Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time), both best

@@ -1,151 +1,300 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Background, detector and advance law as one step per counting window."""
+"""Detection, law, interlock and the arm's planner as one object without ROS.
+
+The node and the simulations drive the same object: inputs arrive by the `on_` methods, `plan`
+returns what is to be sent to the arm, `tick` looks at the watchdogs where nothing arrives. All
+`now_s` are on one host clock, the one that trajectories are stamped with; event and force times are
+on the camera clock.
+
+Every trajectory ends at rest, so an arm that is told nothing more stops by itself; `braking` stops
+it sooner.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from mixtac_slip_control.advance_law import AdvanceLaw, AdvanceSettings
-from mixtac_slip_control.background import Background, BackgroundSettings
-from mixtac_slip_control.detector import DetectorSettings, SlipDetector
 from mixtac_slip_control.errors import SlipControlError
+from mixtac_slip_control.flow_guide import GuideSettings
+from mixtac_slip_control.interlock import Interlock
+from mixtac_slip_control.safety import SafetySettings, SafetyWatch
+from mixtac_slip_control.slip_features import SlipFeatures, SlipWindow
+from mixtac_slip_control.slip_judge import JudgeSettings, SlipJudge
+from mixtac_slip_control.slip_step import SlipStep
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
+    from mixtac_slip_control.arm.planned_trajectory import PlannedTrajectory
+    from mixtac_slip_control.flow_guide import FlowGuide
+    from mixtac_slip_control.planner import Planner
+
+    Normal = Sequence[float] | Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, slots=True)
 class SlipSettings:
-    """Settings of the three parts.
+    """Settings of all parts.
 
     Attributes:
-        background: How the background is learned.
-        detector: When a count means slip.
+        window_us: Counting window [us].
+        guide: Where the contact is in the image.
+        judge: Of the detectors.
         advance: Gain and limits of the advance.
-        settle_windows: Windows without slip after which the sensor is at rest again and the
-            background follows.
+        safety: Limits and ages.
+        arm_lag_s: From a commanded to the arm's true place [s]: events of the advance come so much
+            later.
+        settling_s: Time after enabling in which the arm's controller is led to the measured
+            positions and slip is not answered [s].
     """
 
-    background: BackgroundSettings = field(default_factory=BackgroundSettings)
-    detector: DetectorSettings = field(default_factory=DetectorSettings)
+    window_us: int = 1000
+    guide: GuideSettings = field(default_factory=GuideSettings)
+    judge: JudgeSettings = field(default_factory=JudgeSettings)
     advance: AdvanceSettings = field(default_factory=AdvanceSettings)
-    settle_windows: int = 100
-
-
-@dataclass(frozen=True, slots=True)
-class SlipStep:
-    """What one window led to; the fields are those of `mixtac_msgs/SlipState`.
-
-    Attributes:
-        count: Events in the window.
-        background: Expected count at rest.
-        background_sigma: Its spread.
-        threshold: Count above which the object slips.
-        slipping: Whether it does; never before the background is learned.
-        enabled: Whether advances are asked for.
-        advance: Asked for by this window, along the contact normal [m].
-        total_advance: Since enabling [m].
-    """
-
-    count: int
-    background: float
-    background_sigma: float
-    threshold: float
-    slipping: bool
-    enabled: bool
-    advance: float
-    total_advance: float
+    safety: SafetySettings = field(default_factory=SafetySettings)
+    arm_lag_s: float = 4e-3
+    settling_s: float = 0.0
 
 
 class SlipController:
-    """Watches the event count and, when enabled, asks for advances against slip.
-
-    Without new windows it asks for nothing: when events stop, the arm stays where it is.
+    """Watches for slip and, when enabled, advances the arm against it.
 
     Args:
-        settings: Settings of its parts.
+        settings: Settings of all parts.
+        planner: Plans the arm's motion; None only reports.
+        normal: Contact normal (3,) in the arm's base frame, along which the arm advances, or a
+            function that tells it of the joint positions at enabling.
+        check_state: Tells what is wrong with joint positions [rad], None if nothing is.
+
+    Attributes:
+        interlock: Whether the arm may follow.
+        watch: Ages and limits.
+        judge: The detectors.
     """
 
-    def __init__(self, settings: SlipSettings | None = None) -> None:
+    def __init__(
+        self,
+        settings: SlipSettings | None = None,
+        planner: Planner | None = None,
+        normal: Normal = (0.0, 0.0, 1.0),
+        check_state: Callable[[Sequence[float]], str | None] | None = None,
+    ) -> None:
         self._settings = settings or SlipSettings()
-        self._background = Background(self._settings.background)
-        self._detector = SlipDetector(self._settings.detector)
+        self.interlock = Interlock()
+        self.watch = SafetyWatch(self._settings.safety)
+        if check_state is not None:
+            self.watch.check_state = check_state
+        self.judge = SlipJudge(self._settings.judge)
+        self.features = SlipFeatures(self._settings.window_us, self._settings.guide)
         self._law = AdvanceLaw(self._settings.advance)
-        self._enabled = False
-        self._rest = self._settings.settle_windows
+        self._planner = planner
+        self._normal_source = normal
+        self._normal = np.zeros(3)
+        self._settled_s = 0.0
 
     @property
     def enabled(self) -> bool:
-        """Whether advances are asked for."""
-        return self._enabled
+        """Whether slip moves the arm."""
+        return self.interlock.enabled
 
     @property
-    def calibrated(self) -> bool:
-        """Whether the background is learned."""
-        return self._background.learned
+    def has_arm(self) -> bool:
+        """Whether there is anything to move."""
+        return self._planner is not None
+
+    @property
+    def total_advance(self) -> float:
+        """Wanted advance since enabling [m]."""
+        return self._law.total
+
+    @property
+    def advance_limit(self) -> float:
+        """Largest advance of this enabling [m]."""
+        return self._law.limit
 
     def configure(self, settings: SlipSettings) -> None:
-        """Take over new settings; the background and the sum of advances stay."""
+        """Take over new settings, except the window and where the contact is."""
         self._settings = settings
-        self._background.settings = settings.background
-        self._detector.settings = settings.detector
+        self.judge.configure(settings.judge)
         self._law.settings = settings.advance
+        self.watch.settings = settings.safety
 
-    def enable(self) -> None:
-        """Start asking for advances, from a sum of zero.
+    def guide(self, guide: FlowGuide) -> None:
+        """Tell motion by this frame from now on."""
+        self.features.guide(guide)
+
+    def on_force(self, force_n: float, stamp_us: int, now_s: float) -> None:
+        """Take a normal force [N]; its stamp on the camera clock [us]."""
+        self.watch.on_force(force_n, stamp_us, now_s)
+        self.tick(now_s)
+
+    def on_joint_state(self, positions: Sequence[float], now_s: float) -> None:
+        """Take the joint positions [rad] of the arm, in the planner's order."""
+        self.watch.on_joint_state(positions, now_s)
+        self.tick(now_s)
+
+    def on_heartbeat(self, now_s: float) -> None:
+        """Take a sign of life of whoever supervises."""
+        self.watch.on_heartbeat(now_s)
+
+    def on_events(
+        self, events: Events, complete_until: int, now_s: float, *, lost: bool = False
+    ) -> list[SlipStep]:
+        """Take the next packet and return what the windows that it closes led to.
+
+        Args:
+            events: Camera clock [us].
+            complete_until: Camera clock [us]: no event before this time will follow.
+            now_s: Host time [s].
+            lost: Whether packets before this one are missing.
+        """
+        if lost:
+            self.features.lost_before(int(events.t[0]) if len(events) else complete_until)
+        windows = self.features.push(events, complete_until)
+        steps = [self._step(window, now_s) for window in windows]
+        if steps:
+            self.tick(now_s)
+        return steps
+
+    def plan(self, now_s: float) -> PlannedTrajectory | None:
+        """Return what is to be sent to the arm now, or None."""
+        if self._planner is None or not self._may_move(now_s):
+            return None
+        try:
+            return self._planner.plan(now_s, self._law.total, self._normal)
+        except SlipControlError as error:
+            self.interlock.stop(str(error))
+            return None
+
+    def tick(self, now_s: float) -> str | None:
+        """Stop if anything speaks against going on; return what does, enabled or not."""
+        fault = self.watch.fault(now_s)
+        if fault is not None:
+            self.interlock.stop(fault)
+        return fault
+
+    def braking(self, now_s: float) -> PlannedTrajectory | None:
+        """Return the trajectory that ends a motion early, or None where nothing moves.
+
+        To be asked for once after a stop or a disabling.
+        """
+        return None if self._planner is None else self._planner.stop(now_s)
+
+    def enable(self, now_s: float) -> None:
+        """Let slip move the arm, from where it is and from an advance of zero.
 
         Raises:
-            SlipControlError: The background is not learned, or the count says slip already.
+            SlipControlError: No arm, nothing learned, slip at present, a watchdog, a limit, or a
+                stop that was not reset.
         """
-        if not self.calibrated:
-            raise SlipControlError(
-                'the event background is not learned yet: keep the contact still for '
-                f'{self._settings.background.learning_windows} windows, with events arriving'
-            )
-        if self._detector.slipping:
-            raise SlipControlError(
-                'the event count is above the slip threshold: wait until the contact is still, or '
-                'learn the background anew'
-            )
-        self._law.reset()
-        self._enabled = True
+        if self._planner is None:
+            raise SlipControlError('slip control has no arm: start it with one to move it')
+        if self.enabled:
+            return
+        self.interlock.enable(self._against(now_s))
+        try:
+            self._start(self._planner)
+            self._settled_s = now_s + self._settings.settling_s
+        except SlipControlError:
+            self.interlock.disable()
+            raise
 
     def disable(self) -> None:
-        """Stop asking for advances; the sum stays on record until the next enabling."""
-        self._enabled = False
+        """Let nothing move; the sum stays on record until the next enabling."""
+        self.interlock.disable()
 
-    def recalibrate(self) -> None:
+    def reset(self, now_s: float) -> None:
+        """Leave a stop; the arm stays disabled.
+
+        Raises:
+            SlipControlError: The cause is still there.
+        """
+        fault = self.watch.fault(now_s)
+        if fault is not None:
+            raise SlipControlError(f'slip control stays stopped: {fault}')
+        self.interlock.reset()
+
+    def tare(self) -> None:
         """Learn the background anew, from the next windows.
 
         Raises:
             SlipControlError: Slip control is enabled.
         """
-        if self._enabled:
-            raise SlipControlError('slip control is enabled: disable it before calibrating')
-        self._background.reset()
-        self._detector.reset()
-        self._rest = self._settings.settle_windows
+        if self.enabled:
+            raise SlipControlError('slip control is enabled: disable it before taring')
+        self.judge.reset()
 
-    def step(self, count: int, *, complete: bool = True) -> SlipStep:
-        """Process the next window.
+    def _against(self, now_s: float) -> str | None:
+        if not self.judge.learned:
+            windows = self._settings.judge.count.background.learning_windows
+            return (
+                f'the background is not learned yet: keep the contact still for {windows} windows, '
+                'with events and frames arriving'
+            )
+        if self.judge.slipping:
+            return 'the object slips: wait until it is still, or tare'
+        return self.watch.fault(now_s)
 
-        Args:
-            count: Events in the window.
-            complete: False where packets of the window were lost: such a count may show slip, but
-                says nothing of the background.
-        """
-        mean, sigma = self._background.mean, self._background.sigma
-        threshold = self._detector.threshold(mean, sigma)
-        slipping = self.calibrated and self._detector.update(count, mean, sigma)
-        advance = self._law.update(count, threshold, slipping=slipping) if self._enabled else 0.0
-        self._rest = 0 if slipping else self._rest + 1
-        if complete and self._rest >= self._settings.settle_windows:
-            self._background.update(count)
+    def _start(self, planner: Planner) -> None:
+        watch = self.watch
+        assert watch.joints is not None  # noqa: S101  (a fault before the first ones)
+        assert watch.force is not None  # noqa: S101
+        self._law.reset(watch.settings.largest_advance(watch.force), watch.force)
+        joints = np.array(watch.joints)
+        source = self._normal_source
+        self._normal = np.asarray(source(joints) if callable(source) else source, np.float64)
+        planner.reset(joints, self._normal)
+
+    def _may_move(self, now_s: float) -> bool:
+        return self.enabled and now_s >= self._settled_s and self.tick(now_s) is None
+
+    def _moved(self, now_s: float) -> float:
+        """Return how far the arm was told to move in the window that ends now [m]."""
+        if self._planner is None:
+            return 0.0
+        end = now_s - self._settings.arm_lag_s
+        start = end - 1e-6 * self._settings.window_us
+        return self._planner.advance_at(end) - self._planner.advance_at(start)
+
+    def _advance(self, count: int, now_s: float, *, slipping: bool) -> float:
+        """Return the advance of a window [m]."""
+        if self._planner is None or not self._may_move(now_s):
+            return 0.0
+        kept = 0.0
+        if self.watch.pressed:
+            kept = self._law.hold_at(self._planner.advance_at(now_s))
+            if slipping:
+                return kept
+        threshold, force = self.judge.law_threshold, self.watch.force
+        return kept + self._law.update(count, threshold, force, slipping=slipping)
+
+    def _step(self, window: SlipWindow, now_s: float) -> SlipStep:
+        self.watch.on_window(window.count, complete=window.complete, now_s=now_s)
+        judge, count = self.judge, self.judge.count
+        slipping = judge.update(window, self._moved(now_s))
+        advance = self._advance(window.count, now_s, slipping=slipping)
         return SlipStep(
-            count=count,
-            background=mean,
-            background_sigma=sigma,
-            threshold=threshold,
+            end_us=window.end_us,
+            count=window.count,
+            background=count.background.median,
+            background_sigma=count.background.scale,
+            threshold=count.threshold,
+            count_slipping=count.slipping,
+            flow=judge.flow.flow,
+            flow_threshold=judge.flow.threshold,
+            flow_slipping=judge.flow.slipping,
             slipping=slipping,
-            enabled=self._enabled,
+            state=int(self.interlock.state),
+            enabled=self.enabled,
             advance=advance,
             total_advance=self._law.total,
         )

@@ -1,139 +1,242 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Counts events per millisecond and publishes slip and the advance against it.
+"""Watches events for slip, publishes `slip`, and streams trajectories that advance the arm.
 
-This node moves no arm: it publishes the advance it would ask for in `slip`, and nothing subscribes
-to it on an arm's behalf. It starts disabled; `~/enable` starts and stops the advance,
-`~/calibrate` learns the background anew.
+Everything happens in the callback of the event packet: no timer lies between an event and the
+trajectory that answers it. The node starts disabled. This is not a safety-rated function.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from event_camera_msgs.msg import EventPacket
+from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
+from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import CodecError, MixtacError
-from mixtac_events.windows import WindowSlicer
+from mixtac_fger.image import pixels
 from mixtac_msgs.msg import SlipState
-from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, declare, run, us_to_stamp
-from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from mixtac_node.base_node import (
+    QOS_EVENTS,
+    QOS_FORCE,
+    QOS_SENSOR,
+    OverridableQos,
+    declare,
+    run,
+    stamp_to_us,
+    us_to_stamp,
+)
+from mixtac_node.diagnostics import DiagnosticsPublisher, Status
+from mixtac_slip_control.arm.trajectory_message import TrajectoryMessage
+from mixtac_slip_control.arm_parts import make_arm
 from mixtac_slip_control.controller import SlipController
+from mixtac_slip_control.flow_guide import GuideMaker
+from mixtac_slip_control.joint_order import JointOrder
+from mixtac_slip_control.node_status import FeedCounts, node_status
+from mixtac_slip_control.parameter_settings import slip_settings
 from mixtac_slip_control.slip_control_parameters import SlipControlParameters
 
 if TYPE_CHECKING:
-    from mixtac_events.packets import DecodedPacket
-    from mixtac_slip_control.controller import SlipStep
+    from collections.abc import Callable
 
-MAX_EMPTY_RUN = 20
-"""After a gap in the stream only this many empty windows are published: old news helps nobody."""
+    from mixtac_slip_control.arm.planned_trajectory import PlannedTrajectory
+    from mixtac_slip_control.controller import SlipSettings
+    from mixtac_slip_control.slip_step import SlipStep
+
+WATCH_PERIOD_S = 5e-3
+"""How often the watchdogs look where nothing arrives [s]."""
 
 
-class SlipControlNode(Node):  # type: ignore[misc]
-    """Wires the slip controller to the event stream."""
+class SlipControlNode(OverridableQos, Node):  # type: ignore[misc]
+    """Wires the slip controller to topics and services."""
 
     def __init__(self) -> None:
         super().__init__('slip_control', namespace='mixtac')
         self._parameters = declare(self, SlipControlParameters, self._apply)
-        self._controller = SlipController(self._parameters.settings())
-        self._slicer = WindowSlicer(self._parameters.window_us, max_empty_run=MAX_EMPTY_RUN)
+        settings = _settings(self._parameters)
+        arm = self._arm = make_arm(self._parameters)
+        self._trajectory = TrajectoryMessage(JointTrajectory, JointTrajectoryPoint)
+        self._joints = JointOrder(arm.arm.names if arm else ())
+        self._controller = (
+            SlipController(settings)
+            if arm is None
+            else SlipController(settings, arm.planner, arm.normal, arm.check)
+        )
+        self._guides = GuideMaker(settings.guide)
         self._sequence: int | None = None
-        self._lost_until_us = 0
         self._latest: SlipStep | None = None
-        self._packets = self._lost = self._undecodable = self._windows = 0
+        self._counts = FeedCounts()
+        self._moving = False
         warm_up()
-        self._publisher = self.create_publisher(SlipState, 'slip', QOS_FORCE)
-        self.create_service(SetBool, '~/enable', self._on_enable)
-        self.create_service(Trigger, '~/calibrate', self._on_calibrate)
-        self.create_subscription(EventPacket, 'events', self._on_events, QOS_EVENTS)
+        self._wire()
         self._diagnostics = DiagnosticsPublisher(self, 'slip_control', self._status)
 
+    def _wire(self) -> None:
+        parameters = self._parameters
+        self._slip = self.create_publisher(SlipState, 'slip', QOS_FORCE)
+        topic = parameters.trajectory_topic
+        self._trajectories = self.create_publisher(JointTrajectory, topic, 10)
+        self.create_service(SetBool, '~/enable', self._on_enable)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_service(Trigger, '~/tare', self._on_tare)
+        self.create_subscription(EventPacket, 'events', self._on_events, QOS_EVENTS)
+        self.create_subscription(Image, 'image_raw', self._on_image, QOS_SENSOR)
+        self.create_subscription(WrenchStamped, 'force', self._on_force, QOS_FORCE)
+        self.create_subscription(
+            JointState, parameters.joint_state_topic, self._on_joints, QOS_SENSOR
+        )
+        self.create_subscription(Empty, parameters.heartbeat_topic, self._on_heartbeat, QOS_SENSOR)
+        self.create_timer(WATCH_PERIOD_S, self._watch)
+
     def _apply(self, parameters: SlipControlParameters) -> None:
-        self._controller.configure(parameters.settings())
+        self._controller.configure(_settings(parameters))
         self._parameters = parameters
+
+    def _now_s(self) -> float:
+        return float(self.get_clock().now().nanoseconds * 1e-9)
 
     def _on_events(self, message: EventPacket) -> None:
         try:
             packet = decode_message(message)
         except CodecError as error:
-            self._undecodable += 1
-            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            self._refuse(str(error))
             return
-        self._note_sequence(message.seq, packet)
-        for end_us, events in self._slicer.push(packet.events, packet.complete_until):
-            start_us = end_us - self._slicer.width_us
-            self._latest = self._controller.step(
-                len(events), complete=start_us >= self._lost_until_us
-            )
-            self._publish(end_us, self._latest)
+        now_s = self._now_s()
+        lost = self._missing(message.seq)
+        steps = self._controller.on_events(packet.events, packet.complete_until, now_s, lost=lost)
+        self._send(self._controller.plan(now_s))
+        self._moving = self._moving or self._controller.enabled
+        for step in steps:
+            self._publish(step)
+        self._brake()
 
-    def _note_sequence(self, sequence: int, packet: DecodedPacket) -> None:
+    def _missing(self, sequence: int) -> bool:
         missing = 0 if self._sequence is None else sequence - self._sequence - 1
         self._sequence = sequence
-        self._packets += 1
-        if missing > 0:
-            self._lost += missing
-            self._lost_until_us = packet.start_us
-        elif missing < 0:
-            self._lost_until_us = 0
+        self._counts.packets += 1
+        self._counts.lost += max(missing, 0)
+        return missing != 0
 
-    def _publish(self, end_us: int, step: SlipStep) -> None:
-        self._windows += 1
-        message = SlipState(**{f.name: getattr(step, f.name) for f in dataclasses.fields(step)})
-        message.header.stamp = us_to_stamp(end_us)
-        self._publisher.publish(message)
+    def _refuse(self, problem: str) -> None:
+        self._counts.refused += 1
+        self._counts.problem = problem
+        self.get_logger().warning(problem, throttle_duration_sec=5.0)
+
+    def _on_image(self, message: Image) -> None:
+        try:
+            image = pixels(
+                message.data,
+                message.encoding,
+                message.height,
+                message.width,
+                message.step,
+                big_endian=bool(message.is_bigendian),
+            )
+            self._controller.guide(self._guides.make(image, stamp_to_us(message.header.stamp)))
+        except MixtacError as error:
+            self._refuse(str(error))
+
+    def _on_force(self, message: WrenchStamped) -> None:
+        stamp_us = stamp_to_us(message.header.stamp)
+        self._controller.on_force(message.wrench.force.z, stamp_us, self._now_s())
+        self._brake()
+
+    def _on_joints(self, message: JointState) -> None:
+        positions = self._joints.pick(message.name, message.position)
+        if positions:
+            self._controller.on_joint_state(positions, self._now_s())
+            self._brake()
+
+    def _on_heartbeat(self, _message: Empty) -> None:
+        self._controller.on_heartbeat(self._now_s())
+
+    def _watch(self) -> None:
+        now_s = self._now_s()
+        self._controller.tick(now_s)
+        # Without events nothing is planned; a target that waited for its turn still goes out.
+        self._send(self._controller.plan(now_s))
+        self._brake()
+
+    def _send(self, trajectory: PlannedTrajectory | None) -> None:
+        if trajectory is None:
+            return
+        self._trajectories.publish(self._trajectory.fill(trajectory))
+        self._counts.trajectories += 1
+
+    def _brake(self) -> None:
+        """End the motion once when slip control has stopped or was disabled."""
+        if not self._moving or self._controller.enabled:
+            return
+        self._moving = False
+        self._send(self._controller.braking(self._now_s()))
+        reason = self._controller.interlock.reason
+        if reason:
+            self.get_logger().error(f'stopped: {reason}')
+
+    def _publish(self, step: SlipStep) -> None:
+        fields = dataclasses.asdict(step)
+        message = SlipState()
+        message.header.stamp = us_to_stamp(fields.pop('end_us'))
+        for name, value in fields.items():
+            setattr(message, name, value)
+        self._slip.publish(message)
+        self._latest = step
+        self._counts.windows += 1
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        try:
-            if request.data:
-                self._controller.enable()
-            else:
-                self._controller.disable()
-        except MixtacError as error:
-            response.success, response.message = False, str(error)
-            return response
-        state = 'enabled; no arm is connected' if request.data else 'disabled'
-        response.success, response.message = True, f'slip control {state}'
-        return response
+        if not request.data:
+            return self._answer(response, self._disable, 'slip control disabled')
+        return self._answer(response, self._enable, 'slip control enabled')
 
-    def _on_calibrate(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _enable(self) -> None:
+        now_s = self._now_s()
+        self._controller.enable(now_s)
+        self._moving = True
+        joints = self._controller.watch.joints
+        if self._arm is not None and joints is not None:
+            self._send(self._arm.settling(joints, now_s, self._parameters.settling_time))
+
+    def _disable(self) -> None:
+        self._controller.disable()
+        self._brake()
+
+    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        def reset() -> None:
+            self._controller.reset(self._now_s())
+
+        return self._answer(response, reset, 'stop reset; slip control is disabled')
+
+    def _on_tare(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        seconds = self._parameters.learning_time
+        text = f'learning the background: keep the contact still for {seconds:g} s'
+        return self._answer(response, self._controller.tare, text)
+
+    @staticmethod
+    def _answer(response: Any, action: Callable[[], None], text: str) -> Any:  # noqa: ANN401
         try:
-            self._controller.recalibrate()
+            action()
         except MixtacError as error:
             response.success, response.message = False, str(error)
-            return response
-        learning = self._parameters.learning_time
-        response.success = True
-        response.message = f'learning the background: keep the contact still for {learning:g} s'
+        else:
+            response.success, response.message = True, text
         return response
 
     def _status(self) -> Status:
-        values: dict[str, object] = {
-            'packets': self._packets,
-            'lost packets': self._lost,
-            'undecodable packets': self._undecodable,
-            'windows': self._windows,
-            'skipped windows': self._slicer.skipped_windows,
-            'late events': self._slicer.late_events,
-            'clock restarts': self._slicer.restarts,
-            'enabled': self._controller.enabled,
-        }
-        if self._latest is None:
-            return Status(WARN, 'no events yet: check that the driver runs', values)
-        values |= {
-            'background [events]': self._latest.background,
-            'threshold [events]': self._latest.threshold,
-            'total advance [m]': self._latest.total_advance,
-        }
-        message = 'watching' if self._controller.calibrated else 'learning the background'
-        return Status(OK, f'{message}; no arm is connected', values)
+        now_s = self._now_s()
+        return Status(*node_status(self._controller, self._counts, self._latest, now_s))
+
+
+def _settings(parameters: SlipControlParameters) -> SlipSettings:
+    """Return the settings for an arm whose controller may be off its measured positions."""
+    return dataclasses.replace(slip_settings(parameters), settling_s=parameters.settling_time)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The advance: the paper's law inside limits that nothing exceeds."""
+"""The advance law: the paper's formula inside, limits that hold for every input."""
 
 from __future__ import annotations
 
@@ -13,75 +13,104 @@ from hypothesis import strategies as st
 from mixtac_slip_control.advance_law import AdvanceLaw, AdvanceSettings
 from mixtac_slip_control.errors import SlipControlError
 
-SETTINGS = st.builds(
-    AdvanceSettings,
-    gain=st.floats(0.0, 1e-4),
-    max_step=st.floats(0.0, 1e-3),
-    max_total=st.floats(0.0, 1e-2),
-    hold_windows=st.integers(0, 20),
-    back_off_step=st.floats(0.0, 1e-4),
-)
-WINDOWS = st.lists(
-    st.tuples(st.integers(0, 10**6), st.floats(0.0, 1e6), st.booleans()), max_size=80
+SETTINGS = AdvanceSettings(
+    gain=0.5,
+    events_per_m=1e7,
+    max_step=4e-5,
+    max_total=3e-4,
+    hold_windows=10,
+    back_off_step=1e-6,
+    preload_step=2e-6,
+    force_band=0.02,
 )
 
 
-@given(settings=SETTINGS, windows=WINDOWS)
-def test_no_limit_is_ever_exceeded(
-    settings: AdvanceSettings, windows: list[tuple[int, float, bool]]
+def test_below_the_limits_it_is_the_papers_law() -> None:
+    law = AdvanceLaw(SETTINGS)
+    law.reset(preload=0.5)
+    k = 0.5 / 1e7
+    steps = [law.update(n, 60.0, 0.5, slipping=True) for n in (80, 160, 260)]
+    assert steps == pytest.approx([k * 20, k * 100, k * 200])
+    assert law.total == pytest.approx(k * 320)
+
+
+windows = st.lists(
+    st.tuples(
+        st.integers(0, 50_000),
+        st.floats(0.0, 1e4),
+        st.one_of(st.none(), st.floats(-1.0, 5.0)),
+        st.booleans(),
+    ),
+    max_size=80,
+)
+
+
+@given(windows, st.floats(0.0, 1e-3), st.floats(0.0, 2.0))
+def test_limits_hold_for_every_input(
+    sequence: list[tuple[int, float, float | None, bool]], limit: float, preload: float
 ) -> None:
-    law = AdvanceLaw(settings)
-    total = 0.0
-    for count, threshold, slipping in windows:
-        advance = law.update(count, threshold, slipping=slipping)
-        total += advance
-        assert math.isfinite(advance)
-        # Differences of the sum carry its rounding.
-        assert -settings.back_off_step - 1e-17 <= advance <= settings.max_step + 1e-17
-        assert advance <= 0.0 or slipping
-        assert 0.0 <= law.total <= settings.max_total
-        assert law.total == pytest.approx(total, abs=1e-14)
+    law = AdvanceLaw(SETTINGS)
+    law.reset(limit, preload)
+    for count, threshold, force, slipping in sequence:
+        before = law.total
+        step = law.update(count, threshold, force, slipping=slipping)
+        assert -SETTINGS.back_off_step - 1e-18 <= step <= SETTINGS.max_step + 1e-18
+        assert 0.0 <= law.total <= min(limit, SETTINGS.max_total)
+        assert law.total == pytest.approx(before + step, abs=1e-18)
 
 
-def test_the_advance_is_proportional_to_the_excess() -> None:
-    law = AdvanceLaw(AdvanceSettings(gain=2e-8))
-    assert law.update(160, 60.0, slipping=True) == pytest.approx(2e-6)
-    assert law.update(60, 60.0, slipping=True) == 0.0
-    assert law.update(40, 60.0, slipping=True) == 0.0, 'between release and threshold'
-    assert law.update(1000, 60.0, slipping=False) == 0.0
-    assert law.total == pytest.approx(2e-6)
+def slipped() -> AdvanceLaw:
+    law = AdvanceLaw(SETTINGS)
+    law.reset(preload=0.5)
+    law.update(1000, 60.0, 0.5, slipping=True)
+    return law
 
 
-def test_the_advance_is_held_then_backed_off() -> None:
-    law = AdvanceLaw(AdvanceSettings(gain=1e-8, hold_windows=3, back_off_step=4e-7))
-    law.update(160, 60.0, slipping=True)
-    steps = [law.update(0, 60.0, slipping=False) for _ in range(7)]
-    assert steps == pytest.approx([0, 0, 0, -4e-7, -4e-7, -2e-7, 0])
+def test_it_holds_and_then_returns_slowly_to_the_preload() -> None:
+    law = slipped()
+    start = law.total
+    held = [law.update(30, 60.0, 0.9, slipping=False) for _ in range(10)]
+    assert held == [0.0] * 10
+    back = [law.update(30, 60.0, 0.9, slipping=False) for _ in range(5)]
+    assert back == pytest.approx([-1e-6] * 5)
+    assert law.update(30, 60.0, 0.51, slipping=False) == 0.0
+    for _ in range(1000):
+        law.update(30, 60.0, 0.9, slipping=False)
     assert law.total == 0.0
+    assert start > 0.0
 
 
-def test_without_back_off_it_is_held_for_ever() -> None:
-    law = AdvanceLaw()
-    law.update(10_000, 60.0, slipping=True)
-    held = law.total
-    assert held == AdvanceSettings().max_step
-    assert all(law.update(0, 60.0, slipping=False) == 0.0 for _ in range(5000))
-    assert law.total == held
+def test_slip_while_returning_ends_the_return() -> None:
+    law = slipped()
+    for _ in range(20):
+        law.update(30, 60.0, 0.9, slipping=False)
+    floor = law.total
+    law.update(100, 60.0, 0.9, slipping=True)
+    for _ in range(1000):
+        law.update(30, 60.0, 0.9, slipping=False)
+    assert law.total == pytest.approx(floor)
 
 
-def test_a_lowered_limit_stops_the_advance_without_a_jump() -> None:
-    law = AdvanceLaw()
-    law.update(10_000, 0.0, slipping=True)
-    reached = law.total
-    law.settings = AdvanceSettings(max_total=reached / 2)
-    assert law.update(10_000, 0.0, slipping=True) == 0.0
-    assert law.total == reached
+def test_the_preload_is_kept_as_the_gel_relaxes() -> None:
+    law = AdvanceLaw(SETTINGS)
+    law.reset(preload=0.5)
+    steps = [law.update(30, 60.0, 0.45, slipping=False) for _ in range(12)]
+    assert steps[:10] == [0.0] * 10
+    assert steps[10:] == pytest.approx([2e-6] * 2)
+    assert AdvanceLaw(SETTINGS).update(30, 60.0, 0.0, slipping=False) == 0.0
+
+
+def test_a_limit_that_the_force_has_used_up_is_refused() -> None:
+    with pytest.raises(SlipControlError, match='max_force'):
+        AdvanceLaw(SETTINGS).reset(-1e-6)
+    with pytest.raises(SlipControlError, match='max_force'):
+        AdvanceLaw(SETTINGS).reset(math.nan)
 
 
 @pytest.mark.parametrize(
-    'settings',
-    [{'gain': -1.0}, {'max_step': math.nan}, {'max_total': math.inf}, {'hold_windows': -1}],
+    'bad',
+    [{'gain': -1.0}, {'max_step': math.nan}, {'events_per_m': 0.0}, {'hold_windows': -1}],
 )
-def test_settings_without_a_meaning_are_refused(settings: dict[str, float]) -> None:
-    with pytest.raises(SlipControlError, match='finite'):
-        AdvanceSettings(**settings)
+def test_bad_settings_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(SlipControlError, match='give'):
+        AdvanceSettings(**bad)

@@ -1,154 +1,254 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The parts together: learning, enabling, slipping, and never more than the limits."""
+"""The controller on arrays, without ROS: enabling, advancing, and every way to stop."""
 
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from mixtac_slip_control.advance_law import AdvanceSettings
+from mixtac_events.arrays import Events
+from mixtac_slip_control.arm.errors import ArmError
 from mixtac_slip_control.background import BackgroundSettings
 from mixtac_slip_control.controller import SlipController, SlipSettings
+from mixtac_slip_control.detector import CountSettings
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.slip_control_parameters import SlipControlParameters
+from mixtac_slip_control.interlock import InterlockState
+from mixtac_slip_control.slip_judge import JudgeSettings
+
+from .slip_windows import FakePlanner
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mixtac_slip_control.slip_step import SlipStep
+
+READY = (0.0, -0.8, 0.0, -2.3, 0.0, 1.6, 0.8)
+T0 = 1_700_000_000.0
 
 
-def ready(seed: int = 1, **advance: float) -> SlipController:
-    controller = SlipController(SlipSettings(advance=AdvanceSettings(**advance)))
-    for count in np.random.default_rng(seed).poisson(30.0, 600):
-        controller.step(int(count))
-    return controller
+class Rig:
+    """A controller by counts, and time that goes on a millisecond per step."""
+
+    def __init__(self, *, planner: FakePlanner | None = None) -> None:
+        background = BackgroundSettings(learning_windows=100)
+        judge = JudgeSettings(detector='count', count=CountSettings(background), settle_windows=5)
+        self.planner = planner or FakePlanner()
+        self.controller = SlipController(SlipSettings(judge=judge), self.planner, (0.0, 0.0, -1.0))
+        self.ms = 0
+        self.rng = np.random.default_rng(0)
+        self.force = 0.5
+
+    @property
+    def now(self) -> float:
+        return T0 + 1e-3 * self.ms
+
+    def gap(self, packets: int) -> None:
+        """Lose packets, and go on with the one after them."""
+        self.ms += packets
+        self.step(lost=True)
+
+    def step(
+        self, count: int | None = None, *, inputs: bool = True, lost: bool = False
+    ) -> SlipStep:
+        number = int(self.rng.poisson(30)) if count is None else count
+        start = 1000 * self.ms
+        self.ms += 1
+        place = np.zeros(number, np.uint16)
+        t = start + np.arange(number) * 1000 // max(number, 1)
+        events = Events(t.astype(np.int64), place, place, np.ones(number, np.bool_))
+        if inputs:
+            self.controller.on_force(self.force, 1000 * self.ms, self.now)
+            self.controller.on_joint_state(READY, self.now)
+            self.controller.on_heartbeat(self.now)
+        return self.controller.on_events(events, start + 1000, self.now, lost=lost)[-1]
+
+    def enabled(self) -> Rig:
+        for _ in range(120):
+            self.step()
+        self.controller.enable(self.now)
+        return self
 
 
-ACTIONS = st.lists(
-    st.integers(0, 3000) | st.sampled_from(['enable', 'disable', 'recalibrate', 'lost']),
-    max_size=150,
-)
+def test_it_starts_disabled_and_nothing_is_planned() -> None:
+    rig = Rig()
+    for _ in range(120):
+        step = rig.step()
+    assert not step.enabled
+    assert rig.step(800).slipping
+    assert rig.controller.total_advance == 0.0
+    assert rig.controller.plan(rig.now) is None
+    assert rig.planner.targets == []
 
 
-@given(actions=ACTIONS, learned=st.booleans(), max_total=st.floats(0.0, 1e-4))
-def test_limits_hold_whatever_happens(
-    actions: list[int | str], learned: bool, max_total: float
-) -> None:
-    settings = SlipSettings(
-        background=BackgroundSettings(learning_windows=10),
-        advance=AdvanceSettings(max_total=max_total),
-        settle_windows=3,
-    )
-    controller = SlipController(settings)
-    for _ in range(10 if learned else 0):
-        controller.step(20)
-    for action in actions:
-        if isinstance(action, str) and action != 'lost':
-            try:
-                getattr(controller, action)()
-            except SlipControlError:
-                assert action != 'disable'
-            continue
-        step = controller.step(0 if action == 'lost' else action, complete=action != 'lost')
-        assert step.enabled or step.advance == 0.0
-        assert 0.0 <= step.advance <= settings.advance.max_step + 1e-17
-        assert 0.0 <= step.total_advance <= max_total
-        numbers = (step.background, step.background_sigma, step.threshold)
-        assert all(math.isfinite(v) and v >= 0.0 for v in numbers)
-        assert step.threshold > step.background
+def test_slip_advances_by_the_law_and_is_planned_at_once() -> None:
+    rig = Rig().enabled()
+    assert rig.planner.resets == [(READY, (0.0, 0.0, -1.0))]
+    step = rig.step(800)
+    wanted = 0.7 / 1e7 * (800 - step.threshold)
+    assert step.advance == pytest.approx(min(wanted, 5e-5))
+    assert rig.controller.plan(rig.now) == (rig.now, step.total_advance)
 
 
-def test_slip_is_seen_and_answered() -> None:
-    controller = ready(gain=1e-8)
-    controller.enable()
-    steps = [controller.step(count) for count in (30, 400, 600, 30)]
-    assert [s.slipping for s in steps] == [False, True, True, True]
-    expected = 1e-8 * (400 - steps[1].threshold) + 1e-8 * (600 - steps[2].threshold)
-    assert steps[-1].total_advance == pytest.approx(expected)
-    assert steps[-1].advance == 0.0
-
-
-def test_disabled_it_watches_and_asks_for_nothing() -> None:
-    controller = ready()
-    step = controller.step(1000)
-    assert step.slipping
-    assert (step.enabled, step.advance, step.total_advance) == (False, 0.0, 0.0)
-
-
-def test_enabling_starts_from_zero_and_disabling_keeps_the_record() -> None:
-    controller = ready()
-    controller.enable()
-    total = controller.step(1000).total_advance
-    controller.disable()
-    assert controller.step(1000).total_advance == total > 0.0
-    for _ in range(200):
-        controller.step(30)
-    controller.enable()
-    assert controller.step(30).total_advance == 0.0
-
-
-def test_enabling_is_refused_while_learning_or_slipping() -> None:
+def test_it_cannot_be_enabled_unlearned_while_slipping_or_without_an_arm() -> None:
+    rig = Rig()
+    rig.step()
     with pytest.raises(SlipControlError, match='not learned'):
-        SlipController().enable()
-    controller = ready()
-    controller.step(5000)
-    with pytest.raises(SlipControlError, match='still'):
-        controller.enable()
-    assert not controller.enabled
+        rig.controller.enable(rig.now)
+    for _ in range(120):
+        rig.step()
+    rig.step(800)
+    with pytest.raises(SlipControlError, match='slips'):
+        rig.controller.enable(rig.now)
+    with pytest.raises(SlipControlError, match='no arm'):
+        SlipController().enable(T0)
 
 
-def test_the_background_does_not_learn_slip() -> None:
-    controller = ready()
-    before = controller.step(30).background
-    for _ in range(3000):
-        controller.step(500)
-    assert controller.step(30).background == pytest.approx(before, abs=0.05)
+def test_it_cannot_be_enabled_without_a_heartbeat() -> None:
+    rig = Rig()
+    for _ in range(120):
+        rig.step()
+    for _ in range(10):
+        rig.ms += 100
+        rig.controller.on_force(0.5, 1000 * rig.ms, rig.now)
+        rig.controller.on_joint_state(READY, rig.now)
+        rig.controller.watch.on_window(30, complete=True, now_s=rig.now)
+    with pytest.raises(SlipControlError, match='heartbeat'):
+        rig.controller.enable(rig.now)
+    assert rig.planner.resets == []
 
 
-def test_windows_with_lost_packets_do_not_lower_the_background() -> None:
-    controller = ready()
-    before = controller.step(30).background
-    for _ in range(20_000):
-        controller.step(0, complete=False)
-    assert controller.step(30).background == pytest.approx(before, abs=0.05)
+def test_the_sum_is_capped_by_force_over_stiffness() -> None:
+    rig = Rig()
+    rig.force = 1.1
+    rig.enabled()
+    assert rig.controller.advance_limit == pytest.approx(0.4 / 2e3)
+    for _ in range(50):
+        step = rig.step(5000)
+    assert step.total_advance == pytest.approx(0.4 / 2e3)
 
 
-def test_poisson_noise_raises_no_alarm() -> None:
-    controller = ready()
-    counts = np.random.default_rng(9).poisson(30.0, 100_000)
-    assert not any(controller.step(int(count)).slipping for count in counts)
+def test_near_the_force_ceiling_it_stays_where_the_arm_is() -> None:
+    rig = Rig().enabled()
+    assert rig.step(800).total_advance > 1e-5
+    rig.force = 1.25
+    rig.planner.velocity = 4e-6 / rig.now
+    step = rig.step(800)
+    assert step.advance < 0.0
+    assert step.total_advance == pytest.approx(4e-6)
+    assert rig.step(800).total_advance == pytest.approx(4e-6)
+    rig.force = 0.5
+    rig.planner.velocity = 0.0
+    assert rig.step(800).advance > 0.0
+    assert rig.controller.enabled
 
 
-def test_calibrating_anew_follows_a_new_scene() -> None:
-    controller = ready()
-    controller.step(500)
-    controller.recalibrate()
-    assert not controller.calibrated
-    for _ in range(500):
-        assert not controller.step(500).slipping
-    assert controller.step(500).background == 500.0
-    controller.enable()
+STOPS: dict[str, Callable[[Rig], object]] = {
+    'force is nan': lambda r: r.controller.on_force(math.nan, 1000 * r.ms + 1, r.now),
+    'above max_force': lambda r: r.controller.on_force(1.7, 1000 * r.ms + 1, r.now),
+    'joint positions are': lambda r: r.controller.on_joint_state((math.nan,) * 7, r.now),
+    'saturated': lambda r: [r.step(9000) for _ in range(2)],
+    'missing': lambda r: r.gap(6),
+    'force 5': lambda r: [r.step(inputs=False) for _ in range(52)],
+    'events': lambda r: r.controller.tick(r.now + 0.021),
+}
+
+
+@pytest.mark.parametrize('reason', STOPS)
+def test_each_fault_stops_for_good(reason: str) -> None:
+    rig = Rig().enabled()
+    STOPS[reason](rig)
+    lock = rig.controller.interlock
+    assert lock.state is InterlockState.STOPPED
+    assert reason in lock.reason
+    targets = len(rig.planner.targets)
+    for _ in range(60):
+        step = rig.step(500)
+    assert step.advance == 0.0
+    assert step.state == InterlockState.STOPPED
+    assert rig.controller.plan(rig.now) is None
+    assert len(rig.planner.targets) == targets
+    for _ in range(40):
+        rig.step()
+    with pytest.raises(SlipControlError, match='reset'):
+        rig.controller.enable(rig.now)
+    rig.controller.reset(rig.now)
+    rig.controller.enable(rig.now)
+    assert rig.controller.enabled
+    assert rig.controller.total_advance == 0.0
+
+
+def test_a_stop_is_not_reset_while_its_cause_lasts() -> None:
+    rig = Rig().enabled()
+    rig.controller.on_force(2.0, 1000 * rig.ms + 1, rig.now)
+    with pytest.raises(SlipControlError, match='max_force'):
+        rig.controller.reset(rig.now)
+
+
+def test_saturation_does_not_advance_before_it_stops() -> None:
+    rig = Rig().enabled()
+    rig.step(9000)
+    before = rig.controller.total_advance
+    assert rig.step(9000).advance == 0.0
+    assert rig.controller.total_advance == before
+
+
+def test_a_planner_that_refuses_stops() -> None:
+    rig = Rig().enabled()
+    rig.step(800)
+    rig.planner.error = ArmError('joint 4 would leave its range')
+    assert rig.controller.plan(rig.now) is None
+    assert rig.controller.interlock.reason == 'joint 4 would leave its range'
+
+
+def test_slip_is_not_answered_while_the_arm_settles() -> None:
+    rig = Rig()
+    judge = JudgeSettings('count', CountSettings(BackgroundSettings(100)), settle_windows=5)
+    settings = SlipSettings(judge=judge, settling_s=0.02)
+    rig.controller = SlipController(settings, rig.planner, (0.0, 0.0, 1.0))
+    rig.enabled()
+    steps = [rig.step(800) for _ in range(25)]
+    assert {s.advance for s in steps[:19]} == {0.0}
+    assert steps[-1].advance > 0.0
+
+
+def test_disabling_ends_the_motion() -> None:
+    rig = Rig().enabled()
+    rig.step(800)
+    rig.controller.disable()
+    assert rig.controller.plan(rig.now) is None
+    assert rig.controller.braking(rig.now) == (rig.now, 'stop')
+    assert rig.controller.interlock.state is InterlockState.DISABLED
+
+
+def test_the_threshold_rises_with_the_arms_own_motion_and_the_background_waits() -> None:
+    rig = Rig().enabled()
+    before = rig.step().threshold
+    rig.planner.velocity = 0.01
+    step = rig.step()
+    assert step.threshold == pytest.approx(before + 2.5e7 * 1e-5, rel=0.05)
+    assert not rig.step(int(before) + 200).slipping
+
+
+def test_taring_needs_it_disabled_and_learns_anew() -> None:
+    rig = Rig().enabled()
     with pytest.raises(SlipControlError, match='disable'):
-        controller.recalibrate()
+        rig.controller.tare()
+    rig.controller.disable()
+    rig.controller.tare()
+    assert not rig.controller.judge.learned
 
 
-def test_parameters_become_settings_in_windows() -> None:
-    settings = SlipControlParameters(window=2e-3, back_off=1e-3).settings()
-    assert settings.background.learning_windows == 250
-    assert settings.background.time_constant_windows == pytest.approx(2500.0)
-    assert settings.detector.release_windows == 2
-    assert settings.advance.hold_windows == 100
-    assert settings.advance.back_off_step == pytest.approx(2e-6)
-    assert SlipControlParameters().window_us == 1000
-    with pytest.raises(SlipControlError, match='windows'):
-        SlipControlParameters(window=2e-2, learning_time=0.05).settings()
-
-
-def test_settings_change_while_running() -> None:
-    controller = ready()
-    controller.enable()
-    total = controller.step(1000).total_advance
-    controller.configure(SlipControlParameters(max_total=0.0).settings())
-    assert controller.step(1000).total_advance == total
-    assert controller.enabled
+def test_the_normal_may_follow_from_the_joints() -> None:
+    planner = FakePlanner()
+    rig = Rig(planner=planner)
+    rig.controller = SlipController(
+        SlipSettings(judge=JudgeSettings('count', CountSettings(BackgroundSettings(100)))),
+        planner,
+        lambda q: np.array([q[1], 0.0, 1.0]),
+    )
+    rig.enabled()
+    assert planner.resets[0][1] == (-0.8, 0.0, 1.0)

@@ -1,69 +1,85 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The count criterion and its hysteresis."""
+"""The paper's count law."""
 
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from mixtac_slip_control.detector import DetectorSettings, SlipDetector
+from mixtac_slip_control.background import BackgroundSettings
+from mixtac_slip_control.detector import CountDetector, CountSettings
 from mixtac_slip_control.errors import SlipControlError
+from mixtac_slip_control.hysteresis import HysteresisSettings
+
+from .slip_windows import quiet_windows, window
+
+BACKGROUND = BackgroundSettings(learning_windows=200)
 
 
-def decisions(counts: list[int], **settings: float) -> list[bool]:
-    detector = SlipDetector(DetectorSettings(**settings))
-    return [detector.update(count, 30.0, 5.0) for count in counts]
+def taught(**settings: float) -> CountDetector:
+    detector = CountDetector(CountSettings(background=BACKGROUND, **settings))
+    for each in quiet_windows(200):
+        assert not detector.update(each)
+        detector.learn(each)
+    assert detector.learned
+    return detector
 
 
-def test_slip_is_a_count_above_the_threshold() -> None:
-    detector = SlipDetector()
-    assert detector.threshold(30.0, 5.0) == 60.0
-    assert detector.threshold(30.0, 1.0) == 50.0, 'the smallest excess'
-    assert not detector.update(60, 30.0, 5.0)
-    assert detector.update(61, 30.0, 5.0)
+def test_nothing_slips_before_the_background_is_learned() -> None:
+    detector = CountDetector(CountSettings(background=BACKGROUND))
+    assert not detector.update(window(0, 100_000))
 
 
-def test_slip_ends_after_quiet_windows_in_a_row() -> None:
-    assert decisions([61, 45, 45, 46, 45, 45, 45], release_windows=3) == [True] * 6 + [False]
-    assert decisions([61, 30, 61, 30], release_windows=1) == [True, False, True, False]
+def test_an_excess_is_slip_at_once_and_ends_after_quiet() -> None:
+    detector = taught()
+    assert not any(detector.update(each) for each in quiet_windows(3000, seed=1))
+    assert detector.update(window(0, 500))
+    ends = [detector.update(window(1 + k, 30)) for k in range(6)]
+    assert ends == [True] * 4 + [False] * 2
 
 
-@given(
-    counts=st.lists(st.integers(0, 100), max_size=60),
-    ratio=st.floats(0.0, 1.0),
-    windows=st.integers(1, 6),
-)
-def test_hysteresis_only_prolongs(counts: list[int], ratio: float, windows: int) -> None:
-    slips = decisions(counts, release_ratio=ratio, release_windows=windows)
-    above = [count > 60 for count in counts]
-    before = False
-    for i, (slip, over) in enumerate(zip(slips, above, strict=True)):
-        assert slip or not over
-        assert over or before or not slip
-        if before and not slip:
-            assert all(c <= 30 + ratio * 30 for c in counts[i - windows + 1 : i + 1])
-        before = slip
+def test_between_release_and_threshold_slip_goes_on() -> None:
+    detector = taught()
+    detector.update(window(0, 500))
+    between = int(30 + 0.8 * (detector.threshold - 30))
+    assert all(detector.update(window(k, between)) for k in range(50))
 
 
-def test_reset_returns_to_rest() -> None:
-    detector = SlipDetector()
-    detector.update(1000, 30.0, 5.0)
+def test_the_threshold_rises_with_the_advance() -> None:
+    detector = taught(advance_events_per_m=2e7)
+    detector.update(window(0, 30))
+    still = detector.threshold
+    assert detector.update(window(1, int(still) + 100))
+    detector = taught(advance_events_per_m=2e7)
+    assert not detector.update(window(1, int(still) + 100), 1e-5)
+    assert detector.threshold == pytest.approx(still + 200.0)
+    assert not detector.update(window(1, int(still) + 100), -1e-5)
+
+
+def test_a_quiet_camera_has_a_smallest_threshold() -> None:
+    detector = CountDetector(CountSettings(background=BACKGROUND, min_excess=500.0))
+    for k in range(200):
+        detector.update(window(k, 0))
+        detector.learn(window(k, 0))
+    assert not detector.update(window(0, 499))
+    assert detector.update(window(1, 501))
+
+
+def test_reset_forgets() -> None:
+    detector = taught()
+    detector.update(window(0, 5000))
     detector.reset()
+    assert not detector.learned
     assert not detector.slipping
-    assert not detector.update(55, 30.0, 5.0)
 
 
-@pytest.mark.parametrize(
-    'settings',
-    [
-        {'n_sigma': -1.0},
-        {'min_excess': float('nan')},
-        {'release_ratio': 1.5},
-        {'release_windows': 0},
-    ],
-)
-def test_settings_without_a_meaning_are_refused(settings: dict[str, float]) -> None:
-    with pytest.raises(SlipControlError, match='give'):
-        DetectorSettings(**settings)
+@pytest.mark.parametrize('bad', [{'min_excess': -1.0}, {'advance_events_per_m': float('nan')}])
+def test_bad_settings_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(SlipControlError, match='>= 0'):
+        CountSettings(**bad)
+
+
+@pytest.mark.parametrize('bad', [{'release_ratio': 1.5}, {'release_windows': 0}])
+def test_bad_hysteresis_is_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(SlipControlError, match='ratio'):
+        HysteresisSettings(**bad)

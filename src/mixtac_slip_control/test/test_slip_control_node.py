@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The slip control node as a process of its own, over real topics."""
+"""The slip control node as a process of its own, over real topics, with the FR3's planner."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,17 +25,31 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.dds
 EPOCH_US = 1_700_000_000_000_000
+READY = [0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4]
+NAMES = [f'fr3_joint{k}' for k in range(1, 8)]
+TOPIC = '/fr3_arm_controller/joint_trajectory'
 
 
 @pytest.fixture
 def process(ros_domain: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """Run the node with a short learning time; ended by its pid."""
+    """Run the node with a short learning time and ages for a loaded machine; ended by its pid."""
+    values = {
+        'arm': 'fr3',
+        'detector': 'count',
+        'learning_time': 0.2,
+        'settling_time': 0.05,
+        'max_events_age': 1.0,
+        'max_force_age': 1.0,
+        'max_joint_age': 1.0,
+        'max_heartbeat_age': 5.0,
+    }
     command = [sys.executable, '-m', 'mixtac_slip_control.slip_control_node', '--ros-args']
-    command += ['-p', 'learning_time:=0.1', '-p', 'max_total:=2e-6']
+    for name, value in values.items():
+        command += ['-p', f'{name}:={value}']
     started = subprocess.Popen(command, env=ros_domain, text=True, stderr=subprocess.PIPE)
     yield started
     started.terminate()
-    _, errors = started.communicate(timeout=20)
+    _, errors = started.communicate(timeout=40)
     assert started.returncode == 0, errors
 
 
@@ -50,102 +65,192 @@ def peer(ros_domain: dict[str, str]) -> Iterator[Peer]:
 
 
 class Peer:
-    """Sends milliseconds of events and collects the slip states they lead to."""
+    """Plays driver, estimator, arm and supervisor; collects what the node says."""
 
     def __init__(self, context: Any) -> None:
         from event_camera_msgs.msg import EventPacket
+        from geometry_msgs.msg import WrenchStamped
         from rclpy.executors import SingleThreadedExecutor
-        from std_srvs.srv import SetBool
+        from sensor_msgs.msg import Image, JointState
+        from std_msgs.msg import Empty
+        from std_srvs.srv import SetBool, Trigger
+        from trajectory_msgs.msg import JointTrajectory
 
         from mixtac_msgs.msg import SlipState
-        from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE
+        from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR
 
         self.node = rclpy.create_node('peer', context=context, namespace='mixtac')
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.states: dict[int, Any] = {}
-        self._packet, self._request = EventPacket, SetBool.Request
-        self._events = self.node.create_publisher(EventPacket, 'events', QOS_EVENTS)
-        self._client = self.node.create_client(SetBool, 'slip_control/enable')
-        self._subscription = self.node.create_subscription(
-            SlipState, 'slip', self._on_slip, QOS_FORCE
-        )
+        self.trajectories: list[Any] = []
+        self._types = (EventPacket, WrenchStamped, JointState, Empty)
+        make = self.node.create_publisher
+        self._events = make(EventPacket, 'events', QOS_EVENTS)
+        self._force = make(WrenchStamped, 'force', QOS_FORCE)
+        self._image_type = Image
+        self._images = make(Image, 'image_raw', QOS_SENSOR)
+        self._joints = make(JointState, '/joint_states', 10)
+        self._heartbeat = make(Empty, 'slip_control/heartbeat', 10)
+        self._set_bool, self._trigger = SetBool, Trigger
+        self._enable = self.node.create_client(SetBool, 'slip_control/enable')
+        self._triggers = {
+            name: self.node.create_client(Trigger, f'slip_control/{name}')
+            for name in ('reset', 'tare')
+        }
+        self.node.create_subscription(SlipState, 'slip', self._on_slip, QOS_FORCE)
+        self.node.create_subscription(JointTrajectory, TOPIC, self.trajectories.append, 10)
         self._sent = 0
+        self.force = 0.5
 
     def ready(self) -> bool:
-        deadline = time.monotonic() + 40.0
+        deadline = time.monotonic() + 100.0
+        inputs = (self._events, self._force, self._joints, self._heartbeat, self._images)
         while time.monotonic() < deadline:
             self.executor.spin_once(timeout_sec=0.1)
-            matched = self._events.get_subscription_count() and self.node.count_publishers('slip')
-            if matched and self._client.service_is_ready():
+            matched = all(each.get_subscription_count() for each in inputs)
+            answers = self.node.count_publishers('slip') and self.node.count_publishers(TOPIC)
+            if matched and answers and self._enable.service_is_ready():
                 time.sleep(0.5)  # the other side may not have matched yet
                 return True
         return False
 
     def enable(self, wanted: bool) -> Any:
-        future = self._client.call_async(self._request(data=wanted))
-        self.executor.spin_until_future_complete(future, timeout_sec=20.0)
+        return self._call(self._enable, self._set_bool.Request(data=wanted))
+
+    def trigger(self, name: str) -> Any:
+        return self._call(self._triggers[name], self._trigger.Request())
+
+    def _call(self, client: Any, request: Any) -> Any:
+        future = client.call_async(request)
+        self.executor.spin_until_future_complete(future, timeout_sec=40.0)
         return future.result()
 
-    def send(self, counts: list[int]) -> list[Any]:
+    def send(self, counts: list[int], *, inputs: bool = True) -> list[Any]:
         """Send one packet per count and millisecond; return the states of their windows."""
         first = self._sent
         for count in counts:
-            start = EPOCH_US + self._sent * 1000
-            t = start + np.arange(count, dtype=np.int64) * 1000 // max(count, 1)
-            place = np.zeros(count, np.uint16)
-            packet = encode(
-                Events(t, place, place, np.ones(count, np.bool_)), complete_until=start + 1000
-            )
-            message = self._packet(
-                width=346,
-                height=260,
-                seq=self._sent,
-                time_base=packet.time_base,
-                encoding=packet.encoding,
-            )
-            message.events.frombytes(packet.payload)
-            self._events.publish(message)
-            self._sent += 1
+            if inputs and self._sent % 2 == 0:
+                self._send_inputs()
+            self._send_packet(count)
             self.executor.spin_once(timeout_sec=0.002)
         wanted = [EPOCH_US + (k + 1) * 1000 for k in range(first, self._sent)]
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + 30.0
         while wanted[-1] not in self.states and time.monotonic() < deadline:
             self.executor.spin_once(timeout_sec=0.05)
         return [self.states[end] for end in wanted if end in self.states]
+
+    def send_frame(self) -> None:
+        """Send a frame that is brighter to the right."""
+        ramp = np.tile(np.linspace(200, 60_000, 346).astype('<u2'), (260, 1))
+        message = self._image_type(height=260, width=346, encoding='mono16', step=692)
+        now_us = EPOCH_US + self._sent * 1000
+        message.header.stamp.sec, rest = divmod(now_us, 1_000_000)
+        message.header.stamp.nanosec = rest * 1000
+        message.data.frombytes(ramp.tobytes())
+        self._images.publish(message)
+
+    def _send_packet(self, count: int) -> None:
+        start = EPOCH_US + self._sent * 1000
+        t = start + np.arange(count, dtype=np.int64) * 1000 // max(count, 1)
+        place = np.zeros(count, np.uint16)
+        polarity = np.ones(count, np.bool_)
+        packet = encode(Events(t, place, place, polarity), complete_until=start + 1000)
+        message = self._types[0](
+            width=346,
+            height=260,
+            seq=self._sent,
+            time_base=packet.time_base,
+            encoding=packet.encoding,
+        )
+        message.events.frombytes(packet.payload)
+        self._events.publish(message)
+        self._sent += 1
+
+    def _send_inputs(self) -> None:
+        _, wrench, joints, empty = self._types
+        force = wrench()
+        now_us = EPOCH_US + self._sent * 1000
+        force.header.stamp.sec, rest = divmod(now_us, 1_000_000)
+        force.header.stamp.nanosec = rest * 1000
+        force.wrench.force.z = self.force
+        self._force.publish(force)
+        # The arm's order of joints is its own affair.
+        self._joints.publish(joints(name=NAMES[::-1], position=READY[::-1]))
+        self._heartbeat.publish(empty())
+
+    def wait(self, condition: Any) -> bool:
+        deadline = time.monotonic() + 30.0
+        while not condition() and time.monotonic() < deadline:
+            self.executor.spin_once(timeout_sec=0.05)
+        return bool(condition())
 
     def _on_slip(self, message: Any) -> None:
         stamp = message.header.stamp
         self.states[stamp.sec * 1_000_000 + stamp.nanosec // 1000] = message
 
 
-def test_the_node_watches_counts_and_answers_slip_when_enabled(
+def quiet(number: int) -> list[int]:
+    return [30 + k % 5 for k in range(number)]
+
+
+def test_slip_moves_the_arm_when_enabled_and_a_fault_stops_it(
     process: subprocess.Popen[str], peer: Peer
 ) -> None:
     assert peer.ready()
     assert process.poll() is None
     assert 'not learned' in peer.enable(wanted=True).message
-    quiet = peer.send([30] * 300)
-    assert len(quiet) > 250
-    assert {s.count for s in quiet[-100:]} == {30}
-    assert quiet[-1].background == pytest.approx(30.0, abs=0.1)
-    assert quiet[-1].threshold > quiet[-1].background
-    assert not any(s.slipping or s.enabled for s in quiet)
+    states = peer.send(quiet(400))
+    assert len(states) > 300
+    assert states[-1].background == pytest.approx(32.0, abs=2.0)
+    assert not any(s.slipping or s.enabled for s in states)
 
-    disabled = peer.send([30, 600, *[30] * 50])
-    assert any(s.slipping and s.count == 600 for s in disabled)
-    assert all(s.advance == 0.0 and s.total_advance == 0.0 for s in disabled)
+    assert not any(s.flow for s in states)
+    peer.send_frame()
+    assert peer.wait(lambda: any(s.flow > 0.0 for s in peer.send(quiet(20))))
+
+    disabled = peer.send([30, 600, *quiet(50)])
+    assert any(s.slipping and s.count_slipping and s.count == 600 for s in disabled)
+    assert all(s.advance == 0.0 for s in disabled)
+    assert peer.trajectories == []
 
     answer = peer.enable(wanted=True)
-    assert answer.success
-    assert 'no arm' in answer.message
-    slips = peer.send([30, 90, 600, 600, 30])
-    assert all(s.enabled for s in slips)
-    moved = [s.advance for s in slips if s.count > s.threshold]
-    assert moved
-    assert all(advance > 0.0 for advance in moved[:1])
-    assert slips[-1].total_advance == pytest.approx(2e-6)
-    assert max(s.total_advance for s in slips) <= 2e-6
+    assert answer.success, answer.message
+    assert peer.wait(lambda: len(peer.trajectories) == 1)
+    assert np.allclose(peer.trajectories[0].points[-1].positions, READY)
+    peer.send(quiet(60))
+    slips = peer.send([30, 600, 600, *quiet(40)])
+    assert all(s.enabled and s.state == s.ENABLED for s in slips)
+    assert slips[-1].total_advance > 0.0
+    assert peer.wait(lambda: len(peer.trajectories) > 1)
+    check_trajectory(peer.trajectories[-1])
+    assert 'disable' in peer.trigger('tare').message
 
+    peer.force = 3.0
+    peer.send(quiet(10))
+    stopped = peer.send([600] * 3)
+    assert stopped[-1].state == stopped[-1].STOPPED
+    assert stopped[-1].advance == 0.0
+    assert 'max_force' in peer.enable(wanted=True).message
+    assert not peer.trigger('reset').success
+    peer.force = 0.5
+    peer.send(quiet(10))
+    assert peer.trigger('reset').success
+    assert peer.enable(wanted=True).success
     assert peer.enable(wanted=False).success
-    assert peer.send([30, 600])[-1].advance == 0.0
+    assert peer.trigger('tare').success
+
+
+def check_trajectory(message: Any) -> None:
+    """Hold a trajectory against what joint_trajectory_controller asks for."""
+    assert list(message.joint_names) == NAMES
+    times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points]
+    assert len(times) > 2
+    assert all(later > earlier for earlier, later in pairwise(times))
+    last = message.points[-1]
+    assert np.allclose(last.velocities, 0.0, atol=1e-9)
+    assert np.allclose(last.accelerations, 0.0, atol=1e-6)
+    moved = np.array([p.positions for p in message.points]) - READY
+    assert 0.0 < np.abs(moved).max() < 0.02
+    age = time.time() - (message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
+    assert 0.0 <= age < 60.0

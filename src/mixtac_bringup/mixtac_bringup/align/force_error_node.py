@@ -5,42 +5,15 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
+from mixtac_bringup.align.force_error_parameters import ForceErrorParameters
 from mixtac_bringup.align.force_pairing import ForcePairing
 from mixtac_node.base_node import QOS_FORCE, OverridableQos, declare, run, stamp_to_ns
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from mixtac_node.parameters import parameter
-
-
-@dataclass(frozen=True)
-class ForceErrorParameters:
-    """What the force error is taken from."""
-
-    force_topic: str = parameter('force', 'WrenchStamped topic of the estimate.', read_only=True)
-    reference_topic: str = parameter(
-        'alignment/reference',
-        'WrenchStamped topic of the reference on the camera clock.',
-        read_only=True,
-    )
-    window: int = parameter(
-        5000,
-        'Pairs over which the errors run; 5000 are 10 s of estimates.',
-        minimum=10,
-        maximum=1_000_000,
-        read_only=True,
-    )
-    sign: int = parameter(
-        1,
-        'Sign that makes pressing positive in the reference.',
-        minimum=-1,
-        maximum=1,
-        read_only=True,
-    )
 
 
 class ForceErrorNode(OverridableQos, Node):  # type: ignore[misc]

@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Times of taps against made-up pixels whose taps are known.
+
+The pixels are simulated here one by one, with thresholds and gains of their own; nothing of them
+comes from the model under test.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_alignment.event_history import CellEvents, EventHistory, by_cell
+from mixtac_alignment.gel_lag import GelLag
+from mixtac_alignment.tap_waveform import TapModel, brightening, common_course, tap_signal
+from mixtac_events.arrays import Events
+
+CELLS = 60
+RIGID = GelLag((0.0,) * 6, (1e-3,) * 6)
+
+
+def force_at(t: np.ndarray, tap_s: float) -> np.ndarray:
+    """Return a tap of 1.5 N about time 0 [N]."""
+    return 1.5 * np.cos(np.pi * np.clip(t / tap_s, -0.5, 0.5)) ** 2
+
+
+def pixels(rng: np.random.Generator, tap_s: float, delay_s: float) -> tuple[CellEvents, np.ndarray]:
+    """Return the events of pixels that see the depth, and how each cell brightens."""
+    t = np.arange(-0.1, 0.15, 5e-5)
+    depth = np.sqrt(force_at(t - delay_s, tap_s))
+    gains = rng.normal(0.0, 1.0, CELLS)
+    found = []
+    for cell, gain in enumerate(gains):
+        for _ in range(12):
+            on, off = rng.normal(0.21, 0.03), rng.normal(0.27, 0.04)
+            level, last = gain * rng.uniform(0.7, 1.3) * depth, rng.uniform(-off, on)
+            for at, value in zip(t, level, strict=True):
+                if value - last >= on:
+                    last += on
+                    found.append((at, cell, True))
+                elif value - last <= -off:
+                    last -= off
+                    found.append((at, cell, False))
+    found.sort()
+    times = np.array([round(1e6 * at) for at, _, _ in found], np.int64) + 1_000_000
+    return CellEvents(
+        times,
+        np.array([cell for _, cell, _ in found], np.uint16),
+        np.array([on for _, _, on in found]),
+    ), gains
+
+
+def model_of(tap_s: float) -> TapModel:
+    t = np.arange(-0.3, 0.3, 1.0 / 800.0)
+    return TapModel(t, force_at(t, tap_s), 0.0, RIGID)
+
+
+@pytest.mark.parametrize(('tap_s', 'delay_s'), [(0.03, 0.0), (0.024, 0.004), (0.04, -0.006)])
+def test_taps_are_timed_to_a_fraction_of_a_millisecond(tap_s: float, delay_s: float) -> None:
+    events, gains = pixels(np.random.default_rng(3), tap_s, delay_s)
+    found = model_of(tap_s).fit(*tap_signal(events, 1_000_000, gains))
+    assert found.misfit < 0.15
+    # The model's pixels have a time constant of 0.5 ms, those made up here have none.
+    assert found.delay_s + 0.5e-3 == pytest.approx(delay_s, abs=4e-4)
+
+
+def test_without_frames_the_cells_common_course_times_the_tap() -> None:
+    events, gains = pixels(np.random.default_rng(4), 0.03, 0.002)
+    common = common_course(events, 1_000_000, CELLS)
+    assert abs(np.corrcoef(common, np.sign(gains))[0, 1]) > 0.6
+    fits = [model_of(0.03).fit(*tap_signal(events, 1_000_000, s * common)) for s in (1, -1)]
+    best = min(fits, key=lambda fit: fit.misfit)
+    assert best.delay_s + 0.5e-3 == pytest.approx(0.002, abs=6e-4)
+
+
+def test_events_of_another_course_are_left_over() -> None:
+    rng = np.random.default_rng(5)
+    n = 5000
+    noise = CellEvents(
+        np.sort(rng.integers(900_000, 1_150_000, n)),
+        rng.integers(0, CELLS, n).astype(np.uint16),
+        rng.random(n) < 0.5,
+    )
+    assert model_of(0.03).fit(*tap_signal(noise, 1_000_000, rng.normal(size=CELLS))).misfit > 0.65
+
+
+def test_cells_that_follow_the_depth_weigh_more_than_noise() -> None:
+    rng = np.random.default_rng(6)
+    depth = rng.uniform(0.0, 1.0, 200)
+    values = rng.normal(0.0, 0.05, (200, 3))
+    values[:, 0] += 0.5 * depth
+    values[:, 1] -= 0.3 * depth
+    weight = brightening(values.astype(np.float32), depth)
+    assert weight[0] > 0.0 > weight[1]
+    assert abs(weight[2]) < 0.1 * abs(weight[1])
+
+
+@given(x=st.lists(st.integers(0, 345), min_size=1, max_size=50), y=st.integers(0, 259))
+def test_events_fall_into_the_cells_of_the_frames(x: list[int], y: int) -> None:
+    n = len(x)
+    events = Events(
+        np.arange(n, dtype=np.int64),
+        np.array(x, np.uint16),
+        np.full(n, y, np.uint16),
+        np.ones(n, np.bool_),
+    )
+    cells = by_cell(events, 346, 260).cell
+    for column, cell in zip(x, cells, strict=True):
+        assert int(cell) == (65_535 if column >= 340 else y // 10 * 34 + column // 10)
+
+
+def test_history_is_bounded_and_says_what_it_dropped() -> None:
+    history = EventHistory(span_s=1.0, most=250)
+    for k in range(5):
+        t = np.arange(100, dtype=np.int64) + 1000 * k
+        history.push(CellEvents(t, np.zeros(100, np.uint16), np.ones(100, np.bool_)))
+    assert len(history.snapshot().t_us) == 200
+    assert history.dropped == 300
+    late = np.array([3_000_000], np.int64)
+    history.push(CellEvents(late, np.zeros(1, np.uint16), np.ones(1, np.bool_)))
+    assert history.snapshot().t_us.tolist() == [3_000_000]
+    history.push(CellEvents(late - 2_500_000, np.zeros(1, np.uint16), np.ones(1, np.bool_)))
+    assert history.snapshot().start_us == 500_000

@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The command `experiments models`; torch is imported only once it runs."""
+
+from __future__ import annotations
+
+import json as json_module
+from pathlib import Path
+from typing import Annotated, List, Optional  # noqa: UP035  (as below)
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from mixtac_fger.errors import ConfigError
+
+# typer evaluates these under Python 3.10.
+OptionalPath = Optional[Path]  # noqa: UP045
+OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
+
+
+def models(
+    seeds: Annotated[int, typer.Option(min=1, help='Training seeds per model.')] = 3,
+    model: Annotated[
+        OptionalStrings, typer.Option(help='Only this row; may be given more than once.')
+    ] = None,
+    size: Annotated[
+        str, typer.Option(help='full (CPU, hours), native (GPU) or quick (minutes).')
+    ] = 'full',
+    quick: Annotated[bool, typer.Option('--quick', help='Short for --size quick --seeds 1.')] = (
+        False
+    ),
+    out: Annotated[
+        Path, typer.Option(help='Folder of results; a run that was cut off goes on there.')
+    ] = Path('runs/models'),
+    jobs: Annotated[int, typer.Option(min=1, help='Processes that simulate.')] = 2,
+    json: Annotated[OptionalPath, typer.Option(help='Write the table there as well.')] = None,
+) -> None:
+    """Train all models on one simulated sensor and judge them on fresh trials: one table."""
+    import torch
+
+    from mixtac_fger.experiments.job import Job
+    from mixtac_fger.experiments.suite import ROWS, SIZES
+    from mixtac_fger.experiments.table import aggregate, as_markdown, as_table
+
+    if quick:
+        size, seeds = 'quick', 1
+    chosen = list(model or ROWS)
+    unknown = [name for name in chosen if name not in ROWS]
+    if unknown or size not in SIZES:
+        raise ConfigError(f'model {unknown or ""} size {size!r}: choose {ROWS}; {tuple(SIZES)}')
+    torch.set_num_threads(1)
+    console = Console()
+    work = [
+        Job(SIZES[size], size, name, seed, out)
+        for seed in range(seeds)
+        for name in chosen
+        if name != 'constant' or seed == 0
+    ]
+    results = []
+    with Progress(console=console, transient=True) as progress:
+        bar = progress.add_task('models', total=len(work))
+
+        def report(stage: str, epoch: int, epochs: int, loss: float, error: float | None) -> None:
+            del error
+            text = f'{stage} {epoch}/{epochs}, loss {loss:.5f} N'
+            progress.update(bar, description=text)
+
+        for job in work:
+            found = job.result()
+            if found is None:
+                found = job.carry_out(jobs, report, console.print)
+            results.append(found)
+            progress.advance(bar)
+    table = aggregate(results)
+    console.print(as_table(table, f'MAE [N], simulated, paper_like, {size}, {seeds} seeds'))
+    (out / f'table_{size}.md').write_text(as_markdown(table), encoding='utf-8')
+    if json is not None:
+        content = {'size': size, 'seeds': seeds, 'simulated': True, 'table': table}
+        json.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')

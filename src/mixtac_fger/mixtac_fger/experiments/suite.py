@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What is trained and what it is judged on, for all models the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from mixtac_fger.train.run_config import OURS, DataConfig, RunConfig, SimulatedData
+from mixtac_fger.trial_plan import TrialSpec
+
+CONSTANT = 'constant'
+OURS_MANY = 'ours_many_sensors'
+ROWS = (CONSTANT, 'frames', 'events', 'fusion', 'fger', OURS, OURS_MANY)
+"""Models in the order of the table."""
+_FIRST_TRIAL = 800_000
+"""Trial seeds of the tests; training uses 100,000 to 200,000."""
+_FIRST_DEVICE = 810_000
+_PRESET = 'paper_like'
+
+
+@dataclass(frozen=True, slots=True)
+class Suite:
+    """Sizes of the experiment.
+
+    Attributes:
+        trials: Trials of the one sensor that the models are trained on.
+        sensors: Sensors of the model that is trained on many, with one trial each.
+        seconds: Length of a training trial.
+        tests: Test trials per profile.
+        test_seconds: Length of a test trial, but for impacts and long holds.
+        hold_seconds: Length of a long hold.
+        unseen: Sensors that no training used.
+        paper_network: Size of the paper's networks.
+        paper_training: Their protocol, where it differs.
+        our_training: Ours.
+    """
+
+    trials: int
+    sensors: int
+    seconds: float
+    tests: int
+    test_seconds: float
+    hold_seconds: float
+    unseen: int
+    paper_network: dict[str, Any]
+    paper_training: dict[str, Any]
+    our_training: dict[str, Any]
+
+
+FULL = Suite(
+    trials=24,
+    sensors=96,
+    seconds=8.0,
+    tests=4,
+    test_seconds=20.0,
+    hold_seconds=25.0,
+    unseen=6,
+    paper_network={'scale': 4, 'events_per_packet': 128},
+    paper_training={},
+    our_training={
+        'frame_epochs': 20,
+        'recurrent_epochs': 60,
+        'joint_epochs': 6,
+        'force_weight': 10.0,
+    },
+)
+"""The paper's protocol at a quarter of the resolution, for a CPU and some hours."""
+NATIVE = replace(FULL, paper_network={})
+"""The same at native resolution and full size, for a GPU."""
+QUICK = Suite(
+    trials=4,
+    sensors=4,
+    seconds=5.0,
+    tests=1,
+    test_seconds=6.0,
+    hold_seconds=6.0,
+    unseen=1,
+    paper_network={'scale': 8, 'events_per_packet': 64},
+    paper_training={'epochs': 2, 'batch': 32},
+    our_training={
+        'frame_epochs': 12,
+        'recurrent_epochs': 4,
+        'joint_epochs': 1,
+        'force_weight': 10.0,
+    },
+)
+"""Minutes; shows that it works, its figures mean nothing."""
+SIZES = {'full': FULL, 'native': NATIVE, 'quick': QUICK}
+PROFILES = ('dynamic', 'static', 'impact', 'press', 'dynamic', 'oscillation', 'static', 'impact')
+"""Of the trials that are trained on, in turn."""
+
+
+def run_config(suite: Suite, model: str, seed: int, cache: str) -> RunConfig:
+    """Return the training run of a model; the trials are the same for every seed."""
+    many = model == OURS_MANY
+    count = suite.sensors if many else suite.trials
+    simulated = SimulatedData(_PRESET, count if many else 1, count, suite.seconds, PROFILES)
+    ours = model in {OURS, OURS_MANY, CONSTANT}
+    training = suite.our_training if ours else suite.paper_training
+    return RunConfig(
+        model=OURS if ours else model,
+        network={} if ours else suite.paper_network,
+        training=training | {'seed': seed},
+        data=DataConfig(simulated=simulated, cache=cache, checked=0.0),
+    )
+
+
+def test_specs(suite: Suite, device: int) -> list[TrialSpec]:
+    """Return the test trials on the sensor that was trained on: other days, whole trials."""
+    lengths = {
+        'dynamic': suite.test_seconds,
+        'static': suite.test_seconds,
+        'long_term': suite.hold_seconds,
+        'impact': 4.5,
+    }
+    return [
+        TrialSpec(device, _FIRST_TRIAL + 100 * row + column, profile, seconds, _PRESET)
+        for column, (profile, seconds) in enumerate(lengths.items())
+        for row in range(suite.tests)
+    ]
+
+
+def unseen_specs(suite: Suite) -> tuple[list[TrialSpec], list[TrialSpec]]:
+    """Return dynamic trials of sensors that no training used, and one press of each."""
+    devices = range(_FIRST_DEVICE, _FIRST_DEVICE + suite.unseen)
+    seconds = suite.test_seconds
+    return (
+        [TrialSpec(d, d + 10_000, 'dynamic', seconds, _PRESET) for d in devices],
+        [TrialSpec(d, d + 20_000, 'press', 8.0, _PRESET) for d in devices],
+    )

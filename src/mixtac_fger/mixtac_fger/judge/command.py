@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What `mixtac evaluate` does."""
+
+from __future__ import annotations
+
+import json as json_module
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import track
+
+from mixtac_fger.judge.estimators import load_estimator
+from mixtac_fger.judge.figures import draw_trials
+from mixtac_fger.judge.judging import judge_sources, sensor_scales
+from mixtac_fger.judge.summary import by_profile
+from mixtac_fger.judge.tables import show_figures, show_skipped
+from mixtac_fger.trial_plan import calibration_plan, evaluation_plan, unseen_devices
+from mixtac_fger.trials.bag_source import bag_sources
+from mixtac_fger.trials.simulated_source import SimulatedSource
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from mixtac_fger.judge.judging import Judged
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """Simulated trials to judge by.
+
+    Attributes:
+        gels: Number of sensors.
+        seconds: Length of a trial.
+        seed: Which sensors and days.
+        preset: How hard.
+    """
+
+    gels: int
+    seconds: float
+    seed: int
+    preset: str
+
+
+def evaluate_bags(
+    model: Path, bags: Sequence[Path], reference: str, figures: Path | None, json: Path | None
+) -> None:
+    """Judge a model on bags against the force that is known of each.
+
+    Of bags that `dataset.yaml` describes only the test split is used.
+
+    Args:
+        model: Weight file.
+        bags: Bags, or folders of bags.
+        reference: Topic of the reference force.
+        figures: Picture to draw; None for none.
+        json: File for the figures; None for none.
+
+    Raises:
+        ModelError: The weight file cannot be used.
+        DatasetError: No bag can be judged.
+    """
+    estimator = load_estimator(model)
+    found = [source for folder in bags for source in bag_sources(folder, reference)]
+    sources = [source for source in found if source.origin.get('split', 'test') == 'test']
+    judged = judge_sources(estimator, track(sources, 'judging', transient=True))
+    rows = by_profile(judged.estimates)
+    _report(f'{model.name} on {len(judged.estimates)} bags', rows, judged, figures)
+    content = {'model': str(model), 'bags': [source.name for source in sources]}
+    _write(json, content | {'metrics': {'bags': rows}, 'skipped': judged.skipped})
+
+
+def evaluate_simulated(
+    model: Path, chosen: Simulated, figures: Path | None, json: Path | None
+) -> None:
+    """Judge a model on simulated sensors that no training has used.
+
+    Args:
+        model: Weight file.
+        chosen: Which trials.
+        figures: Picture to draw; None for none.
+        json: File for the figures; None for none.
+
+    Raises:
+        ModelError: The weight file cannot be used.
+    """
+    estimator = load_estimator(model)
+    devices = unseen_devices(chosen.gels, chosen.seed)
+    days = (chosen.seconds, chosen.seed)
+    presses = [SimulatedSource(s) for s in calibration_plan(devices, *days, chosen.preset)]
+    scales = sensor_scales(estimator, track(presses, 'calibrating', transient=True))
+    plan = evaluation_plan(devices, *days, preset=chosen.preset)
+    trials = [SimulatedSource(spec) for spec in plan]
+    judged = judge_sources(estimator, track(trials, 'judging', transient=True))
+    rows = by_profile(judged.estimates, scales)
+    _report(f'{model.name} on {chosen.gels} unseen sensors, simulated', rows, judged, figures)
+    content = {'model': str(model), 'simulated': asdict(chosen)}
+    _write(json, content | {'metrics': {'unseen_devices': rows}, 'skipped': judged.skipped})
+
+
+def _report(title: str, rows: dict[str, Any], judged: Judged, figures: Path | None) -> None:
+    console = Console()
+    show_figures(console, title, rows)
+    show_skipped(console, judged.skipped)
+    if figures is not None:
+        draw_trials(figures, title, judged.estimates)
+        console.print(f'drawn: {figures}')
+
+
+def _write(path: Path | None, content: dict[str, Any]) -> None:
+    if path is not None:
+        path.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')

@@ -1,0 +1,43 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The table: mean and spread, and suites whose trials never meet."""
+
+from __future__ import annotations
+
+import pytest
+
+from mixtac_fger.experiments.suite import FULL, ROWS, run_config, test_specs, unseen_specs
+from mixtac_fger.experiments.table import aggregate, as_markdown
+from mixtac_fger.train.data import training_sources
+
+test_specs.__test__ = False
+
+
+def test_mean_and_spread_over_seeds():
+    def result(seed: int, mae: float) -> dict:
+        return {'model': 'fger', 'seed': seed, 'figures': {'dynamic': {'mae': mae, 'r2': 0.5}}}
+
+    table = aggregate([result(0, 0.1), result(1, 0.2), result(2, 0.3)])
+    assert table['fger']['dynamic']['mae'] == {'mean': 0.2, 'spread': 0.1, 'seeds': 3}
+    assert table['fger']['dynamic']['r2']['spread'] == 0.0
+    assert '| fger | 0.200 +-0.100 |' in as_markdown(table)
+    assert aggregate([result(0, 0.1)])['fger']['dynamic']['mae']['spread'] == 0.0
+
+
+@pytest.mark.parametrize('model', ROWS)
+def test_no_test_trial_is_trained_on(model):
+    trained = [source.spec for source in training_sources(run_config(FULL, model, 1, '').data)]
+    seen = test_specs(FULL, trained[0].device_seed)
+    unseen, presses = unseen_specs(FULL)
+    assert {s.device_seed for s in seen} <= {s.device_seed for s in trained}
+    assert not {s.trial_seed for s in trained} & {s.trial_seed for s in [*seen, *unseen, *presses]}
+    assert not {s.device_seed for s in trained} & {s.device_seed for s in unseen}
+    assert not {s.trial_seed for s in unseen} & {s.trial_seed for s in presses}
+    names = [spec.name for spec in [*seen, *unseen, *presses]]
+    assert len(set(names)) == len(names)
+
+
+def test_all_seeds_see_the_same_trials():
+    runs = [run_config(FULL, 'fger', seed, '') for seed in (0, 1)]
+    assert runs[0].data == runs[1].data
+    assert runs[0].training != runs[1].training

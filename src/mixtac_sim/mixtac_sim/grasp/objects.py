@@ -1,0 +1,206 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's three objects, held between fingertip and wall, and what hits them.
+
+The paper names a box, a deformable cup and a rigid ball, pressed with the smallest force that
+holds, and a 100 g weight that falls 5 cm onto them. It gives no masses, frictions or stiffnesses:
+those here are estimates, drawn anew for every trial.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from mixtac_sim.contact_steps import GRAVITY
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.grasp.friction import Friction
+from mixtac_sim.indenter import Indenter
+from mixtac_sim.random_streams import log_uniform
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+ObjectName = Literal['box', 'cup', 'ball']
+
+WEIGHT_KG = 0.1
+"""Of the falling weight (paper)."""
+DROP_M = 0.05
+"""Its height of fall (paper)."""
+WEIGHT_IMPULSE_N_S = WEIGHT_KG * float(np.sqrt(2.0 * GRAVITY * DROP_M))
+"""What it carries [N s]: 0.099."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldObject:
+    """A kind of object.
+
+    Attributes:
+        face: What touches the skin.
+        mass_g: Range of the mass [g].
+        n_per_mm: Range of the object's own stiffness [N/mm].
+        mu: Range of its friction on the skin at 1 mm/s.
+        wall_mu: Range of its static friction on the wall.
+        pulse_s: Duration of the weight's blow [s].
+    """
+
+    face: Indenter
+    mass_g: tuple[float, float]
+    n_per_mm: tuple[float, float]
+    mu: tuple[float, float]
+    wall_mu: tuple[float, float]
+    pulse_s: float
+
+
+OBJECTS: Mapping[ObjectName, HeldObject] = MappingProxyType(
+    {
+        'box': HeldObject(Indenter('flat', 6.0), (60, 90), (20, 60), (0.7, 0.9), (0.4, 0.6), 1e-3),
+        'cup': HeldObject(
+            Indenter('sphere', 35.0), (25, 40), (0.7, 1.5), (0.7, 0.9), (0.4, 0.6), 3e-3
+        ),
+        'ball': HeldObject(
+            Indenter('sphere', 20.0), (40, 60), (50, 100), (0.5, 0.7), (0.3, 0.5), 1e-3
+        ),
+    }
+)
+"""The objects by name."""
+WALL_KINETIC = 0.9
+"""Kinetic over static friction on the wall (estimate)."""
+
+
+@dataclass(frozen=True, slots=True)
+class GraspSetup:
+    """One object in one grasp, with what happens to it.
+
+    Attributes:
+        name: Kind of object.
+        mass_g: Its mass [g].
+        n_per_mm: Its own stiffness [N/mm].
+        friction: On the skin.
+        wall_mu: Static friction on the wall; the kinetic one is 0.9 of it.
+        margin: Grasp force over the smallest that holds.
+        knock_mm_s: Speed that the blow gives the object [mm/s].
+        pulse_s: Duration of the blow [s], a half sine.
+        knock_s: When it begins [s].
+        stiffness_n_per_mm: Stiffness of the whole contact [N/mm], where it is to be a given one.
+    """
+
+    name: ObjectName
+    mass_g: float
+    n_per_mm: float
+    friction: Friction
+    wall_mu: float
+    margin: float
+    knock_mm_s: float
+    pulse_s: float
+    knock_s: float
+    stiffness_n_per_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a grasp that means nothing.
+
+        Raises:
+            SimulationError: An unknown object, or a mass, margin or time that is not positive.
+        """
+        if self.name not in OBJECTS:
+            msg = f'object {self.name!r} is unknown; choose among {", ".join(OBJECTS)}'
+            raise SimulationError(msg)
+        if min(self.mass_g, self.n_per_mm, self.wall_mu, self.margin, self.pulse_s) <= 0.0:
+            msg = f'{self}: mass, stiffness, friction, margin and pulse must be > 0'
+            raise SimulationError(msg)
+
+    @property
+    def weight_n(self) -> float:
+        """Return the object's weight [N]."""
+        return 1e-3 * self.mass_g * GRAVITY
+
+    @property
+    def round_face(self) -> bool:
+        """Return whether the object touches the skin with a round face."""
+        return OBJECTS[self.name].face.shape == 'sphere'
+
+    def constants(self) -> tuple[float, float, float, float, float, float, float]:
+        """Return what ``fall`` needs of it."""
+        return (
+            1e-3 * self.mass_g,
+            self.weight_n,
+            self.wall_mu,
+            WALL_KINETIC * self.wall_mu,
+            self.knock_s,
+            self.pulse_s,
+            self.knock_mm_s,
+        )
+
+    @property
+    def transmitted(self) -> float:
+        """Return the share of the falling weight's momentum that the object got."""
+        return 1e-6 * self.mass_g * self.knock_mm_s / WEIGHT_IMPULSE_N_S
+
+    def knocked(self, speed_mm_s: float) -> GraspSetup:
+        """Return this grasp with another knock."""
+        return replace(self, knock_mm_s=speed_mm_s)
+
+
+def draw_setup(
+    name: ObjectName,
+    rng: np.random.Generator,
+    *,
+    margin: float = 1.05,
+    transmitted: tuple[float, float] = (0.02, 0.05),
+    knock_mm_s: float | None = None,
+    knock_s: float = 0.6,
+    stiffness_n_per_mm: float | None = None,
+) -> GraspSetup:
+    """Return a trial's grasp.
+
+    Args:
+        name: Kind of object.
+        rng: Draws it.
+        margin: Grasp force over the smallest that holds.
+        transmitted: Range of the share of the weight's momentum that arrives (the paper's 0.32 mm
+            in 13 ms means a few percent).
+        knock_mm_s: Speed after the blow [mm/s], instead of a share.
+        knock_s: When it begins [s].
+        stiffness_n_per_mm: Stiffness of the whole contact [N/mm], if it is to be a given one.
+
+    Raises:
+        SimulationError: Unknown object.
+    """
+    if name not in OBJECTS:
+        msg = f'object {name!r} is unknown; choose among {", ".join(OBJECTS)}'
+        raise SimulationError(msg)
+    kind = OBJECTS[name]
+    mass = rng.uniform(*kind.mass_g)
+    share = rng.uniform(*transmitted)
+    return GraspSetup(
+        name=name,
+        mass_g=mass,
+        n_per_mm=rng.uniform(*kind.n_per_mm),
+        friction=draw_friction(rng, kind.mu),
+        wall_mu=rng.uniform(*kind.wall_mu),
+        margin=margin,
+        knock_mm_s=1e6 * share * WEIGHT_IMPULSE_N_S / mass if knock_mm_s is None else knock_mm_s,
+        pulse_s=kind.pulse_s,
+        knock_s=knock_s,
+        stiffness_n_per_mm=stiffness_n_per_mm,
+    )
+
+
+def draw_friction(rng: np.random.Generator, mu: tuple[float, float] = (0.6, 1.0)) -> Friction:
+    """Return the friction of some object on the skin (spreads are estimates).
+
+    Args:
+        rng: Draws it.
+        mu: Range of the coefficient at 1 mm/s.
+    """
+    return Friction(
+        mu=rng.uniform(*mu),
+        rate=rng.uniform(0.008, 0.016),
+        ageing=rng.uniform(0.018, 0.026),
+        slip_mm=log_uniform(rng, (3e-3, 0.05)),
+        roughness=rng.uniform(0.03, 0.08),
+        grain_mm=rng.uniform(0.08, 0.3),
+    )

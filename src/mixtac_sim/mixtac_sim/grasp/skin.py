@@ -1,0 +1,245 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The skin under an object, in patches that stick and slip each on their own.
+
+The gel under each patch is a shear spring to the mesh, neighbours pull at each other through the
+skin, and a skin that moves sends a shear wave into the gel, which resists its speed (the
+quasi-dynamic approximation of fault mechanics, Rice 1993). The layer's resonance, some 400 Hz,
+is not modelled; beads see the wave as a delay. Where friction weakens within a slip that is short
+against the weakening over the stiffness, patches stick and slip; otherwise they slide smoothly.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from mixtac_sim.grasp.friction import REFERENCE_MM_S
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_sim.elastomer import Layer
+    from mixtac_sim.grasp.friction import Friction
+
+RINGS = ((0.0, 1), (0.4, 5), (0.8, 10))
+"""Radius over the contact's, and number, of the patches of each ring."""
+COUPLING = 0.5
+"""Pull of the other patches over that of the gel below (estimate)."""
+NODES = 512
+"""Length of the table of the surface's unevenness, in thirds of a grain; it repeats after that."""
+DENSITY_KG_M3 = 1000.0
+"""Of the gel (silicone: 970 to 1070)."""
+ITERATIONS = 5
+"""Newton steps towards the slip speed, from above; four give 1e-6 of it."""
+
+
+def patch_places(radius_mm: float) -> NDArray[np.float64]:
+    """Return the centres of the patches of a contact [16, 2] [mm], from its centre."""
+    places = []
+    for share, count in RINGS:
+        angle = 2.0 * np.pi * (np.arange(count) + 0.5 * (share > 0.5)) / count
+        places.append(share * radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    return np.concatenate(places)
+
+
+class Skin:
+    """State of the patches.
+
+    Args:
+        layer: The sensing layer.
+        radius_mm: Contact radius [mm].
+        friction: Against the object.
+        round_face: Whether pressure falls towards the rim, as under a ball.
+        rng: Draws the object's surface.
+
+    Attributes:
+        places_mm: Centres of the patches [16, 2] [mm] from the contact's.
+        shear_mm: Displacement of each patch along the pull [16] [mm].
+        age_s: State theta of each patch [16] [s].
+        slid_mm: Distance the object has slipped on each patch [16] [mm].
+        stiffness: Shear stiffness of each patch [16] [N/mm].
+        shares: Share of the normal force on each patch [16].
+        surface: Unevenness of the object along its slip [16, 512].
+    """
+
+    def __init__(
+        self,
+        layer: Layer,
+        radius_mm: float,
+        friction: Friction,
+        rng: np.random.Generator,
+        *,
+        round_face: bool = False,
+    ) -> None:
+        self.friction = friction
+        self.places_mm = patch_places(radius_mm)
+        count = len(self.places_mm)
+        away = np.hypot(*self.places_mm.T) / radius_mm
+        pressure = np.sqrt(1.0 - away**2) if round_face else np.ones(count)
+        self.shares = pressure / pressure.sum()
+        total = shear_stiffness(layer, radius_mm)
+        self.stiffness = np.full(count, total / count)
+        self._resistance = wave_resistance(layer, radius_mm) / count
+        self.shear_mm = np.zeros(count)
+        self.age_s = np.full(count, 1e-3)
+        self.slid_mm = np.zeros(count)
+        self.surface = _surface(rng, count, friction.roughness)
+
+    def rest(self, pull_n: float, rest_s: float) -> None:
+        """Let the skin bear a pull [N] as if it had done so for a time [s]."""
+        self.shear_mm[:] = pull_n / self.stiffness.sum()
+        self.age_s[:] = rest_s
+
+    @property
+    def pull_n(self) -> float:
+        """Return the tangential force on the object [N]."""
+        return float(np.dot(self.stiffness, self.shear_mm))
+
+    def drag(
+        self, speeds_mm_s: NDArray[np.float64], normal_n: NDArray[np.float64], step_s: float
+    ) -> None:
+        """Move an object over the skin at given speeds [n] under normal forces [n] [N].
+
+        Args:
+            speeds_mm_s: Speed of the object over each step [n] [mm/s].
+            normal_n: Normal force over each step [n] [N].
+            step_s: Length of a step [s].
+        """
+        state, gel, law = self.arrays()
+        _drag(state, gel, self.surface, law, normal_n, speeds_mm_s, step_s)
+
+    def arrays(
+        self,
+    ) -> tuple[
+        tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+        tuple[NDArray[np.float64], NDArray[np.float64]],
+        tuple[float, float, float, float, float, float],
+    ]:
+        """Return state, gel and friction as the kernel ``slide`` takes them."""
+        nodes_per_mm = 3.0 / self.friction.grain_mm
+        return (
+            (self.shear_mm, self.age_s, self.slid_mm),
+            (self.stiffness, self.shares),
+            (*self.friction.row(), nodes_per_mm, self._resistance),
+        )
+
+
+def shear_stiffness(layer: Layer, radius_mm: float) -> float:
+    """Return the shear stiffness of the gel under a contact [N/mm]; as in ``Shear``."""
+    return 1e-3 * layer.modulus_kpa / 3.0 * _sheared_mm2(layer, radius_mm) / layer.thickness_mm
+
+
+def wave_speed_mm_s(layer: Layer) -> float:
+    """Return the speed of shear waves in the gel [mm/s]."""
+    return 1e3 * float(np.sqrt(1e3 * layer.modulus_kpa / 3.0 / DENSITY_KG_M3))
+
+
+def wave_resistance(layer: Layer, radius_mm: float) -> float:
+    """Return the force per speed of the skin that goes into shear waves [N s/mm]."""
+    area_m2 = 1e-6 * _sheared_mm2(layer, radius_mm)
+    return 1e-6 * DENSITY_KG_M3 * wave_speed_mm_s(layer) * area_m2
+
+
+def _sheared_mm2(layer: Layer, radius_mm: float) -> float:
+    return float(np.pi * (radius_mm + 0.5 * layer.thickness_mm) ** 2)
+
+
+def _surface(rng: np.random.Generator, count: int, deviation: float) -> NDArray[np.float64]:
+    """Return smooth random numbers around a circle [count, NODES] of a standard deviation."""
+    noise = rng.standard_normal((count, NODES))
+    smooth = sum(np.roll(noise, k, axis=1) for k in (-1, 0, 1))
+    return np.asarray(deviation / np.sqrt(3.0) * smooth)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def slip_speed(drive_n: float, strength_n: float, rate_n: float, damping: float) -> float:
+    """Return the slip speed w [mm/s] at which rate_n ln(w) + strength_n + damping w = drive_n.
+
+    Args:
+        drive_n: Force that drives the slip [N], not negative.
+        strength_n: Friction at 1 mm/s [N].
+        rate_n: Friction per factor e of the speed [N].
+        damping: Loss of the driving force with the speed [N s/mm], positive.
+    """
+    if drive_n <= 0.0:
+        return 0.0
+    # All bounds lie above the root of this convex function, so that Newton comes from one side.
+    most = np.log(drive_n / damping)
+    short = strength_n + rate_n * most
+    if short < 0.0:
+        most = np.log((drive_n - short) / damping)
+    log_w = min((drive_n - strength_n) / rate_n, most)
+    for _ in range(ITERATIONS):
+        lost = damping * np.exp(min(log_w, 50.0))
+        error = rate_n * log_w + strength_n + lost - drive_n
+        log_w -= error / (rate_n + lost)
+    return float(np.exp(min(log_w, 50.0)))
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def slide(
+    state: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    gel: tuple[NDArray[np.float64], NDArray[np.float64]],
+    surface: NDArray[np.float64],
+    law: tuple[float, float, float, float, float, float],
+    normal_n: float,
+    speed_mm_s: float,
+    step_s: float,
+) -> float:
+    """Advance all patches by one implicit step; return the pull [N].
+
+    Args:
+        state: Shear [mm], age [s] and slip [mm] of each patch; changed.
+        gel: Stiffness [N/mm] and share of the normal force of each patch.
+        surface: Unevenness along the slip [patch, NODES].
+        law: mu, rate, ageing, slip_mm, nodes per mm and a patch's wave resistance [N s/mm].
+        normal_n: Normal force [N].
+        speed_mm_s: Speed of the object [mm/s].
+        step_s: Length of the step [s].
+    """
+    shear, age, slid = state
+    stiffness, shares = gel
+    mu, rate, ageing, slip_mm, nodes_per_mm, resistance = law
+    mean = np.mean(shear)
+    pull = 0.0
+    for i in range(shear.size):
+        normal = max(normal_n * shares[i], 1e-6)
+        place = abs(slid[i]) * nodes_per_mm
+        low = int(place)
+        part = place - low
+        uneven = (1.0 - part) * surface[i, low % NODES] + part * surface[i, (low + 1) % NODES]
+        strength = mu * (1.0 + uneven) + ageing * np.log(REFERENCE_MM_S * age[i] / slip_mm)
+        # With the shear at the end of the step: drive - damping * w, for w the slip speed.
+        damping = resistance + stiffness[i] * (1.0 + COUPLING) * step_s
+        held = stiffness[i] * (shear[i] + COUPLING * (shear[i] - mean))
+        drive = held + damping * speed_mm_s
+        slip = slip_speed(abs(drive), normal * strength, normal * rate, damping)
+        slip = slip if drive >= 0.0 else -slip
+        shear[i] += step_s * (speed_mm_s - slip)
+        slid[i] += abs(slip) * step_s
+        decay = abs(slip) * step_s / slip_mm
+        if decay < 1e-9:
+            age[i] += step_s
+        else:
+            steady = step_s / decay
+            age[i] = max(steady + (age[i] - steady) * np.exp(-decay), 1e-9)
+        pull += stiffness[i] * shear[i] + resistance * (speed_mm_s - slip)
+    return pull
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _drag(
+    state: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    gel: tuple[NDArray[np.float64], NDArray[np.float64]],
+    surface: NDArray[np.float64],
+    law: tuple[float, float, float, float, float, float],
+    normal_n: NDArray[np.float64],
+    speeds_mm_s: NDArray[np.float64],
+    step_s: float,
+) -> None:
+    """Carry out some steps; see ``Skin.drag``."""
+    for k in range(speeds_mm_s.size):
+        slide(state, gel, surface, law, normal_n[k], speeds_mm_s[k], step_s)

@@ -1,0 +1,193 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What the sensor sees of an object that moves over it as prescribed.
+
+For the development and measurement of slip detectors: the truth is known to the microsecond.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_sim.bead_motion import BeadMotion
+from mixtac_sim.conditions import draw_conditions
+from mixtac_sim.contact_steps import STEP_US
+from mixtac_sim.device import draw_device
+from mixtac_sim.elastomer import Layer
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.grasp.objects import draw_friction
+from mixtac_sim.grasp.press import SETTLE_S, Press
+from mixtac_sim.grasp.skin import Skin
+from mixtac_sim.grasp.skin_beads import SkinBeads
+from mixtac_sim.grasp.skin_camera import SkinBlock, SkinCamera, on_day
+from mixtac_sim.indenter import Indenter
+from mixtac_sim.presets import PAPER_LIKE
+from mixtac_sim.random_streams import stream
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
+    from mixtac_sim.aps import ApsFrame
+    from mixtac_sim.flicker import Flicker
+    from mixtac_sim.grasp.friction import Friction
+    from mixtac_sim.presets import Preset
+
+FACE = Indenter('flat', 6.0)
+"""Face of the object where none is given: 12 mm wide (choice)."""
+STIFF_N_PER_MM = 100.0
+"""Stiffness of an object that does not yield [N/mm]."""
+FRICTION_RATIO = 0.95
+"""Pull that the gel bears at the start over what friction holds: about to slip (choice)."""
+SUBSTEPS = 8
+"""Steps of the friction per grid step."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneBlock:
+    """One block of a scene; times are true time [us] since its start.
+
+    Attributes:
+        end_us: End of the block [us].
+        events: Events that left the chip.
+        frames: Frames whose exposure ended.
+        normal_n: Normal force at the end [N].
+        pull_n: Tangential force on the object at the end [N].
+        object_mm: Place of the object along its way at the end [mm].
+        slipped_mm: Mean slip over the skin at the end [mm].
+    """
+
+    end_us: int
+    events: Events
+    frames: list[ApsFrame]
+    normal_n: float
+    pull_n: float
+    object_mm: float
+    slipped_mm: float
+
+
+class SlipScene:
+    """A held object that is moved over the skin.
+
+    Args:
+        device_seed: The sensor.
+        seed: The day, the object's surface, the direction of the slip, the noise.
+        preset: How hard the sensor is.
+        force_n: Normal force [N].
+        friction: Of the object; drawn around ``Friction()`` if None.
+        face: Of the object.
+        flicker: Of the lamps; as in the preset if None.
+        load_ratio: Pull at the start over what friction holds.
+    """
+
+    def __init__(
+        self,
+        device_seed: int,
+        seed: int,
+        preset: Preset = PAPER_LIKE,
+        *,
+        force_n: float = 0.7,
+        friction: Friction | None = None,
+        face: Indenter = FACE,
+        flicker: Flicker | None = None,
+        load_ratio: float = FRICTION_RATIO,
+    ) -> None:
+        conditions = draw_conditions(seed, preset)
+        device = on_day(draw_device(device_seed, preset), conditions)
+        layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
+        rng = stream(seed, 'slip scene')
+        law = friction or draw_friction(rng)
+        self._press = Press(device, layer, face, STIFF_N_PER_MM, force_n)
+        radius = self._press.radius_mm()
+        self._skin = Skin(layer, radius, law, rng, round_face=face.shape == 'sphere')
+        self._skin.rest(load_ratio * law.static(SETTLE_S) * force_n, SETTLE_S)
+        beads = BeadMotion(device, layer, conditions.contact_mm, [face], [self._press.gel])
+        moved = SkinBeads(device, layer, conditions.contact_mm, self._skin.places_mm, radius)
+        angle = rng.normal(0.5 * np.pi, 0.15)
+        self._force_n, self._object_mm = force_n, 0.0
+        self._camera = SkinCamera(
+            device,
+            conditions,
+            preset,
+            seed,
+            beads,
+            moved,
+            (float(np.cos(angle)), float(np.sin(angle))),
+            SkinBlock(np.array([self._press.elastic_n]), self._skin.shear_mm[None].copy()),
+            flicker=flicker,
+        )
+
+    def advance(
+        self, speed_mm_s: NDArray[np.float64], force_n: NDArray[np.float64] | None = None
+    ) -> SceneBlock:
+        """Return what happens over a block.
+
+        Args:
+            speed_mm_s: Speed of the object at the end of each step of 125 us [n] [mm/s].
+            force_n: Normal force over each step [n] [N]; that of the start if None.
+
+        Raises:
+            SimulationError: Arrays of unequal lengths.
+        """
+        count = len(speed_mm_s)
+        wanted = np.full(count, self._force_n) if force_n is None else force_n
+        if len(wanted) != count:
+            msg = f'{count} speeds and {len(wanted)} forces; give one of each per 125 us'
+            raise SimulationError(msg)
+        normal, elastic = self._press.hold_force(wanted)
+        patches = np.empty((count, len(self._skin.shear_mm)))
+        for k in range(count):
+            speeds, forces = np.full(SUBSTEPS, speed_mm_s[k]), np.full(SUBSTEPS, normal[k])
+            self._skin.drag(speeds, forces, 1e-6 * STEP_US / SUBSTEPS)
+            patches[k] = self._skin.shear_mm
+        self._object_mm += 1e-6 * STEP_US * float(np.sum(speed_mm_s))
+        events, frames = self._camera.advance(SkinBlock(elastic, patches))
+        return SceneBlock(
+            self._camera.now_us,
+            events,
+            frames,
+            float(normal[-1]),
+            self._skin.pull_n,
+            self._object_mm,
+            float(np.mean(self._skin.slid_mm)),
+        )
+
+    def play(
+        self,
+        speed_mm_s: NDArray[np.float64],
+        force_n: NDArray[np.float64] | None = None,
+        block_steps: int = 8,
+    ) -> Iterator[SceneBlock]:
+        """Yield the blocks of a whole profile; arrays as in ``advance``.
+
+        Args:
+            speed_mm_s: Speed of the object [n] [mm/s].
+            force_n: Normal force [n] [N].
+            block_steps: Grid steps of 125 us per block.
+        """
+        for first in range(0, len(speed_mm_s), block_steps):
+            part = slice(first, first + block_steps)
+            yield self.advance(speed_mm_s[part], None if force_n is None else force_n[part])
+
+
+def knock_profile(
+    speed_mm_s: float, onset_s: float, slip_s: float, total_s: float, rise_s: float = 5e-4
+) -> NDArray[np.float64]:
+    """Return the speed of an object that is at rest, slips and rests again [n] [mm/s].
+
+    Args:
+        speed_mm_s: Speed of the slip [mm/s].
+        onset_s: When it begins [s].
+        slip_s: How long it lasts [s].
+        total_s: Length of the profile [s].
+        rise_s: Time to reach the speed and to stop [s].
+    """
+    t = (np.arange(round(1e6 * total_s / STEP_US)) + 1) * 1e-6 * STEP_US
+    up = np.clip((t - onset_s) / rise_s, 0.0, 1.0)
+    down = np.clip((onset_s + slip_s - t) / rise_s, 0.0, 1.0)
+    return np.asarray(speed_mm_s * np.minimum(up, down))

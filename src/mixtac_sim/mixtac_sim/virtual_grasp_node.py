@@ -1,0 +1,195 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""An object held between the virtual sensor and a wall, as a node.
+
+The camera hands everything over about 20 ms after it was simulated, because a frame must be known
+before its readout begins; so the arm's answer reaches the object that much later than on a bench.
+`mixtac bench slip` has no such delay.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from threading import Event, Thread
+from typing import TYPE_CHECKING
+
+import numpy as np
+from geometry_msgs.msg import PointStamped, WrenchStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, declare, ns_to_stamp, run
+from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
+from mixtac_sim.arm.fr3 import JOINT_NAMES, flange_place
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.grasp.live_grasp import LiveGrasp
+from mixtac_sim.grasp.objects import OBJECTS, ObjectName, draw_setup
+from mixtac_sim.inertial_unit import InertialUnit
+from mixtac_sim.live_profile import LiveProfile
+from mixtac_sim.presets import preset
+from mixtac_sim.random_streams import stream
+from mixtac_sim.reference import ReferenceSensor
+from mixtac_sim.simulation_clock import SimulationClock
+from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.server import UsbServer, check_free
+from mixtac_sim.usb.wire import default_socket_path
+from mixtac_sim.virtual_grasp_parameters import VirtualGraspParameters
+from mixtac_sim.virtual_sensor import VirtualSensor
+
+if TYPE_CHECKING:
+    from mixtac_sim.virtual_sensor import WrenchBatch
+
+PUBLISH_PERIOD_S = 2e-3
+
+
+class VirtualGraspNode(Node):  # type: ignore[misc]
+    """Runs sensor and grasp, follows the arm's joint states, and strikes when asked to.
+
+    Services: ``~/knock`` strikes the object, ``~/put_back`` puts it back. Topics:
+    ``truth/wrench``, ``truth/object`` (its place, z in m, downwards negative), and ``force``.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('virtual_grasp', namespace='mixtac')
+        self._settings = declare(self, VirtualGraspParameters, self._change)
+        settings = self._settings
+        self._normal = np.array([settings.normal_x, settings.normal_y, settings.normal_z])
+        if abs(float(np.linalg.norm(self._normal)) - 1.0) > 1e-3:
+            msg = f'contact normal {self._normal.tolist()} is not of length 1; normalise it'
+            raise SimulationError(msg)
+        path = settings.socket or default_socket_path()
+        check_free(path)
+        self._start_m: np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None = None
+        self._stop = Event()
+        self._knocks, self._next_knock_s = 0, time.monotonic() + settings.knock_every
+        self._grasp, self._sensor = _make(settings)
+        self._server = UsbServer(self._sensor.device, path)
+        self._wire(settings)
+        self._diagnostics = DiagnosticsPublisher(self, self._sensor.device.serial, self._status)
+        self._sensor.start()
+        self._thread = Thread(target=self._publish_all, name='publish', daemon=True)
+        self._thread.start()
+
+    def _wire(self, settings: VirtualGraspParameters) -> None:
+        self._truth = self.create_publisher(WrenchStamped, 'truth/wrench', QOS_FORCE)
+        self._place = self.create_publisher(PointStamped, 'truth/object', QOS_FORCE)
+        self._force = (
+            self.create_publisher(WrenchStamped, 'force', QOS_FORCE)
+            if settings.publish_force
+            else None
+        )
+        self.create_subscription(
+            JointState, settings.joint_state_topic, self._on_joints, QOS_SENSOR
+        )
+        self.create_service(Trigger, '~/knock', self._on_knock)
+        self.create_service(Trigger, '~/put_back', self._on_put_back)
+
+    def close(self) -> None:
+        """End threads, remove the socket."""
+        self._stop.set()
+        self._thread.join(5.0)
+        self._sensor.close()
+        self._server.close()
+
+    def _change(self, settings: VirtualGraspParameters) -> None:
+        self._settings = settings
+        self._next_knock_s = time.monotonic() + settings.knock_every
+
+    def _on_joints(self, message: JointState) -> None:
+        places = dict(zip(message.name, message.position, strict=False))
+        if not all(name in places for name in JOINT_NAMES):
+            return
+        place = flange_place(np.array([places[name] for name in JOINT_NAMES]))
+        if self._start_m is None:
+            self._start_m = place
+        self._grasp.move(1e3 * float((place - self._start_m) @ self._normal))
+
+    def _strike(self) -> None:
+        self._grasp.strike(self._settings.knock)
+        self._knocks += 1
+
+    def _on_knock(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._strike()
+        response.success, response.message = True, f'{self._settings.knock:g} mm/s'
+        return response
+
+    def _on_put_back(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._grasp.put_back()
+        response.success = True
+        return response
+
+    def _publish_all(self) -> None:
+        while not self._stop.wait(PUBLISH_PERIOD_S):
+            self._sensor.take_reference()
+            for batch in self._sensor.take_truth():
+                self._hand_out(batch)
+            now_s, every = time.monotonic(), self._settings.knock_every
+            if every > 0.0 and now_s >= self._next_knock_s:
+                self._next_knock_s = now_s + every
+                self._strike()
+
+    def _hand_out(self, batch: WrenchBatch) -> None:
+        message = WrenchStamped()
+        message.header.frame_id = 'mixtac_contact'
+        for stamp_ns, wrench in zip(batch.stamp_ns.tolist(), batch.wrench.tolist(), strict=True):
+            message.header.stamp = ns_to_stamp(stamp_ns)
+            force = message.wrench.force
+            force.x, force.y, force.z = wrench[:3]
+            self._truth.publish(message)
+        if len(batch.stamp_ns):
+            if self._force is not None:
+                self._force.publish(message)
+            place = PointStamped()
+            place.header = message.header
+            place.point.z = -1e-3 * self._grasp.object_mm
+            self._place.publish(place)
+
+    def _status(self) -> Status:
+        state = self._sensor.state()
+        if not state.running:
+            return Status(ERROR, 'SIMULATED grasp, stopped by a defect: see its output', {})
+        return Status(
+            OK,
+            f'SIMULATED grasp of a {self._settings.object}',
+            {
+                'simulated': True,
+                'grasp_force': self._grasp.grasp_n,
+                'object_mm': self._grasp.object_mm,
+                'knocks': self._knocks,
+                'overruns': state.overruns,
+                'socket': self._server.path,
+            },
+        )
+
+
+def _make(settings: VirtualGraspParameters) -> tuple[LiveGrasp, VirtualSensor]:
+    """Return the grasp and the sensor that runs it."""
+    name: ObjectName = next(each for each in OBJECTS if each == settings.object)
+    level, clock = preset(settings.preset), SimulationClock()
+    rng = stream(settings.seed, 'virtual grasp')
+    setup = draw_setup(name, rng, margin=settings.margin)
+    grasp = LiveGrasp(setup, settings.device_seed, settings.seed, level)
+    serial = f'{settings.device_seed:08d}'
+    device = VirtualDavis346(serial, skew_ppm=settings.skew_ppm, clock=clock.now_us)
+    sensor = VirtualSensor(
+        grasp,
+        LiveProfile(),
+        device,
+        ReferenceSensor(settings.seed, preset=level),
+        InertialUnit(settings.device_seed),
+        clock,
+    )
+    return grasp, sensor
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(VirtualGraspNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Rate-and-state friction of the skin against its closed forms."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from mixtac_sim.elastomer import Layer
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.grasp.friction import Friction
+from mixtac_sim.grasp.skin import Skin, shear_stiffness, slip_speed, wave_resistance
+
+LAYER = Layer(160.0, 4.0)
+EVEN = Friction(roughness=0.0, slip_mm=0.02)
+STEP_S = 15.625e-6
+
+
+def _skin(friction: Friction = EVEN) -> Skin:
+    return Skin(LAYER, 6.0, friction, np.random.default_rng(0))
+
+
+@settings(deadline=None)
+@given(st.floats(1e-3, 2.0), st.floats(-1.0, 2.0), st.floats(1e-4, 0.05), st.floats(1e-6, 1e-2))
+def test_slip_speed_solves_its_equation(
+    drive: float, strength: float, rate: float, damping: float
+) -> None:
+    def off(log_w: float) -> float:
+        return rate * log_w + strength + damping * np.exp(log_w) - drive
+
+    root = brentq(off, -3e5, np.log(1e5 * drive / damping + 1e9), xtol=1e-12)
+    assert slip_speed(drive, strength, rate, damping) == pytest.approx(
+        np.exp(root), rel=2e-2, abs=1e-9
+    )
+
+
+@pytest.mark.parametrize('speed', [1.0, 10.0, 50.0])
+def test_steady_sliding_pulls_with_the_steady_coefficient(speed: float) -> None:
+    skin, force = _skin(), 0.8
+    skin.rest(0.5, 1.0)
+    count = round(60 * EVEN.slip_mm / speed / STEP_S) + 20_000
+    skin.drag(np.full(count, speed), np.full(count, force), STEP_S)
+    assert skin.pull_n == pytest.approx(EVEN.steady(speed) * force, rel=2e-3)
+
+
+def test_below_friction_the_gel_is_a_spring() -> None:
+    skin = _skin()
+    skin.rest(0.0, 10.0)
+    # 20 um at 2 mm/s under 2 N: the pull stays far below friction.
+    skin.drag(np.full(640, 2.0), np.full(640, 2.0), STEP_S)
+    assert skin.pull_n == pytest.approx(shear_stiffness(LAYER, 6.0) * 0.02, rel=1e-3)
+    assert skin.slid_mm.max() < 1e-5
+
+
+def test_stiffness_is_that_of_a_sheared_block() -> None:
+    area_mm2 = np.pi * (6.0 + 2.0) ** 2
+    assert shear_stiffness(LAYER, 6.0) == pytest.approx(0.16 / 3.0 * area_mm2 / 4.0)
+    # Density times wave speed times area, in N s/m.
+    resistance = 1000.0 * np.sqrt(160e3 / 3.0 / 1000.0) * area_mm2 * 1e-6
+    assert wave_resistance(LAYER, 6.0) == pytest.approx(1e-3 * resistance)
+
+
+def test_a_rested_contact_is_stronger_than_a_sliding_one() -> None:
+    peak, steady = [], []
+    for rest_s in (0.1, 10.0):
+        skin = _skin()
+        skin.rest(0.5, rest_s)
+        pulls = []
+        for _ in range(300):
+            skin.drag(np.full(8, 10.0), np.full(8, 0.8), STEP_S)
+            pulls.append(skin.pull_n)
+        peak.append(max(pulls))
+        steady.append(pulls[-1])
+    assert peak[0] > 1.02 * steady[0]
+    assert peak[1] > peak[0]
+
+
+def test_time_steps_do_not_matter() -> None:
+    ends = []
+    for cut in (1, 4):
+        skin = _skin(Friction(slip_mm=0.01))
+        skin.rest(0.5, 3.0)
+        count = 640 * cut
+        skin.drag(np.full(count, 30.0), np.full(count, 0.8), STEP_S / cut)
+        ends.append(skin.pull_n)
+    assert ends[0] == pytest.approx(ends[1], rel=0.02)
+
+
+def test_refuses_friction_without_a_meaning() -> None:
+    with pytest.raises(SimulationError, match='must be > 0'):
+        Friction(slip_mm=0.0)

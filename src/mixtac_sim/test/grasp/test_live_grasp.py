@@ -1,0 +1,53 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The grasp as the virtual sensor runs it: struck, caught by the fingertip, put back."""
+
+import numpy as np
+import pytest
+
+from mixtac_sim.aps import ApsSettings
+from mixtac_sim.grasp.live_grasp import LiveGrasp
+from mixtac_sim.grasp.objects import draw_setup
+from mixtac_sim.presets import EASY
+
+
+@pytest.fixture
+def grasp() -> LiveGrasp:
+    return LiveGrasp(draw_setup('box', np.random.default_rng(0)), 1, 1, EASY)
+
+
+def test_holds_until_it_is_struck_and_can_be_put_back(grasp: LiveGrasp) -> None:
+    quiet = grasp.advance(40_000).events.t >= 20_000
+    assert abs(grasp.object_mm) < 0.01
+    grasp.strike(60.0)
+    struck = grasp.advance(60_000)
+    assert grasp.object_mm > 0.3
+    assert len(struck.events) > 2 * np.count_nonzero(quiet)
+    grasp.put_back()
+    grasp.advance(64_000)
+    assert abs(grasp.object_mm) < 0.05
+
+
+def test_the_fingertip_catches_what_it_presses(grasp: LiveGrasp) -> None:
+    grasp.advance(20_000)
+    before = grasp.advance(24_000).truth['fz'][-1]
+    assert before == pytest.approx(grasp.grasp_n, rel=0.02)
+    grasp.strike(60.0)
+    grasp.move(0.3)
+    after = grasp.advance(200_000).truth['fz'][-1]
+    assert after > before + 0.2
+    place = grasp.object_mm
+    grasp.advance(240_000)
+    assert grasp.object_mm == pytest.approx(place, abs=1e-3)
+
+
+def test_output_is_on_time_and_at_its_rates(grasp: LiveGrasp) -> None:
+    grasp.configure_aps(ApsSettings(5_000, 30_000, 2_000))
+    parts = [grasp.advance(until) for until in range(4_000, 104_000, 4_000)]
+    truth = np.concatenate([part.truth['t_us'] for part in parts])
+    assert np.array_equal(truth, 1000 * (np.arange(100) + 1))
+    frames = [frame for part in parts for frame in part.frames]
+    assert [f.exposure_start_us for f in frames] == [5_000, 35_000, 65_000]
+    times = np.concatenate([part.events.t for part in parts])
+    assert np.all(np.diff(times) >= 0)
+    assert len(parts[0].wrench_us) == 32

@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Windows and a planner for tests."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mixtac_slip_control.slip_features import SlipWindow
+
+
+def window(
+    index: int,
+    count: int = 30,
+    flow: tuple[float, float] = (0.0, 0.0),
+    *,
+    guided: bool = True,
+    complete: bool = True,
+) -> SlipWindow:
+    return SlipWindow(1000 * (index + 1), count, count // 2, *flow, 0.0, guided, complete)
+
+
+def quiet_windows(number: int, seed: int = 0) -> list[SlipWindow]:
+    rng = np.random.default_rng(seed)
+    counts = rng.poisson(30.0, number)
+    flows = rng.normal(0.0, 0.002, (number, 2))
+    return [
+        window(i, int(n), (float(f[0]), float(f[1])))
+        for i, (n, f) in enumerate(zip(counts, flows, strict=True))
+    ]
+
+
+class FakePlanner:
+    """Moves at once and remembers what it was asked."""
+
+    def __init__(self) -> None:
+        self.targets: list[float] = []
+        self.resets: list[Any] = []
+        self.stopped = 0
+        self.velocity = 0.0
+        self.error: Exception | None = None
+
+    def reset(self, q: Any, normal: Any = None) -> None:
+        self.resets.append((tuple(q), tuple(normal)))
+
+    def plan(self, now_s: float, advance_m: float, normal: Any) -> Any:
+        if self.error is not None:
+            raise self.error
+        self.targets.append(advance_m)
+        return (now_s, advance_m)
+
+    def stop(self, now_s: float) -> Any:
+        self.stopped += 1
+        return (now_s, 'stop')
+
+    def advance_at(self, t_s: float) -> float:
+        return self.velocity * t_s

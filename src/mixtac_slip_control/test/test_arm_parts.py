@@ -1,0 +1,101 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The arm that the parameters name, and joint states in any order."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from mixtac_slip_control.arm.serial_arm import fr3_urdf
+from mixtac_slip_control.arm_parts import make_arm
+from mixtac_slip_control.controller import SlipController
+from mixtac_slip_control.errors import SlipControlError
+from mixtac_slip_control.joint_order import JointOrder
+from mixtac_slip_control.node_status import ERROR, OK, WARN, FeedCounts, node_status
+from mixtac_slip_control.slip_control_parameters import SlipControlParameters
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+READY = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
+
+
+def test_none_is_no_arm() -> None:
+    assert make_arm(SlipControlParameters()) is None
+
+
+def test_the_normal_turns_with_the_tool() -> None:
+    tool = make_arm(SlipControlParameters(arm='fr3', normal_z=2.0))
+    base = make_arm(SlipControlParameters(arm='fr3', normal_frame='base', normal_x=1.0, normal_z=0))
+    assert tool is not None
+    assert base is not None
+    # In its ready pose the flange of the FR3 looks straight down.
+    assert tool.normal(READY) == pytest.approx([0.0, 0.0, -1.0], abs=1e-9)
+    assert base.normal(READY) == pytest.approx([1.0, 0.0, 0.0])
+
+
+def test_states_outside_ranges_workspace_or_near_singularities_are_told() -> None:
+    parts = make_arm(SlipControlParameters(arm='fr3', workspace='0 0.5 -0.5 0.5 0 1'))
+    assert parts is not None
+    assert parts.check(READY) is None
+    far = READY.copy()
+    far[3] = -0.1
+    assert 'fr3_joint4' in str(parts.check(far))
+    turned = READY.copy()
+    turned[0] = 2.5
+    assert 'outside' in str(parts.check(turned))
+    stretched = np.array([0.0, 0.0, 0.0, -0.2, 0.0, 0.6, 0.0])
+    assert parts.check(stretched) is not None
+
+
+def test_an_arm_from_a_file_plans(tmp_path: Path) -> None:
+    path = tmp_path / 'arm.urdf'
+    path.write_text(fr3_urdf())
+    parts = make_arm(SlipControlParameters(arm=str(path)))
+    assert parts is not None
+    parts.planner.reset(READY, parts.normal(READY))
+    planned = parts.planner.plan(10.0, 1e-4, parts.normal(READY))
+    assert planned is not None
+    moved = parts.arm.pose(planned.q[-1])[:3, 3] - parts.arm.pose(READY)[:3, 3]
+    assert moved == pytest.approx([0.0, 0.0, -1e-4], abs=1e-7)
+    settled = parts.settling(READY, 10.0, 0.5)
+    assert settled.q[-1] == pytest.approx(READY)
+
+
+@pytest.mark.parametrize(
+    ('bad', 'text'),
+    [
+        ({'arm': '/no/such/file.urdf'}, 'cannot be read'),
+        ({'arm': 'fr3', 'normal_z': 0.0}, 'direction'),
+        ({'arm': 'fr3', 'workspace': '1 2 3'}, 'six numbers'),
+        ({'arm': 'fr3', 'workspace': '1 0 0 1 0 1'}, 'lower'),
+    ],
+)
+def test_what_is_no_arm_is_refused(bad: dict[str, object], text: str) -> None:
+    with pytest.raises(SlipControlError, match=text):
+        make_arm(SlipControlParameters(**bad))
+
+
+def test_joints_are_picked_by_name() -> None:
+    order = JointOrder(('a', 'b'))
+    assert order.pick(['finger', 'b', 'a'], [9.0, 2.0, 1.0]) == (1.0, 2.0)
+    assert order.pick(['a', 'b'], [3.0, 4.0]) == (3.0, 4.0)
+    assert order.pick(['a', 'finger'], [3.0, 4.0]) is None
+    assert order.pick(['a', 'b'], []) is None
+
+
+def test_the_status_says_what_is_missing() -> None:
+    controller, counts = SlipController(), FeedCounts()
+    level, message, values = node_status(controller, counts, None, 1.0)
+    assert level == WARN
+    assert 'driver' in message
+    assert values['force age [s]'] == 'never'
+    counts.problem = 'image of another size'
+    assert 'another size' in node_status(controller, counts, None, 1.0)[1]
+    controller.interlock.enable(None)
+    controller.interlock.stop('force is nan')
+    assert node_status(controller, counts, None, 1.0)[:2] == (ERROR, 'stopped: force is nan')
+    assert OK < WARN

@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Motion of the skin from events that an independent pixel model makes of a moving pattern."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixtac_events.arrays import Events
+from mixtac_slip_control.errors import SlipControlError
+from mixtac_slip_control.flow_guide import GuideMaker, GuideSettings
+from mixtac_slip_control.slip_features import SlipFeatures, SlipWindow
+
+HEIGHT, WIDTH = 260, 346
+CONTRAST = 0.05
+ROWS, COLUMNS = np.mgrid[0:HEIGHT, 0:WIDTH].astype(float)
+RNG = np.random.default_rng(5)
+BEADS = np.stack([RNG.uniform(10, WIDTH - 10, 250), RNG.uniform(10, HEIGHT - 10, 250)], axis=1)
+
+
+def light(move_x: np.ndarray, move_y: np.ndarray) -> np.ndarray:
+    """Return bright beads after a motion given per pixel, on a scale of a 10-bit frame."""
+    total = np.full((HEIGHT, WIDTH), 150.0)
+    x, y = COLUMNS - move_x, ROWS - move_y
+    for column, row in BEADS:
+        total += 500.0 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / (2.0 * 3.5**2))
+    return total
+
+
+STILL = np.zeros((HEIGHT, WIDTH))
+REST = light(STILL, STILL)
+AWAY_X, AWAY_Y = COLUMNS - WIDTH / 2.0, ROWS - HEIGHT / 2.0
+PATCH = np.exp(-(AWAY_X**2 + AWAY_Y**2) / 90.0**2)
+
+
+def events_of(move_x: np.ndarray, move_y: np.ndarray) -> Events:
+    """Return the events of ideal pixels: one per threshold that the log intensity passes.
+
+    Where each pixel stands between its thresholds at the start is random, as in a camera.
+    """
+    change = (np.log(light(move_x, move_y)) - np.log(REST)) / CONTRAST
+    number = np.floor(change + RNG.random(change.shape)).astype(int)
+    y, x = np.nonzero(number)
+    times = np.abs(number[y, x])
+    x, y, sign = np.repeat(x, times), np.repeat(y, times), np.repeat(number[y, x] > 0, times)
+    t = np.sort(RNG.integers(0, 1000, len(x)))
+    order = RNG.permutation(len(x))
+    return Events(t, x[order].astype(np.uint16), y[order].astype(np.uint16), sign[order])
+
+
+def seen(move_x: np.ndarray, move_y: np.ndarray) -> SlipWindow:
+    features = SlipFeatures()
+    features.guide(GuideMaker().make(np.round(REST).astype(np.uint16), 0))
+    (window,) = features.push(events_of(move_x, move_y), 1000)
+    return window
+
+
+@pytest.mark.parametrize('angle', [0.3, 1.7, 3.9])
+def test_translation_is_measured_in_thresholds(angle: float) -> None:
+    x, y = 0.4 * np.cos(angle), 0.4 * np.sin(angle)
+    window = seen(x * PATCH, y * PATCH)
+    size = np.hypot(window.flow_x, window.flow_y)
+    assert np.arctan2(window.flow_y, window.flow_x) == pytest.approx(
+        (angle + np.pi) % (2 * np.pi) - np.pi, abs=0.15
+    )
+    assert size == pytest.approx(0.4 / CONTRAST, rel=0.15)
+    assert abs(window.pressing) < 0.2 * size
+
+
+def test_pressing_cancels_in_the_translation() -> None:
+    window = seen(0.4 * AWAY_X / 90.0 * PATCH, 0.4 * AWAY_Y / 90.0 * PATCH)
+    assert window.pressing == pytest.approx(0.4 / CONTRAST, rel=0.2)
+    assert np.hypot(window.flow_x, window.flow_y) < 0.15 * window.pressing
+    back = seen(-0.4 * AWAY_X / 90.0 * PATCH, -0.4 * AWAY_Y / 90.0 * PATCH)
+    assert back.pressing == pytest.approx(-0.4 / CONTRAST, rel=0.2)
+
+
+def test_flicker_makes_events_but_no_motion() -> None:
+    y, x = np.mgrid[0:HEIGHT:3, 0:WIDTH:3]
+    n = x.size
+    flash = Events(
+        np.zeros(n, np.int64),
+        x.ravel().astype(np.uint16),
+        y.ravel().astype(np.uint16),
+        np.ones(n, np.bool_),
+    )
+    features = SlipFeatures()
+    features.guide(GuideMaker().make(np.round(REST).astype(np.uint16), 0))
+    (window,) = features.push(flash, 1000)
+    assert window.count == window.on == n
+    assert np.hypot(window.flow_x, window.flow_y) < 0.25
+
+
+def test_counts_come_without_frames_and_lost_packets_are_marked() -> None:
+    features = SlipFeatures()
+    t = np.array([100, 1200, 1300, 2900])
+    place = np.array([1, 345, 0, 5], np.uint16)
+    events = Events(t, place, place // 2, np.array([True, False, False, True]))
+    features.lost_before(1100)
+    windows = features.push(events, 3000)
+    assert [w.count for w in windows] == [1, 2, 1]
+    assert [w.on for w in windows] == [1, 0, 1]
+    assert [w.end_us for w in windows] == [1000, 2000, 3000]
+    assert [w.complete for w in windows] == [False, False, True]
+    assert not any(w.guided or w.flow_x or w.flow_y for w in windows)
+
+
+def test_an_old_frame_guides_no_more() -> None:
+    features = SlipFeatures()
+    features.guide(GuideMaker().make(np.round(REST).astype(np.uint16), 0))
+    assert features.push(events_of(STILL, STILL + 0.3), 1000)[0].guided
+    assert not features.push(Events.empty(), 900_000)[-1].guided
+
+
+def test_a_black_frame_gives_no_motion() -> None:
+    features = SlipFeatures()
+    features.guide(GuideMaker().make(np.zeros((HEIGHT, WIDTH), np.uint16), 0))
+    (window,) = features.push(events_of(0.4 * PATCH, STILL), 1000)
+    assert window.flow_x == window.flow_y == 0.0
+
+
+def test_another_size_is_refused() -> None:
+    with pytest.raises(SlipControlError, match='full resolution'):
+        GuideMaker().make(np.zeros((100, 100), np.uint16), 0)
+    with pytest.raises(SlipControlError, match='reach'):
+        GuideSettings(reach_px=0.0)

@@ -1,0 +1,47 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The launch file names what exists; read as text, so that it is held to it without ROS."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+from mixtac_node.parameters import specs
+from mixtac_slip_control.slip_control_parameters import SlipControlParameters
+from mixtac_slip_control.slip_judge import DETECTORS
+
+ROOT = Path(__file__).resolve().parents[3]
+TREE = ast.parse((ROOT / 'launch' / 'slip_control.launch.py').read_text())
+
+
+def calls(name: str) -> list[ast.Call]:
+    found = [node for node in ast.walk(TREE) if isinstance(node, ast.Call)]
+    return [node for node in found if isinstance(node.func, ast.Name) and node.func.id == name]
+
+
+def keywords(call: ast.Call) -> dict[str | None, object]:
+    return {
+        k.arg: ast.literal_eval(k.value)
+        for k in call.keywords
+        if isinstance(k.value, (ast.Constant, ast.List))
+        and all(isinstance(e, ast.Constant) for e in getattr(k.value, 'elts', []))
+    }
+
+
+def test_the_node_that_it_starts_exists() -> None:
+    (node,) = calls('Node')
+    given = keywords(node)
+    assert given['package'] == 'mixtac_slip_control'
+    setup = (ROOT / 'src' / 'mixtac_slip_control' / 'setup.py').read_text()
+    assert f"'{given['executable']} = mixtac_slip_control.slip_control_node:main'" in setup
+    assert given['name'] == 'slip_control'
+
+
+def test_its_arguments_have_the_defaults_of_the_parameters() -> None:
+    arguments = {c.args[0].value: keywords(c) for c in calls('DeclareLaunchArgument')}
+    assert {'arm', 'detector', 'namespace', 'params_file', 'log_level'} == set(arguments)
+    defaults = {spec.name: spec.default for spec in specs(SlipControlParameters)}
+    for name in ('arm', 'detector'):
+        assert arguments[name]['default_value'] == defaults[name]
+    assert arguments['detector']['choices'] == list(DETECTORS)
