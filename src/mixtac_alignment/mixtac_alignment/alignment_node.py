@@ -40,13 +40,12 @@ from mixtac_node.base_node import (
     us_to_stamp,
 )
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from mixtac_node.image_conversion import ImageConversionError, grey
 
 if TYPE_CHECKING:
     from mixtac_alignment.clock_fit import ClockFit
 
 
-PIXELS = {'mono8': ('u1', 255.0), '8UC1': ('u1', 255.0), 'mono16': ('u2', 65535.0)}
-"""Type and white of the image encodings that can be used."""
 MOST_EDGES = 10_000
 
 
@@ -118,12 +117,14 @@ class AlignmentNode(OverridableQos, Node):  # type: ignore[misc]
             self._aligned.publish(message)
 
     def _on_image(self, message: Image) -> None:
-        if not self._settings.use_frames or message.encoding not in PIXELS:
+        if not self._settings.use_frames:
             return
-        kind, white = PIXELS[message.encoding]
-        order = '>' if message.is_bigendian else '<'
-        pixels = np.frombuffer(message.data, order + kind).reshape(message.height, -1)
-        values = reduce_frame(pixels[:, : message.width], white)
+        try:
+            pixels = grey(message)
+        except ImageConversionError as error:
+            self.get_logger().warning(f'frame left out: {error}', once=True)
+            return
+        values = reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
         self._frames.push_image(stamp_to_ns(message.header.stamp), values)
 
     def _on_exposure(self, message: FrameExposure) -> None:

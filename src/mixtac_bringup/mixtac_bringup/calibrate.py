@@ -68,7 +68,7 @@ def calibrate(
     ] = '',
     topic: Annotated[str, typer.Option(help='Topic of the images.')] = '/mixtac/image_raw',
     board: Annotated[str, typer.Option(help='Inner corners of the checkerboard.')] = '9x6',
-    square: Annotated[float, typer.Option(help='Side of a square [m].')] = 0.004,
+    square: Annotated[float, typer.Option(help='Side of a square (m).')] = 0.004,
     model: Annotated[
         str, typer.Option(help='equidistant (wide angle), plumb_bob or rational_polynomial.')
     ] = 'equidistant',

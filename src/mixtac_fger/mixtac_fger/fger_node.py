@@ -114,14 +114,7 @@ class FgerNode(OverridableQos, LifecycleNode):  # type: ignore[misc]
 
     def _on_image(self, message: Image) -> None:
         if self._feed is not None:
-            self._feed.image(
-                message.data,
-                message.encoding,
-                (message.width, message.height),
-                message.step,
-                bool(message.is_bigendian),
-                stamp_to_us(message.header.stamp),
-            )
+            self._feed.image(message, stamp_to_us(message.header.stamp))
 
     def _tare(self, _request: Trigger.Request, reply: Trigger.Response) -> Trigger.Response:
         try:

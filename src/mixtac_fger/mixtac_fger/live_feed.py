@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Protocol
 from mixtac_events.codec import PacketMessage, decode_message
 from mixtac_events.errors import CodecError
 from mixtac_fger.errors import ImageError
-from mixtac_fger.image import pixels
 from mixtac_fger.streaming import EstimatorStatus, ForceEstimator
+from mixtac_node.image_conversion import ImageConversionError, grey
 from mixtac_node.rates import RateMeter, RecentValues
 
 if TYPE_CHECKING:
@@ -25,6 +25,17 @@ class NumberedPacket(PacketMessage, Protocol):
     """The fields of `event_camera_msgs/EventPacket` in use."""
 
     seq: int
+
+
+class ImageMessage(Protocol):
+    """The fields of `sensor_msgs/Image` in use."""
+
+    height: int
+    width: int
+    encoding: str
+    is_bigendian: int
+    step: int
+    data: array[int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,30 +106,16 @@ class LiveFeed:
             self._rate.add(len(forces))
         return forces
 
-    def image(
-        self,
-        data: array[int],
-        encoding: str,
-        size: tuple[int, int],
-        step: int,
-        big_endian: bool,
-        mid_us: int,
-    ) -> None:
-        """Take an image.
+    def image(self, message: ImageMessage, mid_us: int) -> None:
+        """Take an image; colours become grey.
 
         Args:
-            data: Rows of `step` bytes; not to be changed afterwards.
-            encoding: mono8 or mono16.
-            size: Width and height.
-            step: Bytes per row.
-            big_endian: Byte order of 16-bit pixels.
+            message: A `sensor_msgs/Image`; its data are not to be changed afterwards.
             mid_us: Centre of the exposure, camera clock [us].
         """
         try:
-            width, height = size
-            image = pixels(data, encoding, height, width, step, big_endian=big_endian)
-            self.estimator.push_frame(image, mid_us)
-        except ImageError as error:
+            self.estimator.push_frame(grey(message), mid_us)
+        except (ImageError, ImageConversionError) as error:
             self._refuse(str(error))
 
     def status(self) -> FeedStatus:

@@ -24,13 +24,24 @@ def feed(model, trial):
     feed = LiveFeed(model, 0.15)
     image = array('B', trial.frames[0].tobytes())
     for index in range(5):
-        feed.image(image, 'mono16', SIZE, 692, False, index * 40_000)
+        feed.image(picture(image, 'mono16', SIZE, 692), index * 40_000)
         while feed.estimator._worker._inbox.qsize():
             time.sleep(0.001)
     while not feed.estimator._worker._outbox.qsize():
         time.sleep(0.001)
     yield feed
     feed.close()
+
+
+def picture(data, encoding, size, step) -> SimpleNamespace:
+    return SimpleNamespace(
+        width=size[0],
+        height=size[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=step,
+        data=data,
+    )
 
 
 def message(sequence, encoding, time_base, payload, size=SIZE) -> SimpleNamespace:
@@ -90,9 +101,9 @@ def test_bad_packets_are_counted_and_explained(feed, encoding, size, data, text)
 
 
 def test_bad_images_are_counted_and_explained(feed):
-    feed.image(array('B', bytes(12)), 'rgb8', (2, 2), 6, False, 0)
-    assert 'rgb8' in feed.status().problem
-    feed.image(array('B', bytes(12)), 'mono8', (4, 3), 4, False, 0)
+    feed.image(picture(array('B', bytes(12)), 'yuv422', (2, 2), 6), 0)
+    assert 'yuv422' in feed.status().problem
+    feed.image(picture(array('B', bytes(12)), 'mono8', (4, 3), 4), 0)
     while not feed.status().estimator.bad_frames:
         time.sleep(0.001)
     assert feed.status().bad_messages == 1
@@ -104,3 +115,15 @@ def test_warming_up_leaves_the_model_alone(model):
     before = {name: tensor.clone() for name, tensor in model.network.state_dict().items()}
     warm_up(model)
     assert all(bool((before[k] == v).all()) for k, v in model.network.state_dict().items())
+
+
+def test_colour_frames_are_taken_as_grey(model, trial):
+    width, height = SIZE
+    colours = np.repeat((trial.frames[0] >> 2).astype(np.uint8)[:, :, None], 3, axis=2)
+    feed = LiveFeed(model, 0.15)
+    feed.image(picture(array('B', colours.tobytes()), 'rgb8', SIZE, 3 * width), 0)
+    while not feed.status().estimator.reason.startswith('waiting for the no-contact reference: 1'):
+        time.sleep(0.001)
+    feed.close()
+    assert feed.status().bad_messages == 0
+    assert colours.shape[0] == height

@@ -112,6 +112,22 @@ def image_array(
     return (converter or default_converter())(found, source, target)
 
 
+def grey(message: Any) -> Any:  # noqa: ANN401  (mypy keeps the types of arrays apart)
+    """Return the grey levels of an image message with as many bits as it has, [height, width].
+
+    Args:
+        message: A `sensor_msgs/Image` in one of `ENCODINGS`.
+
+    Returns:
+        `uint8` or `uint16`.
+
+    Raises:
+        ImageConversionError: Another encoding, or a damaged message.
+    """
+    dtype, _ = _layout(str(message.encoding))
+    return image_array(message, f'mono{8 * dtype.itemsize}')
+
+
 def fill(message: Any, image: Pixels, encoding: str) -> None:  # noqa: ANN401
     """Write pixels into a fresh image message; its header is left alone.
 

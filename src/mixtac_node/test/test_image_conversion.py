@@ -23,6 +23,7 @@ from mixtac_node.image_conversion import (
     ImageConversionError,
     convert_colours,
     fill,
+    grey,
     image_array,
     pixels,
 )
@@ -73,6 +74,20 @@ def test_unpadded_pixels_are_not_copied():
     assert np.shares_memory(found, np.frombuffer(message.data, np.uint8))
     with pytest.raises(ValueError, match='read-only'):
         found[0, 0] = 1
+
+
+@pytest.mark.parametrize('encoding', ENCODINGS)
+def test_grey_has_the_bits_of_the_message(encoding):
+    image = random_image(encoding, 6, 8)
+    found = grey(message_of(image, encoding))
+    assert found.shape == (6, 8)
+    assert found.dtype == image.dtype
+    if encoding in ('mono8', 'mono16', '8UC1', '16UC1'):
+        np.testing.assert_array_equal(found, image)
+    if encoding == 'rgb16':
+        # ITU-R BT.601, as OpenCV's documentation states it.
+        luma = image.astype(float) @ (0.299, 0.587, 0.114)
+        assert np.abs(found - luma).max() < 2
 
 
 @pytest.mark.parametrize('target', TARGETS)

@@ -22,7 +22,6 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import CodecError, MixtacError
-from mixtac_fger.image import pixels
 from mixtac_msgs.msg import SlipState
 from mixtac_node.base_node import (
     QOS_EVENTS,
@@ -35,6 +34,7 @@ from mixtac_node.base_node import (
     us_to_stamp,
 )
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
+from mixtac_node.image_conversion import grey
 from mixtac_slip_control.arm.trajectory_message import TrajectoryMessage
 from mixtac_slip_control.arm_parts import make_arm
 from mixtac_slip_control.controller import SlipController
@@ -132,15 +132,9 @@ class SlipControlNode(OverridableQos, Node):  # type: ignore[misc]
 
     def _on_image(self, message: Image) -> None:
         try:
-            image = pixels(
-                message.data,
-                message.encoding,
-                message.height,
-                message.width,
-                message.step,
-                big_endian=bool(message.is_bigendian),
+            self._controller.guide(
+                self._guides.make(grey(message), stamp_to_us(message.header.stamp))
             )
-            self._controller.guide(self._guides.make(image, stamp_to_us(message.header.stamp)))
         except MixtacError as error:
             self._refuse(str(error))
 

@@ -22,6 +22,7 @@ from mixtac_alignment.two_impulse import fit_counts
 from mixtac_bringup.bag_reader import BagFile
 from mixtac_bringup.errors import BagError
 from mixtac_events.codec import decode_message
+from mixtac_node.image_conversion import ImageConversionError, grey
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,11 +38,6 @@ if TYPE_CHECKING:
 
 REFERENCE: Final = '/ft_sensor/wrench'
 NAMESPACE: Final = '/mixtac'
-ENCODINGS: Final = {
-    'mono8': (np.uint8, 255.0),
-    '8UC1': (np.uint8, 255.0),
-    'mono16': (None, 65535.0),
-}
 LONGEST_S: Final = 3600.0
 """Length of a recording of which frames are kept [s]."""
 EMPTY: Final = EventCounts(0, BIN_US, np.zeros(1, np.int64))
@@ -224,14 +220,11 @@ def _wrench(data: bytes) -> tuple[int, float]:
 
 
 def _features(message: Any) -> NDArray[np.float32]:  # noqa: ANN401
-    if message.encoding not in ENCODINGS:
-        raise BagError(
-            f'images of encoding {message.encoding}; the alignment reads {", ".join(ENCODINGS)}'
-        )
-    kind, scale = ENCODINGS[message.encoding]
-    order = '>u2' if message.is_bigendian else '<u2'
-    pixels = np.frombuffer(message.data, kind or order).reshape(message.height, -1)
-    return reduce_frame(pixels[:, : message.width], scale)
+    try:
+        pixels = grey(message)
+    except ImageConversionError as error:
+        raise BagError(f'frames cannot be read: {error}') from error
+    return reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
 
 
 def _ns(stamp: Any) -> int:  # noqa: ANN401

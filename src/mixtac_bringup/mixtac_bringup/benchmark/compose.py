@@ -23,7 +23,7 @@ AGES = ('force_age_p50_ms', 'force_age_p99_ms', 'force_age_max_ms')
 
 
 def compose(
-    seconds: Annotated[float, typer.Option(min=2, help='Length of each run [s].')] = 20,
+    seconds: Annotated[float, typer.Option(min=2, help='Length of each run (s).')] = 20,
     repeats: Annotated[int, typer.Option(min=1, help='Runs of each kind, alternating.')] = 3,
     rate: Annotated[float, typer.Option(min=1000, help='Events per second.')] = 1e6,
     json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from array import array
 from collections import deque
@@ -91,7 +92,20 @@ def quantiles(values: list[float]) -> dict[str, float]:
     return {'p50': float(p50), 'p99': float(p99)}
 
 
+@dataclass(slots=True)
+class _ImageFields:
+    """The fields of `sensor_msgs/Image` that the estimator reads."""
+
+    height: int
+    width: int
+    encoding: str
+    is_bigendian: int
+    step: int
+    data: array[int]
+
+
 def _hand_over(feed: LiveFeed, frame: Frame) -> None:
     height, width = frame.image.shape
     data = array('B', frame.image.tobytes())
-    feed.image(data, 'mono16', (width, height), 2 * width, False, frame.mid_us)
+    big_endian = int(sys.byteorder == 'big')
+    feed.image(_ImageFields(height, width, 'mono16', big_endian, 2 * width, data), frame.mid_us)

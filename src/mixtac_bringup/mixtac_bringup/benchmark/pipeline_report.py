@@ -93,9 +93,9 @@ def measure(
 
 
 def pipeline(
-    seconds: Annotated[float, typer.Option(min=2, help='Length of the run at 1 Mev/s [s].')] = 30,
+    seconds: Annotated[float, typer.Option(min=2, help='Length of the run at 1 Mev/s (s).')] = 30,
     loss_seconds: Annotated[
-        float, typer.Option(min=2, help='Length of the run at 5 Mev/s [s].')
+        float, typer.Option(min=2, help='Length of the run at 5 Mev/s (s).')
     ] = 60,
     json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
 ) -> None:

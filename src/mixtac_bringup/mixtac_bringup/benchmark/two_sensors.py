@@ -29,7 +29,7 @@ SETTLE_S = 5.0
 
 
 def two_sensors(
-    seconds: Annotated[float, typer.Option(min=2, help='Length of the measurement [s].')] = 20,
+    seconds: Annotated[float, typer.Option(min=2, help='Length of the measurement (s).')] = 20,
     single_process: Annotated[bool, typer.Option(help='Driver and estimator together.')] = False,
     json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
 ) -> None:

@@ -19,13 +19,13 @@ OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python
 
 def record(
     out: Annotated[Path, typer.Argument(help='Folder of the new bag.')],
-    seconds: Annotated[float, typer.Option(min=0, help='Length [s]; 0 until Ctrl-C.')] = 0,
+    seconds: Annotated[float, typer.Option(min=0, help='Length (s); 0 until Ctrl-C.')] = 0,
     namespace: Annotated[str, typer.Option(help='Namespace of the sensor.')] = 'mixtac',
     reference_topic: Annotated[str, typer.Option(help='Reference force sensor.')] = REFERENCE,
     profile: Annotated[str, typer.Option(help='What is done, for dataset.yaml.')] = '',
     split: Annotated[str, typer.Option(help='train or test, for dataset.yaml.')] = '',
     check: Annotated[bool, typer.Option('--check', help='Check only, record nothing.')] = False,
-    check_seconds: Annotated[float, typer.Option(min=0.5, help='How long to listen [s].')] = 2,
+    check_seconds: Annotated[float, typer.Option(min=0.5, help='How long to listen (s).')] = 2,
     force: Annotated[bool, typer.Option('--force', help='Record in spite of errors.')] = False,
     json: Annotated[OptionalPath, typer.Option(help='Write the summary there as well.')] = None,
 ) -> None:

@@ -24,12 +24,12 @@ STIFFNESSES = (10.0, 5.0, 2.0, 1.0)
 
 def slip(
     trials: Annotated[int, typer.Option(min=4, help='Trials with the box.')] = 200,
-    knock: Annotated[float, typer.Option(help='Speed after the blow [mm/s].')] = 50.0,
+    knock: Annotated[float, typer.Option(help='Speed after the blow (mm/s).')] = 50.0,
     margin: Annotated[float, typer.Option(help='Grasp force over the least that holds.')] = 1.05,
-    lag: Annotated[float, typer.Option(help='Time constant of the arm [s].')] = 3.5e-3,
-    quiet_minutes: Annotated[float, typer.Option(help='Of each quiet scene [min].')] = 30.0,
+    lag: Annotated[float, typer.Option(help='Time constant of the arm (s).')] = 3.5e-3,
+    quiet_minutes: Annotated[float, typer.Option(help='Of each quiet scene (min).')] = 30.0,
     curve_trials: Annotated[int, typer.Option(help='Slips per speed for the curves.')] = 40,
-    dds_seconds: Annotated[float, typer.Option(help='Over real DDS [s]; 0 for none.')] = 60.0,
+    dds_seconds: Annotated[float, typer.Option(help='Over real DDS (s); 0 for none.')] = 60.0,
     preset: Annotated[str, typer.Option(help='How hard the sensors are.')] = 'paper_like',
     report: Annotated[OptionalPath, typer.Option('--json', help='Write the result.')] = None,
 ) -> None:

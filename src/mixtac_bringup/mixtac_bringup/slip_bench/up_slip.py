@@ -20,13 +20,13 @@ NAMESPACE = 'mixtac'
 def slip(
     object_name: Annotated[str, typer.Option('--object', help='box, cup or ball.')] = 'box',
     disturb: Annotated[
-        float, typer.Option('--disturb', help='Speed of each blow [mm/s]; 0 for none.')
+        float, typer.Option('--disturb', help='Speed of each blow (mm/s); 0 for none.')
     ] = 50.0,
-    every: Annotated[float, typer.Option(help='Time between blows [s].')] = 8.0,
+    every: Annotated[float, typer.Option(help='Time between blows (s).')] = 8.0,
     margin: Annotated[float, typer.Option(help='Grasp force over the least that holds.')] = 1.05,
     preset: Annotated[str, typer.Option(help='How hard the sensor is.')] = 'paper_like',
     seed: Annotated[int, typer.Option(help='Which sensor, day and object.')] = 1,
-    seconds: Annotated[float, typer.Option(help='How long; 0 until interrupted [s].')] = 0.0,
+    seconds: Annotated[float, typer.Option(help='How long; 0 until interrupted (s).')] = 0.0,
 ) -> None:
     """Hold a simulated object against blows with the real driver and slip control."""
     from mixtac_bringup.processes import ProcessGroup
