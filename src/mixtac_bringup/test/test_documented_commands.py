@@ -17,6 +17,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_bringup import bench, cli
 from mixtac_bringup.topics import SERVICES, TOPICS
+from mixtac_slip_control.slip_control_parameters import SlipControlParameters
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = [
@@ -58,6 +59,12 @@ SYSTEM = {
 }
 """Programs that are not ours; what they are given is not looked into, but for docker's files."""
 TOPIC_NAMES = {each.resolved('mixtac') for each in TOPICS}
+SUBSCRIBED = {
+    f'/mixtac/{SlipControlParameters().heartbeat_topic.replace("~", "slip_control")}': (
+        'std_msgs/msg/Empty'
+    )
+}
+"""What our nodes listen to and others publish, with its type."""
 SERVICE_TYPES = {f'/mixtac/{each.name}': each.type_name for each in SERVICES}
 
 
@@ -153,7 +160,11 @@ def check_run(words: list[str]) -> None:
 
 def check_topic(words: list[str]) -> None:
     verb, *rest = words
-    assert verb in {'echo', 'hz', 'bw', 'info', 'list', 'delay'}
+    assert verb in {'echo', 'hz', 'bw', 'info', 'list', 'delay', 'pub'}
+    if verb == 'pub':
+        name, kind = [each for each in rest if '/' in each][:2]
+        assert SUBSCRIBED[name] == kind
+        return
     assert all(each in TOPIC_NAMES for each in rest if each.startswith('/'))
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.windows_of_trial import camera_end_us
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,7 +55,8 @@ def stream(
     width = model.config.window_us
     middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
     begin = min(int(trial.arrival_us[0]), int(label.t_us[0])) // width * width
-    ends = np.arange(begin + width, int(label.t_us[-1]) + 1, width)
+    last = min(int(label.t_us[-1]), camera_end_us(trial))
+    ends = np.arange(begin + width, last + 1, width)
     cuts = np.searchsorted(trial.events.t, [begin, *ends])
     arrived = np.searchsorted(trial.arrival_us[:frames], ends, side='right')
     done = 0

@@ -31,7 +31,7 @@ def window_ends(
         DatasetError: There are none.
     """
     first_us = -(-max(begin_us, int(np.ceil(label.t_us[0]))) // window_us) * window_us
-    last_us = int(min(label.t_us[-1], _camera_end_us(trial)))
+    last_us = int(min(label.t_us[-1], camera_end_us(trial)))
     if last_us < first_us + window_us:
         raise DatasetError(
             'the camera and the force sensor have no time in common: check the clock fit'
@@ -57,7 +57,7 @@ def frame_arrivals(
     return slots
 
 
-def _camera_end_us(trial: RecordedTrial) -> int:
-    """Return until when the camera is known to have run."""
+def camera_end_us(trial: RecordedTrial) -> int:
+    """Return until when the camera is known to have run [us, camera clock]."""
     latest = int(trial.events.t[-1]) if len(trial.events) else 0
     return max(latest, int(trial.arrival_us[-1]) if len(trial.arrival_us) else 0)

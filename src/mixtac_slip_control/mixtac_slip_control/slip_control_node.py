@@ -60,9 +60,9 @@ class SlipControlNode(OverridableQos, Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__('slip_control', namespace='mixtac')
-        self._parameters = declare(self, SlipControlParameters, self._apply)
-        settings = _settings(self._parameters)
-        arm = self._arm = make_arm(self._parameters)
+        self._settings = declare(self, SlipControlParameters, self._apply)
+        settings = _settings(self._settings)
+        arm = self._arm = make_arm(self._settings)
         self._trajectory = TrajectoryMessage(JointTrajectory, JointTrajectoryPoint)
         self._joints = JointOrder(arm.arm.names if arm else ())
         self._controller = (
@@ -80,7 +80,7 @@ class SlipControlNode(OverridableQos, Node):  # type: ignore[misc]
         self._diagnostics = DiagnosticsPublisher(self, 'slip_control', self._status)
 
     def _wire(self) -> None:
-        parameters = self._parameters
+        parameters = self._settings
         self._slip = self.create_publisher(SlipState, 'slip', QOS_FORCE)
         topic = parameters.trajectory_topic
         self._trajectories = self.create_publisher(JointTrajectory, topic, 10)
@@ -98,7 +98,7 @@ class SlipControlNode(OverridableQos, Node):  # type: ignore[misc]
 
     def _apply(self, parameters: SlipControlParameters) -> None:
         self._controller.configure(_settings(parameters))
-        self._parameters = parameters
+        self._settings = parameters
 
     def _now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds * 1e-9)
@@ -196,7 +196,7 @@ class SlipControlNode(OverridableQos, Node):  # type: ignore[misc]
         self._moving = True
         joints = self._controller.watch.joints
         if self._arm is not None and joints is not None:
-            self._send(self._arm.settling(joints, now_s, self._parameters.settling_time))
+            self._send(self._arm.settling(joints, now_s, self._settings.settling_time))
 
     def _disable(self) -> None:
         self._controller.disable()
@@ -209,7 +209,7 @@ class SlipControlNode(OverridableQos, Node):  # type: ignore[misc]
         return self._answer(response, reset, 'stop reset; slip control is disabled')
 
     def _on_tare(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        seconds = self._parameters.learning_time
+        seconds = self._settings.learning_time
         text = f'learning the background: keep the contact still for {seconds:g} s'
         return self._answer(response, self._controller.tare, text)
 

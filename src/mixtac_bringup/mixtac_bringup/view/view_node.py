@@ -36,7 +36,7 @@ class ViewNode(OverridableQos, Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__('view', namespace='mixtac')
-        self._parameters = declare(self, ViewParameters)
+        self._settings = declare(self, ViewParameters)
         self._server: ViewerServer | None = None
         self._failure: Exception | None = None
         self._stopping = threading.Event()
@@ -68,7 +68,7 @@ class ViewNode(OverridableQos, Node):  # type: ignore[misc]
         require_rerun()
         from mixtac_bringup.view.page import Page
 
-        p = self._parameters
+        p = self._settings
         if p.save:
             if Path(p.save).exists():
                 raise ViewError(f'{p.save} exists: name a new file in `save`')
@@ -85,7 +85,7 @@ class ViewNode(OverridableQos, Node):  # type: ignore[misc]
         )
         self.create_subscription(Image, 'image_raw', received.on_frame, QOS_SENSOR)
         self._plot('force', received.force)
-        self._plot(self._parameters.reference_topic, received.reference)
+        self._plot(self._settings.reference_topic, received.reference)
         self.create_subscription(
             SlipState, 'slip', lambda m: received.on_slip(m, time.time_ns()), QOS_FORCE
         )
@@ -98,7 +98,7 @@ class ViewNode(OverridableQos, Node):  # type: ignore[misc]
         self.create_subscription(WrenchStamped, topic, keep, QOS_FORCE)
 
     def _draw(self) -> None:
-        period = 1.0 / self._parameters.rate
+        period = 1.0 / self._settings.rate
         due = time.monotonic() + period
         while not self._stopping.wait(max(0.0, due - time.monotonic())):
             try:
@@ -117,7 +117,7 @@ class ViewNode(OverridableQos, Node):  # type: ignore[misc]
             'packets lost': received.packets.lost,
             'undecodable': bad,
             'samples dropped': received.force.dropped + received.reference.dropped,
-            'page': self._server.page_url if self._server else self._parameters.save,
+            'page': self._server.page_url if self._server else self._settings.save,
         }
         return Status(WARN if bad else OK, f'{bad} undecodable' if bad else 'showing', values)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
+from mixtac_alignment.event_history import CellEvents
 from mixtac_alignment.frame_features import FrameFeatures
 from mixtac_bringup.benchmark.align import DamageScores, Scores, summarise
 from mixtac_bringup.benchmark.align_trials import DAMAGES, TrialRecording, damage
@@ -28,7 +29,11 @@ def recording() -> TrialRecording:
         sensor=0,
         profile='press',
         preset='easy',
-        events_us=events.astype(np.int64),
+        events=CellEvents(
+            events.astype(np.int64),
+            rng.integers(0, 48, len(events)).astype(np.uint16),
+            rng.random(len(events)) > 0.5,
+        ),
         frames=FrameFeatures(start, start + 7000, np.zeros((len(start), 8), np.float32)),
         force_t_s=RATE * t + OFFSET_S,
         force=np.asarray(force),
@@ -59,9 +64,7 @@ def test_every_damage_changes_the_recording_and_leaves_its_truth(
     recording: TrialRecording, kind: str
 ) -> None:
     broken = damage(recording, kind, np.random.default_rng(5))
-    same = len(broken.events_us) == len(recording.events_us) and np.array_equal(
-        broken.events_us, recording.events_us
-    )
+    same = np.array_equal(broken.events.t_us, recording.events.t_us)
     assert not (same and np.array_equal(broken.force, recording.force))
     assert (broken.rate, broken.offset_s) == (RATE, OFFSET_S)
     assert np.all(np.diff(broken.force_t_s) > 0.0)
