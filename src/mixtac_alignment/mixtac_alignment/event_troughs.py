@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks, peak_widths
+from scipy.signal import peak_widths
 
 from mixtac_alignment.impulses import Impulse, ImpulseSettings, strongest
+from mixtac_alignment.prominent_peaks import prominent_peaks
 from mixtac_alignment.stillness import stillness
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def find_event_impulses(
     )
     rest = float(np.median(smooth))
     window = 2 * max(3, round(2.0 * chosen.max_width_s / width_s)) + 1
-    troughs, found = find_peaks(-smooth, prominence=chosen.min_burst_rate, wlen=window)
+    troughs, found = prominent_peaks(-smooth, chosen.min_burst_rate, window)
     edges = (found['prominences'], found['left_bases'], found['right_bases'])
     widths = peak_widths(-smooth, troughs, 0.5, edges)[0] * width_s
     impulses = [

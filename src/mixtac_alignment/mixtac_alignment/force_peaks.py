@@ -7,11 +7,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.signal import find_peaks, peak_widths
+from scipy.signal import peak_widths
 
 from mixtac_alignment.errors import AlignmentError
 from mixtac_alignment.force_smoothing import noise_std
 from mixtac_alignment.impulses import Impulse, ImpulseSettings, strongest, vertex
+from mixtac_alignment.prominent_peaks import prominent_peaks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,7 +48,7 @@ def find_force_impulses(
     period = float(np.median(np.diff(t_s)))
     least = max(chosen.min_force, NOISE_FACTOR * noise_std(force))
     window = 2 * max(3, round(2.0 * chosen.max_width_s / period)) + 1
-    peaks, found = find_peaks(force, prominence=least, wlen=window)
+    peaks, found = prominent_peaks(force, least, window)
     edges = (found['prominences'], found['left_bases'], found['right_bases'])
     widths = peak_widths(force, peaks, 0.5, edges)[0] * period
     impulses = [

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks, peak_widths
+from scipy.signal import peak_widths
 
 from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
 from mixtac_alignment.errors import NoImpulseError
 from mixtac_alignment.force_smoothing import smooth_force
 from mixtac_alignment.impulses import Impulse, ImpulseSettings, strongest
+from mixtac_alignment.prominent_peaks import prominent_peaks
 from mixtac_alignment.tap_waveform import TapModel, brightening, common_course, depth_of, tap_signal
 from mixtac_alignment.two_impulse import paired_impulses
 
@@ -110,7 +111,7 @@ def find_bursts(counts: EventCounts, settings: ImpulseSettings) -> list[Impulse]
     rate = counts.counts.astype(np.float64) / width_s
     smooth = np.asarray(gaussian_filter1d(rate, SMOOTHING_S / width_s, mode='nearest'))
     window = 2 * round(4.0 * settings.max_width_s / width_s) + 1
-    peaks, found = find_peaks(smooth, prominence=settings.min_burst_rate, wlen=window)
+    peaks, found = prominent_peaks(smooth, settings.min_burst_rate, window)
     edges = (found['prominences'], found['left_bases'], found['right_bases'])
     widths = peak_widths(smooth, peaks, 0.5, edges)[0] * width_s
     reach = round(0.05 / width_s)
