@@ -69,6 +69,12 @@ ARGUMENTS = [
         description='Run driver and estimator in one process: less CPU than in two',
     ),
     DeclareLaunchArgument(
+        'view',
+        default_value='false',
+        choices=['true', 'false'],
+        description='Show the sensor in the browser; needs rerun-sdk (docs/viewing.md)',
+    ),
+    DeclareLaunchArgument(
         'use_sim_time',
         default_value='false',
         choices=['true', 'false'],
@@ -243,6 +249,14 @@ def _nodes(context):
     if device.partition(':')[0] == 'virtual':
         virtual = _virtual_sensor(context, device)
         actions += [virtual, _shutdown_with(virtual, 'virtual_sensor')]
+    if _value(context, 'view') == 'true':
+        actions.append(
+            Node(
+                package='mixtac_bringup',
+                executable='view_node',
+                **_common(context, 'view', {}),
+            )
+        )
     return [*actions, *_estimation(context)]
 
 
