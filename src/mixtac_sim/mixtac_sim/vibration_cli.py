@@ -42,7 +42,7 @@ def vibration(
     table = Table(
         title=f'vibration, {preset}, simulated: mean over {devices} sensors', title_justify='left'
     )
-    for heading in ('peak [um]', 'tone [Hz]', 'events above rest [1/s]', *SIGNALS):
+    for heading in (r'peak \[um]', 'tone [Hz]', 'events above rest [1/s]', *SIGNALS):
         table.add_column(heading, justify='right')
     for row in rows:
         table.add_row(*_cells(row))

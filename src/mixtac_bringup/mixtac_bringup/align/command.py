@@ -161,7 +161,9 @@ def _as_dict(outcome: Outcome) -> dict[str, object]:
 def _table(outcomes: list[Outcome]) -> Table:
     from rich.table import Table
 
-    table = Table('bag', 'method', 'drift [ppm]', '+- in the middle [ms]', 'baseline [s]', 's')
+    table = Table(
+        'bag', 'method', r'drift \[ppm]', r'+- in the middle \[ms]', r'baseline \[s]', 's'
+    )
     for outcome in outcomes:
         fit = outcome.fit
         if fit is None:

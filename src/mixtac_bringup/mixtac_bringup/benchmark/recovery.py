@@ -264,7 +264,7 @@ def _quantiles(recoveries: Sequence[Recovery]) -> dict[str, float]:
 
 def _print(console: Console, report: RecoveryReport) -> None:
     figures = report.as_dict()
-    table = Table(title='time to recover [s]', title_justify='left')
+    table = Table(title=r'time to recover \[s]', title_justify='left')
     for heading in ('fault', 'count', 'p50', 'p95', 'max'):
         table.add_column(heading, justify='left' if heading == 'fault' else 'right')
     for name, row in {**figures['by_fault'], 'all': figures['recovery_s']}.items():
