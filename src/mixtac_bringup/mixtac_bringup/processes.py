@@ -5,20 +5,23 @@
 from __future__ import annotations
 
 import re
+import shutil
+import signal
 import subprocess
 import sys
 import threading
 import time
 from dataclasses import dataclass, field
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 from mixtac_bringup.errors import GraphError
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from types import TracebackType
+    from types import FrameType, TracebackType
 
 STOP_GRACE_S = 8.0
+_ENDING = (signal.SIGTERM, signal.SIGHUP)
 _FATAL = re.compile(r'^error: (?P<text>.*)')
 _LOGGED = re.compile(r'^\[(ERROR|FATAL)\] \[[^]]*\] \[[^]]*\]: (?P<text>.*)')
 
@@ -55,7 +58,11 @@ class _Member:
 
 
 class ProcessGroup:
-    """The processes of a graph.
+    """The processes of a graph; none outlives this one.
+
+    Leaving the `with` block ends them. While it lasts, SIGTERM and SIGHUP leave it by SystemExit
+    (in the main thread; elsewhere Python cannot catch them). If this process is killed, the
+    kernel sends them SIGTERM, where `setpriv` of util-linux is there.
 
     Args:
         log_dir: Folder for one log file per process, or None to pass their output on to stderr.
@@ -66,9 +73,12 @@ class ProcessGroup:
         self._log_dir = log_dir
         self._env = env
         self._members: dict[str, _Member] = {}
+        self._handlers: dict[int, Any] = {}
 
     def __enter__(self) -> ProcessGroup:
         """Return the group."""
+        if threading.current_thread() is threading.main_thread():
+            self._handlers = {number: signal.signal(number, _leave) for number in _ENDING}
         return self
 
     def __exit__(
@@ -79,6 +89,8 @@ class ProcessGroup:
     ) -> None:
         """End all processes."""
         self.stop()
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
 
     def start(self, name: str, command: list[str]) -> None:
         """Start a process under a name.
@@ -92,7 +104,7 @@ class ProcessGroup:
             sink = (self._log_dir / f'{name}.log').open('w')
         member = _Member(
             subprocess.Popen(
-                command,
+                _ending_with_parent(command),
                 env=self._env,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
@@ -137,6 +149,17 @@ class ProcessGroup:
                 self._members[each].process.terminate()
         deadline = time.monotonic() + STOP_GRACE_S
         return {each: _wait(self._members.pop(each), deadline) for each in names}
+
+
+def _leave(number: int, _frame: FrameType | None) -> None:
+    raise SystemExit(128 + number)
+
+
+def _ending_with_parent(command: list[str]) -> list[str]:
+    """Return a command whose process gets SIGTERM when the thread that started it is gone."""
+    setpriv = shutil.which('setpriv')
+    main = threading.current_thread() is threading.main_thread()
+    return [setpriv, '--pdeathsig', 'TERM', '--', *command] if setpriv and main else command
 
 
 def _wait(member: _Member, deadline: float) -> int:

@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import shutil
+import signal
+import subprocess
 import sys
 import time
 from typing import TYPE_CHECKING
@@ -75,3 +78,27 @@ def test_a_node_stopped_while_it_imports_says_nothing(tmp_path: Path, delay_s: f
         )
         time.sleep(delay_s)
     assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_no_process_outlives_the_group_however_it_is_ended(tmp_path: Path, number: int):
+    if number == signal.SIGKILL and shutil.which('setpriv') is None:
+        pytest.skip('needs setpriv (util-linux)')
+    script = (
+        'import sys, time; from pathlib import Path; '
+        'from mixtac_bringup.processes import ProcessGroup\n'
+        'with ProcessGroup(Path(sys.argv[1])) as group:\n'
+        f'    group.start("node", {WAIT!r}); print("ready", flush=True); time.sleep(60)\n'
+    )
+    parent = subprocess.Popen(
+        [sys.executable, '-c', script, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert parent.stdout is not None
+    assert parent.stdout.readline() == 'ready\n'
+    (child,) = psutil.Process(parent.pid).children()
+    # Only once it is the command itself does it end with its parent.
+    wait_until(lambda: 'setpriv' not in child.name())
+    parent.send_signal(number)
+    code = parent.wait(30)
+    assert code == (-number if number == signal.SIGKILL else 128 + number)
+    wait_until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE)
