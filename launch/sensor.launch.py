@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor: camera driver, force estimator, and the virtual sensor where that is the device."""
+"""The sensor: camera driver, force estimator, the virtual sensor, and alignment on request."""
+
+import os
 
 from launch.actions import (
     DeclareLaunchArgument,
@@ -23,6 +25,7 @@ from launch_ros.substitutions import FindPackageShare
 from lifecycle_msgs.msg import Transition
 
 from launch import LaunchDescription
+from mixtac_bringup.dds_profile import profile_environment
 
 PLAYBACK = {
     'playback_rate': (float, 'speed, 0 as fast as the subscribers allow'),
@@ -59,14 +62,21 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'reference_topic',
         default_value='',
-        description='Virtual sensor: topic of its reference force; empty takes that of the '
-        'parameter files',
+        description='Topic of the reference force: of the virtual sensor, and with align; empty '
+        'takes that of the parameter files',
     ),
     DeclareLaunchArgument(
         'single_process',
         default_value='false',
         choices=['true', 'false'],
         description='Run driver and estimator in one process: less CPU than in two',
+    ),
+    DeclareLaunchArgument(
+        'align',
+        default_value='false',
+        choices=['true', 'false'],
+        description='Fit the clock of the reference force on request, and publish the error of '
+        'the estimate against it (docs/alignment.md)',
     ),
     DeclareLaunchArgument(
         'view',
@@ -192,6 +202,24 @@ def _virtual_sensor(context, device):
     )
 
 
+def _alignment(context):
+    """Return the nodes that fit the clocks and compare the force with the aligned reference."""
+    topic = _value(context, 'reference_topic')
+    overrides = {'reference_topic': topic} if topic else {}
+    return [
+        Node(
+            package='mixtac_alignment',
+            executable='alignment_node',
+            **_common(context, 'alignment', overrides),
+        ),
+        Node(
+            package='mixtac_bringup',
+            executable='force_error_node',
+            **_common(context, 'force_error', {}),
+        ),
+    ]
+
+
 def _device(context):
     """Return the overrides of the driver: its device, and whether it publishes the clock."""
     serial = _value(context, 'serial')
@@ -257,6 +285,8 @@ def _nodes(context):
                 **_common(context, 'view', {}),
             )
         )
+    if _value(context, 'align') == 'true':
+        actions += _alignment(context)
     return [*actions, *_estimation(context)]
 
 
@@ -265,6 +295,7 @@ def generate_launch_description():
     return LaunchDescription(
         [
             SetEnvironmentVariable('RCUTILS_LOGGING_BUFFERED_STREAM', '1'),
+            *(SetEnvironmentVariable(*each) for each in profile_environment(os.environ).items()),
             *ARGUMENTS,
             OpaqueFunction(function=_nodes),
         ]

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Slip control beside a running sensor (`sensor.launch.py`) and a running arm."""
 
+import os
+
 from launch.actions import (
     DeclareLaunchArgument,
     EmitEvent,
@@ -17,6 +19,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
+from mixtac_bringup.dds_profile import profile_environment
 
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -76,6 +79,7 @@ def generate_launch_description():
     return LaunchDescription(
         [
             SetEnvironmentVariable('RCUTILS_LOGGING_BUFFERED_STREAM', '1'),
+            *(SetEnvironmentVariable(*each) for each in profile_environment(os.environ).items()),
             *ARGUMENTS,
             OpaqueFunction(function=_nodes),
         ]
