@@ -13,8 +13,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture
-def tool():
+def tool(monkeypatch):
     """Return the set-up tool as a module."""
+    monkeypatch.syspath_prepend(str(ROOT / 'tools'))
     spec = importlib.util.spec_from_file_location('mixtac_setup', ROOT / 'tools' / 'setup.py')
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -53,13 +54,13 @@ def test_a_python_without_wheels_is_refused(tool, monkeypatch, version):
 
 
 def test_a_missing_compiler_names_its_package(tool, monkeypatch):
-    monkeypatch.setattr(tool.shutil, 'which', lambda _name: None)
+    monkeypatch.setattr('setup_checks.shutil.which', lambda _name: None)
     with pytest.raises(tool.SetupError, match='build-essential cmake'):
         tool.check_system()
 
 
 def test_an_unreachable_registry_is_named(tool, monkeypatch, tmp_path):
-    monkeypatch.setattr(tool, 'ROOT', tmp_path)
+    monkeypatch.setattr('setup_steps.ROOT', tmp_path)
     with pytest.raises(tool.SetupError, match='registry') as caught:
         tool.call(['sh', '-c', 'echo refused; exit 1'], 'is a package registry reachable?')
     assert 'refused' in str(caught.value)
@@ -82,6 +83,7 @@ def test_a_damaged_record_starts_over(tool, tmp_path):
 
 def test_stale_paths_of_the_wheels_are_repaired(tool, tmp_path, monkeypatch):
     monkeypatch.setattr(tool, 'ROOT', tmp_path)
+    monkeypatch.setattr('setup_steps.ROOT', tmp_path)
     (tmp_path / 'requirements').mkdir()
     (tmp_path / 'requirements' / 'ros-jazzy-wheels.txt').write_text('x\n')
     venv = tmp_path / '.venv'

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import argparse
 import fcntl
-import hashlib
-import json
 import os
 import shutil
 import subprocess
@@ -23,132 +21,10 @@ import sysconfig
 import time
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-SUPPORTED_PYTHON = ((3, 10), (3, 13))
+from setup_checks import check_python, check_system, full_ros
+from setup_steps import ROOT, SetupError, Steps, call, fingerprint, say
+
 EXTRAS = ('view',)
-SUPPORTED_DISTROS = ('jazzy', 'kilted', 'lyrical', 'rolling')
-
-
-class SetupError(Exception):
-    """A step that cannot be done here; the text says why and what to do."""
-
-
-def say(text: str) -> None:
-    """Print one progress line."""
-    print(f'[setup] {text}', file=sys.stderr, flush=True)
-
-
-def full_ros() -> str:
-    """Return the distro of a sourced ROS 2 installation, or an empty string for wheels.
-
-    Raises:
-        SetupError: A ROS version too old is sourced.
-    """
-    distro = os.environ.get('ROS_DISTRO', '')
-    prefixes = [p for p in os.environ.get('AMENT_PREFIX_PATH', '').split(':') if p]
-    outside = [p for p in prefixes if not Path(p).resolve().is_relative_to(ROOT)]
-    if not distro or not outside:
-        return ''
-    if distro not in SUPPORTED_DISTROS:
-        raise SetupError(
-            f'ROS {distro} is sourced; Mixtac needs one of {", ".join(SUPPORTED_DISTROS)}. Open a '
-            'shell without it (ROS 2 Jazzy is then set up here by itself) or source a newer one.'
-        )
-    return distro
-
-
-def check_python() -> None:
-    """Refuse a Python without wheels of ROS 2.
-
-    Raises:
-        SetupError: Version not supported.
-    """
-    low, high = SUPPORTED_PYTHON
-    if not low <= sys.version_info[:2] <= high:
-        found = '.'.join(map(str, sys.version_info[:3]))
-        raise SetupError(
-            f'Python {found} is not supported: use {low[0]}.{low[1]} to {high[0]}.{high[1]}, for '
-            'example `make test PYTHON=python3.11`.'
-        )
-
-
-def check_system() -> None:
-    """Refuse a machine without what pip cannot bring.
-
-    Raises:
-        SetupError: Names what is missing and the command that installs it.
-    """
-    missing = {}
-    if not (shutil.which('cc') and shutil.which('c++')):
-        missing['a C and C++ compiler'] = 'build-essential'
-    if not shutil.which('cmake'):
-        missing['cmake'] = 'cmake'
-    if not (Path(sysconfig.get_paths()['include']) / 'Python.h').exists():
-        missing['the Python headers'] = 'python3-dev'
-    if subprocess.run(
-        [sys.executable, '-c', 'import ensurepip'], capture_output=True, check=False
-    ).returncode:
-        missing['venv'] = 'python3-venv'
-    if missing:
-        raise SetupError(
-            f'missing: {", ".join(missing)}. Install with: sudo apt-get install -y '
-            + ' '.join(missing.values())
-        )
-
-
-class Steps:
-    """Runs named steps whose inputs changed, remembering what succeeded.
-
-    Args:
-        record: JSON file with the fingerprint of each finished step.
-    """
-
-    def __init__(self, record: Path) -> None:
-        self._record = record
-        try:
-            self._done = json.loads(record.read_text())
-        except (OSError, ValueError):
-            self._done = {}
-
-    def is_done(self, name: str, fingerprint: str) -> bool:
-        """Tell whether a step succeeded with these inputs."""
-        return bool(self._done.get(name) == fingerprint)
-
-    def finish(self, name: str, fingerprint: str) -> None:
-        """Remember that a step succeeded."""
-        self._done[name] = fingerprint
-        self._record.parent.mkdir(parents=True, exist_ok=True)
-        partial = self._record.with_suffix('.partial')
-        partial.write_text(json.dumps(self._done, indent=1))
-        partial.replace(self._record)
-
-
-def fingerprint(files: list[Path], *extra: str) -> str:
-    """Return a hash over the contents and names of files and some strings."""
-    digest = hashlib.sha256('\n'.join(extra).encode())
-    for path in sorted(files):
-        digest.update(str(path.relative_to(ROOT)).encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def call(command: list[str], failure: str, env: dict[str, str] | None = None) -> None:
-    """Run a command, its output to the log file that the error names.
-
-    Raises:
-        SetupError: It failed; with the last lines of its output.
-    """
-    log = ROOT / 'log' / 'setup.log'
-    log.parent.mkdir(exist_ok=True)
-    with log.open('a') as stream:
-        stream.write(f'\n$ {" ".join(command)}\n')
-        stream.flush()
-        result = subprocess.run(
-            command, cwd=ROOT, env=env, stdout=stream, stderr=subprocess.STDOUT, check=False
-        )
-    if result.returncode:
-        tail = '\n'.join(log.read_text(errors='replace').splitlines()[-15:])
-        raise SetupError(f'{failure}\n{tail}\n(the whole output is in {log.relative_to(ROOT)})')
 
 
 def make_venv(venv: Path, *, system_packages: bool) -> None:

@@ -171,10 +171,8 @@ def slip_speed(drive_n: float, strength_n: float, rate_n: float, damping: float)
     z = level + np.log(damping / rate_n)
     if z < -30.0:
         return float(np.exp(level))
-    if z > 1.0:
-        y = z - np.log(z)
-    else:
-        y = np.exp(2.0 / 3.0 * (z - 1.0) if z > -2.0 else z)
+    start = np.exp(2.0 / 3.0 * (z - 1.0) if z > -2.0 else z)
+    y = z - np.log(z) if z > 1.0 else start
     for _ in range(ITERATIONS):
         short = z - y - np.log(y)
         slope = 2.0 * (1.0 + y) * (1.0 + y + 2.0 / 3.0 * short)
