@@ -6,7 +6,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mixtac_alignment.clock_fit import with_drift_prior
 from mixtac_alignment.errors import RefinementError
+from mixtac_alignment.impulses import ImpulseSettings
 from mixtac_alignment.refinement import Refinement, refine
 from mixtac_alignment.tap_anchors import FEWEST_FRAMES, fit_taps
 from mixtac_alignment.two_impulse import fit_counts
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
     from mixtac_alignment.event_history import CellEvents
     from mixtac_alignment.frame_features import FrameFeatures
     from mixtac_alignment.gel_lag import GelLag
-    from mixtac_alignment.impulses import ImpulseSettings
     from mixtac_alignment.rate_history import EventCounts
 
 
@@ -74,9 +75,9 @@ def _first(
     use_all: bool,
 ) -> ClockFit:
     """Return the map from the taps' whole course, or from their flanks where frames are too few."""
-    if events is None or len(frames.start_us) < FEWEST_FRAMES:
-        return fit_counts(counts, force_t_s, force_N, settings, use_all=use_all)
-    if not len(events.t_us) or events.start_us > counts.start_us + 500_000:
-        # Memory held fewer events than their counts: the first tap may be missing.
-        return fit_counts(counts, force_t_s, force_N, settings, use_all=use_all)
+    # Memory may hold fewer events than their counts: the first tap may be missing.
+    few = events is None or not len(events.t_us) or events.start_us > counts.start_us + 500_000
+    if events is None or few or len(frames.start_us) < FEWEST_FRAMES:
+        fit = fit_counts(counts, force_t_s, force_N, settings, use_all=use_all)
+        return with_drift_prior(fit, (settings or ImpulseSettings()).drift_std)
     return fit_taps(counts, events, frames, force_t_s, force_N, settings, lag, use_all=use_all)

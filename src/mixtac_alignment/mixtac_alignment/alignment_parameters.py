@@ -106,6 +106,15 @@ class AlignmentParameters:
         minimum=0.0,
         maximum=50.0,
     )
+    drift_std: float = parameter(
+        50.0,
+        'Prior standard deviation of the clock drift: two crystals of 30 to 40 ppm each. Draws the '
+        'drift towards 0 as far as the taps leave it uncertain; 0 for no prior. Taken with frames '
+        "only: without them the fit is the paper's.",
+        unit='ppm',
+        minimum=0.0,
+        maximum=10000.0,
+    )
     use_frames: bool = parameter(
         True,
         'Refine the fit over all that is remembered, with the frames.',
@@ -132,4 +141,5 @@ class AlignmentParameters:
             event_latency_std_s=self.event_latency_std * 1e-3,
             tap_latency_s=self.tap_latency * 1e-3,
             tap_latency_std_s=self.tap_latency_std * 1e-3,
+            drift_std=self.drift_std * 1e-6,
         )

@@ -92,7 +92,7 @@ class ClockFit:
 
     @property
     def residual_rms_s(self) -> float:
-        """Root mean square of the residuals [s]; 0 for two anchors."""
+        """Root mean square of the residuals [s]; 0 for two anchors without a prior."""
         return float(np.sqrt(np.mean(self.residuals_s**2)))
 
     @property
@@ -182,6 +182,28 @@ def fit_clock(
     )
     _require_drift(fit, max_drift)
     return fit
+
+
+def with_drift_prior(fit: ClockFit, drift_std: float) -> ClockFit:
+    """Return a map drawn towards clocks that run alike, as far as its drift is uncertain.
+
+    Args:
+        fit: The map from anchors.
+        drift_std: Prior standard deviation of ``a - 1``; 0 for no prior.
+    """
+    if drift_std <= 0.0:
+        return fit
+    gain = fit.covariance[:, 0] / (fit.covariance[0, 0] + drift_std**2)
+    drift = fit.a - 1.0
+    drawn = replace(
+        fit,
+        a=fit.a - float(gain[0]) * drift,
+        b=fit.b - float(gain[1]) * drift,
+        covariance=fit.covariance - np.outer(gain, fit.covariance[0]),
+    )
+    camera_us = np.array([anchor.camera_us for anchor in fit.anchors])
+    reference_s = np.array([anchor.reference_s for anchor in fit.anchors])
+    return replace(drawn, residuals_s=reference_s - drawn.to_reference(camera_us))
 
 
 def _camera_about_epoch(anchors: tuple[Anchor, ...]) -> tuple[int, NDArray[np.float64]]:

@@ -7,16 +7,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import peak_widths
 
+from mixtac_alignment.gaussian_smoothing import gaussian_smooth
 from mixtac_alignment.impulses import Impulse, ImpulseSettings, strongest
 from mixtac_alignment.prominent_peaks import prominent_peaks
 from mixtac_alignment.stillness import stillness
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from mixtac_alignment.rate_history import EventCounts
 
 SMOOTHING_S: Final = 0.001
@@ -46,24 +43,20 @@ def find_event_impulses(
     chosen = settings or ImpulseSettings()
     width_s = counts.width_us * 1e-6
     per_second = counts.counts.astype(np.float64) / width_s
-    smooth: NDArray[np.float64] = np.asarray(
-        gaussian_filter1d(per_second, SMOOTHING_S / width_s, mode='nearest')
-    )
+    smooth = gaussian_smooth(per_second, SMOOTHING_S / width_s)
     rest = float(np.median(smooth))
     window = 2 * max(3, round(2.0 * chosen.max_width_s / width_s)) + 1
-    troughs, found = prominent_peaks(-smooth, chosen.min_burst_rate, window)
-    edges = (found['prominences'], found['left_bases'], found['right_bases'])
-    widths = peak_widths(-smooth, troughs, 0.5, edges)[0] * width_s
+    troughs = prominent_peaks(-smooth, chosen.min_burst_rate, window)
     impulses = [
         _impulse(
             stillness(per_second, smooth, int(trough), float(depth), min(rest, smooth[trough])),
             float(smooth[trough] + depth) > chosen.readout_rate,
             float(depth),
-            float(width),
+            float(width) * width_s,
             width_s,
         )
-        for trough, depth, width in zip(troughs, found['prominences'], widths, strict=True)
-        if width <= chosen.max_width_s
+        for trough, depth, width in zip(*troughs, strict=True)
+        if width * width_s <= chosen.max_width_s
         and smooth[trough] <= chosen.max_trough_ratio * (smooth[trough] + depth)
         and not counts.lost_near(trough, window)
     ]

@@ -7,7 +7,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.signal import peak_widths
 
 from mixtac_alignment.errors import AlignmentError
 from mixtac_alignment.force_smoothing import noise_std
@@ -48,13 +47,11 @@ def find_force_impulses(
     period = float(np.median(np.diff(t_s)))
     least = max(chosen.min_force, NOISE_FACTOR * noise_std(force))
     window = 2 * max(3, round(2.0 * chosen.max_width_s / period)) + 1
-    peaks, found = prominent_peaks(force, least, window)
-    edges = (found['prominences'], found['left_bases'], found['right_bases'])
-    widths = peak_widths(force, peaks, 0.5, edges)[0] * period
+    peaks = prominent_peaks(force, least, window)
     impulses = [
-        _impulse(t_s, force, int(peak), float(height), float(width), period)
-        for peak, height, width in zip(peaks, found['prominences'], widths, strict=True)
-        if width <= chosen.max_width_s
+        _impulse(t_s, force, int(peak), float(height), float(width) * period, period)
+        for peak, height, width in zip(*peaks, strict=True)
+        if width * period <= chosen.max_width_s
     ]
     return strongest(impulses, chosen.min_spacing_s)
 

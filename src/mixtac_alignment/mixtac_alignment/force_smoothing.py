@@ -12,7 +12,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+
+from mixtac_alignment.gaussian_smoothing import gaussian_smooth
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,11 +45,11 @@ def smooth_force(force_N: NDArray[np.float64], period_s: float) -> NDArray[np.fl
     kept = np.zeros_like(force_N)
     for scale_s in SCALES_S:
         width = scale_s / period_s
-        coarser = gaussian_filter1d(force_N, width, mode='nearest')
-        wider = gaussian_filter1d(impulse, width)
+        coarser = gaussian_smooth(force_N, width)
+        wider = gaussian_smooth(impulse, width)
         noise = power * float(np.sum((kernel - wider) ** 2))
         band = finer - coarser
-        local = gaussian_filter1d(band**2, 2.0 * width, mode='nearest')
+        local = gaussian_smooth(band**2, 2.0 * width)
         kept += band * np.clip(1.0 - CAUTION * noise / np.maximum(local, 1e-12), 0.0, 1.0)
         finer, kernel = coarser, wider
     return np.asarray(finer + kept)

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
+from numba import njit
+
+from mixtac_alignment.cubic_spline import refined
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,10 +62,9 @@ class LaggedForce:
     """
 
     def __init__(self, t_s: NDArray[np.float64], force_N: NDArray[np.float64]) -> None:
-        count = (len(t_s) - 1) * FINER + 1
-        fine = np.linspace(t_s[0], t_s[-1], count)
-        self._start, self._step = float(t_s[0]), float(fine[1] - fine[0])
-        force = CubicSpline(t_s, force_N)(fine)
+        self._start = float(t_s[0])
+        self._step = float(t_s[-1] - t_s[0]) / ((len(t_s) - 1) * FINER)
+        force = refined(np.ascontiguousarray(force_N, np.float64), FINER)
         change = np.diff(force, prepend=force[0])
         responses = [self._response(change, time) for time in TIMES_S]
         stretched = self._response(change, STRETCH * TIMES_S[1])
@@ -90,10 +90,21 @@ class LaggedForce:
     def _response(self, change: NDArray[np.float64], time_s: float) -> NDArray[np.float64]:
         decay = float(np.exp(-self._step / time_s))
         gain = time_s / self._step * (1.0 - decay)
-        return np.asarray(lfilter([gain], [1.0, -decay], change), np.float64)
+        return np.asarray(_filtered(change, gain, decay), np.float64)
 
     def _at(self, rows: NDArray[np.float64], t_s: NDArray[np.float64]) -> NDArray[np.float64]:
         place = (t_s - self._start) / self._step
         k = np.clip(place.astype(np.int64), 0, rows.shape[1] - 2)
         part = place - k
         return np.asarray((rows[:, k] * (1.0 - part) + rows[:, k + 1] * part).T)
+
+
+@njit(cache=True, nogil=True)
+def _filtered(values: NDArray[np.float64], gain: float, decay: float) -> NDArray[np.float64]:
+    """Return the response of a first-order recursion that starts at rest."""
+    result = np.empty_like(values)
+    state = 0.0
+    for i in range(len(values)):
+        state = decay * state + gain * values[i]
+        result[i] = state
+    return result

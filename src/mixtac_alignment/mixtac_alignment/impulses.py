@@ -46,6 +46,8 @@ class ImpulseSettings:
         tap_latency_s: The same where the whole course of a tap is fitted (`tap_waveform`), which
             accounts for gel and thresholds [s].
         tap_latency_std_s: Standard deviation of it from sensor to sensor [s].
+        drift_std: Prior standard deviation of ``a - 1``: two crystals of 30 to 40 ppm each; 0 for
+            no prior. The paper's own solution takes none.
     """
 
     min_force: float = 0.2
@@ -62,6 +64,7 @@ class ImpulseSettings:
     event_latency_std_s: float = 0.7e-3
     tap_latency_s: float = 1.3e-3
     tap_latency_std_s: float = 1.0e-3
+    drift_std: float = 5e-5
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,10 @@ of functions of the frames as :math:`q`,
 .. math:: \overline{F - \textstyle\sum w_i H_i}\,(a\,t + b) = q\,c + \text{noise},
 
 averaged over each exposure, is solved for a, b and w by Gauss-Newton steps; c drops out by
-projection. Residuals beyond three standard deviations lose weight (Cauchy). Rates and weights have
-priors. The covariance is that of a block bootstrap in closed form (cluster-robust sandwich), since
-residuals of neighbouring frames resemble each other, plus a floor found on simulated trials.
+projection. Residuals beyond three standard deviations lose weight (Cauchy). The first map and the
+gel's weights have priors. The covariance is that of a block bootstrap in closed form
+(cluster-robust sandwich), since residuals of neighbouring frames resemble each other, plus a floor
+found on simulated trials.
 """
 
 from __future__ import annotations
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
 STEPS: Final = 12
 LARGEST_STEP_S: Final = 4e-3
 LARGEST_TURN: Final = 4e-4
-DRIFT_STD: Final = 5e-5
-"""Prior standard deviation of ``a - 1``: two crystals of 30 ppm each."""
 BLOCK_S: Final = 1.0
 """Residuals this far apart are independent."""
 INFLATION: Final = 1.6
@@ -104,7 +103,8 @@ def refine(
     """Refine a clock map over the whole recording.
 
     Args:
-        first: Map that is right to a few milliseconds, from impulses.
+        first: Map that is right to a few milliseconds, from impulses, with what is known of the
+            drift in it (`clock_fit.with_drift_prior`).
         frames: Frames, camera clock.
         force_t_s: Force sample times, reference clock [s], increasing, evenly spaced.
         force_N: Normal force [N].
@@ -167,14 +167,13 @@ def _iterate(
 
 
 def _knowledge(first: ClockFit, middle_s: float, prior: GelLag) -> _Known:
-    """Return what impulses, crystals and gels let expect of b about the middle, a and weights."""
+    """Return what the first map and the prior of the gel say of b about the middle, a, weights."""
     mean = np.array([first.b + first.a * middle_s, first.a, *prior.mean])
     precision = np.diag([0.0, 0.0, *(1.0 / np.array(prior.std) ** 2)])
     about = np.array([[middle_s, 1.0], [1.0, 0.0]])
     impulses = np.linalg.inv(about @ first.covariance @ about.T)
-    crystals = np.diag([0.0, 1.0 / DRIFT_STD**2])
-    precision[:2, :2] = impulses + crystals
-    mean[:2] = np.linalg.solve(impulses + crystals, impulses @ mean[:2] + crystals @ [0.0, 1.0])
+    # Frames tell by so much less than their noise says.
+    precision[:2, :2] = INFLATION**2 * impulses
     return _Known(mean, precision)
 
 

@@ -14,12 +14,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import peak_widths
 
-from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
+from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
 from mixtac_alignment.errors import NoImpulseError
 from mixtac_alignment.force_smoothing import smooth_force
+from mixtac_alignment.gaussian_smoothing import gaussian_smooth
 from mixtac_alignment.impulses import Impulse, ImpulseSettings, strongest
 from mixtac_alignment.prominent_peaks import prominent_peaks
 from mixtac_alignment.tap_waveform import TapModel, brightening, common_course, depth_of, tap_signal
@@ -86,15 +85,24 @@ def fit_taps(
     t_s, force = _even(force_t_s - start_s, force_N)
     weight = _weights(pairs, counts.start_us, frames, t_s, force)
     anchors = [
-        _anchor(pair, counts.start_us, start_s, events, weight, t_s, force, lag, chosen)
-        for pair in used
+        _anchor(
+            pair,
+            counts.start_us,
+            start_s,
+            events,
+            weight,
+            TapModel(t_s, force, pair.reference.time_s, lag, loaded=number > 0),
+            chosen,
+        )
+        for number, pair in enumerate(used)
     ]
-    return fit_clock(
+    fit = fit_clock(
         anchors,
         min_baseline_s=chosen.min_baseline_s,
         max_drift=chosen.max_drift,
         common_std_s=chosen.tap_latency_std_s,
     )
+    return with_drift_prior(fit, chosen.drift_std)
 
 
 def find_bursts(counts: EventCounts, settings: ImpulseSettings) -> list[Impulse]:
@@ -109,16 +117,14 @@ def find_bursts(counts: EventCounts, settings: ImpulseSettings) -> list[Impulse]
     """
     width_s = counts.width_us * 1e-6
     rate = counts.counts.astype(np.float64) / width_s
-    smooth = np.asarray(gaussian_filter1d(rate, SMOOTHING_S / width_s, mode='nearest'))
+    smooth = gaussian_smooth(rate, SMOOTHING_S / width_s)
     window = 2 * round(4.0 * settings.max_width_s / width_s) + 1
-    peaks, found = prominent_peaks(smooth, settings.min_burst_rate, window)
-    edges = (found['prominences'], found['left_bases'], found['right_bases'])
-    widths = peak_widths(smooth, peaks, 0.5, edges)[0] * width_s
+    peaks = prominent_peaks(smooth, settings.min_burst_rate, window)
     reach = round(0.05 / width_s)
     impulses = [
-        Impulse((peak + 0.5) * width_s, BURST_STD_S, float(height), float(width))
-        for peak, height, width in zip(peaks, found['prominences'], widths, strict=True)
-        if width <= 1.5 * settings.max_width_s and not counts.lost_near(int(peak), reach)
+        Impulse((peak + 0.5) * width_s, BURST_STD_S, float(height), float(width) * width_s)
+        for peak, height, width in zip(*peaks, strict=True)
+        if width * width_s <= 1.5 * settings.max_width_s and not counts.lost_near(int(peak), reach)
     ]
     return strongest(impulses, settings.min_spacing_s)
 
@@ -163,13 +169,10 @@ def _anchor(
     start_s: float,
     events: CellEvents,
     weight: NDArray[np.float64],
-    t_s: NDArray[np.float64],
-    force: NDArray[np.float64],
-    lag: GelLag | None,
+    model: TapModel,
     settings: ImpulseSettings,
 ) -> Anchor:
     expected_us = start_us + round(1e6 * (pair.camera.time_s - BURST_LATENCY_S))
-    model = TapModel(t_s, force, pair.reference.time_s, lag)
     found, std_s = model.fit(*tap_signal(events, expected_us, weight)), TAP_STD_S
     if found.misfit > DOUBTFUL_MISFIT:
         common = common_course(events, expected_us, len(weight))

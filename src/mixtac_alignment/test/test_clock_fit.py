@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
+from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
 from mixtac_alignment.errors import DriftError, NoImpulseError, ShortBaselineError
 
 EPOCH_US = 1_700_000_000_000_000
@@ -137,3 +137,38 @@ def test_refusals_name_the_reason() -> None:
         fit_clock([Anchor(0, 0.0, 1e-3), Anchor(0, 0.0, 1e-3)], min_baseline_s=0.0)
     with pytest.raises(DriftError, match='1000 ppm'):
         fit_clock([Anchor(0, 0.0, 1e-5), Anchor(10_000_000, 10.01, 1e-5)])
+
+
+@given(
+    errors_s=st.lists(st.floats(-2e-3, 2e-3), min_size=2, max_size=5),
+    std_ppm=st.floats(1.0, 500.0),
+    seed=st.integers(0, 1000),
+)
+def test_a_prior_of_the_drift_is_one_more_measurement(
+    errors_s: list[float], std_ppm: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    std_s = rng.uniform(2e-4, 1e-3, len(errors_s))
+    camera_us = 1_000_000 * np.arange(len(errors_s)) * 10 + 12_345_678
+    reference_s = 100.0 + 1e-6 * camera_us + np.array(errors_s)
+    fit = fit_clock(
+        [Anchor(*each) for each in zip(camera_us.tolist(), reference_s, std_s, strict=True)],
+        max_drift=1.0,
+    )
+    # Anchors that scatter widen the covariance; what follows takes it as it is.
+    free = max(len(errors_s) - 2, 1)
+    wider = max(1.0, float(np.sum((fit.residuals_s / std_s) ** 2)) / free)
+    since = 1e-6 * (camera_us - fit.camera_epoch_us)
+    rows = np.column_stack([since, np.ones(len(since))]) / (std_s * np.sqrt(wider))[:, None]
+    seen = (reference_s - fit.reference_epoch_s) / (std_s * np.sqrt(wider))
+    rows = np.vstack([rows, [1e6 / std_ppm, 0.0]])
+    wanted = np.linalg.lstsq(rows, np.append(seen, 1e6 / std_ppm), rcond=None)[0]
+    found = with_drift_prior(fit, 1e-6 * std_ppm)
+    assert [found.a - 1.0, found.b] == pytest.approx([wanted[0] - 1.0, wanted[1]], abs=1e-8)
+    assert found.covariance == pytest.approx(np.linalg.inv(rows.T @ rows), rel=1e-4, abs=1e-14)
+    assert found.residuals_s == pytest.approx(reference_s - found.to_reference(camera_us), abs=1e-9)
+
+
+def test_without_a_prior_the_map_is_that_of_the_anchors() -> None:
+    fit = fit_clock([Anchor(0, 0.0, 1e-3), Anchor(10_000_000, 10.001, 1e-3)])
+    assert with_drift_prior(fit, 0.0) is fit

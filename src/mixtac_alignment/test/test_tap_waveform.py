@@ -27,8 +27,13 @@ def force_at(t: np.ndarray, tap_s: float) -> np.ndarray:
     return 1.5 * np.cos(np.pi * np.clip(t / tap_s, -0.5, 0.5)) ** 2
 
 
-def pixels(rng: np.random.Generator, tap_s: float, delay_s: float) -> tuple[CellEvents, np.ndarray]:
-    """Return the events of pixels that see the depth, and how each cell brightens."""
+def pixels(
+    rng: np.random.Generator, tap_s: float, delay_s: float, before: float = 0.0
+) -> tuple[CellEvents, np.ndarray]:
+    """Return the events of pixels that see the depth, and how each cell brightens.
+
+    A share of them, `before`, has seen the same tap already.
+    """
     t = np.arange(-0.1, 0.15, 5e-5)
     depth = np.sqrt(force_at(t - delay_s, tap_s))
     gains = rng.normal(0.0, 1.0, CELLS)
@@ -37,6 +42,11 @@ def pixels(rng: np.random.Generator, tap_s: float, delay_s: float) -> tuple[Cell
         for _ in range(12):
             on, off = rng.normal(0.21, 0.03), rng.normal(0.27, 0.04)
             level, last = gain * rng.uniform(0.7, 1.3) * depth, rng.uniform(-off, on)
+            for value in level if rng.random() < before else ():
+                if value - last >= on:
+                    last += on
+                elif value - last <= -off:
+                    last -= off
             for at, value in zip(t, level, strict=True):
                 if value - last >= on:
                     last += on
@@ -53,9 +63,9 @@ def pixels(rng: np.random.Generator, tap_s: float, delay_s: float) -> tuple[Cell
     ), gains
 
 
-def model_of(tap_s: float) -> TapModel:
+def model_of(tap_s: float, *, loaded: bool = False) -> TapModel:
     t = np.arange(-0.3, 0.3, 1.0 / 800.0)
-    return TapModel(t, force_at(t, tap_s), 0.0, RIGID)
+    return TapModel(t, force_at(t, tap_s), 0.0, RIGID, loaded=loaded)
 
 
 @pytest.mark.parametrize(('tap_s', 'delay_s'), [(0.03, 0.0), (0.024, 0.004), (0.04, -0.006)])
@@ -65,6 +75,22 @@ def test_taps_are_timed_to_a_fraction_of_a_millisecond(tap_s: float, delay_s: fl
     assert found.misfit < 0.15
     # The model's pixels have a time constant of 0.5 ms, those made up here have none.
     assert found.delay_s + 0.5e-3 == pytest.approx(delay_s, abs=4e-4)
+
+
+def test_pixels_that_come_back_from_a_load_are_not_taken_for_late_ones() -> None:
+    errors = []
+    for seed in range(4):
+        events, gains = pixels(np.random.default_rng(seed), 0.03, 0.0, before=0.5)
+        signal = tap_signal(events, 1_000_000, gains)
+        errors.append(
+            [
+                model_of(0.03, loaded=loaded).fit(*signal).delay_s + 0.5e-3
+                for loaded in (False, True)
+            ]
+        )
+    fresh, loaded = np.mean(errors, axis=0)
+    assert fresh > loaded + 1e-4
+    assert abs(loaded) < 4e-4
 
 
 def test_without_frames_the_cells_common_course_times_the_tap() -> None:

@@ -17,6 +17,7 @@ OWN_TYPES = (
     'event_camera_msgs/msg/EventPacket',
     'mixtac_msgs/msg/ClockFit',
     'mixtac_msgs/msg/ExternalEdge',
+    'mixtac_msgs/msg/ForceQuality',
     'mixtac_msgs/msg/FrameExposure',
     'mixtac_msgs/msg/SlipState',
 )

@@ -125,22 +125,26 @@ def inspect(bag: Annotated[Path, typer.Argument(help='Folder of a rosbag2 record
 def _mount_learning() -> None:
     # Training pulls in torch; the other commands start without it.
     from mixtac_bringup.align.learning_effect import alignment
+    from mixtac_bringup.experiments import command as paper_experiments
     from mixtac_bringup.slip_bench.experiment import slip
-    from mixtac_fger import difficulty_cli, training_cli
+    from mixtac_fger import adapt_cli, difficulty_cli, training_cli
     from mixtac_fger.experiments import models_cli
     from mixtac_sim import vibration_cli
 
     app.command()(training_cli.train)
     app.command()(training_cli.evaluate)
+    app.command()(adapt_cli.adapt)
     for experiment in (
         difficulty_cli.difficulty,
         difficulty_cli.ablation,
-        vibration_cli.vibration,
         models_cli.models,
+        models_cli.adaptation,
         alignment,
-        slip,
     ):
         experiments.command()(experiment)
+    paper_experiments.mount(experiments)
+    experiments.command('tones')(vibration_cli.vibration)
+    experiments.command('grasps')(slip)
 
 
 def _mount_hardware() -> None:

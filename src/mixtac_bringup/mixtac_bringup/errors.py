@@ -15,3 +15,7 @@ class BagError(MixtacError):
 
 class ViewError(MixtacError):
     """A live view that cannot be served or written."""
+
+
+class ExperimentError(MixtacError):
+    """An experiment that does not exist or cannot be carried out."""

@@ -131,6 +131,14 @@ TOPICS = (
         'of the event window on the camera clock, frame `mixtac_contact`.',
     ),
     Topic(
+        'force_quality',
+        'mixtac_msgs/msg/ForceQuality',
+        reliable=False,
+        depth=100,
+        description='For each `force`, with the same stamp: its standard deviation [N], the age of '
+        'the latest frame, and whether all events of the window arrived.',
+    ),
+    Topic(
         REFERENCE,
         'geometry_msgs/msg/WrenchStamped',
         reliable=False,

@@ -87,6 +87,14 @@ def test_the_launch_description_starts_the_graph(device: str, together: str):
     assert found == [(spec.package, spec.executable) for spec in wanted]
 
 
+def test_align_adds_both_nodes_of_the_alignment_on_the_same_reference():
+    added = {('mixtac_alignment', 'alignment_node'), ('mixtac_bringup', 'force_error_node')}
+    plain, _ = processes('sensor', device='virtual')
+    aligned, _ = processes('sensor', device='virtual', align='true', reference_topic='/other')
+    assert set(aligned) - set(plain) == added
+    assert len(aligned) == len(plain) + len(added)
+
+
 def test_a_replay_is_the_sensor_on_a_recording_in_its_own_time():
     found, context = processes('replay', device='/some/bag', rate='2.5')
     assert found == [('mixtac_driver', 'driver_node'), ('mixtac_fger', 'fger_node')]

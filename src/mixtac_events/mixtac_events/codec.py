@@ -53,7 +53,10 @@ class PacketMessage(Protocol):
     time_base: int
     encoding: str
     is_bigendian: bool
-    events: array[int]
+
+    @property
+    def events(self) -> Payload:
+        """Encoded bytes."""
 
 
 def encode(

@@ -17,6 +17,9 @@ CELL_FEATURES = 4
 CORRECTION_POINTS = ('exposure_centre', 'arrival')
 """Where a frame's force is compared with the estimate; see `FgerConfig.correction_point`."""
 
+LATER_FIELDS: dict[str, Any] = {'event_shortcut': False, 'deviation_size': 0}
+"""Fields that weight files of the first release lack, and what they mean by that."""
+
 
 @dataclass(frozen=True)
 class FgerConfig:
@@ -60,6 +63,10 @@ class FgerConfig:
         frame_size: Size of the frame feature f_frame.
         lstm_size: Size of the recurrent state.
         mlp_size: Hidden width of MLP_df and MLP_corr.
+        event_shortcut: Give MLP_df the event feature beside the recurrent state. The state is
+            bounded; without the feature an increment is as well, and a blow of some newtons within
+            a few windows is not followed.
+        deviation_size: Hidden width of the head that says how uncertain the force is, 0 for none.
         correction_point: `exposure_centre`: the frame is compared with the estimate at the centre
             of its exposure and the correction is carried forward to now; `arrival`: with the
             present estimate, as a literal reading of Algorithm 1 has it (30 % more error).
@@ -82,12 +89,14 @@ class FgerConfig:
     gradient_flow: bool = True
     cell_regularisation: float = 1e-4
     flow_limit: float = 50.0
-    event_hidden: int = 48
-    event_size: int = 32
-    frame_widths: tuple[int, ...] = (16, 24, 32, 48)
-    frame_size: int = 32
-    lstm_size: int = 48
-    mlp_size: int = 32
+    event_hidden: int = 32
+    event_size: int = 24
+    frame_widths: tuple[int, ...] = (12, 16, 24, 32, 32)
+    frame_size: int = 24
+    lstm_size: int = 40
+    mlp_size: int = 24
+    event_shortcut: bool = True
+    deviation_size: int = 16
     correction_point: str = 'exposure_centre'
     history_windows: int = 64
 
@@ -99,7 +108,9 @@ class FgerConfig:
         """
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if type(value) in {int, float} and value <= 0:
+            if type(value) not in {int, float}:
+                continue
+            if value < 0 or (value == 0 and field.name != 'deviation_size'):
                 raise ConfigError(f'FgerConfig.{field.name} = {value}: give a positive value')
         if self.frame_bin % self.gradient_bin:
             raise ConfigError(
@@ -148,12 +159,13 @@ class FgerConfig:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> FgerConfig:
-        """Return the configuration of `to_dict`.
+        """Return the configuration of `to_dict`, also of files from before later fields existed.
 
         Raises:
             ConfigError: A field is unknown, missing or impossible.
         """
         names = {field.name for field in dataclasses.fields(cls)}
+        values = LATER_FIELDS | values
         if set(values) != names:
             odd = sorted(names.symmetric_difference(values))
             raise ConfigError(

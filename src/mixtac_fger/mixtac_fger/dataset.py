@@ -239,6 +239,8 @@ UNSEEN_BY_SAMPLES = {
     'frame_size',
     'lstm_size',
     'mlp_size',
+    'event_shortcut',
+    'deviation_size',
     'correction_point',
     'history_windows',
 }

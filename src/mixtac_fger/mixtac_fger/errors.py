@@ -25,6 +25,10 @@ class TareError(MixtacError):
     """A request for a new zero that would be wrong now."""
 
 
+class ReferenceFileError(MixtacError):
+    """A stored no-contact reference that cannot be read, written or used."""
+
+
 class CalibrationError(MixtacError):
     """A measurement that a sensor cannot be calibrated with."""
 

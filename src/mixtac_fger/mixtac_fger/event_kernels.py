@@ -65,7 +65,7 @@ def grid_features(
     along_y: F32,
     row_cell: Index,
     column_cell: Index,
-    bin_size: int,
+    bins: NDArray[np.uint16],
     solvers: F32,
     flow_limit: float,
     out: F32,
@@ -84,7 +84,8 @@ def grid_features(
         along_y: The same along y.
         row_cell: Grid row of each row of bins.
         column_cell: Grid column of each column of bins.
-        bin_size: Sensor pixels along a bin.
+        bins: Bin of each coordinate that there can be, uint16 [65536]: a table, since divisions are
+            what takes longest.
         solvers: From `cell_solvers`.
         flow_limit: Bound of |flow| per axis [px per threshold].
         out: float32 [grid rows, grid columns, 4].
@@ -92,7 +93,7 @@ def grid_features(
     rows, columns = along_x.shape
     out[:] = 0.0
     for index in range(x.shape[0]):
-        row, column = y[index] // bin_size, x[index] // bin_size
+        row, column = bins[y[index]], bins[x[index]]
         if row >= rows or column >= columns:
             continue
         cell = out[row_cell[row], column_cell[column]]

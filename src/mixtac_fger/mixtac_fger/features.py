@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     F32 = NDArray[np.float32]
 
 
+COORDINATES = 2**16
+"""Values that the coordinate of an event can have."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class EventGuide:
     """What the latest frame contributes to the features of an event window.
@@ -159,6 +163,7 @@ class WindowFeatures:
     def __init__(self, config: FgerConfig) -> None:
         self._config = config
         self._row_cell, self._column_cell = bin_cells(config)
+        self._bins = (np.arange(COORDINATES) // config.gradient_bin).astype(np.uint16)
         self.shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
 
     def compute(self, events: Events, guide: EventGuide, out: F32) -> None:
@@ -172,7 +177,7 @@ class WindowFeatures:
             guide.along_y,
             self._row_cell,
             self._column_cell,
-            config.gradient_bin,
+            self._bins,
             guide.solvers,
             config.flow_limit,
             out,

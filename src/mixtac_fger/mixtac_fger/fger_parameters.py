@@ -29,6 +29,12 @@ class FgerParameters:
         minimum=0.1,
         maximum=10.0,
     )
+    reference: str = parameter(
+        '',
+        'File of the no-contact reference of this sensor (.npz). ~/tare writes it; where it exists,'
+        ' estimating may begin in contact. Empty: the first still frames are the reference, so that'
+        ' the sensor has to be untouched when the node is activated.',
+    )
     contact_threshold: float = parameter(
         0.15,
         'Forces above this count as contact, in which ~/tare refuses.',
@@ -42,4 +48,19 @@ class FgerParameters:
         unit='s',
         minimum=0.05,
         maximum=60.0,
+    )
+    longest_without_frame: float = parameter(
+        2.0,
+        'Frames older than this end the output: no force is published until the next frame.',
+        unit='s',
+        minimum=0.05,
+        maximum=3600.0,
+    )
+    deadline: float = parameter(
+        0.003,
+        'Forces published later than this after the first events of the packet that completes their'
+        ' window arrived at the host count as late on /diagnostics; a packet spans 1 ms.',
+        unit='s',
+        minimum=0.0005,
+        maximum=1.0,
     )

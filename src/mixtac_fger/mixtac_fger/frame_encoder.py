@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from mixtac_fger.errors import TareError
 from mixtac_fger.features import EventGuide, FramePreparation, mean_contrast
+from mixtac_fger.frame_step import frame_maps, frame_step, frame_weights, row_scratch
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,12 +32,14 @@ class EncodedFrame:
         feature: f_frame, float32 [frame_size].
         guide: What events are multiplied with from now on.
         force: Frames-only force [N].
+        reference: `FrameEncoder.reference_number` of the reference it was compared with.
     """
 
     mid_us: int
     feature: F32
     guide: EventGuide
     force: float
+    reference: int
 
 
 class FrameEncoder:
@@ -47,22 +49,35 @@ class FrameEncoder:
     Until it is complete there is nothing to compare with and frames give nothing.
 
     Args:
-        network: In evaluation mode.
+        network: Weights are copied out of it.
     """
 
     def __init__(self, network: FgerNetwork) -> None:
-        self._network = network.frame
         self._config = network.config
+        self._weights = frame_weights(network.frame, network.config)
+        self._maps = frame_maps(network.config)
+        self._scratch = row_scratch(network.config)
         self._preparation = FramePreparation(network.config)
         self._lock = threading.Lock()
         self._recent: deque[F32] = deque(maxlen=network.config.reference_frames)
         self._reference: F32 | None = None
+        self._number = 0
         self._disturbances = 0
 
     @property
     def reference_complete(self) -> bool:
         """Whether there is a reference."""
         return self._reference is not None
+
+    @property
+    def reference(self) -> F32 | None:
+        """Coarse log contrast without contact, float32 `FgerConfig.frame_shape`; None so far."""
+        return self._reference
+
+    @property
+    def reference_number(self) -> int:
+        """How often there was a new reference."""
+        return self._number
 
     @property
     def reference_progress(self) -> int:
@@ -92,11 +107,10 @@ class FrameEncoder:
             if self._reference is None:
                 return None
             inputs = self._preparation.network_input(contrast, self._reference)
-            with torch.inference_mode():
-                feature = self._network(torch.from_numpy(inputs)[None])
-                force = float(self._network.force(feature)[0])
+            feature = np.empty(self._config.frame_size, np.float32)
+            force = frame_step(inputs, self._weights, self._maps, self._scratch, feature)
             guide = self._preparation.guide(contrast)
-            return EncodedFrame(mid_us, feature[0].numpy().copy(), guide, force)
+            return EncodedFrame(mid_us, feature, guide, float(force), self._number)
 
     def renew_reference(self) -> None:
         """Make the latest frames the reference.
@@ -111,13 +125,26 @@ class FrameEncoder:
                     f'{len(self._recent)} of {wanted} still frames at hand: keep the sensor'
                     ' untouched and try again'
                 )
-            self._reference = mean_contrast(self._recent)
+            self._use(mean_contrast(self._recent))
+
+    def use_reference(self, reference: F32) -> None:
+        """Compare with this from now on.
+
+        Args:
+            reference: Coarse log contrast without contact, float32 `FgerConfig.frame_shape`.
+        """
+        with self._lock:
+            self._use(reference)
 
     def forget_reference(self) -> None:
         """Start over: the next still frames become the reference."""
         with self._lock:
             self._reference = None
             self._recent.clear()
+
+    def _use(self, reference: F32) -> None:
+        self._reference = reference
+        self._number += 1
 
     def _full(self) -> bool:
         return len(self._recent) == self._config.reference_frames
@@ -130,4 +157,4 @@ class FrameEncoder:
                 self._disturbances += self._reference is None
         self._recent.append(coarse)
         if self._reference is None and self._full():
-            self._reference = mean_contrast(self._recent)
+            self._use(mean_contrast(self._recent))

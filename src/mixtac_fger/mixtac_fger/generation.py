@@ -13,6 +13,11 @@ if TYPE_CHECKING:
     from mixtac_fger.trial_plan import TrialSpec
     from mixtac_sim.trial import Trial
 
+_APART = {'usb', 'arm', 'grasp', 'datasets'}
+"""Parts of the simulator that no trial is made with."""
+_NODES = ('_node', '_parameters', '_cli')
+"""Ends of the names of modules that only run it."""
+
 
 def simulate(spec: TrialSpec) -> Trial:
     """Return the trial that `spec` names, with synchronising impulses and the rest around them."""
@@ -28,11 +33,13 @@ def simulate(spec: TrialSpec) -> Trial:
 
 @functools.cache
 def simulator_digest() -> str:
-    """Return a short digest of the simulator's source: samples of another simulator are stale."""
+    """Return a short digest of the source that makes trials: samples of another one are stale."""
     import mixtac_sim
 
+    root = Path(str(mixtac_sim.__file__)).parent
     digest = hashlib.sha256()
-    for path in sorted(Path(str(mixtac_sim.__file__)).parent.rglob('*.py')):
-        if 'usb' not in path.parts:
+    for path in sorted(root.rglob('*.py')):
+        apart = _APART.intersection(path.relative_to(root).parts)
+        if not apart and not path.stem.endswith(_NODES):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:12]

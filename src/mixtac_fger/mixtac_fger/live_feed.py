@@ -5,20 +5,40 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 from mixtac_events.codec import PacketMessage, decode_message
 from mixtac_events.errors import CodecError
 from mixtac_fger.errors import ImageError
-from mixtac_fger.streaming import EstimatorStatus, ForceEstimator
+from mixtac_fger.streaming import NO_LIMIT_US, ForceEstimator
 from mixtac_node.image_conversion import ImageConversionError, grey
 from mixtac_node.rates import RateMeter, RecentValues
 
 if TYPE_CHECKING:
     from array import array
 
+    from mixtac_events.packets import DecodedPacket
+    from mixtac_fger.estimates import Estimate, EstimatorStatus
     from mixtac_fger.weights import LoadedModel
+
+COMPARABLE_NS = 10_000_000_000
+"""Ages beyond this, or below zero, are those of replayed stamps or of another host's clock."""
+
+WATCHED = {
+    'lost_packets': 'event packets lost',
+    'repeated_packets': 'event packets came twice: is there a second publisher?',
+    'publisher_restarts': 'restarts of the publisher',
+    'bad_messages': 'messages refused',
+    'resets': 'restarts of the clock or the state',
+    'late_events': 'events too late for their window',
+    'withheld': 'windows without force',
+    'saturated': 'windows saturated',
+    'late': 'forces late',
+    'frames_off_clock': 'frames not of the time of the events',
+    'frames_dropped': 'frames left out',
+}
+"""Counters that are a warning when they rise, and what each counts."""
 
 
 class NumberedPacket(PacketMessage, Protocol):
@@ -47,18 +67,31 @@ class FeedStatus:
         rate_hz: Forces per second since the previous status.
         step_p50_ms: Median time of a window, packet decoding included.
         step_p99_ms: 99th percentile of it.
+        age_p50_ms: Median of the time from the arrival of a packet's first events at the host to
+            the publication of the forces that it completes, NaN where clocks do not compare.
+        age_p99_ms: 99th percentile of it.
+        late: Forces published later than the deadline after that arrival.
         lost_packets: Event packets missing by their sequence numbers.
+        repeated_packets: Packets left out as they came twice.
+        publisher_restarts: Times the sequence numbers went back.
         bad_messages: Packets and images that could not be read.
-        problem: The latest reason for one, empty if there was none.
+        problem: The latest reason for one since the previous status, empty if there was none.
+        lately: What rose since the previous status, by name, of `WATCHED`.
     """
 
     estimator: EstimatorStatus
     rate_hz: float
     step_p50_ms: float
     step_p99_ms: float
+    age_p50_ms: float
+    age_p99_ms: float
+    late: int
     lost_packets: int
+    repeated_packets: int
+    publisher_restarts: int
     bad_messages: int
     problem: str
+    lately: dict[str, int]
 
 
 class LiveFeed:
@@ -68,43 +101,78 @@ class LiveFeed:
         model: Network with its weights.
         contact_threshold_n: See `ForceEstimator`.
         force_scale: See `ForceEstimator`.
+        longest_without_frame_us: See `ForceEstimator`.
+        deadline_s: Forces published later than this after the arrival of their packet are late [s].
     """
 
     def __init__(
-        self, model: LoadedModel, contact_threshold_n: float, force_scale: float = 1.0
+        self,
+        model: LoadedModel,
+        contact_threshold_n: float,
+        force_scale: float = 1.0,
+        *,
+        longest_without_frame_us: int = NO_LIMIT_US,
+        deadline_s: float = 0.003,
     ) -> None:
         self.estimator = ForceEstimator(
             model,
             background_frames=True,
             force_scale=force_scale,
             contact_threshold_n=contact_threshold_n,
+            longest_without_frame_us=longest_without_frame_us,
         )
         self._size = (model.config.width, model.config.height)
+        self._deadline_ns = round(deadline_s * 1e9)
         self._sequence: int | None = None
-        self._lost_packets = 0
-        self._bad_messages = 0
+        self._lost = self._repeated = self._restarts = self._late = self._bad_messages = 0
+        self._missing = False
+        self._before = dict.fromkeys(WATCHED, 0)
         self._problem = ''
         self._rate = RateMeter()
-        self._durations = RecentValues()
+        self._durations, self._ages = RecentValues(), RecentValues()
 
-    def packet(self, message: NumberedPacket) -> list[tuple[int, float]]:
-        """Take an event packet and return (window end [us], force [N]) of the windows it closes."""
+    def packet(self, message: NumberedPacket) -> list[Estimate]:
+        """Take an event packet and return the forces of the windows that it closes."""
         started = time.perf_counter()
-        self._count_losses(message.seq)
-        size = (message.width, message.height)
-        if size != self._size:
-            self._refuse(f'events of a {size} sensor: the model reads {self._size}')
+        if not self._follow(message.seq):
             return []
         try:
-            packet = decode_message(message)
-            forces = self.estimator.push_events(packet.events, packet.complete_until)
-        except CodecError as error:
-            self._refuse(str(error))
+            packet = self._decoded(message)
+        except (CodecError, ImageError) as error:
+            self.refuse(str(error))
             return []
+        missing, self._missing = self._missing, False
+        forces = self.estimator.push_events(
+            packet.events, packet.complete_until, lost_before=missing
+        )
         if forces:
             self._durations.add((time.perf_counter() - started) * 1e3 / len(forces))
             self._rate.add(len(forces))
         return forces
+
+    def refuse(self, problem: str) -> None:
+        """Count a packet that could not be read: its events are missing.
+
+        Args:
+            problem: Why.
+        """
+        self._bad_messages += 1
+        self._problem = problem
+        self._missing = True
+
+    def published(self, count: int, arrival_ns: int, now_ns: int) -> None:
+        """Take note that forces have been published.
+
+        Args:
+            count: How many.
+            arrival_ns: `header.stamp` of the packet that completed them [ns, host].
+            now_ns: Present time [ns, host].
+        """
+        age_ns = now_ns - arrival_ns
+        if 0 <= age_ns < COMPARABLE_NS:
+            self._ages.add(age_ns / 1e6)
+            if age_ns > self._deadline_ns:
+                self._late += count
 
     def image(self, message: ImageMessage, mid_us: int) -> None:
         """Take an image; colours become grey.
@@ -116,29 +184,58 @@ class LiveFeed:
         try:
             self.estimator.push_frame(grey(message), mid_us)
         except (ImageError, ImageConversionError) as error:
-            self._refuse(str(error))
+            self._problem = str(error)
+            self._bad_messages += 1
 
     def status(self) -> FeedStatus:
         """Return the figures; the rate is that since the previous call."""
-        return FeedStatus(
-            estimator=self.estimator.status(),
+        estimator = self.estimator.status()
+        problem, self._problem = self._problem, ''
+        found = FeedStatus(
+            estimator=estimator,
             rate_hz=self._rate.read(time.monotonic()),
             step_p50_ms=self._durations.quantile(0.5),
             step_p99_ms=self._durations.quantile(0.99),
-            lost_packets=self._lost_packets,
+            age_p50_ms=self._ages.quantile(0.5),
+            age_p99_ms=self._ages.quantile(0.99),
+            late=self._late,
+            lost_packets=self._lost,
+            repeated_packets=self._repeated,
+            publisher_restarts=self._restarts,
             bad_messages=self._bad_messages,
-            problem=self._problem,
+            problem=problem,
+            lately={},
         )
+        return replace(found, lately=self._risen(found))
 
     def close(self) -> None:
         """End the estimator's thread."""
         self.estimator.close()
 
-    def _count_losses(self, sequence: int) -> None:
-        if self._sequence is not None and sequence > self._sequence:
-            self._lost_packets += sequence - self._sequence - 1
-        self._sequence = sequence
+    def _decoded(self, message: NumberedPacket) -> DecodedPacket:
+        if (message.width, message.height) != self._size:
+            size = (message.width, message.height)
+            raise ImageError(f'events of a {size} sensor: the model reads {self._size}')
+        return decode_message(message)
 
-    def _refuse(self, problem: str) -> None:
-        self._bad_messages += 1
-        self._problem = problem
+    def _follow(self, sequence: int) -> bool:
+        """Take a sequence number, count what is missing; False if the packet has been there."""
+        before, self._sequence = self._sequence, sequence
+        step = 1 if before is None else sequence - before
+        if step == 0:
+            self._repeated += 1
+            return False
+        if step < 0:
+            self._restarts += 1
+        else:
+            self._lost += step - 1
+        self._missing |= step != 1
+        return True
+
+    def _risen(self, found: FeedStatus) -> dict[str, int]:
+        now = {
+            name: int(getattr(found if hasattr(found, name) else found.estimator, name))
+            for name in WATCHED
+        }
+        before, self._before = self._before, now
+        return {name: rise for name in WATCHED if (rise := now[name] - before[name]) > 0}

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import linear
 
 from mixtac_fger.config import CELL_FEATURES
+from mixtac_fger.deviation_head import DeviationHead
+from mixtac_fger.errors import ModelError
 
 if TYPE_CHECKING:
     from mixtac_fger.config import FgerConfig
@@ -48,6 +51,20 @@ class FrameSlots(NamedTuple):
 
     frame: Tensor
     lag: Tensor
+
+
+class Course(NamedTuple):
+    """What a stretch of T windows of B sequences gives.
+
+    Attributes:
+        force: Force at the end of each window [N], [T, B].
+        hidden: LSTM output h after each window, [T, B, lstm_size].
+        state: State after the last window.
+    """
+
+    force: Tensor
+    hidden: Tensor
+    state: SequenceState
 
 
 class FrameNetwork(nn.Module):
@@ -119,8 +136,14 @@ class FgerNetwork(nn.Module):
         self.gates_event = nn.Linear(config.event_size, gates)
         self.gates_force = nn.Linear(1, gates, bias=False)
         self.gates_hidden = nn.Linear(config.lstm_size, gates, bias=False)
-        self.increment = _perceptron(config.lstm_size, config.mlp_size)
+        shortcut = config.event_size if config.event_shortcut else 0
+        self.increment = _perceptron(config.lstm_size + shortcut, config.mlp_size)
         self.correction = _perceptron(1 + config.frame_size, config.mlp_size)
+        self.deviation = (
+            DeviationHead(config.lstm_size, config.deviation_size)
+            if config.deviation_size
+            else None
+        )
 
     def initial_state(self, sequences: int) -> SequenceState:
         """Return the state before the first window: no force, nothing remembered."""
@@ -136,6 +159,36 @@ class FgerNetwork(nn.Module):
         slots: FrameSlots,
         state: SequenceState,
     ) -> tuple[Tensor, SequenceState]:
+        """Return force [N] [T, B] and the last state; arguments as in `course`."""
+        course = self.course(event_features, frame_features, slots, state)
+        return course.force, course.state
+
+    def forces_and_deviations(
+        self,
+        event_features: Tensor,
+        frame_features: Tensor,
+        slots: FrameSlots,
+        state: SequenceState,
+    ) -> tuple[Tensor, Tensor, SequenceState]:
+        """Return force and its standard deviation [N], [T, B] each, and the last state.
+
+        Arguments as in `course`.
+
+        Raises:
+            ModelError: The network says nothing of its uncertainty.
+        """
+        if self.deviation is None:
+            raise ModelError('this model has no uncertainty output: train it with deviation_size')
+        course = self.course(event_features, frame_features, slots, state)
+        return course.force, self.deviation(course.hidden, course.force), course.state
+
+    def course(
+        self,
+        event_features: Tensor,
+        frame_features: Tensor,
+        slots: FrameSlots,
+        state: SequenceState,
+    ) -> Course:
         """Run T windows of B sequences.
 
         Args:
@@ -143,15 +196,14 @@ class FgerNetwork(nn.Module):
             frame_features: f_frame of all frames that `slots` names, [N, frame_size].
             slots: When which frame becomes available.
             state: State before the first window.
-
-        Returns:
-            Force [N] at the end of each window, [T, B], and the state after the last.
         """
-        drive = self.gates_event(self.event(event_features))
+        events = self.event(event_features)
+        drive = self.gates_event(events)
+        direct, of_state = self._direct(events)
         arrivals = (slots.frame >= 0).any(dim=1).tolist()
         hidden, cell, offset = state.hidden, state.cell, state.offset
         past = list(state.history.unbind(0))
-        forces = []
+        forces, states = [], []
         for window, arrival in enumerate(arrivals):
             if arrival:
                 here = FrameSlots(slots.frame[window], slots.lag[window])
@@ -161,10 +213,30 @@ class FgerNetwork(nn.Module):
             keep_in, keep_old, fresh, keep_out = gates.chunk(4, dim=1)
             cell = torch.sigmoid(keep_old) * cell + torch.sigmoid(keep_in) * torch.tanh(fresh)
             hidden = torch.sigmoid(keep_out) * torch.tanh(cell)
-            past.append(past[-1] + self.increment(hidden)[:, 0])
+            middle = torch.relu(direct[window] + linear(hidden, of_state))
+            past.append(past[-1] + self.increment[2](middle)[:, 0])
             forces.append(past[-1] + offset)
+            states.append(hidden)
         history = torch.stack(past[-self.config.history_windows :])
-        return torch.stack(forces), SequenceState(hidden, cell, history, offset)
+        last = SequenceState(hidden, cell, history, offset)
+        return Course(torch.stack(forces), torch.stack(states), last)
+
+    def _direct(self, events: Tensor) -> tuple[Tensor, Tensor]:
+        """Split the hidden layer of MLP_df: the loop over windows is what takes the time.
+
+        Returns:
+            What events and bias contribute in each window, [T, B, mlp_size], and the weights of
+            the recurrent state, [mlp_size, lstm_size].
+        """
+        weight, bias = (
+            self.increment.get_parameter('0.weight'),
+            self.increment.get_parameter('0.bias'),
+        )
+        size = self.config.lstm_size
+        direct = bias.expand(*events.shape[:-1], -1)
+        if self.config.event_shortcut:
+            direct = linear(events, weight[:, size:], bias)
+        return direct, weight[:, :size]
 
     def _correction(
         self, past: list[Tensor], offset: Tensor, frame_features: Tensor, slots: FrameSlots
@@ -201,6 +273,7 @@ def operations_per_cycle(network: FgerNetwork, cycle_us: int = 40_000) -> int:
             total += layer.weight.numel() * rows * columns
     total += network.frame.project.weight.numel()
     total += sum(p.numel() for p in network.correction.parameters())
-    steps = (network.event, network.gates_event, network.gates_force, network.gates_hidden)
-    per_window = sum(p.numel() for part in (*steps, network.increment) for p in part.parameters())
+    steps = [network.event, network.gates_event, network.gates_force, network.gates_hidden]
+    steps += [network.increment, *([network.deviation] if network.deviation is not None else [])]
+    per_window = sum(p.numel() for part in steps for p in part.parameters())
     return 2 * (total + per_window * cycle_us // config.window_us)

@@ -170,7 +170,9 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
         state.cell[index] = keep_old * state.cell[index] + keep_in * fresh
         state.hidden[index] = keep_out * np.tanh(state.cell[index])
     state.increment_hidden[:] = weights.increment_hidden_bias
-    _accumulate(state.hidden, weights.increment_hidden, state.increment_hidden)
+    _accumulate(state.hidden, weights.increment_hidden[:size], state.increment_hidden)
+    if weights.increment_hidden.shape[0] > size:
+        _accumulate(state.event_output, weights.increment_hidden[size:], state.increment_hidden)
     _relu(state.increment_hidden)
     total = weights.increment_output_bias[0]
     for index in range(state.increment_hidden.shape[0]):

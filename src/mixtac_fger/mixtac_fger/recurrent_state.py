@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mixtac_fger.deviation_step import deviation, deviation_weights
 from mixtac_fger.packet_step import (
     advance,
     correction,
@@ -35,6 +36,8 @@ class RecurrentPath:
         self._config = network.config
         self._weights = step_weights(network)
         self._correction = correction_weights(network)
+        head = network.deviation
+        self._deviation = None if head is None else deviation_weights(head)
         self._state = step_state(self._weights)
         self._history = np.zeros(network.config.history_windows, np.float32)
         self._newest = 0
@@ -43,6 +46,13 @@ class RecurrentPath:
     def force(self) -> float:
         """Present estimate [N]."""
         return float(self._state.force[0])
+
+    @property
+    def deviation(self) -> float | None:
+        """Standard deviation of the present estimate [N]; None of a model that has none."""
+        if self._deviation is None:
+            return None
+        return float(deviation(self._state.hidden, self._state.force[0], self._deviation))
 
     def clear(self) -> None:
         """Forget everything: no force, no memory."""

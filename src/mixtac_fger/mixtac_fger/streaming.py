@@ -6,8 +6,13 @@ All times are on the camera clock. What happens when:
 
 * No reference or no frame yet: no output; `EstimatorStatus.reason` says which.
 * A frame arrives late, as all do: the estimate at the centre of its exposure is corrected and the
-  correction carried forward.
-* A gap in the stream: counted; the state is kept, as a contact does not end with a lost packet.
+  correction carried forward. One that comes before its events waits for them; one whose exposure
+  is not near the time of the events is not used.
+* No frames: the force goes on by events alone, up to `longest_without_frame_us`; then nothing comes
+  out until the next frame.
+* Packets are missing: windows of which no packet told give no force, those with a part missing are
+  marked. The state is kept, as a contact does not end with a lost packet; after a hole longer than
+  `LONG_HOLE_US`, output resumes with the first frame exposed after it.
 * The camera clock goes backwards: the recurrent state is reset and counted; the reference is kept,
   since the gel is still the same; output resumes with the next frame.
 * Numbers that are not finite never leave: the state is reset and counted.
@@ -17,17 +22,18 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_events.windows import RESTART_US, WindowSlicer
+from mixtac_events.windows import WindowSlicer
 from mixtac_fger.errors import TareError
+from mixtac_fger.estimates import Estimate, EstimatorCounts, EstimatorStatus
 from mixtac_fger.features import WindowFeatures, correction_lag
 from mixtac_fger.frame_encoder import FrameEncoder
 from mixtac_fger.frame_worker import FrameWorker
 from mixtac_fger.recurrent_state import RecurrentPath
+from mixtac_fger.stream_time import Arrival, StreamTime
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,39 +44,15 @@ if TYPE_CHECKING:
 
 TARE_WINDOWS = 100
 """Estimates that must all be near zero before a tare is allowed."""
-
-
-@dataclass(frozen=True, slots=True)
-class EstimatorStatus:
-    """What the estimator says of itself.
-
-    Attributes:
-        ready: Whether windows give forces now.
-        reason: Why not; empty when ready.
-        windows: Windows closed so far.
-        estimates: Forces given so far.
-        frames: Frames applied so far.
-        frames_dropped: Frames replaced by a newer one before they were encoded.
-        bad_frames: Frames of a size that the model does not read (background only).
-        gaps: Stretches of windows that were skipped as nothing arrived.
-        late_events: Events dropped since their window was closed.
-        resets: Times the clock went backwards or the state was not finite.
-        frame_age_us: Camera time since the centre of the latest frame's exposure, -1 without one.
-        frame_force: Frames-only force of the latest frame [N].
-    """
-
-    ready: bool
-    reason: str
-    windows: int
-    estimates: int
-    frames: int
-    frames_dropped: int
-    bad_frames: int
-    gaps: int
-    late_events: int
-    resets: int
-    frame_age_us: int
-    frame_force: float
+WAITING_FRAMES = 4
+"""Encoded frames that wait for the next window; of more the oldest are dropped."""
+SATURATION_PER_US = 10
+"""Events per microsecond beyond which the sensor's readout loses some: 10 million per second."""
+FRAME_AHEAD_US = 100_000
+"""Frames exposed later than the events by more than this are on another clock."""
+FRAME_BEHIND_US = 1_000_000
+"""Frames exposed earlier than the events by more than this are on another clock, or too old."""
+NO_LIMIT_US = 2**62
 
 
 class ForceEstimator:
@@ -84,6 +66,7 @@ class ForceEstimator:
         background_frames: Run the frame network in a thread; else `push_frame` does the work.
         force_scale: Multiplies the estimates; from the sensor's calibration.
         contact_threshold_n: Estimates above this count as contact, in which `tare` refuses [N].
+        longest_without_frame_us: Age of the latest frame beyond which no force is given [us].
     """
 
     def __init__(
@@ -93,8 +76,11 @@ class ForceEstimator:
         background_frames: bool = False,
         force_scale: float = 1.0,
         contact_threshold_n: float = 0.15,
+        longest_without_frame_us: int = NO_LIMIT_US,
     ) -> None:
         self._config = model.config
+        self._longest_us = longest_without_frame_us
+        self._saturation = SATURATION_PER_US * model.config.window_us
         self._scale = force_scale
         self._threshold = contact_threshold_n
         self._encoder = FrameEncoder(model.network)
@@ -103,11 +89,12 @@ class ForceEstimator:
         self._window_features = WindowFeatures(model.config)
         self._features = np.zeros(self._window_features.shape, np.float32)
         self._slicer = WindowSlicer(model.config.window_us)
-        self._encoded: deque[EncodedFrame] = deque(maxlen=4)
+        self._time = StreamTime()
+        self._encoded: deque[EncodedFrame] = deque()
         self._frame: EncodedFrame | None = None
         self._recent: deque[float] = deque(maxlen=TARE_WINDOWS)
-        self._newest_us: int | None = None
-        self._windows = self._estimates = self._frames = self._gaps = self._resets = 0
+        self._since_us = -NO_LIMIT_US
+        self._count = EstimatorCounts()
 
     def push_frame(self, image: NDArray[np.uint16] | NDArray[np.uint8], mid_us: int) -> None:
         """Hand over a frame as it arrives.
@@ -125,28 +112,38 @@ class ForceEstimator:
             return
         encoded = self._encoder.encode(image, mid_us)
         if encoded is not None:
-            self._encoded.append(encoded)
+            self._keep([encoded])
 
-    def push_events(self, events: Events, complete_until_us: int) -> list[tuple[int, float]]:
+    def push_events(
+        self, events: Events, complete_until_us: int, *, lost_before: bool = False
+    ) -> list[Estimate]:
         """Hand over events and get the forces of the windows that they complete.
 
         Args:
             events: The next events, camera clock; may be empty.
             complete_until_us: No event before this time will follow [us].
+            lost_before: Events between the previous call and these are missing.
 
         Returns:
-            (window end [us], force [N]) in order; empty until the estimator is ready.
+            In order of time; empty until the estimator is ready.
         """
         if self._worker is not None:
-            self._encoded.extend(self._worker.results())
-        if self._newest_us is not None and complete_until_us < self._newest_us - RESTART_US:
-            self._restart()
-        newest = self._newest_us
-        self._newest_us = max(complete_until_us, newest if newest is not None else -(2**62))
-        skipped = self._slicer.skipped_windows
+            self._keep(self._worker.results())
+        first_us = int(events.t[0]) if len(events) else complete_until_us
+        known = self._time.newest_us is not None
+        arrival = self._time.push(first_us, complete_until_us, lost_before=lost_before)
+        if arrival is Arrival.STARTS and known:
+            self._forget()
+            self._slicer.reset()
+            self._since_us = first_us
         closed = self._slicer.push(events, complete_until_us)
-        self._gaps += self._slicer.skipped_windows > skipped
-        return [pair for end, part in closed if (pair := self._window(end, part)) is not None]
+        return [found for end, part in closed if (found := self._window(end, part)) is not None]
+
+    @property
+    def deviation(self) -> float | None:
+        """Standard deviation of the latest force [N]; None of a model that gives none."""
+        deviation = self._path.deviation
+        return None if deviation is None else self._scale * deviation
 
     def tare(self) -> None:
         """Make the present state zero: the latest frames become the reference.
@@ -166,6 +163,19 @@ class ForceEstimator:
         self._path.clear()
         self._recent.clear()
 
+    @property
+    def reference(self) -> NDArray[np.float32] | None:
+        """The no-contact reference (see `FrameEncoder.reference`), to be kept in a file."""
+        return self._encoder.reference
+
+    def use_reference(self, reference: NDArray[np.float32]) -> None:
+        """Compare frames with a kept reference instead of the first still ones.
+
+        Args:
+            reference: Of `reference`, of the same sensor.
+        """
+        self._encoder.use_reference(reference)
+
     def reset(self) -> None:
         """Start over, as just made: the next still frames become the reference."""
         self._forget()
@@ -178,62 +188,101 @@ class ForceEstimator:
 
     def status(self) -> EstimatorStatus:
         """Return counters and the reason for having no output."""
-        frame = self._frame
+        frame, worker, count, time = self._frame, self._worker, self._count, self._time
         reason = self._reason()
         return EstimatorStatus(
             ready=not reason,
             reason=reason,
-            windows=self._windows,
-            estimates=self._estimates,
-            frames=self._frames,
-            frames_dropped=self._worker.dropped if self._worker else 0,
-            bad_frames=self._worker.refused if self._worker else 0,
-            gaps=self._gaps,
+            windows=count.windows,
+            estimates=count.estimates,
+            withheld=count.withheld,
+            incomplete=count.incomplete,
+            saturated=count.saturated,
+            frames=count.frames,
+            frames_dropped=count.frames_dropped + (worker.dropped if worker else 0),
+            frames_off_clock=count.frames_off_clock,
+            bad_frames=worker.refused if worker else 0,
+            gaps=time.gaps,
+            skipped_windows=time.skipped_us // self._config.window_us,
             late_events=self._slicer.late_events,
-            resets=self._resets,
-            frame_age_us=-1 if frame is None else (self._newest_us or 0) - frame.mid_us,
+            resets=count.resets + time.restarts,
+            frame_age_us=self._frame_age_us(),
             frame_force=0.0 if frame is None else self._scale * frame.force,
+            deviation=-1.0 if self.deviation is None else self.deviation,
         )
 
+    def _frame_age_us(self) -> int:
+        if self._frame is None or self._time.newest_us is None:
+            return -1
+        return self._time.newest_us - self._frame.mid_us
+
     def _reason(self) -> str:
-        encoder = self._encoder
+        encoder, worker = self._encoder, self._worker
+        if worker is not None and not worker.alive:
+            return 'the frame thread has ended: deactivate and activate the estimator'
         if encoder.reference_complete:
-            return 'waiting for a frame' if self._frame is None else ''
+            if self._frame is None:
+                return 'waiting for a frame'
+            age_us = self._frame_age_us()
+            late = age_us > self._longest_us
+            return f'no frame for {age_us / 1e6:.1f} s: no force without' if late else ''
         progress = f'{encoder.reference_progress} of {self._config.reference_frames} still frames'
         if encoder.disturbances:
             progress += f', restarted {encoder.disturbances} times by motion'
-        if self._worker is not None and self._worker.problem:
-            progress += f'; {self._worker.problem}'
+        if worker is not None and worker.problem:
+            progress += f'; {worker.problem}'
         return f'waiting for the no-contact reference: {progress}'
 
-    def _window(self, end_us: int, events: Events) -> tuple[int, float] | None:
-        self._windows += 1
-        while self._encoded:
+    def _window(self, end_us: int, events: Events) -> Estimate | None:
+        count = self._count
+        count.windows += 1
+        while self._encoded and self._due(self._encoded[0], end_us):
             self._apply(self._encoded.popleft(), end_us)
         if self._frame is None:
             return None
         self._window_features.compute(events, self._frame.guide, self._features)
         force = self._scale * self._path.step(self._features)
-        if not math.isfinite(force):
-            self._resets += 1
+        deviation = self.deviation
+        if not math.isfinite(force if deviation is None else force + deviation):
+            count.resets += 1
             self._forget()
             return None
-        self._estimates += 1
+        age_us = end_us - self._frame.mid_us
+        told, complete = self._time.covered(end_us, self._config.window_us)
+        if not told or age_us > self._longest_us:
+            count.withheld += 1
+            return None
+        saturated = len(events) > self._saturation
+        count.estimates += 1
+        count.incomplete += not complete
+        count.saturated += saturated
         self._recent.append(force)
-        return end_us, force
+        return Estimate(end_us, force, deviation, age_us, complete, saturated)
+
+    def _keep(self, frames: list[EncodedFrame]) -> None:
+        self._encoded.extend(frames)
+        while len(self._encoded) > WAITING_FRAMES:
+            self._encoded.popleft()
+            self._count.frames_dropped += 1
+
+    def _due(self, frame: EncodedFrame, end_us: int) -> bool:
+        """Return whether the events have come as far as a frame, or never will."""
+        return not 0 < frame.mid_us - end_us <= FRAME_AHEAD_US
 
     def _apply(self, frame: EncodedFrame, end_us: int) -> None:
         """Correct the estimate at the end of the last window by a frame that has arrived since."""
         width = self._config.window_us
+        behind_us = end_us - frame.mid_us
+        if not -FRAME_AHEAD_US <= behind_us <= FRAME_BEHIND_US:
+            self._count.frames_off_clock += 1
+            return
+        if frame.mid_us < self._since_us or frame.reference != self._encoder.reference_number:
+            # Exposed before events were lost, or compared with a reference that was replaced.
+            self._count.frames_dropped += 1
+            return
         self._path.correct(frame.feature, correction_lag(end_us - width, frame.mid_us, width))
         self._frame = frame
-        self._frames += 1
-
-    def _restart(self) -> None:
-        self._resets += 1
-        self._forget()
-        self._slicer.reset()
-        self._newest_us = None
+        self._count.frames += 1
 
     def _forget(self) -> None:
         self._path.clear()

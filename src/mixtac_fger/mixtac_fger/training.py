@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Training of FGER-Net in stages: the frame network, the recurrent path on top of it, both."""
+"""Training of FGER-Net in stages: frame network, recurrent path, both, uncertainty."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from mixtac_fger.train.deviation_stage import DeviationStage, calibrate_deviation, collect
 from mixtac_fger.train.frame_stage import FrameStage
 from mixtac_fger.train.gained_network import GainedNetwork
 from mixtac_fger.train.loop import LoopSettings, TrainingLoop
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from mixtac_fger.batches import Sequences
     from mixtac_fger.config import FgerConfig
     from mixtac_fger.network import FgerNetwork
-    from mixtac_fger.train.loop import Report
+    from mixtac_fger.train.loop import Report, Stage
     from mixtac_fger.train.sequence_groups import SequenceGroups
     from mixtac_fger.training_settings import TrainingSettings
 
@@ -90,15 +91,21 @@ class Trainer:
             self._report,
             processes,
         )
-        loop.run(
-            [
-                FrameStage(model, groups, settings, processes, held),
-                SequenceStage(model, groups, settings, checked=held),
-                SequenceStage(model, groups, settings, joint=True, checked=held),
-            ]
-        )
+        stages: list[Stage] = [
+            FrameStage(model, groups, settings, processes, held),
+            SequenceStage(model, groups, settings, checked=held),
+            SequenceStage(model, groups, settings, joint=True, checked=held),
+        ]
+        if self._config.deviation_size:
+            stages.append(DeviationStage(model, groups, settings))
+        loop.run(stages)
+        network = model.network.eval()
+        if self._config.deviation_size:
+            # Errors of trials that were trained on are too small to calibrate by.
+            calibrate_deviation(network, collect(network, held or groups))
+            processes.average_buffers(network)
         self.curves = loop.progress.curves
-        return model.network.cpu().eval()
+        return network.cpu()
 
 
 def _grouped(data: Sequences | SequenceGroups) -> SequenceGroups:

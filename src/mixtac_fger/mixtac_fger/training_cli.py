@@ -74,6 +74,7 @@ def _flags(
             'recurrent_epochs': epochs,
             'joint_epochs': epochs // 6,
             'force_weight': 10.0,
+            'blow_every': 8,
         },
         data=DataConfig(
             simulated=SimulatedData(preset, min(gels, trials), trials, seconds, (), seed),
@@ -97,13 +98,16 @@ def evaluate(
         str, typer.Option(help='Topic of the reference force in bags.')
     ] = '/ft_sensor/wrench',
     figures: Annotated[OptionalPath, typer.Option(help='Draw trials to this picture.')] = None,
+    robustness: Annotated[
+        bool, typer.Option('--robustness', help='With lost frames, packets and gaps as well.')
+    ] = False,
     json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
 ) -> None:
     """Judge a model on bags, or on simulated trials of sensors that no training has used."""
-    from mixtac_fger.judge.command import Simulated, evaluate_bags, evaluate_simulated
+    from mixtac_fger.judge.command import Simulated, Wanted, evaluate_bags, evaluate_simulated
 
-    path = find_model(model)
+    path, wanted = find_model(model), Wanted(figures, json, robustness)
     if bags:
-        evaluate_bags(path, bags, reference, figures, json)
+        evaluate_bags(path, bags, reference, wanted)
     else:
-        evaluate_simulated(path, Simulated(gels, seconds, seed, preset), figures, json)
+        evaluate_simulated(path, Simulated(gels, seconds, seed, preset), wanted)

@@ -22,16 +22,20 @@ class TrainingSettings:
         frame_epochs: Epochs of the frame network alone.
         recurrent_epochs: Epochs of the recurrent path on the frozen frame network.
         joint_epochs: Epochs of both together.
+        deviation_epochs: Epochs of the uncertainty head on the finished network.
         frame_batch: Frames per update.
         chunk_windows: Windows per update of the recurrent path: gradients do not reach further.
         frame_rate: Largest learning rate of the frame stage.
         recurrent_rate: Largest learning rate of the recurrent stage.
         joint_rate: Largest learning rate of the joint stage.
+        deviation_rate: Largest learning rate of the uncertainty head.
         weight_decay: AdamW's.
         loss_knee_n: Errors above this count linearly, below it quadratically [N].
         gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see `Trainer`.
         mirror: Show mirror images too.
         force_weight: How much more an error counts per newton of force [1/N]; impacts are short.
+        blow_every: After so many updates of the recurrent path comes one on blows only, cut out of
+            the trials (`mixtac_fger.train.blows`); 0 for none.
         group_trials: Trials in memory at a time.
         patience: Epochs without a better validation error after which a stage ends; 0 for never.
     """
@@ -40,16 +44,19 @@ class TrainingSettings:
     frame_epochs: int = 30
     recurrent_epochs: int = 60
     joint_epochs: int = 10
+    deviation_epochs: int = 10
     frame_batch: int = 128
     chunk_windows: int = 100
     frame_rate: float = 2e-3
     recurrent_rate: float = 3e-3
     joint_rate: float = 5e-4
+    deviation_rate: float = 3e-3
     weight_decay: float = 1e-3
     loss_knee_n: float = 0.05
     gain_prior: float = 0.01
     mirror: bool = True
     force_weight: float = 0.0
+    blow_every: int = 0
     group_trials: int = 128
     patience: int = 0
 

@@ -78,7 +78,8 @@ def load_model(path: Path) -> LoadedModel:
 
     Raises:
         ModelError: The file is missing or damaged, of another architecture or version, or its
-            tensors do not have the shapes that its configuration asks for.
+            tensors do not have the shapes that its configuration asks for, or hold numbers that
+            are not finite.
     """
     header, tensors = _read(path)
     found = f'{header.get("architecture", "no architecture")} version {header.get("version", "-")}'
@@ -119,4 +120,8 @@ def _check_shapes(path: Path, network: FgerNetwork, tensors: dict[str, Tensor]) 
             raise ModelError(
                 f'model {path}: tensor {name} has shape {found.get(name)}, but {_WANTED} with its'
                 f' configuration needs {wanted.get(name)}: {_REMEDY}'
+            )
+        if not bool(tensors[name].isfinite().all()):
+            raise ModelError(
+                f'model {path}: tensor {name} holds numbers that are not finite: {_REMEDY}'
             )

@@ -126,6 +126,10 @@ def model(config: FgerConfig) -> LoadedModel:
         for part in (network.event, network.increment, network.correction):
             for parameter in part.parameters():
                 parameter.mul_(4.0)
+        # What the events add directly has no bound: smaller, or the estimate runs away.
+        network.increment[0].weight[:, config.lstm_size :] *= 0.02
+        network.increment[2].weight *= 0.02
+        network.increment[2].bias.zero_()
     return LoadedModel(network, ModelCard())
 
 

@@ -27,7 +27,7 @@ def feed(model, trial):
         feed.image(picture(image, 'mono16', SIZE, 692), index * 40_000)
         while feed.estimator._worker._inbox.qsize():
             time.sleep(0.001)
-    while not feed.estimator._worker._outbox.qsize():
+    while not feed.estimator._worker._outbox:
         time.sleep(0.001)
     yield feed
     feed.close()
@@ -71,7 +71,7 @@ def test_packets_become_forces_and_losses_are_counted(feed):
     forces = []
     for sequence in (7, 8, 11, 12):
         forces += packet(feed, sequence, 200_000 + 1000 * sequence)
-    assert [end for end, _ in forces] == [208_000, 210_000, 212_000]
+    assert [end for end, *_ in forces] == [208_000, 212_000]
     status = feed.status()
     assert status.lost_packets == 2
     assert status.bad_messages == 0
@@ -84,6 +84,37 @@ def test_a_restarted_publisher_is_no_loss(feed):
     assert feed.status().lost_packets == 0
 
 
+def test_a_packet_that_comes_twice_counts_once(feed):
+    for sequence in (7, 8, 8, 9, 10):
+        forces = packet(feed, sequence, 200_000 + 1000 * sequence)
+        assert all(estimate.complete for estimate in forces[1:])
+    status = feed.status()
+    assert status.repeated_packets == 1
+    assert status.lately == {'repeated_packets': 1}
+    assert status.lost_packets == 0
+
+
+def test_a_packet_that_could_not_be_read_leaves_a_hole(feed):
+    packet(feed, 1, 300_000)
+    packet(feed, 2, 302_000)
+    feed.refuse('damaged')
+    found = packet(feed, 4, 308_000)
+    # Nothing tells of 302 to 307.1 ms.
+    assert [(estimate.end_us, estimate.complete) for estimate in found] == [(308_000, False)]
+    assert feed.status().estimator.withheld == 2
+
+
+def test_late_forces_are_counted_where_clocks_compare(model):
+    feed = LiveFeed(model, 0.15, deadline_s=0.002)
+    for age_ns in (1_000_000, 3_000_000, -5, 10**12):
+        feed.published(2, 10**18, 10**18 + age_ns)
+    status = feed.status()
+    feed.close()
+    assert status.late == 2
+    assert status.lately['late'] == 2
+    assert status.age_p50_ms == 2.0
+
+
 @pytest.mark.parametrize(
     ('encoding', 'size', 'data', 'text'),
     [
@@ -94,10 +125,14 @@ def test_a_restarted_publisher_is_no_loss(feed):
 )
 def test_bad_packets_are_counted_and_explained(feed, encoding, size, data, text):
     assert feed.packet(message(1, encoding, 0, data, size)) == []
-    assert feed.status().bad_messages == 1
-    assert text in feed.status().problem
+    status = feed.status()
+    assert status.bad_messages == 1
+    assert text in status.problem
+    assert status.lately['bad_messages'] == 1
     assert packet(feed, 2, 203_000) == []
     assert packet(feed, 3, 204_000)
+    later = feed.status()
+    assert (later.problem, later.lately) == ('', {})
 
 
 def test_bad_images_are_counted_and_explained(feed):
@@ -113,7 +148,7 @@ def test_bad_images_are_counted_and_explained(feed):
 
 def test_warming_up_leaves_the_model_alone(model):
     before = {name: tensor.clone() for name, tensor in model.network.state_dict().items()}
-    warm_up(model)
+    assert warm_up(model)
     assert all(bool((before[k] == v).all()) for k, v in model.network.state_dict().items())
 
 

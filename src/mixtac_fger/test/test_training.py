@@ -17,7 +17,9 @@ from mixtac_fger.training_settings import TrainingSettings
 if TYPE_CHECKING:
     from mixtac_fger.batches import Sequences
 
-SHORT = TrainingSettings(frame_epochs=12, recurrent_epochs=25, joint_epochs=3, frame_batch=16)
+SHORT = TrainingSettings(
+    frame_epochs=12, recurrent_epochs=25, joint_epochs=3, deviation_epochs=4, frame_batch=16
+)
 
 
 def errors(network: FgerNetwork, sequences: Sequences) -> tuple[float, float, float]:
@@ -39,6 +41,7 @@ def test_training_learns_the_toy_sensor(config, toy_sequences):
         ('frames', 12, 12),
         ('recurrent', 25, 25),
         ('joint', 3, 3),
+        ('deviation', 4, 4),
     ]
     for sequences in (trained, other):
         fused, frames, constant = errors(network, sequences)

@@ -65,7 +65,8 @@ def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys, mo
     kept = sorted(path.name.rpartition('-')[0] for path in (tmp_path / 'data').iterdir())
     assert kept == sorted(simulated[:3])
     curves = json.loads((tmp_path / 'run' / 'curves.json').read_text())['epochs']
-    assert [row['stage'] for row in curves] == ['frames'] * 3 + ['recurrent'] * 6 + ['joint']
+    stages = ['frames'] * 3 + ['recurrent'] * 6 + ['joint'] + ['deviation'] * 10
+    assert [row['stage'] for row in curves] == stages
     picture = tmp_path / 'trials.png'
     training_cli.evaluate(None, str(out), 2, 1, 6.0, figures=picture, json=report)
     figures = json.loads(report.read_text())['metrics']['unseen_devices']
@@ -78,7 +79,7 @@ def test_a_finished_run_is_not_trained_again(tmp_path, simulated):
     config = tmp_path / 'run.yaml'
     config.write_text(
         'model: ours\n'
-        'training: {frame_epochs: 1, recurrent_epochs: 1, joint_epochs: 0}\n'
+        'training: {frame_epochs: 1, recurrent_epochs: 1, joint_epochs: 0, deviation_epochs: 0}\n'
         'data:\n'
         '  simulated: {preset: easy, sensors: 2, trials: 3, seconds: 4.0, profiles: [press]}\n'
         '  checked: 0.34\n'

@@ -74,6 +74,14 @@ def test_a_file_without_our_header_is_named(tmp_path):
     assert 'no architecture' in refusal(path)
 
 
+@pytest.mark.parametrize('value', [float('nan'), float('inf')])
+def test_numbers_that_are_not_finite_are_named(saved, value):
+    path, _ = saved
+    tensors = load_file(path)
+    tensors['correction.2.bias'][0] = value
+    assert 'tensor correction.2.bias holds numbers' in refusal(rewritten(path, tensors))
+
+
 def test_another_shape_is_named(saved):
     path, _ = saved
     tensors = load_file(path)

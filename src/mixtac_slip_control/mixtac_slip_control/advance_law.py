@@ -4,7 +4,9 @@ r"""How far the arm shall advance along the contact normal.
 
 Section Closed loop Slip Control of the paper: :math:`\Delta d_t = k\,(N_t - N_{th})`. Here k is
 G / C, with C events per metre that the skin moves, so that G is a plain number: advance over motion
-of the skin. Added are what keeps arm, gel and object whole: a limit per window, a limit of the sum,
+of the skin. Added is a memory: an object that slid over a skin which has been dragged as far as it
+goes makes no more events, so an excess is answered for some windows on while the slip lasts. And
+what keeps arm, gel and object whole: a limit per window, a limit of the sum,
 a hold after each slip, and between slips a slow servo on the force, which takes back what the slip
 no longer needs and makes up for what relaxation of the gel takes away.
 """
@@ -24,6 +26,8 @@ class AdvanceSettings:
     Attributes:
         gain: G, advance over motion of the skin.
         events_per_m: C, events per metre that the skin moves [1/m].
+        memory_windows: Windows in which the answer to an excess of events fades to 1/e while the
+            slip lasts; 0 answers each window by itself, as the paper does.
         max_step: Largest advance in one window [m].
         max_total: Largest sum of advances since enabling [m].
         hold_windows: Windows without slip for which the sum is held.
@@ -34,6 +38,7 @@ class AdvanceSettings:
 
     gain: float = 0.7
     events_per_m: float = 1e7
+    memory_windows: float = 0.0
     max_step: float = 5e-5
     max_total: float = 1e-3
     hold_windows: int = 300
@@ -49,6 +54,7 @@ class AdvanceSettings:
         """
         numbers = (
             self.gain,
+            self.memory_windows,
             self.max_step,
             self.max_total,
             self.back_off_step,
@@ -57,9 +63,9 @@ class AdvanceSettings:
         )
         if not all(math.isfinite(v) and v >= 0.0 for v in numbers) or self.hold_windows < 0:
             raise SlipControlError(
-                'advance settings (gain, max_step, max_total, back_off_step, preload_step, '
-                f'force_band) = {numbers}, hold_windows = {self.hold_windows}: give finite '
-                'numbers >= 0'
+                'advance settings (gain, memory_windows, max_step, max_total, back_off_step, '
+                f'preload_step, force_band) = {numbers}, hold_windows = {self.hold_windows}: '
+                'give finite numbers >= 0'
             )
         if not (math.isfinite(self.events_per_m) and self.events_per_m > 0.0):
             raise SlipControlError(
@@ -71,8 +77,8 @@ class AdvanceLaw:
     """Turns windows into a wanted advance, within limits that hold for every input.
 
     Attributes:
-        total: Wanted advance since the last reset [m], always 0 to the limit.
-        limit: Largest `total` [m]: the smaller of `max_total` and what `reset` was given.
+        total: Wanted advance since the last reset [m], 0 to the limit after each window.
+        limit: Largest `total` [m], which may be set anew before each window.
 
     Args:
         settings: Gain and limits.
@@ -84,6 +90,7 @@ class AdvanceLaw:
         self.limit = self.settings.max_total
         self._preload: float | None = None
         self._held = 0
+        self._excess = 0.0
         self._floor = 0.0
         self._backing_off = False
 
@@ -111,6 +118,7 @@ class AdvanceLaw:
         self.limit = min(limit, self.settings.max_total)
         self._preload = preload
         self._held = 0
+        self._excess = 0.0
         self._backing_off = False
 
     def update(self, count: int, threshold: float, force: float | None, *, slipping: bool) -> float:
@@ -127,11 +135,10 @@ class AdvanceLaw:
         self.total = min(max(before + wanted, 0.0), max(self.limit, 0.0))
         return self.total - before
 
-    def hold_at(self, advance: float) -> float:
-        """Want no more than an advance [m] that was reached, and return the change [m]."""
-        before = self.total
-        self.total = min(before, max(advance, 0.0))
-        return self.total - before
+    def add(self, advance: float) -> None:
+        """Take over an advance [m] >= 0 made for another reason; it is held as if by slip."""
+        self.total += max(advance, 0.0)
+        self._held = 0
 
     def _on_slip(self, count: int, threshold: float) -> float:
         """Return the paper's advance; what gave way to slip is not given up a second time."""
@@ -139,11 +146,17 @@ class AdvanceLaw:
             self._floor = self.total
             self._backing_off = False
         self._held = 0
-        per_event = self.settings.gain / self.settings.events_per_m
-        return min(max(per_event * (count - threshold), 0.0), self.settings.max_step)
+        settings = self.settings
+        kept = 0.0
+        if settings.memory_windows > 0.0:
+            kept = math.exp(-1.0 / settings.memory_windows) * self._excess
+        self._excess = max(count - threshold, kept, 0.0)
+        per_event = settings.gain / settings.events_per_m
+        return min(per_event * self._excess, settings.max_step)
 
     def _at_rest(self, force: float | None) -> float:
         settings = self.settings
+        self._excess = 0.0
         self._held += 1
         if self._held <= settings.hold_windows or force is None or self._preload is None:
             return 0.0

@@ -13,19 +13,21 @@ it sooner.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_slip_control.advance_law import AdvanceLaw, AdvanceSettings
+from mixtac_slip_control.advance_law import AdvanceLaw
+from mixtac_slip_control.advancer import Advancer
+from mixtac_slip_control.contact_stiffness import ContactStiffness
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.flow_guide import GuideSettings
 from mixtac_slip_control.interlock import Interlock
-from mixtac_slip_control.safety import SafetySettings, SafetyWatch
+from mixtac_slip_control.safety import SafetyWatch
 from mixtac_slip_control.slip_features import SlipFeatures, SlipWindow
-from mixtac_slip_control.slip_judge import JudgeSettings, SlipJudge
+from mixtac_slip_control.slip_judge import SlipJudge
+from mixtac_slip_control.slip_settings import SlipSettings
 from mixtac_slip_control.slip_step import SlipStep
+from mixtac_slip_control.stiffness_probe import StiffnessProbe
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -38,31 +40,6 @@ if TYPE_CHECKING:
     from mixtac_slip_control.planner import Planner
 
     Normal = Sequence[float] | Callable[[NDArray[np.float64]], NDArray[np.float64]]
-
-
-@dataclass(frozen=True, slots=True)
-class SlipSettings:
-    """Settings of all parts.
-
-    Attributes:
-        window_us: Counting window [us].
-        guide: Where the contact is in the image.
-        judge: Of the detectors.
-        advance: Gain and limits of the advance.
-        safety: Limits and ages.
-        arm_lag_s: From a commanded to the arm's true place [s]: events of the advance come so much
-            later.
-        settling_s: Time after enabling in which the arm's controller is led to the measured
-            positions and slip is not answered [s].
-    """
-
-    window_us: int = 1000
-    guide: GuideSettings = field(default_factory=GuideSettings)
-    judge: JudgeSettings = field(default_factory=JudgeSettings)
-    advance: AdvanceSettings = field(default_factory=AdvanceSettings)
-    safety: SafetySettings = field(default_factory=SafetySettings)
-    arm_lag_s: float = 4e-3
-    settling_s: float = 0.0
 
 
 class SlipController:
@@ -79,6 +56,7 @@ class SlipController:
         interlock: Whether the arm may follow.
         watch: Ages and limits.
         judge: The detectors.
+        stiffness: What is known of the contact's stiffness.
     """
 
     def __init__(
@@ -96,7 +74,13 @@ class SlipController:
         self.judge = SlipJudge(self._settings.judge)
         self.features = SlipFeatures(self._settings.window_us, self._settings.guide)
         self._law = AdvanceLaw(self._settings.advance)
+        self.stiffness = ContactStiffness(self._settings.stiffness)
+        self._probe = StiffnessProbe(self._settings.probe)
         self._planner = planner
+        self._advancer: Advancer | None = None
+        if planner is not None:
+            lag_s = self._settings.arm_lag_s
+            self._advancer = Advancer(planner, self._law, self.stiffness, self._probe, lag_s)
         self._normal_source = normal
         self._normal = np.zeros(3)
         self._settled_s = 0.0
@@ -114,12 +98,17 @@ class SlipController:
     @property
     def total_advance(self) -> float:
         """Wanted advance since enabling [m]."""
-        return self._law.total
+        return self._advancer.total if self._advancer else 0.0
 
     @property
     def advance_limit(self) -> float:
-        """Largest advance of this enabling [m]."""
-        return self._law.limit
+        """Largest advance at present [m]."""
+        return self._advancer.limit if self._advancer else 0.0
+
+    @property
+    def probing(self) -> bool:
+        """Whether the stiffness of the contact is being learned by a small press."""
+        return self.enabled and self._probe.active
 
     def configure(self, settings: SlipSettings) -> None:
         """Take over new settings, except the window and where the contact is."""
@@ -127,6 +116,10 @@ class SlipController:
         self.judge.configure(settings.judge)
         self._law.settings = settings.advance
         self.watch.settings = settings.safety
+        self.stiffness.settings = settings.stiffness
+        self._probe.settings = settings.probe
+        if self._advancer is not None:
+            self._advancer.arm_lag_s = settings.arm_lag_s
 
     def guide(self, guide: FlowGuide) -> None:
         """Tell motion by this frame from now on."""
@@ -134,7 +127,9 @@ class SlipController:
 
     def on_force(self, force_n: float, stamp_us: int, now_s: float) -> None:
         """Take a normal force [N]; its stamp on the camera clock [us]."""
-        self.watch.on_force(force_n, stamp_us, now_s)
+        new = self.watch.on_force(force_n, stamp_us, now_s)
+        if new and self._advancer is not None:
+            self._advancer.on_force(force_n, stamp_us, now_s)
         self.tick(now_s)
 
     def on_joint_state(self, positions: Sequence[float], now_s: float) -> None:
@@ -170,7 +165,7 @@ class SlipController:
         if self._planner is None or not self._may_move(now_s):
             return None
         try:
-            return self._planner.plan(now_s, self._law.total, self._normal)
+            return self._planner.plan(now_s, self.total_advance, self._normal)
         except SlipControlError as error:
             self.interlock.stop(str(error))
             return None
@@ -196,13 +191,13 @@ class SlipController:
             SlipControlError: No arm, nothing learned, slip at present, a watchdog, a limit, or a
                 stop that was not reset.
         """
-        if self._planner is None:
+        if self._planner is None or self._advancer is None:
             raise SlipControlError('slip control has no arm: start it with one to move it')
         if self.enabled:
             return
         self.interlock.enable(self._against(now_s))
         try:
-            self._start(self._planner)
+            self._start(self._planner, self._advancer)
             self._settled_s = now_s + self._settings.settling_s
         except SlipControlError:
             self.interlock.disable()
@@ -244,44 +239,28 @@ class SlipController:
             return 'the object slips: wait until it is still, or tare'
         return self.watch.fault(now_s)
 
-    def _start(self, planner: Planner) -> None:
+    def _start(self, planner: Planner, advancer: Advancer) -> None:
         watch = self.watch
         assert watch.joints is not None  # noqa: S101  (a fault before the first ones)
-        assert watch.force is not None  # noqa: S101
-        self._law.reset(watch.settings.largest_advance(watch.force), watch.force)
         joints = np.array(watch.joints)
         source = self._normal_source
         self._normal = np.asarray(source(joints) if callable(source) else source, np.float64)
         planner.reset(joints, self._normal)
+        advancer.start(watch.settings.max_force)
 
     def _may_move(self, now_s: float) -> bool:
         return self.enabled and now_s >= self._settled_s and self.tick(now_s) is None
 
-    def _moved(self, now_s: float) -> float:
-        """Return how far the arm was told to move in the window that ends now [m]."""
-        if self._planner is None:
-            return 0.0
-        end = now_s - self._settings.arm_lag_s
-        start = end - 1e-6 * self._settings.window_us
-        return self._planner.advance_at(end) - self._planner.advance_at(start)
-
-    def _advance(self, count: int, now_s: float, *, slipping: bool) -> float:
-        """Return the advance of a window [m]."""
-        if self._planner is None or not self._may_move(now_s):
-            return 0.0
-        kept = 0.0
-        if self.watch.pressed:
-            kept = self._law.hold_at(self._planner.advance_at(now_s))
-            if slipping:
-                return kept
-        threshold, force = self.judge.law_threshold, self.watch.force
-        return kept + self._law.update(count, threshold, force, slipping=slipping)
-
     def _step(self, window: SlipWindow, now_s: float) -> SlipStep:
         self.watch.on_window(window.count, complete=window.complete, now_s=now_s)
-        judge, count = self.judge, self.judge.count
-        slipping = judge.update(window, self._moved(now_s))
-        advance = self._advance(window.count, now_s, slipping=slipping)
+        judge, count, advancer = self.judge, self.judge.count, self._advancer
+        moved = advance = 0.0
+        if advancer is not None:
+            advancer.on_window(window.end_us, now_s)
+            moved = advancer.moved(now_s, 1e-6 * self._settings.window_us)
+        slipping = judge.update(window, moved)
+        if advancer is not None and self._may_move(now_s):
+            advance = advancer.update(window.count, judge, self.watch, now_s)
         return SlipStep(
             end_us=window.end_us,
             count=window.count,
@@ -296,5 +275,5 @@ class SlipController:
             state=int(self.interlock.state),
             enabled=self.enabled,
             advance=advance,
-            total_advance=self._law.total,
+            total_advance=self.total_advance,
         )

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 
 from mixtac_slip_control.advance_law import AdvanceSettings
 from mixtac_slip_control.background import BackgroundSettings
-from mixtac_slip_control.controller import SlipSettings
+from mixtac_slip_control.contact_stiffness import StiffnessSettings
 from mixtac_slip_control.detector import CountSettings
 from mixtac_slip_control.flow_detector import FlowSettings
 from mixtac_slip_control.flow_guide import GuideSettings
 from mixtac_slip_control.hysteresis import HysteresisSettings
 from mixtac_slip_control.safety import SafetySettings
 from mixtac_slip_control.slip_judge import JudgeSettings
+from mixtac_slip_control.slip_settings import SlipSettings
+from mixtac_slip_control.stiffness_probe import ProbeSettings
 
 if TYPE_CHECKING:
     from mixtac_slip_control.slip_control_parameters import SlipControlParameters
@@ -35,6 +37,8 @@ def slip_settings(parameters: SlipControlParameters) -> SlipSettings:
         judge=_judge(parameters),
         advance=_advance(parameters),
         safety=_safety(parameters),
+        stiffness=StiffnessSettings(parameters.stiffest_contact, parameters.force_noise),
+        probe=ProbeSettings(parameters.probe_advance, parameters.probe_speed * parameters.window),
         arm_lag_s=parameters.arm_lag,
     )
 
@@ -73,6 +77,7 @@ def _advance(parameters: SlipControlParameters) -> AdvanceSettings:
     return AdvanceSettings(
         gain=parameters.gain,
         events_per_m=1e3 * parameters.events_per_mm,
+        memory_windows=parameters.memory_time / parameters.window,
         max_step=parameters.max_step,
         max_total=parameters.max_total,
         hold_windows=_windows(parameters, parameters.hold_time),
@@ -89,7 +94,6 @@ def _safety(parameters: SlipControlParameters) -> SafetySettings:
         max_joint_age=parameters.max_joint_age,
         max_heartbeat_age=parameters.max_heartbeat_age,
         max_force=parameters.max_force,
-        contact_stiffness=parameters.contact_stiffness,
         saturation_count=parameters.saturation_count,
     )
 

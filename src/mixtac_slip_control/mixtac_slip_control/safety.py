@@ -21,7 +21,7 @@ EVENTS: Final = 'events'
 FORCE: Final = 'force'
 JOINTS: Final = 'joint states'
 HEARTBEAT: Final = 'heartbeat'
-SOFT_SHARE: Final = 0.8
+SOFT_SHARE: Final = 0.95
 """Share of the force ceiling from which the arm advances no further, so as not to reach it."""
 
 
@@ -35,7 +35,6 @@ class SafetySettings:
         max_joint_age: Age of the latest joint states [s].
         max_heartbeat_age: Age of the latest heartbeat [s].
         max_force: Force ceiling [N].
-        contact_stiffness: k_n, force per advance [N/m]; bounds the sum of advances.
         saturation_count: Events per window from which the sensor is saturated.
         saturation_windows: Saturated windows in a row that stop.
         max_lost_windows: Windows in a row with lost packets that stop.
@@ -46,7 +45,6 @@ class SafetySettings:
     max_joint_age: float = 0.05
     max_heartbeat_age: float = 0.5
     max_force: float = 1.5
-    contact_stiffness: float = 2e3
     saturation_count: int = 8000
     saturation_windows: int = 2
     max_lost_windows: int = 5
@@ -63,17 +61,12 @@ class SafetySettings:
             self.max_joint_age,
             self.max_heartbeat_age,
             self.max_force,
-            self.contact_stiffness,
             float(self.saturation_count),
             float(self.saturation_windows),
             float(self.max_lost_windows),
         )
         if not all(math.isfinite(v) and v > 0.0 for v in positive):
             raise SlipControlError(f'safety settings {positive}: give positive finite numbers')
-
-    def largest_advance(self, preload: float) -> float:
-        """Return d_max = (F_max - F_0) / k_n [m] for a preload F_0 [N]; may be negative."""
-        return (self.max_force - preload) / self.contact_stiffness
 
 
 @dataclass(slots=True)
@@ -106,17 +99,18 @@ class SafetyWatch:
         self._lost = 0 if complete else self._lost + 1
         self._heard[EVENTS] = now_s
 
-    def on_force(self, force_n: float, stamp_us: int, now_s: float) -> None:
-        """Take note of a force [N] with its stamp on the camera clock [us]."""
+    def on_force(self, force_n: float, stamp_us: int, now_s: float) -> bool:
+        """Take note of a force [N] with its stamp, camera clock [us]; return whether it is news."""
         if not math.isfinite(force_n):
             self._wrong[FORCE] = f'force is {force_n}'
-            return
+            return False
         if self._force_stamp_us is not None and stamp_us == self._force_stamp_us:
-            return  # the same value again says nothing of now
+            return False  # the same value again says nothing of now
         self._wrong.pop(FORCE, None)
         self._force_stamp_us = stamp_us
         self.force = force_n
         self._heard[FORCE] = now_s
+        return True
 
     def on_joint_state(self, positions: Sequence[float], now_s: float) -> None:
         """Take note of joint positions [rad]."""

@@ -43,14 +43,15 @@ from mixtac_slip_control.joint_order import JointOrder
 from mixtac_slip_control.node_status import FeedCounts, node_status
 from mixtac_slip_control.parameter_settings import slip_settings
 from mixtac_slip_control.slip_control_parameters import SlipControlParameters
+from mixtac_slip_control.slip_step import SlipStep
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mixtac_slip_control.arm.planned_trajectory import PlannedTrajectory
-    from mixtac_slip_control.controller import SlipSettings
-    from mixtac_slip_control.slip_step import SlipStep
+    from mixtac_slip_control.slip_settings import SlipSettings
 
+STEP_FIELDS = tuple(f.name for f in dataclasses.fields(SlipStep) if f.name != 'end_us')
 WATCH_PERIOD_S = 5e-3
 """How often the watchdogs look where nothing arrives [s]."""
 
@@ -82,6 +83,7 @@ class SlipControlNode(OverridableQos, Node):  # type: ignore[misc]
     def _wire(self) -> None:
         parameters = self._settings
         self._slip = self.create_publisher(SlipState, 'slip', QOS_FORCE)
+        self._message = SlipState()
         topic = parameters.trajectory_topic
         self._trajectories = self.create_publisher(JointTrajectory, topic, 10)
         self.create_service(SetBool, '~/enable', self._on_enable)
@@ -176,11 +178,11 @@ class SlipControlNode(OverridableQos, Node):  # type: ignore[misc]
             self.get_logger().error(f'stopped: {reason}')
 
     def _publish(self, step: SlipStep) -> None:
-        fields = dataclasses.asdict(step)
-        message = SlipState()
-        message.header.stamp = us_to_stamp(fields.pop('end_us'))
-        for name, value in fields.items():
-            setattr(message, name, value)
+        # One message for all: a thousand new ones a second would cost more than the detectors.
+        message = self._message
+        message.header.stamp = us_to_stamp(step.end_us)
+        for name in STEP_FIELDS:
+            setattr(message, name, getattr(step, name))
         self._slip.publish(message)
         self._latest = step
         self._counts.windows += 1

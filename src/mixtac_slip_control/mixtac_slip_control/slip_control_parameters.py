@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 from mixtac_node.parameters import parameter
 from mixtac_slip_control.slip_judge import DETECTORS
+from mixtac_slip_control.slip_safety_parameters import SlipSafetyParameters
 
 
 @dataclass(frozen=True)
-class SlipControlParameters:
+class SlipControlParameters(SlipSafetyParameters):
     """How slip is told from the background, how far to advance against it, and what stops it."""
 
     arm: str = parameter(
@@ -178,9 +179,9 @@ class SlipControlParameters:
         5e-3, 'Quiet time that ends a slip.', unit='s', minimum=2e-4, maximum=1.0
     )
     gain: float = parameter(
-        0.7,
-        'G of the law: advance over motion of the skin. Higher arrests sooner; at high values the '
-        'events of the advance itself feed it.',
+        2.0,
+        'G of the law: advance over motion of the skin. Higher arrests sooner and presses harder, '
+        'never beyond what the measured stiffness allows.',
         minimum=0.0,
         maximum=10.0,
     )
@@ -215,8 +216,16 @@ class SlipControlParameters:
         minimum=0.0,
         maximum=0.2,
     )
+    memory_time: float = parameter(
+        0.01,
+        'Time in which the answer to an excess of events fades to 1/e while the slip lasts: a skin '
+        'that has been dragged as far as it goes makes no more events. 0 is the law of the paper.',
+        unit='s',
+        minimum=0.0,
+        maximum=0.1,
+    )
     max_step: float = parameter(
-        5e-5,
+        1e-4,
         'Largest advance in one window; with window it limits the speed asked for.',
         unit='m',
         minimum=0.0,
@@ -254,39 +263,6 @@ class SlipControlParameters:
     )
     force_band: float = parameter(
         0.03, 'Force from the preload within which nothing is done.', unit='N', minimum=0.0
-    )
-    max_force: float = parameter(
-        1.5,
-        'Force ceiling: stops; with contact_stiffness it also bounds the sum of advances.',
-        unit='N',
-        minimum=0.01,
-        maximum=100.0,
-    )
-    contact_stiffness: float = parameter(
-        2e3,
-        'k_n, force per advance of gel and object. The sum of advances stays below (max_force - '
-        'preload) / contact_stiffness. Give a high estimate.',
-        unit='N/m',
-        minimum=10.0,
-        maximum=1e6,
-    )
-    max_events_age: float = parameter(
-        0.02, 'Age of the events that stops.', unit='s', minimum=2e-3, maximum=1.0
-    )
-    max_force_age: float = parameter(
-        0.05, 'Age of the force that stops.', unit='s', minimum=2e-3, maximum=1.0
-    )
-    max_joint_age: float = parameter(
-        0.05, 'Age of the joint states that stops.', unit='s', minimum=2e-3, maximum=1.0
-    )
-    max_heartbeat_age: float = parameter(
-        0.5, 'Age of the heartbeat that stops.', unit='s', minimum=0.01, maximum=10.0
-    )
-    saturation_count: int = parameter(
-        8000,
-        'Events in a window from which the sensor is saturated: two such in a row stop.',
-        minimum=10,
-        maximum=1000000,
     )
 
     @property

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
@@ -32,6 +33,18 @@ def test_below_the_limits_it_is_the_papers_law() -> None:
     steps = [law.update(n, 60.0, 0.5, slipping=True) for n in (80, 160, 260)]
     assert steps == pytest.approx([k * 20, k * 100, k * 200])
     assert law.total == pytest.approx(k * 320)
+
+
+def test_a_memory_goes_on_answering_while_the_slip_lasts() -> None:
+    law = AdvanceLaw(dataclasses.replace(SETTINGS, memory_windows=10.0))
+    law.reset(preload=0.5)
+    k, fade = 0.5 / 1e7, math.exp(-0.1)
+    counts = (260, 60, 0, 400)
+    steps = [law.update(n, 60.0, 0.5, slipping=True) for n in counts]
+    assert steps == pytest.approx([k * 200, k * 200 * fade, k * 200 * fade**2, k * 340])
+    # The end of the slip ends it.
+    assert law.update(0, 60.0, 0.5, slipping=False) == 0.0
+    assert law.update(0, 60.0, 0.5, slipping=True) == 0.0
 
 
 windows = st.lists(
@@ -98,6 +111,15 @@ def test_the_preload_is_kept_as_the_gel_relaxes() -> None:
     assert steps[:10] == [0.0] * 10
     assert steps[10:] == pytest.approx([2e-6] * 2)
     assert AdvanceLaw(SETTINGS).update(30, 60.0, 0.0, slipping=False) == 0.0
+
+
+def test_what_was_added_is_held_and_returned_like_an_answer_to_slip() -> None:
+    law = AdvanceLaw(SETTINGS)
+    law.reset(preload=0.5)
+    law.add(5e-6)
+    assert law.total == 5e-6
+    held = [law.update(30, 60.0, 0.9, slipping=False) for _ in range(11)]
+    assert held == pytest.approx([0.0] * 10 + [-1e-6])
 
 
 def test_a_limit_that_the_force_has_used_up_is_refused() -> None:

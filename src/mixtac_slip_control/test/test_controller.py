@@ -13,11 +13,13 @@ import pytest
 from mixtac_events.arrays import Events
 from mixtac_slip_control.arm.errors import ArmError
 from mixtac_slip_control.background import BackgroundSettings
-from mixtac_slip_control.controller import SlipController, SlipSettings
+from mixtac_slip_control.controller import SlipController
 from mixtac_slip_control.detector import CountSettings
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.interlock import InterlockState
 from mixtac_slip_control.slip_judge import JudgeSettings
+from mixtac_slip_control.slip_settings import SlipSettings
+from mixtac_slip_control.stiffness_probe import ProbeSettings
 
 from .slip_windows import FakePlanner
 
@@ -28,16 +30,20 @@ if TYPE_CHECKING:
 
 READY = (0.0, -0.8, 0.0, -2.3, 0.0, 1.6, 0.8)
 T0 = 1_700_000_000.0
+NO_PROBE = ProbeSettings(advance=0.0)
 
 
 class Rig:
     """A controller by counts, and time that goes on a millisecond per step."""
 
-    def __init__(self, *, planner: FakePlanner | None = None) -> None:
+    def __init__(
+        self, *, planner: FakePlanner | None = None, probe: ProbeSettings | None = None
+    ) -> None:
         background = BackgroundSettings(learning_windows=100)
         judge = JudgeSettings(detector='count', count=CountSettings(background), settle_windows=5)
         self.planner = planner or FakePlanner()
-        self.controller = SlipController(SlipSettings(judge=judge), self.planner, (0.0, 0.0, -1.0))
+        settings = SlipSettings(judge=judge, probe=probe or NO_PROBE)
+        self.controller = SlipController(settings, self.planner, (0.0, 0.0, -1.0))
         self.ms = 0
         self.rng = np.random.default_rng(0)
         self.force = 0.5
@@ -89,7 +95,8 @@ def test_slip_advances_by_the_law_and_is_planned_at_once() -> None:
     assert rig.planner.resets == [(READY, (0.0, 0.0, -1.0))]
     step = rig.step(800)
     wanted = 0.7 / 1e7 * (800 - step.threshold)
-    assert step.advance == pytest.approx(min(wanted, 5e-5))
+    limit = rig.controller.advance_limit
+    assert step.advance == pytest.approx(min(wanted, limit))
     assert rig.controller.plan(rig.now) == (rig.now, step.total_advance)
 
 
@@ -121,29 +128,50 @@ def test_it_cannot_be_enabled_without_a_heartbeat() -> None:
     assert rig.planner.resets == []
 
 
-def test_the_sum_is_capped_by_force_over_stiffness() -> None:
+def test_the_first_advance_is_capped_as_for_the_stiffest_contact() -> None:
     rig = Rig()
-    rig.force = 1.1
+    rig.force = 0.9
     rig.enabled()
-    assert rig.controller.advance_limit == pytest.approx(0.4 / 2e3)
+    room = 0.9 * 1.5 - 0.9
+    assert 0.5 * room / 2e4 < rig.controller.advance_limit < room / 2e4
     for _ in range(50):
         step = rig.step(5000)
-    assert step.total_advance == pytest.approx(0.4 / 2e3)
+    assert step.total_advance <= room / 2e4
 
 
 def test_near_the_force_ceiling_it_stays_where_the_arm_is() -> None:
     rig = Rig().enabled()
     assert rig.step(800).total_advance > 1e-5
-    rig.force = 1.25
+    rig.force = 1.45
     rig.planner.velocity = 4e-6 / rig.now
     step = rig.step(800)
     assert step.advance < 0.0
     assert step.total_advance == pytest.approx(4e-6)
     assert rig.step(800).total_advance == pytest.approx(4e-6)
-    rig.force = 0.5
-    rig.planner.velocity = 0.0
-    assert rig.step(800).advance > 0.0
     assert rig.controller.enabled
+
+
+def test_a_force_near_the_ceiling_cannot_be_enabled() -> None:
+    rig = Rig()
+    rig.force = 1.4
+    for _ in range(120):
+        rig.step()
+    with pytest.raises(SlipControlError, match='lower the preload'):
+        rig.controller.enable(rig.now)
+    assert not rig.controller.enabled
+
+
+def test_enabling_probes_the_stiffness_and_slip_ends_the_probe() -> None:
+    probe = ProbeSettings(advance=1e-5, windows=12)
+    rig = Rig(probe=probe).enabled()
+    places = [rig.step().total_advance for _ in range(15)]
+    assert rig.controller.probing
+    assert max(places) == pytest.approx(1e-5)
+    before = places[-1]
+    step = rig.step(800)
+    assert not rig.controller.probing
+    assert step.total_advance > before
+    assert rig.step().total_advance == pytest.approx(step.total_advance)
 
 
 STOPS: dict[str, Callable[[Rig], object]] = {
@@ -207,7 +235,7 @@ def test_a_planner_that_refuses_stops() -> None:
 def test_slip_is_not_answered_while_the_arm_settles() -> None:
     rig = Rig()
     judge = JudgeSettings('count', CountSettings(BackgroundSettings(100)), settle_windows=5)
-    settings = SlipSettings(judge=judge, settling_s=0.02)
+    settings = SlipSettings(judge=judge, probe=NO_PROBE, settling_s=0.02)
     rig.controller = SlipController(settings, rig.planner, (0.0, 0.0, 1.0))
     rig.enabled()
     steps = [rig.step(800) for _ in range(25)]

@@ -111,10 +111,12 @@ def test_a_clock_that_jumps_stops(now: float) -> None:
     assert heard().fault(now) is not None
 
 
-def test_the_largest_advance_follows_from_force_and_stiffness() -> None:
-    settings = SafetySettings(max_force=1.5, contact_stiffness=2e3)
-    assert settings.largest_advance(0.5) == pytest.approx(0.5e-3)
-    assert settings.largest_advance(1.6) < 0.0
+def test_only_a_new_force_is_news() -> None:
+    watch = SafetyWatch()
+    assert watch.on_force(0.5, 1000, NOW)
+    assert not watch.on_force(0.5, 1000, NOW + 0.01)
+    assert not watch.on_force(math.nan, 2000, NOW + 0.01)
+    assert watch.on_force(0.6, 3000, NOW + 0.02)
 
 
 @pytest.mark.parametrize('bad', [{'max_force': 0.0}, {'max_joint_age': math.nan}])

@@ -13,15 +13,14 @@ import numpy as np
 from mixtac_alignment.align import align
 from mixtac_alignment.edges import fit_edges
 from mixtac_alignment.errors import NoImpulseError
-from mixtac_alignment.event_history import EventHistory, by_cell
 from mixtac_alignment.frame_features import reduce_frame
 from mixtac_alignment.frame_history import FrameHistory
 from mixtac_alignment.rate_history import BIN_US, EventCounts
 from mixtac_alignment.tap_anchors import FEWEST_FRAMES, fit_taps
 from mixtac_alignment.two_impulse import fit_counts
+from mixtac_bringup.align.packet_collector import PacketCollector
 from mixtac_bringup.bag_reader import BagFile
 from mixtac_bringup.errors import BagError
-from mixtac_events.codec import decode_message
 from mixtac_node.image_conversion import ImageConversionError, grey
 
 if TYPE_CHECKING:
@@ -126,7 +125,7 @@ def read_recording(
     names = ('events', 'image_raw', 'image_exposure', 'external_edges', 'reference_edges')
     events, image, exposure, edge, other = (f'{namespace}/{name}' for name in names)
     needed = () if edges_only else (events, reference)
-    counter, frames = _Counter(), FrameHistory(LONGEST_S)
+    packets, frames = PacketCollector(LONGEST_S), FrameHistory(LONGEST_S)
     edges: list[int] = []
     reference_edges: list[float] = []
     stamps: list[int] = []
@@ -134,9 +133,9 @@ def read_recording(
     with BagFile(path) as bag:
         more = (edge, other) if edges_only else (image, exposure, edge, other)
         optional = [topic for topic in more if bag.counts.get(topic)]
-        for topic, _, message in bag.messages_of(*needed, *optional, raw=(reference,)):
+        for topic, _, message in bag.messages_of(*needed, *optional, raw=(events, reference)):
             if topic == events:
-                counter.add(message)
+                packets.add(message)
             elif topic == reference:
                 stamp, normal = _wrench(message)
                 stamps.append(stamp)
@@ -151,59 +150,14 @@ def read_recording(
             else:
                 reference_edges.append(_ns(message.time_ref) / 1e9)
     return BagRecording(
-        counts=EMPTY if edges_only else counter.counts(f'{path} topic {events}'),
-        events=counter.events(),
+        counts=EMPTY if edges_only else packets.counts(f'{path} topic {events}'),
+        events=packets.events(),
         frames=frames.snapshot(),
         force_t_s=np.array(stamps, np.int64) / 1e9,
         force=np.array(force),
         edges_us=np.array(edges, np.int64),
         reference_edges_s=np.array(reference_edges),
     )
-
-
-class _Counter:
-    """Counts events packet by packet and keeps them by cell: whole ones would take gigabytes."""
-
-    def __init__(self) -> None:
-        self._parts: list[tuple[int, NDArray[np.int64]]] = []
-        self._lost: list[tuple[int, int]] = []
-        self._sequence: int | None = None
-        self._first: int | None = None
-        self._end = 0
-        self._history = EventHistory(LONGEST_S)
-
-    def add(self, message: Any) -> None:  # noqa: ANN401
-        """Add an `EventPacket`."""
-        packet = decode_message(message)
-        start, until = packet.start_us // BIN_US, packet.complete_until // BIN_US
-        if self._first is None:
-            self._first = start
-        elif self._sequence is not None and message.seq > self._sequence + 1:
-            self._lost.append((self._end, start + 1))
-        self._sequence = message.seq
-        self._end = max(self._end, until)
-        self._history.push(by_cell(packet.events, message.width, message.height))
-        if len(packet.events.t):
-            bins = packet.events.t // BIN_US
-            low = int(bins.min())
-            self._parts.append((low, np.bincount(bins - low)))
-
-    def events(self) -> CellEvents:
-        """Return the events by cell."""
-        return self._history.snapshot()
-
-    def counts(self, where: str) -> EventCounts:
-        """Return the counts of all packets."""
-        if self._first is None:
-            raise BagError(f'{where} is empty: the camera sent nothing during the recording')
-        first, end = self._first, max(self._end, self._first + 1)
-        total = np.zeros(end - first, np.int64)
-        for low, part in self._parts:
-            a, b = max(low, first), min(low + len(part), end)
-            if b > a:
-                total[a - first : b - first] += part[a - low : b - low]
-        gaps = tuple((a - first, b - first) for a, b in self._lost)
-        return EventCounts(first * BIN_US, BIN_US, total, gaps)
 
 
 def _wrench(data: bytes) -> tuple[int, float]:

@@ -90,12 +90,9 @@ def align(
     from rich.console import Console
     from rich.progress import track
 
-    from mixtac_events.codec import warm_up
-
     console = Console()
     if method not in METHODS:
         raise typer.BadParameter(f'method {method!r}: choose one of {", ".join(METHODS)}')
-    warm_up()
     options = Options(reference, namespace, cast('Method', method), pool, rewrite, figure)
     found = [bag for path in bags for bag in find_bags(path)]
     if not found:

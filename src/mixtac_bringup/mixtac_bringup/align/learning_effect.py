@@ -10,150 +10,140 @@ sensor by the true force.
 from __future__ import annotations
 
 import json as json_module
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Final, Optional
 
 import numpy as np
 import typer
 
+from mixtac_bringup.align.label_clocks import LABELS, clock_maps
 from mixtac_events.errors import MixtacError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_alignment.refinement import Refinement
-    from mixtac_alignment.sensor_pool import SensorTiming
+    from mixtac_bringup.align.label_clocks import Map
     from mixtac_fger.dataset import ForceLabel, Sample
     from mixtac_sim.trial import Trial
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 FIRST_SEED: Final = 620_000
 PROFILES: Final = ('dynamic', 'oscillation', 'impact', 'demo')
-LABELS: Final = ('none', 'two_impulse', 'refined', 'perfect')
-HOST_S: Final = (1e-3, 8e-3)
-"""Time from the first event to its arrival at the host: packets of 1 to 8 ms."""
-REFERENCE_HOST_S: Final = (1e-4, 1e-3)
-"""The same for a sample of the reference sensor."""
 
 
-@dataclass(frozen=True, slots=True)
-class Map:
-    """A clock map t_reference = rate * t_camera + offset_us [us], and its error [ms]."""
+@dataclass(frozen=True)
+class Plan:
+    """What is trained and judged.
 
-    rate: float
-    offset_us: float
-    error_ms: float
+    Attributes:
+        trials: Trials to train on.
+        checks: Trials to judge by.
+        seconds: Length of a trial [s].
+        epochs: Epochs of the recurrent stage; half as many of the frame stage, a sixth of both.
+        seeds: Trainings per kind of label.
+        preset: How hard the sensor is.
+    """
+
+    trials: int = 16
+    checks: int = 4
+    seconds: float = 12.0
+    epochs: int = 30
+    seeds: int = 2
+    preset: str = 'paper_like'
 
 
 def alignment(
-    trials: Annotated[int, typer.Option(min=4, help='Trials to train on.')] = 16,
-    checks: Annotated[int, typer.Option(min=1, help='Trials to judge by.')] = 4,
-    seconds: Annotated[float, typer.Option(min=10, help='Length of a trial.')] = 12.0,
-    epochs: Annotated[int, typer.Option(min=1, help='Epochs of the recurrent stage.')] = 30,
-    seeds: Annotated[int, typer.Option(min=1, help='Trainings per row.')] = 2,
-    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = 'paper_like',
-    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+    trials: Annotated[int, typer.Option(min=4, help='Trials to train on.')] = Plan.trials,
+    checks: Annotated[int, typer.Option(min=1, help='Trials to judge by.')] = Plan.checks,
+    seconds: Annotated[float, typer.Option(min=10, help='Length of a trial.')] = Plan.seconds,
+    epochs: Annotated[int, typer.Option(min=1, help='Epochs of the recurrent stage.')] = (
+        Plan.epochs
+    ),
+    seeds: Annotated[int, typer.Option(min=1, help='Trainings per row.')] = Plan.seeds,
+    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = Plan.preset,
+    json: Annotated[
+        OptionalPath,
+        typer.Option(help='File of the figures; trainings that it holds are not repeated.'),
+    ] = None,
 ) -> None:
-    """Train on labels with unaligned, tapped, refined and perfect clocks; compare the errors."""
+    """Train on labels with raw, coarse, tapped, refined and perfect clocks; compare the errors."""
     from rich.console import Console
     from rich.progress import Progress
-    from rich.table import Table
 
+    plan = Plan(trials, checks, seconds, epochs, seeds, preset)
     with Progress(transient=True) as progress:
         steps = progress.add_task('learning', total=trials + checks + len(LABELS) * seeds)
-        figures = measure(
-            (trials, checks), seconds, epochs, seeds, preset, lambda: progress.advance(steps)
-        )
-    table = Table(title=f'FGER-Net on {preset}, simulated', title_justify='left')
-    for heading in ('clocks', 'time error of the labels [ms]', 'MAE [N]', 'RMSE [N]'):
-        table.add_column(heading, justify='left' if heading == 'clocks' else 'right')
-    for name, row in figures.items():
-        mae, rmse = np.array(row['mae']), np.array(row['rmse'])
-        table.add_row(
-            name,
-            f'{row["time_error_ms"]:.2f}',
-            f'{mae.mean():.4f} +- {mae.std():.4f}',
-            f'{rmse.mean():.4f} +- {rmse.std():.4f}',
-        )
-    Console().print(table)
-    if json is not None:
-        json.write_text(json_module.dumps(figures, indent=2) + '\n', encoding='utf-8')
+        figures = measure(plan, json, lambda: progress.advance(steps))
+    Console().print(_table(plan, figures))
 
 
-def measure(
-    counts: tuple[int, int],
-    seconds: float,
-    epochs: int,
-    seeds: int,
-    preset: str,
-    advance: Callable[[], None],
-) -> dict[str, dict[str, float | list[float]]]:
-    """Return mean absolute time error [ms], and MAE and RMSE [N] of each training, per kind of map.
+def measure(plan: Plan, report: Path | None, advance: Callable[[], None]) -> dict[str, Any]:
+    """Return the figures of every training.
 
     Args:
-        counts: Trials to train on and to judge by.
-        seconds: Length of a trial [s].
-        epochs: Epochs of the recurrent stage.
-        seeds: Trainings per row.
-        preset: How hard the sensor is.
+        plan: What is trained and judged.
+        report: Figures of an earlier run of the same plan are taken from there, new ones added
+            after each training; none for neither.
         advance: Called after each step.
-    """
-    from mixtac_fger.config import FgerConfig
-    from mixtac_fger.dataset import make_sample, true_force
 
-    config = FgerConfig()
-    samples: list[Sample] = []
-    kept: list[Trial] = []
-    for number in range(sum(counts)):
-        trial = _trial(number, seconds, preset)
-        samples.append(make_sample(config, trial, true_force(trial.truth), {'device_seed': 0}))
-        kept.append(trial)
-        advance()
-    learned, judged = samples[: counts[0]], samples[counts[0] :]
-    maps = clock_maps(kept[: counts[0]])
-    first = config.reference_frames - 1
-    figures: dict[str, dict[str, float | list[float]]] = {}
-    for name in LABELS:
-        labelled = [
-            _relabelled(sample, trial, one, first)
-            for sample, trial, one in zip(learned, kept, maps[name], strict=False)
-        ]
-        errors = []
-        for seed in range(seeds):
-            errors.append(_train_and_judge(labelled, judged, epochs, seed))
+    Returns:
+        Per kind of label: the mean absolute error of the clock in the labels, `time_error_ms`, and
+        `trainings`, by seed: `mae` and `rmse` [N], and `rmse` by profile.
+
+    Raises:
+        MixtacError: The report is that of another plan.
+    """
+    figures = _reported(plan, report)
+    learned, judged, kept = _samples(plan, advance)
+    maps = clock_maps(kept, FIRST_SEED)
+    for seed in range(plan.seeds):
+        for name in LABELS:
+            row = figures.setdefault(name, {'trainings': {}})
+            row['time_error_ms'] = float(np.mean([one.error_ms for one in maps[name]]))
+            if str(seed) not in row['trainings']:
+                labelled = [
+                    _relabelled(*each) for each in zip(learned, kept, maps[name], strict=True)
+                ]
+                row['trainings'][str(seed)] = _train_and_judge(labelled, judged, plan, seed)
+                if report is not None:
+                    content = {'plan': asdict(plan), 'figures': figures}
+                    report.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')
             advance()
-        figures[name] = {
-            'time_error_ms': float(np.mean([one.error_ms for one in maps[name]])),
-            'mae': [mae for mae, _ in errors],
-            'rmse': [rmse for _, rmse in errors],
-        }
     return figures
 
 
-def clock_maps(trials: list[Trial]) -> dict[str, list[Map]]:
-    """Return the maps of trials of one sensor by the kinds of `LABELS`.
+def _reported(plan: Plan, report: Path | None) -> dict[str, Any]:
+    """Return the figures of an earlier run of the same plan; seeds may be added to it."""
+    if report is None or not report.exists():
+        return {}
+    content = json_module.loads(report.read_text(encoding='utf-8'))
+    if {**content['plan'], 'seeds': plan.seeds} != asdict(plan):
+        raise MixtacError(
+            f'{report} holds the figures of another plan ({content["plan"]}): name another file, '
+            'or give the same options'
+        )
+    figures: dict[str, Any] = content['figures']
+    return figures
 
-    `none` is the difference of the clocks by host stamps at the start of the trial: the clocks'
-    offset, wrong by how long packets take to the host, with the sensor's delay and the drift left
-    in. The others are as `mixtac align` on a folder fits them, `perfect` the truth.
-    """
-    rng = np.random.default_rng(FIRST_SEED)
-    maps: dict[str, list[Map]] = {name: [] for name in LABELS}
-    alone = [_fit(trial, None) for trial in trials]
-    from mixtac_alignment.sensor_pool import pool_sensor
 
-    known = pool_sensor([refined for _, refined in alone])
-    for trial in trials:
-        first, refined = _fit(trial, known)
-        rate, offset_us = trial.clock
-        late_us = 1e6 * (rng.uniform(*REFERENCE_HOST_S) - rng.uniform(*HOST_S))
-        maps['none'].append(_rated(1.0, offset_us - late_us, trial))
-        maps['two_impulse'].append(_rated(*_plain(first), trial))
-        maps['refined'].append(_rated(*_plain(refined.fit), trial))
-        maps['perfect'].append(_rated(rate, offset_us + trial.reference_delay_us, trial))
-    return maps
+def _samples(
+    plan: Plan, advance: Callable[[], None]
+) -> tuple[list[Sample], list[Sample], list[Trial]]:
+    """Return samples to train on and to judge by, with the true force, and the former's trials."""
+    from mixtac_fger.config import FgerConfig
+    from mixtac_fger.dataset import make_sample, true_force
+
+    samples: list[Sample] = []
+    kept: list[Trial] = []
+    for number in range(plan.trials + plan.checks):
+        trial = _trial(number, plan.seconds, plan.preset)
+        origin = {'device_seed': 0}
+        samples.append(make_sample(FgerConfig(), trial, true_force(trial.truth), origin))
+        if number < plan.trials:
+            kept.append(trial)
+        advance()
+    return samples[: plan.trials], samples[plan.trials :], kept
 
 
 def _trial(number: int, seconds: float, preset: str) -> Trial:
@@ -165,38 +155,12 @@ def _trial(number: int, seconds: float, preset: str) -> Trial:
     return simulate_trial(FIRST_SEED, seed, profile, seconds, sync=True, preset=named(preset))
 
 
-def _fit(trial: Trial, known: SensorTiming | None) -> tuple[ClockFit, Refinement]:
-    from mixtac_alignment.event_history import by_cell
-    from mixtac_alignment.frame_features import FrameFeatures, reduce_frame
-    from mixtac_alignment.rate_history import EventCounts
-    from mixtac_alignment.refinement import refine
-    from mixtac_alignment.tap_anchors import fit_taps
-
-    rows, columns = trial.frames.shape[1:]
-    values = np.stack([reduce_frame(frame, 1023.0) for frame in trial.frames])
-    frames = FrameFeatures(trial.exposure_start_us, trial.exposure_end_us, values)
-    force = (trial.reference_t_us.astype(np.float64) * 1e-6, trial.reference_wrench[:, 2])
-    settings, lag = (None, None) if known is None else (known.settings, known.lag)
-    counts, events = EventCounts.of(trial.events.t), by_cell(trial.events, columns, rows)
-    first = fit_taps(counts, events, frames, *force, settings, lag)
-    return first, refine(first, frames, *force, lag)
-
-
-def _plain(fit: ClockFit) -> tuple[float, float]:
-    return fit.a, 1e6 * fit.paper_offset_s
-
-
-def _rated(rate: float, offset_us: float, trial: Trial) -> Map:
-    t_us = np.linspace(0.0, float(trial.events.t[-1]), 41)
-    true_us = trial.clock[0] * t_us + trial.clock[1] + trial.reference_delay_us
-    error = np.abs(rate * t_us + offset_us - true_us)
-    return Map(rate, offset_us, 1e-3 * float(error.mean()))
-
-
-def _relabelled(sample: Sample, trial: Trial, clock: Map, first: int) -> Sample:
+def _relabelled(sample: Sample, trial: Trial, clock: Map) -> Sample:
     """Return a sample with the labels that a clock map gives."""
+    from mixtac_fger.config import FgerConfig
     from mixtac_fger.dataset import aligned_force
 
+    first = FgerConfig().reference_frames - 1
     label: ForceLabel = aligned_force(
         trial.reference_t_us, trial.reference_wrench[:, 2], clock.rate, clock.offset_us
     )
@@ -205,9 +169,9 @@ def _relabelled(sample: Sample, trial: Trial, clock: Map, first: int) -> Sample:
 
 
 def _train_and_judge(
-    learned: list[Sample], judged: list[Sample], epochs: int, seed: int
-) -> tuple[float, float]:
-    """Return MAE and RMSE [N] on trials that were not trained on."""
+    learned: list[Sample], judged: list[Sample], plan: Plan, seed: int
+) -> dict[str, Any]:
+    """Return errors [N] on trials that were not trained on."""
     import torch
 
     from mixtac_fger.batches import stack
@@ -215,19 +179,49 @@ def _train_and_judge(
     from mixtac_fger.training import Trainer, estimate
     from mixtac_fger.training_settings import TrainingSettings
 
-    settings = TrainingSettings.from_dict(
-        {
-            'seed': seed,
-            'frame_epochs': max(1, epochs // 2),
-            'recurrent_epochs': epochs,
-            'joint_epochs': epochs // 6,
-        }
+    settings = TrainingSettings(
+        seed=seed,
+        frame_epochs=max(1, plan.epochs // 2),
+        recurrent_epochs=plan.epochs,
+        joint_epochs=plan.epochs // 6,
+        # The uncertainty is not judged.
+        deviation_epochs=0,
     )
     network = Trainer(FgerConfig(), settings).run(stack(learned))
     sequences = stack(judged)
     with torch.no_grad():
         force, _ = estimate(network, sequences)
-    error = (force - sequences.force)[sequences.valid]
-    if not len(error):
+    error = torch.where(sequences.valid, force - sequences.force, 0.0)
+    windows = sequences.valid.sum(dim=0)
+    if int(windows.min()) == 0:
         raise MixtacError('no windows to judge by: give longer trials')
-    return float(error.abs().mean()), float(error.square().mean().sqrt())
+    square = error.square().sum(dim=0)
+    return {
+        'mae': float(error.abs().sum() / windows.sum()),
+        'rmse': float((square.sum() / windows.sum()).sqrt()),
+        'rmse_by_profile': {
+            PROFILES[k]: float((square[at].sum() / windows[at].sum()).sqrt())
+            for k in range(len(PROFILES))
+            if (at := [i for i in range(len(judged)) if (plan.trials + i) % len(PROFILES) == k])
+        },
+    }
+
+
+def _table(plan: Plan, figures: dict[str, Any]) -> Any:  # noqa: ANN401
+    from rich.table import Table
+
+    title = (
+        f'FGER-Net on {plan.preset}, simulated: {plan.trials} trials of {plan.seconds:g} s, '
+        f'{plan.epochs} epochs, {plan.seeds} trainings'
+    )
+    table = Table(title=title, title_justify='left')
+    table.add_column('clocks')
+    for heading in ('time error [ms]', 'MAE [N]', 'RMSE [N]', *(f'{p} RMSE' for p in PROFILES)):
+        table.add_column(heading, justify='right')
+    for name, row in figures.items():
+        runs = list(row['trainings'].values())
+        cells = [[run[key] for run in runs] for key in ('mae', 'rmse')]
+        cells += [[r['rmse_by_profile'].get(p, np.nan) for r in runs] for p in PROFILES]
+        shown = [f'{np.mean(cell):.4f} +- {np.std(cell):.4f}' for cell in cells]
+        table.add_row(name, f'{row["time_error_ms"]:.2f}', *shown)
+    return table

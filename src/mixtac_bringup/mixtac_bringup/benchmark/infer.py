@@ -70,7 +70,12 @@ def measure(model_name: str | None, seconds: float, preset: str) -> dict[str, An
 
 
 def _live_figures(paced: PacedRun) -> dict[str, Any]:
-    return {'late': paced.late, 'frames_dropped': paced.frames_dropped, 'cpu': paced.cpu}
+    return {
+        'window_cpu_ms': paced.window_cpu_ms,
+        'late': paced.late,
+        'frames_dropped': paced.frames_dropped,
+        'cpu': paced.cpu,
+    }
 
 
 def _print(console: Console, report: dict[str, Any]) -> None:
@@ -85,5 +90,6 @@ def _print(console: Console, report: dict[str, Any]) -> None:
         f'{report["parameters"]:,} parameters, {report["flops_per_cycle"] / 1e6:.1f} MFLOP per'
         f' 40 ms; {report["windows"]} forces, {report["late"]} of them later than 2 ms,'
         f' {report["frames_dropped"]} frames skipped, {100 * report["cpu"]:.0f} % of a core at'
-        f' {report["events_per_s"] / 1e6:.2f} Mev/s'
+        f' {report["events_per_s"] / 1e6:.2f} Mev/s; {1e3 * report["window_cpu_ms"]:.0f} us of'
+        ' processor time per window'
     )

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mixtac_bringup.benchmark.infer_scene import PACKET_US
 from mixtac_fger.live_feed import LiveFeed
 from mixtac_fger.streaming import ForceEstimator
 
@@ -31,6 +32,8 @@ class PacedRun:
 
     Attributes:
         step_ms: Time of each call that closed a window, decoding of the packet included [ms].
+        window_cpu_ms: Processor time of the thread of the windows per window, decoding of all its
+            packets included [ms]; other processes hardly change it.
         forces: Forces that came out.
         late: Forces that came out more than 2 ms after their packet was handed over or due.
         frames_dropped: Frames replaced by a newer one before they were encoded.
@@ -38,6 +41,7 @@ class PacedRun:
     """
 
     step_ms: list[float]
+    window_cpu_ms: float
     forces: int
     late: int
     frames_dropped: int
@@ -53,7 +57,7 @@ def run_paced(model: LoadedModel, scene: Scene) -> PacedRun:
     """
     feed = LiveFeed(model, CONTACT_THRESHOLD_N)
     steps: list[float] = []
-    frames, late, count = deque(scene.frames), 0, 0
+    frames, late, count, thread_s = deque(scene.frames), 0, 0, 0.0
     cpu_s, start_s = time.process_time(), time.perf_counter()
     origin_us = scene.ends_us[0]
     for end_us, packet in zip(scene.ends_us, scene.packets, strict=True):
@@ -61,9 +65,10 @@ def run_paced(model: LoadedModel, scene: Scene) -> PacedRun:
             _hand_over(feed, frames.popleft())
         due_s = start_s + 1e-6 * (end_us - origin_us)
         time.sleep(max(due_s - time.perf_counter(), 0.0))
-        called_s = time.perf_counter()
+        called_s, before_s = time.perf_counter(), time.thread_time()
         forces = feed.packet(packet)
         done_s = time.perf_counter()
+        thread_s += time.thread_time() - before_s
         if forces:
             count += len(forces)
             steps.append(1e3 * (done_s - called_s))
@@ -71,7 +76,8 @@ def run_paced(model: LoadedModel, scene: Scene) -> PacedRun:
     cpu = (time.process_time() - cpu_s) / (time.perf_counter() - start_s)
     dropped = feed.status().estimator.frames_dropped
     feed.close()
-    return PacedRun(steps, count, late, dropped, cpu)
+    windows = max(len(scene.packets) * PACKET_US // model.config.window_us, 1)
+    return PacedRun(steps, 1e3 * thread_s / windows, count, late, dropped, cpu)
 
 
 def frame_times_ms(model: LoadedModel, scene: Scene) -> list[float]:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mixtac_sim.grasp.grasp import Grasp, GraspBlock
     from mixtac_slip_control.arm.planned_trajectory import PlannedTrajectory
     from mixtac_slip_control.arm.stream_settings import StreamSettings
-    from mixtac_slip_control.controller import SlipSettings
+    from mixtac_slip_control.slip_settings import SlipSettings
     from mixtac_slip_control.slip_step import SlipStep
 
     Floats = NDArray[np.float64]

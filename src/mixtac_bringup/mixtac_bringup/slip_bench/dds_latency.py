@@ -3,8 +3,12 @@
 """From the onset of a slip to its detection and to the trajectory, over real DDS.
 
 Five processes: a virtual camera that sends knocks over its USB protocol, the driver node, the slip
-control node and the virtual arm as they are shipped, and a probe that receives `slip` and the
-trajectories. All times are the host's; the probe's time of arrival counts, transport included.
+control node and the virtual arm as they are shipped (but for a shorter settling time, so that slip
+control is ready before the next knock), and a probe that receives `slip` and the trajectories.
+
+All times are on the host's monotonic clock: the camera counts it without skew from an origin that
+it tells, so the onset of each knock in what it sends is known to a microsecond; the probe's time of
+arrival counts, transport included.
 """
 
 from __future__ import annotations
@@ -32,8 +36,15 @@ TRAJECTORIES = f'/{NAMESPACE}/joint_trajectory'
 JOINTS = f'/{NAMESPACE}/joint_states'
 START_S = 300.0
 ENABLE_S = 60.0
+WARM_UP_S = 5.0
+"""Knocks that come so soon after the first enabling do not count [s]."""
+SETTLING_S = 0.1
+"""Settling time of slip control [s]."""
 HORIZON_NS = 100_000_000
 """Answers later than this after an onset belong to nothing."""
+QUIET_NS = 50_000_000
+"""A knock tells of trajectories only where slip control was enabled and sent none for so long
+before: otherwise the first one after it need not be its answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,18 +54,31 @@ class DdsLatency:
     Attributes:
         speeds_mm_s: Speed of each knock that fell into the measurement [mm/s].
         detection_ms: From its onset to the arrival of `slip` [ms]; NaN where none came.
-        publish_ms: From its onset to the arrival of the first trajectory [ms].
+        publish_ms: From the onset to the arrival of the first trajectory [ms], for the knocks
+            before which slip control was enabled and quiet; NaN where none came.
+        not_ready: Knocks before which it was not.
+        missed_detections: Knocks without a detection.
+        missed_answers: Knocks without a trajectory, of those that `publish_ms` tells of.
         false_alarms: Slips that were seen without one.
         seconds: Length of the measurement [s].
         camera_stalls: Times that the camera's buffer overflowed.
+        windows: Windows that slip control reported, of one millisecond each.
+        stops: Times that its interlock stopped the arm: on a busy host its watchdogs do.
+        cpu_shares: CPU time of each process over the length of the measurement.
     """
 
     speeds_mm_s: list[float]
     detection_ms: list[float]
     publish_ms: list[float]
+    not_ready: int
+    missed_detections: int
+    missed_answers: int
     false_alarms: int
     seconds: float
     camera_stalls: int
+    windows: int
+    stops: int
+    cpu_shares: dict[str, float]
 
 
 def measure(
@@ -63,7 +87,7 @@ def measure(
     speeds_mm_s: tuple[float, float] = (30.0, 100.0),
     progress: Callable[[float], None] = lambda _seconds: None,
 ) -> DdsLatency:
-    """Run the processes and measure.
+    """Run the processes and measure; there are about 40 knocks in a minute.
 
     Args:
         seconds: Length of the measurement [s].
@@ -78,9 +102,11 @@ def measure(
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='mixtac-'))
         socket = str(Path(folder) / 'usb.sock')
+        started: dict[str, JsonProcess] = {}
 
         def start(name: str, command: list[str]) -> JsonProcess:
-            return stack.enter_context(JsonProcess(name, command, env))
+            started[name] = stack.enter_context(JsonProcess(name, command, env))
+            return started[name]
 
         camera = start('camera', _camera(socket, seed, speeds_mm_s))
         scene = camera.expect('ready', START_S)
@@ -94,16 +120,26 @@ def measure(
         _wait_enabled(probe)
         # A start sets the clock going and then resets it: only the last origin counts.
         origin_ns = int(camera.latest('origin_ns', first)['origin_ns'])
-        began_ns = time.time_ns()
-        while (elapsed_s := 1e-9 * (time.time_ns() - began_ns)) < seconds:
-            time.sleep(min(0.5, seconds - elapsed_s))
-            progress(elapsed_s)
-        ended_ns = time.time_ns()
+        _wait(WARM_UP_S)
+        before = {name: process.cpu_s() for name, process in started.items()}
+        began_ns = time.monotonic_ns()
+        _wait(seconds, progress)
+        ended_ns = time.monotonic_ns()
+        used = {name: process.cpu_s() - before[name] for name, process in started.items()}
         probe.stop()
         noted = probe.expect('slips_ns', START_S)
         camera.stop()
         stalls = int(camera.expect('periods_lost', START_S)['periods_lost'])
-    return _match(scene, noted, origin_ns, (began_ns, ended_ns - HORIZON_NS), stalls)
+    span_s = 1e-9 * (ended_ns - began_ns)
+    shares = {name: round(s / span_s, 4) for name, s in used.items()}
+    return _match(scene, noted, origin_ns, (began_ns, ended_ns - HORIZON_NS), stalls, shares)
+
+
+def _wait(seconds: float, progress: Callable[[float], None] = lambda _seconds: None) -> None:
+    began_s = time.monotonic()
+    while (elapsed_s := time.monotonic() - began_s) < seconds:
+        time.sleep(min(0.5, seconds - elapsed_s))
+        progress(elapsed_s)
 
 
 def _wait_enabled(probe: JsonProcess) -> None:
@@ -128,6 +164,7 @@ def _match(
     origin_ns: int,
     span_ns: tuple[int, int],
     stalls: int,
+    shares: dict[str, float],
 ) -> DdsLatency:
     """Return the latencies of the knocks between two times."""
     period_ns = 1000 * int(scene['period_us'])
@@ -144,14 +181,30 @@ def _match(
     sent = np.array(noted['trajectories_ns'], np.int64)
     seen = slips[(slips >= span_ns[0]) & (slips <= span_ns[1])]
     starts = np.array([at for at, _ in knocks], np.int64)
+    ready = np.array([_ready(at, noted['enabled_spans_ns'], sent) for at in starts], np.bool_)
+    detection_ms, publish_ms = _after(starts, slips), _after(starts[ready], sent)
     return DdsLatency(
-        [speed for _, speed in knocks],
-        _after(starts, slips),
-        _after(starts, sent),
-        int(sum(not np.any((at >= starts) & (at - starts < HORIZON_NS)) for at in seen)),
-        1e-9 * (span_ns[1] - span_ns[0]),
-        stalls,
+        speeds_mm_s=[speed for _, speed in knocks],
+        detection_ms=detection_ms,
+        publish_ms=publish_ms,
+        not_ready=int(np.count_nonzero(~ready)),
+        missed_detections=int(np.count_nonzero(np.isnan(detection_ms))),
+        missed_answers=int(np.count_nonzero(np.isnan(publish_ms))),
+        false_alarms=int(
+            sum(not np.any((at >= starts) & (at - starts < HORIZON_NS)) for at in seen)
+        ),
+        seconds=1e-9 * (span_ns[1] - span_ns[0]),
+        camera_stalls=stalls,
+        windows=int(noted['windows']),
+        stops=int(noted['stops']),
+        cpu_shares=shares,
     )
+
+
+def _ready(at_ns: int, spans_ns: Sequence[Sequence[int]], sent_ns: Any) -> bool:  # noqa: ANN401
+    """Tell whether slip control was enabled and quiet before a time."""
+    enabled = any(start <= at_ns - QUIET_NS and at_ns <= end for start, end in spans_ns)
+    return enabled and not np.any((sent_ns > at_ns - QUIET_NS) & (sent_ns < at_ns))
 
 
 def _after(starts: np.ndarray[Any, np.dtype[np.int64]], times: Any) -> list[float]:  # noqa: ANN401
@@ -186,6 +239,7 @@ def _slip_control() -> list[str]:
         normal_frame='base',
         normal_y=1.0,
         normal_z=0.0,
+        settling_time=SETTLING_S,
     )
 
 

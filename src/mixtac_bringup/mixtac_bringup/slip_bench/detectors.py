@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import starmap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mixtac_bringup.slip_bench.kept import Kept, digest
 from mixtac_bringup.slip_bench.quiet_scene import QUIET, quiet_blocks, slip_blocks, windows_of
 from mixtac_slip_control.detector_curves import detector_curve, score_trial
 from mixtac_slip_control.slip_judge import DETECTORS, SlipJudge
@@ -18,15 +20,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from mixtac_bringup.slip_bench.quiet_scene import QuietName
-    from mixtac_slip_control.controller import SlipSettings
     from mixtac_slip_control.detector_curves import ScoredTrial
+    from mixtac_slip_control.slip_settings import SlipSettings
 
 SPEEDS_MM_S = (10.0, 30.0, 100.0)
 LEARN_S = 1.1
 SLIP_TRIAL_S = 1.2
 QUIET_TRIAL_S = 5.0
-SENSORS_PER_QUIET = 3
-"""A long quiet time is shared by so many sensors."""
+PIECE_S = 60.0
+"""A long quiet time is made of pieces of so long, each with a sensor and a day of its own [s]."""
 QUIET_SEED = 50_000
 """Sensors of the quiet scenes; no threshold was chosen on them."""
 SLIP_SEED = 60_000
@@ -42,6 +44,7 @@ class Alarms:
         flow: Onsets that the flow detector saw.
         count: Onsets that the count law saw.
         mean_count: Mean events per window.
+        saturated: Windows in which the sensor was saturated, on which an arm would stop.
     """
 
     name: str
@@ -49,10 +52,15 @@ class Alarms:
     flow: int
     count: int
     mean_count: float
+    saturated: int
 
 
 def count_alarms(
-    name: QuietName, seconds: float, settings: SlipSettings, preset_name: str
+    name: QuietName,
+    seconds: float,
+    settings: SlipSettings,
+    preset_name: str,
+    kept: Kept | None = None,
 ) -> Alarms:
     """Return the false alarms of both detectors with their shipped thresholds.
 
@@ -61,22 +69,45 @@ def count_alarms(
         seconds: Simulated time, the learning not counted [s].
         settings: Of the controller.
         preset_name: How hard the sensors are.
+        kept: Holds the pieces that were measured before.
     """
+    pieces, store = [], kept or Kept()
+    watched = digest(settings.window_us, settings.guide, settings.judge, preset_name)
+    number = max(round(seconds / PIECE_S), 1)
+    for k in range(number):
+        length = seconds / number
+        key = f'quiet {name} {QUIET_SEED + k} {length:g} s {watched}'
+        piece = store.get(key, partial(_quiet_piece, name, k, length, settings, preset_name))
+        pieces.append(Alarms(**piece))
+    return Alarms(
+        name,
+        sum(p.seconds for p in pieces),
+        sum(p.flow for p in pieces),
+        sum(p.count for p in pieces),
+        float(np.mean([p.mean_count for p in pieces])),
+        sum(p.saturated for p in pieces),
+    )
+
+
+def _quiet_piece(
+    name: QuietName, number: int, seconds: float, settings: SlipSettings, preset_name: str
+) -> dict[str, Any]:
+    """Return the alarms of one sensor on one day, for JSON."""
+    judge, was = SlipJudge(settings.judge), dict.fromkeys(DETECTORS, False)
     alarms = dict.fromkeys(DETECTORS, 0)
-    counts, windows = 0, 0
-    part = seconds / SENSORS_PER_QUIET
-    for sensor in range(SENSORS_PER_QUIET):
-        judge, was = SlipJudge(settings.judge), dict.fromkeys(DETECTORS, False)
-        blocks = quiet_blocks(name, LEARN_S + part, QUIET_SEED + sensor, preset_name)
-        for window in windows_of(blocks, settings):
-            judge.update(window, 0.0)
-            says = {'flow': judge.flow.slipping, 'count': judge.count.slipping}
-            if window.end_us > 1e6 * LEARN_S:
-                for each in DETECTORS:
-                    alarms[each] += says[each] and not was[each]
-                counts, windows = counts + window.count, windows + 1
-            was = says
-    return Alarms(name, seconds, alarms['flow'], alarms['count'], counts / max(windows, 1))
+    counts = windows = saturated = 0
+    blocks = quiet_blocks(name, LEARN_S + seconds, QUIET_SEED + number, preset_name)
+    for window in windows_of(blocks, settings):
+        judge.update(window, 0.0)
+        says = {'flow': judge.flow.slipping, 'count': judge.count.slipping}
+        if window.end_us > 1e6 * LEARN_S:
+            for each in DETECTORS:
+                alarms[each] += says[each] and not was[each]
+            counts, windows = counts + window.count, windows + 1
+            saturated += window.count >= settings.safety.saturation_count
+        was = says
+    mean = counts / max(windows, 1)
+    return asdict(Alarms(name, seconds, alarms['flow'], alarms['count'], mean, saturated))
 
 
 def curves(

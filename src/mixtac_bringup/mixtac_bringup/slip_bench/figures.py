@@ -10,12 +10,13 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from mixtac_bringup.slip_bench.kept_trials import CURVE_MS
 from mixtac_bringup.slip_bench.trial import KNOCK_S
 from mixtac_events.arrays import Events
 from mixtac_sim.array_geometry import HEIGHT, WIDTH
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -60,6 +61,29 @@ def draw_trial(path: Path, result: TrialResult, record: LoopRecord) -> None:
     _save(figure, path)
 
 
+def draw_objects(
+    path: Path, curves: Mapping[str, Sequence[NDArray[np.float64]]], paper_mm: Mapping[str, float]
+) -> None:
+    """Draw the way of every object after the blow, one panel per kind.
+
+    Args:
+        path: Where the figure goes.
+        curves: Place at `CURVE_MS` of each trial [91] [mm], by kind.
+        paper_mm: Mean displacement in the paper [mm], by kind.
+    """
+    figure = Figure(figsize=(4.0 * len(curves), 3.4), layout='constrained')
+    axes = figure.subplots(1, len(curves), squeeze=False)[0]
+    for ax, (name, ways) in zip(axes, curves.items(), strict=True):
+        for way in ways:
+            ax.plot(CURVE_MS, way, color='tab:blue', alpha=0.3, linewidth=0.8)
+        ax.plot(CURVE_MS, np.mean(ways, axis=0), color='tab:blue', label='mean')
+        ax.axhline(paper_mm[name], color='tab:gray', linestyle=':', label="the paper's mean")
+        ax.set(xlabel='after the blow [ms]', title=f'{name}, {len(ways)} trials, simulated')
+        ax.legend()
+    axes[0].set_ylabel('displacement [mm]')
+    _save(figure, path)
+
+
 def draw_curves(path: Path, curves: Mapping[str, Any]) -> None:
     """Draw latency against false alarms of both detectors, one panel per speed.
 
@@ -86,7 +110,8 @@ def _counts(ax: Axes, record: LoopRecord) -> None:
     t_ms = 1e-3 * np.array([step.end_us for step in record.steps]) - 1e3 * KNOCK_S
     seen = (t_ms >= SPAN_MS[0]) & (t_ms <= SPAN_MS[1])
     ax.step(t_ms[seen], np.array([s.count for s in record.steps])[seen], label='events per ms')
-    ax.step(t_ms[seen], np.array([s.threshold for s in record.steps])[seen], label='threshold')
+    threshold = np.array([s.threshold for s in record.steps])
+    ax.step(t_ms[seen], threshold[seen], label='threshold of the count law')
     ax.set(xlabel='after the blow [ms]')
     ax.legend()
 
@@ -100,7 +125,7 @@ def _key_frame(ax: Axes, record: LoopRecord, at_ms: float) -> None:
             np.searchsorted(events.t, first + 1e3 * FRAME_MS)
         )
     ]
-    ax.imshow(_picture(chosen), cmap='gray', vmin=-2, vmax=2)
+    ax.imshow(_picture(chosen), cmap='gray', vmin=-1, vmax=1)
     ax.set(xticks=[], yticks=[], title=f'{at_ms:.0f} to {at_ms + FRAME_MS:.0f} ms')
 
 

@@ -19,21 +19,25 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mixtac_sim.grasp.slip_scene import SceneBlock
-    from mixtac_slip_control.controller import SlipSettings
     from mixtac_slip_control.slip_features import SlipWindow
+    from mixtac_slip_control.slip_settings import SlipSettings
 
 QuietName = Literal['hold', 'load', 'flicker']
 QUIET: tuple[QuietName, ...] = get_args(QuietName)
 
 FORCE_N = 0.7
-SWING_N = 0.2
+SWING_N = 0.3
 """The force of a slow load change goes up and down by so much [N]."""
-SWING_HZ = 0.25
-"""As often as this [Hz]."""
+SWING_HZ = (0.25, 0.5, 1.0)
+"""As often as one of these, by the scene's seed [Hz]: up to 1 N/s."""
 LOAD_RATIO = 0.6
 """Pull over what friction holds, where nothing may slip."""
-FLICKER = Flicker(0.08, 50.0, 0.25)
-"""Lamps that flicker at 50 Hz by 8 %: enough to make the most sensitive pixels fire."""
+FLICKER_HZ = 100.0
+"""A lamp at 50 Hz mains shines alike in both half waves."""
+FLICKER_DEPTHS = (0.08, 0.12, 0.15)
+"""Ripple of the light in the sensor, one of these by the scene's seed: a lamp with 30 % ripple that
+makes a quarter, 40 % or half of the light beside the sensor's own steady LED (estimates; an opaque
+skin lets far less in). From about 20 % on the pixels fire by themselves and fill the readout."""
 BLOCK_STEPS = 32
 
 
@@ -54,15 +58,22 @@ def quiet_blocks(
         preset(preset_name),
         force_n=FORCE_N,
         load_ratio=LOAD_RATIO,
-        flicker=FLICKER if name == 'flicker' else None,
+        flicker=flicker_of(seed) if name == 'flicker' else None,
     )
     still = np.zeros(BLOCK_STEPS)
     for block in range(round(1e6 * seconds / (BLOCK_STEPS * STEP_US))):
         force = None
         if name == 'load':
             t = 1e-6 * STEP_US * (block * BLOCK_STEPS + np.arange(BLOCK_STEPS) + 1)
-            force = FORCE_N + SWING_N * 0.5 * (1.0 - np.cos(2.0 * np.pi * SWING_HZ * t))
+            turns = SWING_HZ[seed % len(SWING_HZ)] * t
+            force = FORCE_N + SWING_N * 0.5 * (1.0 - np.cos(2.0 * np.pi * turns))
         yield scene.advance(still, force)
+
+
+def flicker_of(seed: int) -> Flicker:
+    """Return the flicker of a scene."""
+    phase = (0.618 * seed) % 1.0
+    return Flicker(FLICKER_DEPTHS[seed % len(FLICKER_DEPTHS)], FLICKER_HZ, phase)
 
 
 def slip_blocks(

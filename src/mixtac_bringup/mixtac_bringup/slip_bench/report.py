@@ -51,6 +51,7 @@ def summary(results: Sequence[TrialResult]) -> dict[str, Any]:
         'knock_mm_s': _median(r.knock_mm_s for r in results),
         'stiffness_n_per_mm': _median(r.stiffness_n_per_mm for r in results),
         'grasp_n': _median(r.grasp_n for r in results),
+        'knock_share': _median(r.knock_share for r in results),
         'peak_n': _median(r.peak_n for r in results),
         'false_alarms': sum(r.false_alarms for r in results),
         'limit_violations': sum(r.limit_violations for r in results),

@@ -14,8 +14,8 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from mixtac_bringup.slip_bench.kept import Kept
     from mixtac_bringup.slip_bench.trial import TrialPlan, TrialResult
-    from mixtac_slip_control.controller import SlipSettings
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 STIFFNESSES = (10.0, 5.0, 2.0, 1.0)
@@ -29,23 +29,28 @@ def slip(
     lag: Annotated[float, typer.Option(help='Time constant of the arm (s).')] = 3.5e-3,
     quiet_minutes: Annotated[float, typer.Option(help='Of each quiet scene (min).')] = 30.0,
     curve_trials: Annotated[int, typer.Option(help='Slips per speed for the curves.')] = 40,
-    dds_seconds: Annotated[float, typer.Option(help='Over real DDS (s); 0 for none.')] = 60.0,
+    dds_seconds: Annotated[float, typer.Option(help='Over real DDS (s); 0 for none.')] = 330.0,
     preset: Annotated[str, typer.Option(help='How hard the sensors are.')] = 'paper_like',
+    keep: Annotated[
+        OptionalPath, typer.Option(help='Keep finished parts in this file and go on from them.')
+    ] = None,
     report: Annotated[OptionalPath, typer.Option('--json', help='Write the result.')] = None,
 ) -> None:
     """Measure slip control: held objects, latency, limits, false alarms. Simulated results."""
     from rich.console import Console
 
     from mixtac_bringup.slip_bench.closed_loop import ArmSetup
+    from mixtac_bringup.slip_bench.kept import Kept
     from mixtac_bringup.slip_bench.trial import TrialPlan, shipped_settings
     from mixtac_sim.arm.tracking import Tracking
 
-    console = Console()
+    console, kept = Console(), Kept(keep)
     settings = shipped_settings()
-    plan = TrialPlan(margin=margin, knock_mm_s=knock, preset=preset, arm=ArmSetup(Tracking(lag)))
-    results = _box_trials(console, plan, trials)
+    arm = ArmSetup(Tracking(lag))
+    plan = TrialPlan(margin=margin, knock_mm_s=knock, preset=preset, arm=arm, settings=settings)
+    results = _box_trials(console, plan, trials, kept)
     latency = _over_dds(console, dds_seconds) if dds_seconds > 0.0 else None
-    quiet = _quiet(console, quiet_minutes, settings, preset) if quiet_minutes > 0.0 else []
+    quiet = _quiet(console, quiet_minutes, plan, kept) if quiet_minutes > 0.0 else []
     outcome = _outcome(results, latency, quiet)
     outcome['conditions'] = {
         'margin': margin,
@@ -65,19 +70,19 @@ def slip(
     console.print_json(data=shown)
 
 
-def _box_trials(console: Console, plan: TrialPlan, trials: int) -> list[TrialResult]:
+def _box_trials(console: Console, plan: TrialPlan, trials: int, kept: Kept) -> list[TrialResult]:
     """Run the trials with the box, at each stiffness in turn."""
     from dataclasses import replace
 
     from rich.progress import track
 
-    from mixtac_bringup.slip_bench.trial import run_trial
+    from mixtac_bringup.slip_bench.kept_trials import kept_trial
 
     results = []
     for k in track(range(trials), 'box trials', console=console):
         stiffness = STIFFNESSES[k % len(STIFFNESSES)]
         each = replace(plan, seed=70_000 + k, stiffness_n_per_mm=stiffness)
-        results.append(run_trial(each)[0])
+        results.append(kept_trial(each, kept)[0])
     return results
 
 
@@ -88,16 +93,15 @@ def _over_dds(console: Console, seconds: float) -> Any:  # noqa: ANN401
         return measure(seconds)
 
 
-def _quiet(
-    console: Console, minutes: float, settings: SlipSettings, preset: str
-) -> list[dict[str, Any]]:
+def _quiet(console: Console, minutes: float, plan: TrialPlan, kept: Kept) -> list[dict[str, Any]]:
     from rich.progress import track
 
     from mixtac_bringup.slip_bench.detectors import count_alarms
     from mixtac_bringup.slip_bench.quiet_scene import QUIET
 
-    names = track(QUIET, 'quiet scenes', console=console)
-    return [asdict(count_alarms(name, 60.0 * minutes, settings, preset)) for name in names]
+    seconds, names = 60.0 * minutes, track(QUIET, 'quiet scenes', console=console)
+    found = [count_alarms(name, seconds, plan.settings, plan.preset, kept) for name in names]
+    return [asdict(alarms) for alarms in found]
 
 
 def _outcome(

@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A camera that sends knocks, served in a process of its own; see `pattern_server`."""
+"""A camera that sends knocks, served in a process of its own; see `pattern_server`.
+
+Its origin is told on the host's monotonic clock, which all processes of a machine share.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +40,8 @@ def main() -> None:
     signal.signal(signal.SIGINT, lambda *_: stopping.set())
     slips = make_slip_pattern(options.seconds, options.seed, (options.slowest, options.fastest))
     camera = PatternCamera('SLIP0001', slips.pattern)
-    # The camera counts true time from its construction on the monotonic clock.
-    zero_ns = time.time_ns() - camera.true_time_us() * 1000
+    # The camera counts true time from its construction on the host's monotonic clock, without skew.
+    zero_ns = time.monotonic_ns() - camera.true_time_us() * 1000
     server = UsbServer(camera, options.socket)
     _say(
         ready=True,

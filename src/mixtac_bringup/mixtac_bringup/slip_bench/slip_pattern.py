@@ -1,10 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A stretch of camera stream in which an object is knocked again and again, encoded once."""
+"""A stretch of camera stream in which an object is knocked again and again, encoded once.
+
+Before each knock the object is held as at the start: skin that a slip has sheared already hardly
+moves in the next one. The stretch is therefore one scene per knock, one after the other; no event
+and no frame belongs to two of them.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,14 +27,19 @@ from mixtac_sim.usb.word_encoder import Blocks, WordEncoder
 if TYPE_CHECKING:
     from mixtac_sim.aps import ApsFrame
 
-QUIET_S = 2.5
+QUIET_S = 2.0
 """Rest at the beginning of each period, for the background to be learned [s]."""
-SPACING_S = 0.75
-"""Mean time between knocks [s]."""
+SPACING_S = 1.3
+"""Length of the scene of one knock [s]: slip control is enabled anew between knocks."""
+BEFORE_S = 0.3
+"""Rest before a knock in its scene [s], in which frames of the scene arrive."""
+SPREAD_S = 0.25
+"""Knocks come so much later at most [s], so that they fall on no grid."""
 SLIP_S = 0.01
 """How long the object slips after a knock [s]."""
 RISE_S = 5e-4
 """Time in which a knock brings the object to its speed [s]."""
+FRAME_TIMES = ('frame_start_us', 'exposure_start_us', 'exposure_end_us', 'frame_end_us')
 BLOCK_STEPS = 8
 NEAR_US = 128 * WORD_STEP_US
 SETTINGS = ReadoutSettings(
@@ -74,22 +84,50 @@ def make_slip_pattern(
     wraps = max(round(1e6 * seconds / WRAP_US), 1)
     period_us = wraps * WRAP_US
     rng = np.random.default_rng([seed, 11])
-    count = max(int((1e-6 * period_us - quiet_s) / SPACING_S), 0)
-    starts = quiet_s + SPACING_S * (np.arange(count) + rng.uniform(0.0, 0.4, count))
-    onsets = [int(STEP_US * round(1e6 * s / STEP_US)) for s in starts]
-    speeds = rng.uniform(*speeds_mm_s, count).tolist()
-    t_us = (np.arange(period_us // STEP_US) + 1) * STEP_US
-    profile = np.zeros(len(t_us))
-    for onset, speed in zip(onsets, speeds, strict=True):
-        since = 1e-6 * (t_us - onset)
-        shape = np.minimum(since / RISE_S, (SLIP_S - since) / RISE_S)
-        profile += speed * np.clip(shape, 0.0, 1.0)
+    count = max(round((1e-6 * period_us - quiet_s) / SPACING_S), 1)
+    starts = [0, *(_on_grid(quiet_s + SPACING_S * k) for k in range(1, count)), period_us]
+    events, frames, onsets, speeds = [], [], [], []
+    for k in range(count):
+        rest_s = (quiet_s if k == 0 else 0.0) + BEFORE_S
+        onset = _on_grid(rest_s + rng.uniform(0.0, SPREAD_S))
+        speed = float(rng.uniform(*speeds_mm_s))
+        part = _scene(seed, preset_name, starts[k + 1] - starts[k], onset, speed)
+        events.append(_shifted(part[0], starts[k]))
+        frames += [_later(frame, starts[k]) for frame in part[1]]
+        onsets.append(starts[k] + onset)
+        speeds.append(speed)
+    pattern = _encode(Events.concatenate(events), frames, period_us)
+    return SlipPattern(pattern, onsets, speeds)
+
+
+def _on_grid(time_s: float) -> int:
+    """Return the nearest step of the simulation [us]."""
+    return int(STEP_US * round(1e6 * time_s / STEP_US))
+
+
+def _scene(
+    seed: int, preset_name: str, length_us: int, onset_us: int, speed_mm_s: float
+) -> tuple[Events, list[ApsFrame]]:
+    """Return events and whole frames of one knock, from the begin of its scene."""
+    t_us = (np.arange(length_us // STEP_US) + 1) * STEP_US
+    since = 1e-6 * (t_us - onset_us)
+    shape = np.minimum(since / RISE_S, (SLIP_S - since) / RISE_S)
     scene = SlipScene(seed, seed, preset(preset_name))
+    profile = speed_mm_s * np.clip(shape, 0.0, 1.0)
     blocks = list(scene.play(profile, block_steps=BLOCK_STEPS))
     events = Events.concatenate([block.events for block in blocks])
     frames = [frame for block in blocks for frame in block.frames]
-    pattern = _encode(events, frames, period_us)
-    return SlipPattern(pattern, onsets, speeds)
+    events = events[: int(np.searchsorted(events.t, length_us))]
+    return events, [frame for frame in frames if frame.frame_end_us < length_us]
+
+
+def _shifted(events: Events, by_us: int) -> Events:
+    return Events(events.t + by_us, events.x, events.y, events.polarity)
+
+
+def _later(frame: ApsFrame, by_us: int) -> ApsFrame:
+    times = {name: getattr(frame, name) + by_us for name in FRAME_TIMES}
+    return replace(frame, **times)
 
 
 def _encode(events: Events, frames: list[ApsFrame], period_us: int) -> Pattern:

@@ -24,12 +24,16 @@ from mixtac_slip_control.slip_control_parameters import SlipControlParameters
 
 if TYPE_CHECKING:
     from mixtac_bringup.slip_bench.closed_loop import LoopRecord
-    from mixtac_slip_control.controller import SlipSettings
+    from mixtac_slip_control.slip_settings import SlipSettings
 
-KNOCK_S = 1.25
+KNOCK_S = 1.45
 """When the blow comes [s]: the background has been learned, the arm is enabled."""
 ENABLE_S = 1.1
-SECONDS = 1.6
+LOOK_BACK_US = 20_000
+MOVED_MM = 5e-3
+"""Moved by more in the look-back, an object has slipped by itself: held with little margin, some do
+before the blow [mm]."""
+SECONDS = 1.8
 
 
 def shipped_settings() -> SlipSettings:
@@ -104,11 +108,13 @@ class TrialResult:
         knock_mm_s: Speed after the blow [mm/s].
         transmitted: Share of the falling weight's momentum.
         grasp_n: Grasp force [N].
+        knock_share: Normal force when the blow begins over that grasp force; the controller has
+            been enabled and has probed by then.
         stiffness_n_per_mm: Of the contact [N/mm].
         detection_ms: When the chosen detector said slip.
         count_ms: When the count law did.
         flow_ms: When the flow detector did.
-        publish_ms: When the first trajectory was published.
+        publish_ms: When the first trajectory after the detection was published.
         slip_mm: How far the object moved [mm].
         arrest_ms: When it stood still.
         held: Whether it was held.
@@ -121,7 +127,7 @@ class TrialResult:
         chain_ms: Its arrest.
         peak_n: Largest normal force [N].
         advance_mm: Advance at the end [mm].
-        false_alarms: Slips seen before the blow.
+        false_alarms: Slips seen before the blow where the object had not moved.
         limit_violations: Samples of the commanded motion that broke a limit.
         rejected: Trajectories that the arm's controller rejected.
         stopped: Why the interlock stopped; empty if it did not.
@@ -133,6 +139,7 @@ class TrialResult:
     knock_mm_s: float
     transmitted: float
     grasp_n: float
+    knock_share: float
     stiffness_n_per_mm: float
     detection_ms: float
     count_ms: float
@@ -190,11 +197,12 @@ def run_trial(plan: TrialPlan) -> tuple[TrialResult, LoopRecord]:
             knock_mm_s=setup.knock_mm_s,
             transmitted=setup.transmitted,
             grasp_n=grasp.grasp_n,
+            knock_share=_force_at(record, onset_us) / grasp.grasp_n,
             stiffness_n_per_mm=grasp.stiffness_n_per_mm,
             detection_ms=_first_ms(record, [s.slipping for s in record.steps]),
             count_ms=_first_ms(record, [s.count_slipping for s in record.steps]),
             flow_ms=_first_ms(record, [s.flow_slipping for s in record.steps]),
-            publish_ms=_after_ms(record.published_us),
+            publish_ms=_published_ms(record),
             slip_mm=arrest.slip_mm,
             arrest_ms=arrest.arrest_ms,
             held=arrest.held,
@@ -220,6 +228,18 @@ def _first_ms(record: LoopRecord, said: list[bool]) -> float:
     return _after_ms(record.answered_us[np.array(said)])
 
 
+def _published_ms(record: LoopRecord) -> float:
+    """Return when the first trajectory was published that may answer the detection [ms]."""
+    detected_ms = _first_ms(record, [s.slipping for s in record.steps])
+    # Written so that no detection, which is not a number, leaves nothing.
+    answers = record.published_us >= 1e6 * KNOCK_S + 1e3 * detected_ms - 1.0
+    return _after_ms(record.published_us[answers])
+
+
+def _force_at(record: LoopRecord, time_us: float) -> float:
+    return float(record.normal_n[np.searchsorted(record.t_us, time_us)])
+
+
 def _after_ms(times_us: np.ndarray[Any, np.dtype[np.float64]]) -> float:
     """Return the first time after the onset [ms from it], NaN if there is none."""
     after = times_us[times_us > 1e6 * KNOCK_S]
@@ -227,7 +247,14 @@ def _after_ms(times_us: np.ndarray[Any, np.dtype[np.float64]]) -> float:
 
 
 def _alarms_before(record: LoopRecord) -> int:
-    """Return how many slips the chosen detector saw before the blow."""
+    """Return how many slips the chosen detector saw before the blow where nothing slipped."""
     early = record.answered_us < 1e6 * KNOCK_S
     said = np.array([s.slipping for s in record.steps])[early]
-    return int(np.count_nonzero(np.diff(said.astype(np.int8), prepend=0) > 0))
+    onsets = np.flatnonzero(np.diff(said.astype(np.int8), prepend=0) > 0)
+    return sum(not _moved(record, record.steps[k].end_us) for k in onsets)
+
+
+def _moved(record: LoopRecord, time_us: float) -> bool:
+    """Return whether the object slipped shortly before a time [us]."""
+    then, now = np.searchsorted(record.t_us, [time_us - LOOK_BACK_US, time_us])
+    return bool(record.object_mm[now] - record.object_mm[then] > MOVED_MM)

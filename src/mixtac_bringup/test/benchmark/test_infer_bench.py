@@ -17,6 +17,7 @@ from mixtac_bringup.benchmark.infer_scene import (
 )
 from mixtac_events.codec import decode_message
 from mixtac_fger.model_files import DEFAULT_MODEL, find_model
+from mixtac_fger.warm_up import warm_up
 from mixtac_fger.weights import LoadedModel, load_model
 from mixtac_sim.datasets.trial_spec import TrialSpec
 from mixtac_sim.datasets.trial_stream import TrialStream
@@ -31,7 +32,9 @@ def scene() -> Scene:
 
 @pytest.fixture(scope='module')
 def model() -> LoadedModel:
-    return load_model(find_model(DEFAULT_MODEL))
+    model = load_model(find_model(DEFAULT_MODEL))
+    warm_up(model)
+    return model
 
 
 def test_packets_carry_every_event_of_the_trial(scene: Scene) -> None:

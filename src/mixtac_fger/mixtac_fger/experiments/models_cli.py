@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The command `experiments models`; torch is imported only once it runs."""
+"""The commands `experiments models` and `adaptation`; torch is imported once they run."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from mixtac_fger.errors import ConfigError
+from mixtac_fger.model_files import DEFAULT_MODEL, find_model
 
 # typer evaluates these under Python 3.10.
 OptionalPath = Optional[Path]  # noqa: UP045
@@ -77,4 +78,30 @@ def models(
     (out / f'table_{size}.md').write_text(as_markdown(table), encoding='utf-8')
     if json is not None:
         content = {'size': size, 'seeds': seeds, 'simulated': True, 'table': table}
+        json.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')
+
+
+def adaptation(
+    model: Annotated[str, typer.Option(help='Weight file, or name of a shipped one.')] = (
+        DEFAULT_MODEL
+    ),
+    sensors: Annotated[int, typer.Option(min=1, help='Number of unseen sensors.')] = 6,
+    out: Annotated[Path, typer.Option(help='Folder where trials are kept.')] = Path('runs/models'),
+    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+) -> None:
+    """Judge a model on simulated sensors that no training used: as it is, one gain, adapted."""
+    import torch
+
+    from mixtac_fger.experiments.adaptation import adaptation_study
+    from mixtac_fger.judge.tables import show_figures
+    from mixtac_fger.weights import load_model
+
+    torch.set_num_threads(1)
+    console = Console()
+    found = adaptation_study(load_model(find_model(model)), sensors, out / 'trials', console.print)
+    rows = {name: row for name, row in found.items() if isinstance(row, dict)}
+    show_figures(console, f'dynamic trials of {sensors} unseen sensors, simulated', rows)
+    console.print(f'chosen: {", ".join(found["ways"])}')
+    if json is not None:
+        content = {'model': model, 'sensors': sensors, 'simulated': True} | found
         json.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')

@@ -14,7 +14,17 @@ from mixtac_fger.experiments.suite import ROWS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-FIGURES = ('mae', 'rmse', 'r2', 'reference_mae', 'peak_error', 'fast_mae', 'rolling_worst_mae')
+FIGURES = (
+    'mae',
+    'rmse',
+    'r2',
+    'reference_mae',
+    'peak_error',
+    'fast_mae',
+    'rolling_worst_mae',
+    'coverage_68',
+    'coverage_95',
+)
 
 
 def aggregate(results: Sequence[dict[str, Any]]) -> dict[str, Any]:

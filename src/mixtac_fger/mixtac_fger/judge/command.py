@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mixtac_fger.judge.judging import Judged
+    from mixtac_fger.trials.trial_source import TrialSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +45,22 @@ class Simulated:
     preset: str
 
 
-def evaluate_bags(
-    model: Path, bags: Sequence[Path], reference: str, figures: Path | None, json: Path | None
-) -> None:
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What an evaluation gives out beside its table.
+
+    Attributes:
+        figures: Picture to draw; None for none.
+        json: File for the figures; None for none.
+        robustness: Judge with lost frames and packets as well.
+    """
+
+    figures: Path | None = None
+    json: Path | None = None
+    robustness: bool = False
+
+
+def evaluate_bags(model: Path, bags: Sequence[Path], reference: str, wanted: Wanted) -> None:
     """Judge a model on bags against the force that is known of each.
 
     Of bags that `dataset.yaml` describes only the test split is used.
@@ -55,8 +69,7 @@ def evaluate_bags(
         model: Weight file.
         bags: Bags, or folders of bags.
         reference: Topic of the reference force.
-        figures: Picture to draw; None for none.
-        json: File for the figures; None for none.
+        wanted: What to give out.
 
     Raises:
         ModelError: The weight file cannot be used.
@@ -67,21 +80,19 @@ def evaluate_bags(
     sources = [source for source in found if source.origin.get('split', 'test') == 'test']
     judged = judge_sources(estimator, track(sources, 'judging', transient=True))
     rows = by_profile(judged.estimates)
-    _report(f'{model.name} on {len(judged.estimates)} bags', rows, judged, figures)
-    content = {'model': str(model), 'bags': [source.name for source in sources]}
-    _write(json, content | {'metrics': {'bags': rows}, 'skipped': judged.skipped})
+    _report(f'{model.name} on {len(judged.estimates)} bags', rows, judged, wanted.figures)
+    content: dict[str, Any] = {'model': str(model), 'bags': [source.name for source in sources]}
+    content |= {'metrics': {'bags': rows}, 'skipped': judged.skipped}
+    _write(wanted.json, content | _robustness(model, sources, wanted))
 
 
-def evaluate_simulated(
-    model: Path, chosen: Simulated, figures: Path | None, json: Path | None
-) -> None:
+def evaluate_simulated(model: Path, chosen: Simulated, wanted: Wanted) -> None:
     """Judge a model on simulated sensors that no training has used.
 
     Args:
         model: Weight file.
         chosen: Which trials.
-        figures: Picture to draw; None for none.
-        json: File for the figures; None for none.
+        wanted: What to give out.
 
     Raises:
         ModelError: The weight file cannot be used.
@@ -95,9 +106,13 @@ def evaluate_simulated(
     trials = [SimulatedSource(spec) for spec in plan]
     judged = judge_sources(estimator, track(trials, 'judging', transient=True))
     rows = by_profile(judged.estimates, scales)
-    _report(f'{model.name} on {chosen.gels} unseen sensors, simulated', rows, judged, figures)
-    content = {'model': str(model), 'simulated': asdict(chosen)}
-    _write(json, content | {'metrics': {'unseen_devices': rows}, 'skipped': judged.skipped})
+    _report(
+        f'{model.name} on {chosen.gels} unseen sensors, simulated', rows, judged, wanted.figures
+    )
+    content: dict[str, Any] = {'model': str(model), 'simulated': asdict(chosen)}
+    content |= {'metrics': {'unseen_devices': rows}, 'skipped': judged.skipped}
+    dynamic = [each for each in trials if each.origin['profile'] == 'dynamic']
+    _write(wanted.json, content | _robustness(model, dynamic, wanted))
 
 
 def _report(title: str, rows: dict[str, Any], judged: Judged, figures: Path | None) -> None:
@@ -107,6 +122,21 @@ def _report(title: str, rows: dict[str, Any], judged: Judged, figures: Path | No
     if figures is not None:
         draw_trials(figures, title, judged.estimates)
         console.print(f'drawn: {figures}')
+
+
+def _robustness(model: Path, sources: Sequence[TrialSource], wanted: Wanted) -> dict[str, Any]:
+    """Return the figures with losses, where they are wanted, and show them."""
+    if not wanted.robustness:
+        return {}
+    from mixtac_fger.judge.robustness import robustness
+    from mixtac_fger.weights import load_model
+
+    rows = robustness(load_model(model), track(sources, 'losing', transient=True))
+    console = Console()
+    for kind, row in rows.items():
+        figures = ', '.join(f'{name.replace("_", " ")} {value}' for name, value in row.items())
+        console.print(f'{kind.replace("_", " ")}: {figures}', highlight=False)
+    return {'robustness': rows}
 
 
 def _write(path: Path | None, content: dict[str, Any]) -> None:

@@ -51,7 +51,7 @@ class StreamingEstimator:
                 f'{trial.origin.get("name")} gives no estimate: it must begin with'
                 f' {self.model.config.reference_frames} frames without contact'
             )
-        return _beside(trial, run.t_us, run.force, run.frames_only)
+        return _beside(trial, run.t_us, run.force, run.frames_only, run.deviation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +121,7 @@ def _beside(
     t_us: NDArray[np.int64],
     force: NDArray[np.float64],
     frames_only: NDArray[np.float64] | None,
+    deviation: NDArray[np.float64] | None = None,
 ) -> TrialEstimate:
     label = trial.label()
     inside = (t_us >= label.t_us[0]) & (t_us <= label.t_us[-1])
@@ -139,4 +140,5 @@ def _beside(
         known=label.at(times).astype(np.float64),
         reference=None if reference is None else reference.at(times).astype(np.float64),
         frames_only=None if frames_only is None else frames_only[inside],
+        deviation=None if deviation is None else deviation[inside],
     )

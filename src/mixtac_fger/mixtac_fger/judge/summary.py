@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mixtac_fger.judge.coverage import coverage_figures
 from mixtac_fger.judge.time_errors import fast_error, peak_error, rolling_errors
 from mixtac_fger.metrics import measure
 
@@ -46,12 +47,12 @@ def summarise(
         `peak_error` and of `fast_mae` with `fast_constant_mae`, and of the rolling error in the
         first and last half second and at its worst; `reference_mae` against the measured reference
         where the true force is what counts otherwise; `frames_only_mae` where the model has such an
-        output; `calibrated_mae` and `calibrated_rmse` with the scales.
+        output; what `coverage_figures` gives; `calibrated_mae`, `calibrated_rmse` with the scales.
     """
     known = np.concatenate([each.known for each in estimates])
     pooled = measure(known, np.concatenate([each.force for each in estimates]))
     figures: dict[str, Any] = {'trials': len(estimates)} | pooled.to_dict()
-    figures |= _over_time(estimates)
+    figures |= _over_time(estimates) | coverage_figures(estimates)
     measured = [np.abs(e.force - e.reference) for e in estimates if e.reference is not None]
     framed = [np.abs(e.frames_only - e.known) for e in estimates if e.frames_only is not None]
     for name, errors in (('reference_mae', measured), ('frames_only_mae', framed)):

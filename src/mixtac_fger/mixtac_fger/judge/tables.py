@@ -24,6 +24,8 @@ COLUMNS = (
     'peak_error',
     'fast_mae',
     'rolling_worst_mae',
+    'coverage_68',
+    'coverage_95',
 )
 """Of `mixtac_fger.judge.summary`, in the order shown; those that no row has are left out."""
 

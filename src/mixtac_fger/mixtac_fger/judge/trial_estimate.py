@@ -27,6 +27,7 @@ class TrialEstimate:
         known: Force that counts: the true one where it is known, else the reference's [N] [T].
         reference: Reference's force, None where there is none or it is `known` [N] [T].
         frames_only: The model's force of the latest frame, None where it has none [N] [T].
+        deviation: Standard deviation that the model gives, None where it gives none [N] [T].
     """
 
     name: str
@@ -37,11 +38,13 @@ class TrialEstimate:
     known: NDArray[np.float64]
     reference: NDArray[np.float64] | None
     frames_only: NDArray[np.float64] | None = None
+    deviation: NDArray[np.float64] | None = None
 
     def scaled(self, scale: float) -> TrialEstimate:
         """Return the estimate of a sensor that was calibrated to this scale."""
         frames = None if self.frames_only is None else scale * self.frames_only
-        return replace(self, force=scale * self.force, frames_only=frames)
+        deviation = None if self.deviation is None else scale * self.deviation
+        return replace(self, force=scale * self.force, frames_only=frames, deviation=deviation)
 
 
 class TrialEstimator(Protocol):

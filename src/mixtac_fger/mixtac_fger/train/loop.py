@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import torch
 
@@ -51,6 +51,14 @@ class Stage(Protocol):
 
     def validate(self) -> float | None:
         """Return the error on trials that are not trained on [N]; None without such trials."""
+
+
+@runtime_checkable
+class Begins(Protocol):
+    """A stage that sets weights before its first epoch."""
+
+    def begin(self) -> None:
+        """Set them; a run that goes on within the stage does not come here again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +124,8 @@ class TrainingLoop:
             self.progress.epoch, self.progress.best, self.progress.since_best = 0, None, 0
 
     def _run_stage(self, stage: Stage, random: torch.Generator, found: Checkpoint | None) -> None:
+        if self.progress.epoch == 0 and isinstance(stage, Begins):
+            stage.begin()
         parameters = stage.parameters()
         rate, decay = stage.rate, self.settings.weight_decay
         optimiser = torch.optim.AdamW(parameters, lr=rate, weight_decay=decay)

@@ -14,6 +14,8 @@ from torch.nn.functional import smooth_l1_loss
 
 from mixtac_fger.batches import mirror_events, mirror_frames
 from mixtac_fger.network import FrameSlots
+from mixtac_fger.train.blows import blows
+from mixtac_fger.train.frame_follower import follow_frames
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,6 +46,7 @@ class SequenceStage:
     joint: bool = False
     checked: SequenceGroups | None = None
     _encoded: dict[tuple[int, Flip], Tensor] = field(default_factory=dict)
+    _cut_out: dict[int, Sequences | None] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -60,16 +63,25 @@ class SequenceStage:
         """Largest learning rate."""
         return self.settings.joint_rate if self.joint else self.settings.recurrent_rate
 
+    def begin(self) -> None:
+        """Let the recurrent path begin as what follows the frames."""
+        if not self.joint:
+            follow_frames(self.model.network)
+
     def parameters(self) -> list[nn.Parameter]:
         """Return what is trained."""
-        parts = self.model.network.children()
-        kept = (p for p in parts if self.joint or p is not self.model.network.frame)
+        network = self.model.network
+        kept = [p for p in network.children() if p is not network.deviation]
+        if not self.joint:
+            kept.remove(network.frame)
         return [parameter for part in kept for parameter in part.parameters()]
 
     def updates(self) -> int:
         """Return the usual number of updates per epoch."""
         length = len(self.groups.load(0).force)
-        return len(self.groups) * -(-length // self.settings.chunk_windows)
+        stretches = -(-length // self.settings.chunk_windows)
+        every = self.settings.blow_every
+        return len(self.groups) * (stretches + (-(-stretches // every) if every else 0))
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch, group by group in random order."""
@@ -78,7 +90,10 @@ class SequenceStage:
             flip = self.settings.flips(random)
             frozen = None if self.joint else self._features(group, sequences, flip)
             state = self.model.network.initial_state(sequences.force.shape[1])
-            for start, stop in self._chunks(len(sequences.force), random):
+            cut_out = self._blows(group, sequences)
+            for number, (start, stop) in enumerate(self._chunks(len(sequences.force), random)):
+                if cut_out is not None and number % self.settings.blow_every == 0:
+                    yield self._blow_loss(cut_out, frozen, flip)
                 slots = FrameSlots(*(part[start:stop] for part in sequences.slots))
                 features, local = (
                     self._encode_now(sequences, flip, slots) if frozen is None else (frozen, slots)
@@ -87,6 +102,28 @@ class SequenceStage:
                 force, state = self.model.network(events, features, local, state)
                 state = state.detached()
                 yield self._loss(force, sequences, slice(start, stop))
+
+    def _blows(self, group: int, sequences: Sequences) -> Sequences | None:
+        """Return the blows of a group; kept where there is one group only."""
+        if not self.settings.blow_every:
+            return None
+        if len(self.groups) > 1:
+            return blows(sequences)
+        if group not in self._cut_out:
+            self._cut_out[group] = blows(sequences)
+        return self._cut_out[group]
+
+    def _blow_loss(self, cut_out: Sequences, frozen: Tensor | None, flip: Flip) -> Tensor:
+        """Return the loss of the blows, from no contact on."""
+        features, slots = (
+            self._encode_now(cut_out, flip, cut_out.slots)
+            if frozen is None
+            else (frozen, cut_out.slots)
+        )
+        state = self.model.network.initial_state(cut_out.force.shape[1])
+        events = mirror_events(cut_out.event_features.float(), *flip)
+        force, _ = self.model.network(events, features, slots, state)
+        return self._loss(force, cut_out, slice(None))
 
     def validate(self) -> float | None:
         """Return the mean absolute error on the trials to validate on [N]."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -81,6 +81,15 @@ class BagSource:
             DatasetError: It has no frames, no force, or no clock fit.
         """
         forces = read_forces(self.path, self.reference)
+        return replace(self.load_camera(), truth=forces.truth, reference=forces.reference)
+
+    def load_camera(self) -> TrialArrays:
+        """Read events and frames only: a trial of which no force is known.
+
+        Raises:
+            RecordingError: The bag is damaged or holds no events and frames.
+            DatasetError: It has no frames.
+        """
         events, frames, missing = _camera(self.path)
         if not frames:
             raise DatasetError(f'{self.path} holds no frames: record {"image_raw"} as well')
@@ -90,8 +99,8 @@ class BagSource:
             exposure_start_us=np.array([f.exposure_start_us for f, _ in frames], np.int64),
             exposure_end_us=np.array([f.exposure_end_us for f, _ in frames], np.int64),
             arrival_us=np.array([arrival for _, arrival in frames], np.int64),
-            truth=forces.truth,
-            reference=forces.reference,
+            truth=None,
+            reference=None,
             origin=self.origin,
             missing_packets=missing,
         )

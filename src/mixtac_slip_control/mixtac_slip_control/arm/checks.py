@@ -87,6 +87,11 @@ class SphereWorkspace:
         return f'tip is {distance:.4f} m from {self.centre} m, farther than {self.radius:g} m'
 
 
+SAME_PLACE_RAD = 1e-4
+"""Joint positions nearer than this to good ones are good: small beside every margin here, and an
+arm that rests reports its positions hundreds of times a second."""
+
+
 class StateChecks:
     """Finds what is wrong with a joint state.
 
@@ -119,6 +124,7 @@ class StateChecks:
         self._speed_share = speed_share
         self._min_singular = min_singular
         self._scale = np.array([1.0, 1.0, 1.0, length, length, length])[:, None]
+        self._good: Floats | None = None
 
     def check(self, q: Floats, dq: Floats | None = None) -> str | None:
         """Return what is wrong, in words, or None.
@@ -132,12 +138,19 @@ class StateChecks:
             speeds = None if dq is None else self._arm.checked(dq)
         except ArmError as error:
             return str(error)
-        return (
+        if speeds is None and self._near_good(values):
+            return None
+        reason = (
             self._limits.violation(values, self._arm.names, self._joint_margin)
             or self._too_fast(values, speeds)
             or self._outside(values)
             or self._singular(values)
         )
+        self._good = values.copy() if reason is None else None
+        return reason
+
+    def _near_good(self, q: Floats) -> bool:
+        return self._good is not None and bool(np.abs(q - self._good).max() < SAME_PLACE_RAD)
 
     def _too_fast(self, q: Floats, dq: Floats | None) -> str | None:
         if dq is None:

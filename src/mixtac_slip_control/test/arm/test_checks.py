@@ -46,6 +46,20 @@ def test_a_joint_near_its_end_trips(joint):
         assert f'fr3_joint{joint + 1}' in StateChecks(ARM, LIMITS, min_singular=0.0).check(q, REST)
 
 
+def test_a_slow_drift_to_an_end_trips():
+    checks, q = StateChecks(ARM, LIMITS, min_singular=0.0), READY.copy()
+    q[6] = Q_UPPER[6] - 0.02 - 2e-3
+    steps = 0
+    while checks.check(q) is None:
+        q[6] += 3e-5
+        steps += 1
+        assert steps < 200
+    assert q[6] == pytest.approx(Q_UPPER[6] - 0.02, abs=2e-4)
+    # What is wrong stays wrong, however near to the last good state.
+    q[6] += 1e-6
+    assert 'fr3_joint7' in checks.check(q)
+
+
 def test_a_fast_joint_trips():
     speeds = REST.copy()
     speeds[4] = -5.3

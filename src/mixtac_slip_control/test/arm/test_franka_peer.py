@@ -2,13 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A disturbed run through Franka's own client against an independent control unit, over loopback.
 
-Runs where `MIXTAC_FRANKA_PYTHON`, or `.venv-franka`, has what requirements/franka.txt lists.
+Runs where `MIXTAC_FRANKA_PYTHON`, or `.venv-franka`, has what requirements/franka.txt lists. The
+simulated control unit gives up where its client is silent for 100 ms, so a run tells of our stream
+only where the host did not stall: how late it woke this process is measured beside it.
 """
 
 import importlib.util
 import os
 import socket
 import subprocess
+import threading
 import time
 from pathlib import Path
 
@@ -29,6 +32,9 @@ PYTHON = os.environ.get('MIXTAC_FRANKA_PYTHON', str(VENV))
 ADDRESS, PORT = '127.0.0.1', 1337
 X = np.array([1.0, 0.0, 0.0])
 RUN_S = 5.0
+STALL_S = 0.03
+"""The host woke a waiting thread so much too late: enough, several times in a row, for the control
+unit to miss its client."""
 
 
 def answers():
@@ -41,8 +47,6 @@ def control_unit(tmp_path):
     probe = [PYTHON, '-c', 'import franka_sim, pylibfranka']
     if not Path(PYTHON).exists() or subprocess.run(probe, check=False).returncode:
         pytest.skip('no franka-sim: make .venv-franka from requirements/franka.txt')
-    if os.getloadavg()[0] > 0.5 * (os.cpu_count() or 1):
-        pytest.skip('the machine is busy: the simulated control unit must run in real time')
     if answers():
         pytest.skip(f'port {PORT} on {ADDRESS} is taken, and libfranka knows no other')
     model, log = tmp_path / 'fr3.xml', tmp_path / 'server.log'
@@ -63,6 +67,33 @@ def control_unit(tmp_path):
             server.wait()
 
 
+class HostWatch:
+    """Measures how late the host wakes a thread that asked for the next millisecond."""
+
+    def __init__(self):
+        self.late_s = []
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self):
+        while not self._stop.is_set():
+            due = time.monotonic() + 1e-3
+            time.sleep(1e-3)
+            self.late_s.append(time.monotonic() - due)
+
+    def words(self):
+        p50, p99, worst = 1e3 * np.quantile(self.late_s, [0.5, 0.99, 1.0])
+        return f'host woke late by p50 {p50:.1f}, p99 {p99:.1f}, at most {worst:.1f} ms'
+
+
 def resting(backend):
     """Return the commanded positions once they no longer change."""
     before = backend.state().commanded
@@ -75,46 +106,60 @@ def resting(backend):
     pytest.fail('the arm does not come to rest')
 
 
-def test_a_disturbed_run_has_no_reflex_discontinuity_or_communication_error(control_unit):
+def disturbed_run(backend, words):
+    """Stream random advances for a while; return how many, and how far the arm went [m]."""
     # The lead covers a machine that is busy with other tests: this is not about latency.
     arm = SerialArm.fr3()
     planner = AdvancePlanner(arm, JointLimits.fr3(), StreamSettings(lead_s=0.2))
-    backend = LibfrankaBackend(ADDRESS, PYTHON)
-    try:
-        state = backend.state()
-        planner.reset(state.commanded, X)
-        place = arm.pose(state.commanded)[0, 3]
-        rng = np.random.default_rng(1)
-        advance, sent, farthest = 0.0, 0, 0.0
-        ends = time.monotonic() + RUN_S
-        while time.monotonic() < ends:
-            if rng.random() < 0.3:
-                advance = float(np.clip(advance + rng.normal() * 3e-4, 0.0, 5e-3))
-            trajectory = planner.plan(time.time(), advance, X)
-            try:
-                if trajectory is not None:
-                    backend.send(trajectory)
-                    sent += 1
-                farthest = max(farthest, arm.pose(backend.state().q)[0, 3] - place)
-            except BackendError as error:
-                # A simulation that catches up after a stall runs ahead of the host's clock.
-                if 'arrived after' not in str(error):
-                    raise
-                planner.reset(resting(backend), X)
-                advance = 0.0
-            time.sleep(0.01)
-        deadline = time.monotonic() + 30.0
-        goal = planner.path.derivatives(planner.target)[0]
-        while not np.allclose(backend.state().commanded, goal, atol=1e-9):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-    finally:
-        backend.stop()
+    state = backend.state()
+    planner.reset(state.commanded, X)
+    place = arm.pose(state.commanded)[0, 3]
+    rng = np.random.default_rng(1)
+    advance, sent, late, farthest = 0.0, 0, 0, 0.0
+    ends = time.monotonic() + RUN_S
+    while time.monotonic() < ends:
+        if rng.random() < 0.3:
+            advance = float(np.clip(advance + rng.normal() * 3e-4, 0.0, 5e-3))
+        trajectory = planner.plan(time.time(), advance, X)
+        try:
+            if trajectory is not None:
+                backend.send(trajectory)
+                sent += 1
+            farthest = max(farthest, arm.pose(backend.state().q)[0, 3] - place)
+        except BackendError as error:
+            # A simulation that catches up after a stall runs ahead of the host's clock.
+            if 'arrived after' not in str(error):
+                raise
+            late += 1
+            planner.reset(resting(backend), X)
+            advance = 0.0
+        time.sleep(0.01)
+    deadline = time.monotonic() + 30.0
+    goal = planner.path.derivatives(planner.target)[0]
+    while not np.allclose(backend.state().commanded, goal, atol=1e-9):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert 'violat' not in words.read_text()
+    assert 'aborting' not in words.read_text()
+    return sent, late, farthest
+
+
+def test_a_disturbed_run_has_no_reflex_discontinuity_or_communication_error(control_unit):
+    with HostWatch() as host:
+        backend = None
+        try:
+            backend = LibfrankaBackend(ADDRESS, PYTHON)
+            sent, late, farthest = disturbed_run(backend, control_unit)
+        except (BackendError, AssertionError) as error:
+            if max(host.late_s) < STALL_S:
+                raise
+            pytest.skip(f'no verdict, {host.words()}: {error}')
+        finally:
+            if backend is not None:
+                backend.stop()
+    print(f'{sent} trajectories, {late} late, {1e3 * farthest:.2f} mm at most; {host.words()}')
     assert sent > 50
     assert farthest > 3e-4
-    words = control_unit.read_text()
-    assert 'violat' not in words
-    assert 'aborting' not in words
 
 
 def test_a_missing_client_library_is_named():

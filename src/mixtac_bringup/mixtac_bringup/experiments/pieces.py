@@ -1,0 +1,120 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Work in pieces, each kept on disk, so that a run that was cut off goes on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+
+class Piece(Protocol):
+    """One piece of work; must survive being sent to another process."""
+
+    @property
+    def label(self) -> str:
+        """Begin of the names of its files."""
+
+    def identity(self) -> str:
+        """Return a text of all that changes the result."""
+
+    def compute(self, folder: Path, stem: str) -> dict[str, Any]:
+        """Return the result, JSON-ready.
+
+        Args:
+            folder: Where larger results go, in files whose names begin with `stem`.
+            stem: As said.
+        """
+
+
+def stem_of(piece: Piece) -> str:
+    """Return the begin of the names of a piece's files: label and digest of its identity."""
+    digest = hashlib.blake2b(piece.identity().encode(), digest_size=6).hexdigest()
+    return f'{piece.label}-{digest}'
+
+
+def carry_out(
+    pieces: Sequence[Piece],
+    folder: Path,
+    jobs: int = 1,
+    advance: Callable[[], object] = lambda: None,
+) -> list[dict[str, Any]]:
+    """Return the results of pieces in their order; only those that are missing are computed.
+
+    Args:
+        pieces: What to do.
+        folder: Where results are kept.
+        jobs: Processes.
+        advance: Called after each piece.
+
+    Raises:
+        MixtacError: A piece cannot be carried out; those that were finished are kept.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    results: dict[int, dict[str, Any]] = {}
+    for index, piece in enumerate(pieces):
+        found = _kept(folder / f'{stem_of(piece)}.json')
+        if found is not None:
+            results[index] = found
+            advance()
+    missing = [index for index in range(len(pieces)) if index not in results]
+    if jobs == 1 or len(missing) == 1:
+        for index in missing:
+            results[index] = _carry_out_one(pieces[index], folder)
+            advance()
+    elif missing:
+        _spread_out(pieces, missing, folder, jobs, results, advance)
+    return [results[index] for index in range(len(pieces))]
+
+
+def _spread_out(
+    pieces: Sequence[Piece],
+    missing: Sequence[int],
+    folder: Path,
+    jobs: int,
+    results: dict[int, dict[str, Any]],
+    advance: Callable[[], object],
+) -> None:
+    context = multiprocessing.get_context('spawn')
+    with ProcessPoolExecutor(
+        min(jobs, len(missing)), mp_context=context, initializer=_one_thread
+    ) as pool:
+        futures = {pool.submit(_carry_out_one, pieces[i], folder): i for i in missing}
+        try:
+            for future in as_completed(futures):
+                results[futures[future]] = future.result()
+                advance()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _one_thread() -> None:
+    # Processes share the cores; libraries read this when they are loaded.
+    for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
+        os.environ[name] = '1'
+
+
+def _carry_out_one(piece: Piece, folder: Path) -> dict[str, Any]:
+    stem = stem_of(piece)
+    result = piece.compute(folder, stem)
+    partial = folder / f'{stem}.partial'
+    partial.write_text(json.dumps(result) + '\n', encoding='utf-8')
+    partial.replace(folder / f'{stem}.json')
+    return result
+
+
+def _kept(path: Path) -> dict[str, Any] | None:
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding='utf-8'))
+    except (OSError, ValueError):
+        return None
+    return found

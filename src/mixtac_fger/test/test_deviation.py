@@ -1,0 +1,117 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The uncertainty: learned where errors differ, calibrated, the same live as in batches."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from mixtac_fger.deviation_head import HIGHEST, LOWEST, DeviationHead
+from mixtac_fger.deviation_step import deviation, deviation_weights
+from mixtac_fger.errors import ModelError
+from mixtac_fger.judge.coverage import coverage_figures
+from mixtac_fger.network import FgerNetwork
+from mixtac_fger.train.deviation_stage import (
+    DeviationStage,
+    Errors,
+    calibrate_deviation,
+    collect,
+    head_of,
+)
+from mixtac_fger.train.loop import LoopSettings, TrainingLoop
+from mixtac_fger.train.sequence_groups import MemoryGroups
+from mixtac_fger.training import estimate
+from mixtac_fger.training_settings import TrainingSettings
+
+STATE = 8
+
+
+def windows(count: int, seed: int) -> Errors:
+    """Return errors whose spread is 0.02 N, and 0.2 N where the first state is positive."""
+    random = torch.Generator().manual_seed(seed)
+    hidden = torch.rand(count, STATE, generator=random) * 2 - 1
+    spread = torch.where(hidden[:, 0] > 0, 0.2, 0.02)
+    return Errors(
+        hidden,
+        torch.rand(count, generator=random),
+        spread * torch.randn(count, generator=random),
+    )
+
+
+@pytest.fixture(scope='module')
+def trained():
+    """A head that was trained and calibrated on such errors, as a network holds it."""
+    torch.manual_seed(0)
+    network = SimpleNamespace(deviation=DeviationHead(STATE, 16))
+    settings = TrainingSettings(deviation_epochs=40, deviation_rate=1e-2)
+    stage = DeviationStage(SimpleNamespace(network=network), None, settings)
+    stage._errors.append(windows(8000, 1))
+    TrainingLoop(network.deviation, LoopSettings()).run([stage])
+    calibrate_deviation(network, windows(8000, 2))
+    return network.deviation
+
+
+def test_intervals_cover_what_they_say(trained):
+    fresh = windows(8000, 3)
+    with torch.no_grad():
+        found = trained(fresh.hidden, fresh.force)
+    for part in (fresh.hidden[:, 0] > 0.3, fresh.hidden[:, 0] < -0.3):
+        inside = (fresh.error.abs() <= found)[part].float().mean().item()
+        assert inside == pytest.approx(0.683, abs=0.08)
+        inside = (fresh.error.abs() <= 1.96 * found)[part].float().mean().item()
+        assert inside == pytest.approx(0.95, abs=0.03)
+
+
+def test_the_compiled_head_gives_the_same_numbers(trained):
+    weights = deviation_weights(trained)
+    for each in torch.rand(50, STATE + 1, generator=torch.Generator().manual_seed(4)) * 6 - 3:
+        with torch.no_grad():
+            wanted = float(trained(each[:STATE], each[STATE]))
+        assert deviation(each[:STATE].numpy(), float(each[STATE]), weights) == pytest.approx(
+            wanted, rel=1e-5
+        )
+
+
+def test_deviations_are_bounded_and_never_infinite():
+    head = DeviationHead(2, 3)
+    with torch.no_grad():
+        for raw, bound in ((1e6, HIGHEST), (-1e6, LOWEST)):
+            head.output.bias.fill_(raw)
+            found = head(torch.zeros(1, 2), torch.tensor([1e3]))
+            assert float(found[0]) == pytest.approx(np.exp(bound), rel=1e-5)
+            one = deviation(np.zeros(2, np.float32), 1e3, deviation_weights(head))
+            assert one == pytest.approx(np.exp(bound), rel=1e-5)
+
+
+def test_collected_errors_are_those_of_the_batch(model, toy_sequences):
+    sequences = toy_sequences[1]
+    found = collect(model.network, MemoryGroups(sequences))
+    force, _ = estimate(model.network, sequences)
+    errors = (force - sequences.force)[sequences.valid]
+    assert found.error.sort().values == pytest.approx(errors.sort().values, abs=1e-6)
+    few = collect(model.network, MemoryGroups(sequences), most=100)
+    assert few.error.shape == (100,)
+    assert few.hidden.shape == (100, model.config.lstm_size)
+
+
+def test_a_network_without_the_head_says_so(config):
+    bare = FgerNetwork(replace(config, deviation_size=0))
+    with pytest.raises(ModelError, match='deviation_size'):
+        head_of(bare)
+    with pytest.raises(ModelError, match='deviation_size'):
+        bare.forces_and_deviations(*[torch.zeros(1)] * 4)
+
+
+def test_coverage_counts_windows():
+    known = np.zeros(1000)
+    each = SimpleNamespace(force=np.linspace(0, 3, 1000), known=known, deviation=np.ones(1000))
+    figures = coverage_figures([each])
+    assert figures['coverage_68'] == pytest.approx(1 / 3, abs=0.01)
+    assert figures['coverage_95'] == pytest.approx(1.96 / 3, abs=0.01)
+    assert figures['mean_deviation'] == 1.0
+    assert coverage_figures([each, SimpleNamespace(deviation=None, force=known, known=known)]) == {}

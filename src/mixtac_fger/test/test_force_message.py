@@ -1,0 +1,35 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The bytes of a force as ROS 2 reads them."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mixtac_fger.force_message import ForceMessage
+
+names = st.text(st.characters(min_codepoint=32, max_codepoint=0x3FF), max_size=20)
+
+
+@settings(deadline=None)
+@given(
+    frame_id=names,
+    stamp_us=st.integers(0, (2**31 - 1) * 1_000_000),
+    force=st.floats(-100, 100),
+)
+def test_ros_reads_what_was_written(frame_id, stamp_us, force):
+    pytest.importorskip('rclpy', reason='needs ROS 2')
+    from geometry_msgs.msg import WrenchStamped
+    from rclpy.serialization import deserialize_message
+
+    writer = ForceMessage(frame_id)
+    writer.serialised(1, 99.0)
+    found = deserialize_message(writer.serialised(stamp_us, force), WrenchStamped)
+    expected = WrenchStamped()
+    expected.header.frame_id = frame_id
+    expected.header.stamp.sec = stamp_us // 1_000_000
+    expected.header.stamp.nanosec = stamp_us % 1_000_000 * 1000
+    expected.wrench.force.z = force
+    assert found == expected

@@ -1,0 +1,68 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled frame network against torch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from mixtac_fger.config import FgerConfig
+from mixtac_fger.errors import ModelError
+from mixtac_fger.frame_step import frame_maps, frame_step, frame_weights, map_shapes, row_scratch
+from mixtac_fger.network import FrameNetwork
+
+CONFIGS = {
+    'default': FgerConfig(),
+    'odd sizes': FgerConfig(height=130, width=202, frame_widths=(5, 7), frame_size=11),
+    'five layers': FgerConfig(frame_widths=(4, 6, 8, 10, 12), frame_channels=('difference',)),
+}
+
+
+@pytest.mark.parametrize('name', CONFIGS)
+def test_features_and_force_are_those_of_torch(name):
+    config = CONFIGS[name]
+    torch.manual_seed(3)
+    network = FrameNetwork(config)
+    network.mean.copy_(torch.randn_like(network.mean))
+    network.scale.copy_(torch.rand_like(network.scale) + 0.1)
+    weights, maps, scratch = (
+        frame_weights(network, config),
+        frame_maps(config),
+        row_scratch(config),
+    )
+    random = np.random.default_rng(3)
+    feature = np.full(config.frame_size, np.nan, np.float32)
+    # Twice: what is left in the scratch memory must not matter.
+    for _ in range(2):
+        shape = (len(config.frame_channels), *config.frame_shape)
+        inputs = random.normal(size=shape).astype(np.float32)
+        force = frame_step(inputs, weights, maps, scratch, feature)
+        with torch.inference_mode():
+            expected = network(torch.from_numpy(inputs)[None])
+            expected_force = network.force(expected)
+        assert np.ptp(expected.numpy()) > 0.03
+        assert feature == pytest.approx(expected[0].numpy(), abs=1e-5)
+        assert force == pytest.approx(float(expected_force[0]), abs=1e-5)
+
+
+def test_shapes_are_those_of_torch():
+    config = CONFIGS['odd sizes']
+    network = FrameNetwork(config)
+    maps = torch.zeros(1, len(config.frame_channels), *config.frame_shape)
+    shapes = [tuple(maps.shape[i] for i in (2, 3, 1))]
+    for layer in network.convolutions:
+        maps = layer(maps)
+        if isinstance(layer, nn.Conv2d):
+            shapes.append(tuple(maps.shape[i] for i in (2, 3, 1)))
+    assert map_shapes(config) == shapes
+
+
+def test_another_convolution_is_refused():
+    config = FgerConfig()
+    network = FrameNetwork(config)
+    network.convolutions[0] = nn.Conv2d(3, config.frame_widths[0], 5, stride=2, padding=2)
+    with pytest.raises(ModelError, match='3 x 3'):
+        frame_weights(network, config)

@@ -1,0 +1,289 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What the live estimator gives out when packets or frames are missing, or clocks jump."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+import torch
+
+from mixtac_events.arrays import Events
+from mixtac_fger.network import FgerNetwork
+from mixtac_fger.streaming import SATURATION_PER_US, ForceEstimator
+from mixtac_fger.weights import LoadedModel, ModelCard
+
+START_US = 200_000
+FRAME_US = 40_000
+
+
+def ready(model: LoadedModel, trial, **options) -> ForceEstimator:
+    """Return an estimator that has its reference and a stream that has reached START_US."""
+    estimator = ForceEstimator(model, **options)
+    for index in range(5):
+        estimator.push_frame(trial.frames[0], index * 35_000)
+    estimator.push_events(Events.empty(), START_US)
+    return estimator
+
+
+def events(start_us: int, end_us: int, count: int = 20) -> Events:
+    random = np.random.default_rng(start_us % 2**31)
+    t = np.sort(random.integers(start_us, end_us, count))
+    t[0] = start_us
+    x, y = random.integers(0, 346, count), random.integers(0, 260, count)
+    return Events(t, x.astype(np.uint16), y.astype(np.uint16), random.random(count) > 0.5)
+
+
+def run(estimator: ForceEstimator, start_us: int, end_us: int, *, lost_before: bool = False):
+    """Push packets of a millisecond and return what comes out."""
+    found = []
+    for begin in range(start_us, end_us, 1000):
+        found += estimator.push_events(
+            events(begin, begin + 1000),
+            begin + 1000,
+            lost_before=lost_before and begin == start_us,
+        )
+    return found
+
+
+def ends(found) -> list[int]:
+    return [estimate.end_us for estimate in found]
+
+
+def test_windows_of_which_no_packet_told_give_no_force(model, trial):
+    estimator = ready(model, trial)
+    before = run(estimator, START_US, START_US + 5000)
+    after = run(estimator, START_US + 11_000, START_US + 20_000, lost_before=True)
+    assert ends(before) == [202_000, 204_000]
+    # 204 to 206 ms lacks its second half, 210 to 212 its first; nothing is known between.
+    assert ends(after) == [206_000, 212_000, 214_000, 216_000, 218_000, 220_000]
+    assert [estimate.complete for estimate in after] == [False, False, True, True, True, True]
+    status = estimator.status()
+    assert (status.gaps, status.withheld, status.incomplete) == (1, 2, 2)
+
+
+def test_a_silent_stretch_is_no_hole(model, trial):
+    estimator = ready(model, trial)
+    found = estimator.push_events(Events.empty(), START_US + 50_000)
+    assert ends(found) == list(range(202_000, 250_001, 2000))
+    assert all(estimate.complete for estimate in found)
+
+
+def test_after_a_long_hole_the_next_frame_that_saw_its_end_brings_the_force_back(model, trial):
+    estimator = ready(model, trial)
+    assert run(estimator, START_US, START_US + 20_000)
+    back = START_US + 220_000
+    assert run(estimator, back, back + 10_000, lost_before=True) == []
+    assert estimator.status().reason == 'waiting for a frame'
+    estimator.push_frame(trial.frames[0], back - 5000)
+    assert run(estimator, back + 10_000, back + 20_000) == []
+    estimator.push_frame(trial.frames[0], back + 5000)
+    assert ends(run(estimator, back + 20_000, back + 24_000)) == [back + 22_000, back + 24_000]
+    status = estimator.status()
+    assert (status.gaps, status.skipped_windows) == (1, 100)
+
+
+def test_the_force_after_a_long_hole_is_that_of_a_fresh_start(model, trial):
+    broken, fresh = ready(model, trial), ForceEstimator(model)
+    for index in range(5):
+        fresh.push_frame(trial.frames[0], index * 35_000)
+    fresh._encoded.clear()
+    run(broken, START_US, START_US + 20_000)
+    back = START_US + 220_000
+    for estimator, lost in ((broken, True), (fresh, False)):
+        run(estimator, back, back + 10_000, lost_before=lost)
+        estimator.push_frame(trial.frames[3], back + 5000)
+    assert run(broken, back + 10_000, back + 60_000) == run(fresh, back + 10_000, back + 60_000)
+
+
+def test_a_clock_that_goes_back_starts_anew_with_the_next_frame(model, trial):
+    estimator = ready(model, trial)
+    assert run(estimator, START_US, START_US + 10_000)
+    assert run(estimator, 5000, 10_000) == []
+    assert estimator.status().resets == 1
+    assert estimator.status().reason == 'waiting for a frame'
+    # A frame of the clock as it was.
+    estimator.push_frame(trial.frames[0], START_US + 5000)
+    assert run(estimator, 10_000, 14_000) == []
+    assert estimator.status().frames_off_clock == 1
+    estimator.push_frame(trial.frames[0], 9000)
+    assert ends(run(estimator, 14_000, 18_000)) == [16_000, 18_000]
+
+
+def test_a_clock_that_jumps_ahead_gives_no_forces_for_the_time_between(model, trial):
+    estimator = ready(model, trial)
+    hour = 3_600_000_000
+    assert estimator.push_events(events(hour, hour + 1000), hour + 1000) == []
+    assert run(estimator, hour + 1000, hour + 4000) == []
+    estimator.push_frame(trial.frames[0], hour + 1000)
+    assert ends(run(estimator, hour + 4000, hour + 8000)) == [hour + 6000, hour + 8000]
+    assert estimator.status().gaps == 1
+
+
+def test_without_frames_the_force_goes_on_for_a_stated_time(model, trial):
+    estimator = ready(model, trial, longest_without_frame_us=300_000)
+    found = run(estimator, START_US, 600_000)
+    # The latest frame was exposed at 140 ms.
+    assert ends(found) == list(range(202_000, 440_001, 2000))
+    assert found[-1].frame_age_us == 300_000
+    assert estimator.status().reason == 'no frame for 0.5 s: no force without'
+    assert estimator.status().withheld == 80
+    estimator.push_frame(trial.frames[0], 590_000)
+    assert ends(run(estimator, 600_000, 604_000)) == [602_000, 604_000]
+    assert estimator.status().ready
+
+
+def test_a_frame_that_comes_before_its_events_waits_for_them(model, trial):
+    early, later = ready(model, trial), ready(model, trial)
+    middle = START_US + 20_000
+    early.push_frame(trial.frames[8], middle)
+    first = [run(estimator, START_US, middle) for estimator in (early, later)]
+    later.push_frame(trial.frames[8], middle)
+    second = [run(estimator, middle, middle + 10_000) for estimator in (early, later)]
+    assert first[0][:-1] == first[1][:-1]
+    assert all(estimate.frame_age_us >= 0 for estimate in first[0] + second[0])
+    assert early.status().frames == later.status().frames == 2
+
+
+def test_no_force_without_packets_whatever_the_frames(model, trial):
+    estimator = ready(model, trial)
+    given = estimator.status().estimates
+    for index in range(20):
+        estimator.push_frame(trial.frames[0], START_US + index * FRAME_US)
+    status = estimator.status()
+    assert status.estimates == given
+    # One frame had been waiting before; four wait now.
+    assert status.frames_dropped == 1 + 20 - 4
+
+
+def test_saturated_windows_are_marked_and_finite(model, trial):
+    estimator = ready(model, trial)
+    count = SATURATION_PER_US * 2000 + 1
+    burst = estimator.push_events(events(START_US, START_US + 2000, count), START_US + 2000)
+    calm = run(estimator, START_US + 2000, START_US + 4000)
+    assert [estimate.saturated for estimate in burst + calm] == [True, False]
+    assert np.isfinite([estimate.force for estimate in burst + calm]).all()
+    assert estimator.status().saturated == 1
+
+
+def test_frames_compared_with_the_reference_before_a_tare_are_left_out(model, trial):
+    estimator = ready(model, trial, contact_threshold_n=1e6)
+    run(estimator, START_US, START_US + 4000)
+    estimator.push_frame(trial.frames[5], START_US)
+    estimator.push_frame(trial.frames[0], START_US + 1000)
+    before = estimator.status().frames
+    for _ in range(5):
+        estimator._encoder.encode(trial.frames[0], 0)
+    estimator.tare()
+    run(estimator, START_US + 4000, START_US + 8000)
+    assert estimator.status().frames == before
+    assert estimator.status().frames_dropped == 2
+
+
+def test_a_stored_reference_serves_from_the_first_frame(model, trial):
+    first, second = ready(model, trial), ForceEstimator(model)
+    assert second.reference is None
+    second.use_reference(first.reference)
+    for estimator in (first, second):
+        estimator._encoded.clear()
+        estimator.push_frame(trial.frames[8], START_US - 5000)
+    second.push_events(Events.empty(), START_US)
+    fresh = run(second, START_US, START_US + 10_000)
+    assert len(fresh) == 5
+    first._path.clear()
+    assert fresh == run(first, START_US, START_US + 10_000)
+
+
+def test_memory_does_not_grow(model, trial):
+    estimator = ready(model, trial)
+    state = [id(part) for part in (estimator._features, *estimator._path._state)]
+
+    def second(start_us: int) -> None:
+        for frame in range(25):
+            begin = start_us + frame * FRAME_US
+            estimator.push_frame(trial.frames[frame % 5], begin - 5000)
+            run(estimator, begin, begin + FRAME_US)
+
+    second(START_US)
+    tracemalloc.start()
+    try:
+        second(START_US + 1_000_000)
+        before, _ = tracemalloc.get_traced_memory()
+        second(START_US + 2_000_000)
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 10_000
+    assert state == [id(part) for part in (estimator._features, *estimator._path._state)]
+
+
+@pytest.mark.parametrize('longest', [0, 1])
+def test_frames_that_nobody_fetches_do_not_pile_up(model, trial, longest):
+    estimator = ForceEstimator(model, background_frames=True)
+    try:
+        for index in range(5 + 30 * longest):
+            estimator.push_frame(trial.frames[0], index * 1000)
+            while estimator._worker._inbox.qsize():
+                pass
+        estimator._worker._inbox.put(None)
+        estimator._worker._thread.join(30)
+        waiting = len(estimator._worker._outbox)
+        assert waiting <= 4
+        assert waiting + estimator._worker.dropped == 1 + 30 * longest
+        assert 'frame thread has ended' in estimator.status().reason
+    finally:
+        estimator.close()
+
+
+def test_with_frames_and_packets_missing_the_force_comes_back_within_a_frame(trial):
+    """A network whose correction is the frame's force shows what the engine does with both."""
+    torch.manual_seed(1)
+    model = correcting_model()
+    whole, broken = ForceEstimator(model), ForceEstimator(model)
+    random = np.random.default_rng(4)
+    forces: dict[int, dict[int, float]] = {0: {}, 1: {}}
+    arrival = list(trial.arrival_us)
+    gap = (700_000, 900_000)
+    missing = False
+    for end in range(1000, int(trial.label.t_us[-1]), 1000):
+        part = trial.events.between(end - 1000, end)
+        for frame in np.flatnonzero((np.array(arrival) > end - 1000) & (np.array(arrival) <= end)):
+            middle = (int(trial.exposure_start_us[frame]) + int(trial.exposure_end_us[frame])) // 2
+            whole.push_frame(trial.frames[frame], middle)
+            if frame < 6 or random.random() > 0.1:
+                broken.push_frame(trial.frames[frame], middle)
+        forces[0] |= {e.end_us: e.force for e in whole.push_events(part, end)}
+        if random.random() < 0.05 or gap[0] <= end < gap[1]:
+            missing = True
+            continue
+        got = broken.push_events(part, end, lost_before=missing)
+        forces[1] |= {e.end_us: e.force for e in got}
+        missing = False
+    given = np.array(sorted(forces[1]))
+    assert not ((given > gap[0] + 2000) & (given <= gap[1])).any()
+    resumed = given[given > gap[1]].min()
+    assert resumed <= gap[1] + 2 * FRAME_US + 15_000
+    late = [end for end in forces[1] if end > resumed + 3 * FRAME_US]
+    assert len(late) > 20
+    error = np.abs([forces[1][end] - forces[0][end] for end in late])
+    assert error.max() < 0.1 * np.ptp(list(forces[0].values()))
+
+
+def correcting_model() -> LoadedModel:
+    """Return a network that follows its frames: MLP_corr takes the estimate to a value of f."""
+    from mixtac_fger.config import FgerConfig
+
+    network = FgerNetwork(FgerConfig()).eval()
+    with torch.no_grad():
+        network.frame.scale.mul_(0.3)
+        for part in (network.increment, network.correction):
+            for parameter in part.parameters():
+                parameter.zero_()
+        hidden, _, output = network.correction
+        # relu(f - F) - relu(F - f): the first of the frame's features less the estimate.
+        for row, sign in ((0, 1.0), (1, -1.0)):
+            hidden.weight[row, 0], hidden.weight[row, 1:] = -sign, 0.3 * sign
+            output.weight[0, row] = sign
+    return LoadedModel(network, ModelCard())
