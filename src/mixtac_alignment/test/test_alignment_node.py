@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.dds
 PACKET_US = 10_000
+PAUSES_S = (0.004, 0.02, 0.08)
+"""Between packets, longer after each refusal: a busy machine loses best-effort messages."""
 
 
 @pytest.fixture
@@ -84,7 +86,7 @@ class Peer:
 
     def fit(self) -> Any:
         future = self._client.call_async(self._trigger.Request())
-        self.executor.spin_until_future_complete(future, timeout_sec=20.0)
+        self.executor.spin_until_future_complete(future, timeout_sec=120.0)
         return future.result()
 
     def receive_late(self) -> Any:
@@ -108,8 +110,10 @@ class Peer:
         stamp = heard[0].header.stamp
         assert abs(stamp.sec * 1e6 + stamp.nanosec / 1e3 - float(case.camera_us(3.0))) < 2000.0
 
-    def play(self, t_us: np.ndarray, force_s: np.ndarray, force: np.ndarray) -> None:
-        """Publish packets and force samples side by side, faster than real time."""
+    def play(
+        self, t_us: np.ndarray, force_s: np.ndarray, force: np.ndarray, pause_s: float
+    ) -> None:
+        """Publish packets and force samples side by side."""
         borders = np.arange(t_us[0], t_us[-1] + PACKET_US, PACKET_US)
         cuts = np.searchsorted(t_us, borders)
         shares = np.linspace(0, len(force_s), len(borders)).astype(int)
@@ -117,7 +121,7 @@ class Peer:
             self._send_packet(i, t_us[cuts[i] : cuts[i + 1]], int(borders[i + 1]))
             for k in range(shares[i], shares[i + 1]):
                 self._send_force(float(force_s[k]), float(force[k]))
-            time.sleep(0.004)
+            time.sleep(pause_s)
 
     def _send_packet(self, sequence: int, t_us: np.ndarray, until: int) -> None:
         n = len(t_us)
@@ -151,9 +155,12 @@ def test_the_node_fits_and_latches_the_clock_map(
     assert not refused.success
     assert 'no ' in refused.message
     case = scene(taps_s=(1.0, 5.5), seconds=6.5, presses=False, tap_s=0.02, rate_hz=400.0)
-    peer.play(*case.recording())
-    time.sleep(0.3)
-    answer = peer.fit()
+    for pause_s in PAUSES_S:
+        peer.play(*case.recording(), pause_s)
+        time.sleep(0.3)
+        answer = peer.fit()
+        if answer.success:
+            break
     assert answer.success, answer.message
     message = peer.receive_late()
     fit = from_fields(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mixtac_fger.config import CELL_FEATURES
 from mixtac_fger.deviation_step import deviation, deviation_weights
 from mixtac_fger.packet_step import (
     advance,
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
     F32 = NDArray[np.float32]
 
 
+SETTLE_WINDOWS = 100
+"""Windows after which the recurrent state has settled at a force."""
+
+
 class RecurrentPath:
     """State of the recurrent path: LSTM, force estimate and the estimates of the recent past.
 
@@ -33,7 +38,8 @@ class RecurrentPath:
     """
 
     def __init__(self, network: FgerNetwork) -> None:
-        self._config = network.config
+        self._config = config = network.config
+        self._event_shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
         self._weights = step_weights(network)
         self._correction = correction_weights(network)
         head = network.deviation
@@ -59,6 +65,19 @@ class RecurrentPath:
         for part in self._state:
             part[:] = 0.0
         self._history[:] = 0.0
+
+    def start_at(self, force: float) -> None:
+        """Begin at a known force [N], with a memory of having been there without events.
+
+        A memory of nothing belongs to no force: with it the next increments would be wrong.
+        """
+        self.clear()
+        still = np.zeros(self._event_shape, np.float32)
+        for _ in range(SETTLE_WINDOWS):
+            self._state.force[0] = force
+            advance(still, self._weights, self._state)
+        self._state.force[0] = force
+        self._history[:] = force
 
     def correct(self, frame_feature: F32, lag: int) -> None:
         """Correct the estimate and its past by a frame.

@@ -280,7 +280,11 @@ class ForceEstimator:
             # Exposed before events were lost, or compared with a reference that was replaced.
             self._count.frames_dropped += 1
             return
-        self._path.correct(frame.feature, correction_lag(end_us - width, frame.mid_us, width))
+        if self._frame is None and self._since_us > -NO_LIMIT_US:
+            # Maybe in contact already; a start at zero would take several frames to get over.
+            self._path.start_at(frame.force)
+        else:
+            self._path.correct(frame.feature, correction_lag(end_us - width, frame.mid_us, width))
         self._frame = frame
         self._count.frames += 1
 

@@ -60,3 +60,19 @@ def test_a_file_from_before_lacks_both_additions():
     assert network.deviation is None
     assert network.increment.get_parameter('0.weight').shape[1] == network.config.lstm_size
     assert RecurrentPath(network).deviation is None
+
+
+def test_a_path_can_begin_at_a_force():
+    torch.manual_seed(4)
+    network = FgerNetwork(FgerConfig()).eval()
+    path = RecurrentPath(network)
+    path.step(np.ones((6, 8, 4), np.float32))
+    path.start_at(0.7)
+    assert path.force == pytest.approx(0.7)
+    feature = np.linspace(0.0, 1.0, network.config.frame_size, dtype=np.float32)
+    with torch.no_grad():
+        inputs = torch.cat([torch.tensor([0.7]), torch.from_numpy(feature)])
+        change = float(network.correction(inputs)[0])
+    # Any past is at that force as well.
+    path.correct(feature, 20)
+    assert path.force == pytest.approx(0.7 + change, abs=1e-5)

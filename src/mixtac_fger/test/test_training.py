@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mixtac_fger.batches import Sequences
 
 SHORT = TrainingSettings(
-    frame_epochs=12, recurrent_epochs=25, joint_epochs=3, deviation_epochs=4, frame_batch=16
+    frame_epochs=12, recurrent_epochs=8, joint_epochs=2, deviation_epochs=4, frame_batch=16
 )
 
 
@@ -39,8 +39,8 @@ def test_training_learns_the_toy_sensor(config, toy_sequences):
     network = Trainer(config, SHORT, lambda *row: stages.append(row)).run(trained)
     assert [row[:3] for row in stages if row[1] == row[2]] == [
         ('frames', 12, 12),
-        ('recurrent', 25, 25),
-        ('joint', 3, 3),
+        ('recurrent', 8, 8),
+        ('joint', 2, 2),
         ('deviation', 4, 4),
     ]
     for sequences in (trained, other):

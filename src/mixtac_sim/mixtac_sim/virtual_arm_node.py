@@ -15,12 +15,19 @@ from trajectory_msgs.msg import JointTrajectory
 from mixtac_node.base_node import QOS_SENSOR, declare, ns_to_stamp, run, stamp_to_ns
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_sim.arm.fr3 import JOINT_NAMES, READY, violations
+from mixtac_sim.arm.mujoco_arm import MujocoArm
+from mixtac_sim.arm.tracking import JointLag, Tracking
 from mixtac_sim.arm.trajectory_controller import JointTrajectoryController, Release, Trajectory
 from mixtac_sim.virtual_arm_parameters import VirtualArmParameters
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+BEFORE_S = 100.0
+"""The controller's time at the start [s]: a stamp of zero would mean something else."""
+MAX_CATCH_UP_S = 60.0
+"""A longer gap is a clock that was set (simulated time has begun): the arm rests after it [s]."""
+SIDEWAYS = np.array([0.0, 1.0, 0.0])
 LIMITS_SEEN = 4
 """Commands that a jerk is computed from."""
 
@@ -38,14 +45,14 @@ class VirtualArmNode(Node):  # type: ignore[misc]
         release: Release = 'humble' if parameters.release == 'humble' else 'jazzy'
         self._period_s = 1.0 / parameters.update_rate
         self._controller = JointTrajectoryController(parameters.update_rate, release=release)
-        lag = parameters.tracking_lag
-        self._keep = float(np.exp(-self._period_s / lag)) if lag > 0.0 else 0.0
-        self._q = READY.copy()
+        self._plant = _plant(parameters, self._period_s)
         self._recent: list[NDArray[np.float64]] = []
+        self._first_s, self._cycles = BEFORE_S, 0
         self._accepted = self._rejected = self._violations = 0
         self._problem = ''
-        self._cycle_s = self._now_s()
-        self._controller.reset(READY, self._cycle_s)
+        # Seconds since 1970 would round a cycle of 1 ms by 0.02 %, which looks like a jerk.
+        self._origin_ns = self.get_clock().now().nanoseconds
+        self._restart(READY, BEFORE_S)
         self._states = self.create_publisher(JointState, parameters.joint_state_topic, QOS_SENSOR)
         self.create_subscription(
             JointTrajectory, parameters.trajectory_topic, self._on_trajectory, 10
@@ -53,15 +60,27 @@ class VirtualArmNode(Node):  # type: ignore[misc]
         self.create_timer(1.0 / parameters.state_rate, self._publish)
         self._diagnostics = DiagnosticsPublisher(self, 'virtual_arm', self._status)
 
-    def _now_s(self) -> float:
-        return float(self.get_clock().now().nanoseconds * 1e-9)
+    def _seconds(self, time_ns: int) -> float:
+        """Return a time on the controller's scale [s]."""
+        return float(BEFORE_S + 1e-9 * (time_ns - self._origin_ns))
+
+    def _restart(self, q: NDArray[np.float64], now_s: float) -> None:
+        """Stand still from now on."""
+        self._recent = []
+        self._first_s, self._cycles = now_s, 0
+        self._controller.reset(q, now_s)
+
+    @property
+    def _cycle_s(self) -> float:
+        return self._first_s + self._cycles * self._period_s
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        now_s = self._now_s()
-        self._follow(now_s)
+        now_s = self._follow(self.get_clock().now().nanoseconds)
         reason = self._names_wrong(message.joint_names)
         if reason is None:
-            reason = self._controller.accept(_fields(message), now_s)
+            stamp_ns = stamp_to_ns(message.header.stamp)
+            start_s = self._seconds(stamp_ns) if stamp_ns else 0.0
+            reason = self._controller.accept(_fields(message, start_s), now_s)
         if reason is None:
             self._accepted += 1
             return
@@ -74,23 +93,29 @@ class VirtualArmNode(Node):  # type: ignore[misc]
             return None
         return f'joints {list(names)} are not {list(JOINT_NAMES)}'
 
-    def _follow(self, now_s: float) -> None:
-        """Run the controller's cycles up to a time."""
+    def _follow(self, now_ns: int) -> float:
+        """Run the controller's cycles up to a time; return it on the controller's scale [s]."""
+        if abs(self._seconds(now_ns) - self._cycle_s) > MAX_CATCH_UP_S:
+            self._origin_ns = now_ns
+            held = self._controller.sample(self._cycle_s + MAX_CATCH_UP_S)[0]
+            self._restart(held, BEFORE_S)
+        now_s = self._seconds(now_ns)
         while self._cycle_s <= now_s:
             command = self._controller.sample(self._cycle_s)[0]
             self._recent = [*self._recent[-LIMITS_SEEN + 1 :], command]
             if len(self._recent) == LIMITS_SEEN:
                 self._violations += violations(np.stack(self._recent), self._period_s) > 0
-            self._q = command + self._keep * (self._q - command)
-            self._cycle_s += self._period_s
+            self._plant.track(command)
+            self._cycles += 1
+        return now_s
 
     def _publish(self) -> None:
         now = self.get_clock().now()
-        self._follow(now.nanoseconds * 1e-9)
+        self._follow(now.nanoseconds)
         message = JointState()
         message.header.stamp = ns_to_stamp(now.nanoseconds)
         message.name = list(JOINT_NAMES)
-        message.position = self._q.tolist()
+        message.position = self._plant.q.tolist()
         self._states.publish(message)
 
     def _status(self) -> Status:
@@ -107,8 +132,16 @@ class VirtualArmNode(Node):  # type: ignore[misc]
         )
 
 
-def _fields(message: JointTrajectory) -> Trajectory:
-    """Return the fields of a message that the controller reads."""
+def _plant(parameters: VirtualArmParameters, period_s: float) -> JointLag | MujocoArm:
+    """Return what follows the commands."""
+    lag_s = parameters.tracking_lag
+    if parameters.plant == 'mujoco':
+        return MujocoArm(READY, SIDEWAYS, lag_s, period_s)
+    return JointLag(READY, Tracking(lag_s), period_s)
+
+
+def _fields(message: JointTrajectory, start_s: float) -> Trajectory:
+    """Return the fields of a message that the controller reads, with its start on its scale [s]."""
     points = message.points
 
     def rows(name: str) -> NDArray[np.float64] | None:
@@ -118,7 +151,7 @@ def _fields(message: JointTrajectory) -> Trajectory:
     times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]
     q = rows('positions')
     return Trajectory(
-        1e-9 * stamp_to_ns(message.header.stamp),
+        start_s,
         np.array(times, np.float64),
         np.empty((len(points), 0)) if q is None else q,
         rows('velocities'),

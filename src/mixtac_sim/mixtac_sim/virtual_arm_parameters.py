@@ -38,6 +38,13 @@ class VirtualArmParameters:
         choices=('humble', 'jazzy'),
         read_only=True,
     )
+    plant: str = parameter(
+        'lag',
+        'What follows the commands: lag is a first-order lag of each joint; mujoco is the arm in '
+        'MuJoCo (requirements/mujoco.txt), with servos of that lag.',
+        choices=('lag', 'mujoco'),
+        read_only=True,
+    )
     tracking_lag: float = parameter(
         3.5e-3,
         'Time constant with which the arm follows its commands (estimate).',

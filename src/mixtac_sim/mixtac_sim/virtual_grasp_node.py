@@ -4,11 +4,13 @@
 
 The camera hands everything over about 20 ms after it was simulated, because a frame must be known
 before its readout begins; so the arm's answer reaches the object that much later than on a bench.
-`mixtac bench slip` has no such delay.
+`mixtac bench slip` has no such delay. Where the host cannot keep up, simulated time goes slower
+than the host's; with `publish_clock`, nodes that take their time from `/clock` slow down with it.
 """
 
 from __future__ import annotations
 
+import struct
 import sys
 import time
 from threading import Event, Thread
@@ -17,21 +19,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from geometry_msgs.msg import PointStamped, WrenchStamped
 from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, declare, ns_to_stamp, run
+from mixtac_msgs.msg import SlipState
+from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, declare, ns_to_stamp, run, stamp_to_us
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_sim.arm.fr3 import JOINT_NAMES, flange_place
 from mixtac_sim.errors import SimulationError
+from mixtac_sim.grasp.answer_pace import AnswerPace
 from mixtac_sim.grasp.live_grasp import LiveGrasp
 from mixtac_sim.grasp.objects import OBJECTS, ObjectName, draw_setup
+from mixtac_sim.grasp.paced_clock import PacedClock, PacedSimulation
 from mixtac_sim.inertial_unit import InertialUnit
 from mixtac_sim.live_profile import LiveProfile
 from mixtac_sim.presets import preset
 from mixtac_sim.random_streams import stream
 from mixtac_sim.reference import ReferenceSensor
-from mixtac_sim.simulation_clock import SimulationClock
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
@@ -42,12 +47,21 @@ if TYPE_CHECKING:
     from mixtac_sim.virtual_sensor import WrenchBatch
 
 PUBLISH_PERIOD_S = 2e-3
+SLIP_AHEAD_US = 4_000
+"""Simulated time is so far beyond the last answer of slip control at most [us]: less than the lead
+of its trajectories, which therefore never reach the arm too late."""
+ARM_AHEAD_US = 10_000
+"""The same for the arm [us], whose joint states come every 4 ms."""
+STAMP = struct.Struct('<iI')
+STAMP_AT = 4
+"""Where the stamp is in a serialised message that begins with a header: after four bytes on the
+encoding, which is little-endian on every machine this runs on."""
 
 
 class VirtualGraspNode(Node):  # type: ignore[misc]
     """Runs sensor and grasp, follows the arm's joint states, and strikes when asked to.
 
-    Services: ``~/knock`` strikes the object, ``~/put_back`` puts it back. Topics:
+    Services: ``~/knock`` strikes the object, ``~/put_back`` begins the grasp anew. Topics:
     ``truth/wrench``, ``truth/object`` (its place, z in m, downwards negative), and ``force``.
     """
 
@@ -63,8 +77,12 @@ class VirtualGraspNode(Node):  # type: ignore[misc]
         check_free(path)
         self._start_m: np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None = None
         self._stop = Event()
-        self._knocks, self._next_knock_s = 0, time.monotonic() + settings.knock_every
-        self._grasp, self._sensor = _make(settings)
+        self._knocks, self._next_knock_s = 0, settings.knock_every
+        self._slip_pace, self._arm_pace = AnswerPace(SLIP_AHEAD_US), AnswerPace(ARM_AHEAD_US)
+        paces = (self._slip_pace, self._arm_pace) if settings.publish_clock else ()
+        self._time = PacedClock(paces)
+        self._reported = (0, time.monotonic())
+        self._grasp, self._sensor = _make(settings, self._time)
         self._server = UsbServer(self._sensor.device, path)
         self._wire(settings)
         self._diagnostics = DiagnosticsPublisher(self, self._sensor.device.serial, self._status)
@@ -80,6 +98,11 @@ class VirtualGraspNode(Node):  # type: ignore[misc]
             if settings.publish_force
             else None
         )
+        self._clock_topic = None
+        if settings.publish_clock:
+            self._clock_topic = self.create_publisher(Clock, '/clock', 1)
+            # Serialised: only the stamp matters, a thousand times a second.
+            self.create_subscription(SlipState, 'slip', self._on_slip, QOS_FORCE, raw=True)
         self.create_subscription(
             JointState, settings.joint_state_topic, self._on_joints, QOS_SENSOR
         )
@@ -95,12 +118,21 @@ class VirtualGraspNode(Node):  # type: ignore[misc]
 
     def _change(self, settings: VirtualGraspParameters) -> None:
         self._settings = settings
-        self._next_knock_s = time.monotonic() + settings.knock_every
+        self._next_knock_s = self._now_s() + settings.knock_every
+
+    def _now_s(self) -> float:
+        """Return simulated time since the start [s]."""
+        return 1e-6 * self._time.now_us()
+
+    def _on_slip(self, message: bytes) -> None:
+        seconds, nanoseconds = STAMP.unpack_from(message, STAMP_AT)
+        self._slip_pace.answer(seconds * 1_000_000 + nanoseconds // 1000, self._time.now_us())
 
     def _on_joints(self, message: JointState) -> None:
         places = dict(zip(message.name, message.position, strict=False))
         if not all(name in places for name in JOINT_NAMES):
             return
+        self._arm_pace.answer(stamp_to_us(message.header.stamp), self._time.now_us())
         place = flange_place(np.array([places[name] for name in JOINT_NAMES]))
         if self._start_m is None:
             self._start_m = place
@@ -118,16 +150,20 @@ class VirtualGraspNode(Node):  # type: ignore[misc]
     def _on_put_back(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
+        # The wall comes along: the object is held as at the start wherever the fingertip is now.
+        self._start_m = None
         self._grasp.put_back()
         response.success = True
         return response
 
     def _publish_all(self) -> None:
         while not self._stop.wait(PUBLISH_PERIOD_S):
+            if self._clock_topic is not None:
+                self._clock_topic.publish(Clock(clock=ns_to_stamp(self._time.epoch_now_ns())))
             self._sensor.take_reference()
             for batch in self._sensor.take_truth():
                 self._hand_out(batch)
-            now_s, every = time.monotonic(), self._settings.knock_every
+            now_s, every = self._now_s(), self._settings.knock_every
             if every > 0.0 and now_s >= self._next_knock_s:
                 self._next_knock_s = now_s + every
                 self._strike()
@@ -152,31 +188,40 @@ class VirtualGraspNode(Node):  # type: ignore[misc]
         state = self._sensor.state()
         if not state.running:
             return Status(ERROR, 'SIMULATED grasp, stopped by a defect: see its output', {})
+        speed = self._speed()
         return Status(
             OK,
-            f'SIMULATED grasp of a {self._settings.object}',
+            f'SIMULATED grasp of a {self._settings.object}, at {speed:.0%} of real time',
             {
                 'simulated': True,
                 'grasp_force': self._grasp.grasp_n,
                 'object_mm': self._grasp.object_mm,
                 'knocks': self._knocks,
-                'overruns': state.overruns,
+                'real_time_factor': speed,
+                'lost_s': 1e-6 * self._time.lost_us,
+                'answers_late_s': 1e-6 * self._slip_pace.lag_us,
                 'socket': self._server.path,
             },
         )
 
+    def _speed(self) -> float:
+        """Return simulated over host time since the last call."""
+        before_us, before_s = self._reported
+        self._reported = now_us, now_s = self._time.now_us(), time.monotonic()
+        return 1e-6 * (now_us - before_us) / max(now_s - before_s, 1e-3)
 
-def _make(settings: VirtualGraspParameters) -> tuple[LiveGrasp, VirtualSensor]:
+
+def _make(settings: VirtualGraspParameters, clock: PacedClock) -> tuple[LiveGrasp, VirtualSensor]:
     """Return the grasp and the sensor that runs it."""
     name: ObjectName = next(each for each in OBJECTS if each == settings.object)
-    level, clock = preset(settings.preset), SimulationClock()
+    level = preset(settings.preset)
     rng = stream(settings.seed, 'virtual grasp')
     setup = draw_setup(name, rng, margin=settings.margin)
     grasp = LiveGrasp(setup, settings.device_seed, settings.seed, level)
     serial = f'{settings.device_seed:08d}'
     device = VirtualDavis346(serial, skew_ppm=settings.skew_ppm, clock=clock.now_us)
     sensor = VirtualSensor(
-        grasp,
+        PacedSimulation(grasp, clock),
         LiveProfile(),
         device,
         ReferenceSensor(settings.seed, preset=level),

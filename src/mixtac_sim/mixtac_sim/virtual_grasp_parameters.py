@@ -68,3 +68,9 @@ class VirtualGraspParameters:
         'these objects.',
         read_only=True,
     )
+    publish_clock: bool = parameter(
+        False,
+        'Publish simulated time on /clock, for nodes with use_sim_time, and let it wait for the '
+        'answers on `slip`: a host that cannot keep up then slows down everything alike.',
+        read_only=True,
+    )

@@ -38,7 +38,11 @@ def slip_settings(parameters: SlipControlParameters) -> SlipSettings:
         advance=_advance(parameters),
         safety=_safety(parameters),
         stiffness=StiffnessSettings(parameters.stiffest_contact, parameters.force_noise),
-        probe=ProbeSettings(parameters.probe_advance, parameters.probe_speed * parameters.window),
+        probe=ProbeSettings(
+            parameters.probe_advance,
+            parameters.probe_force,
+            parameters.probe_speed * parameters.window,
+        ),
         arm_lag_s=parameters.arm_lag,
     )
 

@@ -46,7 +46,15 @@ class SlipSafetyParameters:
         maximum=1e-3,
     )
     probe_speed: float = parameter(
-        1e-3, 'Speed of that press.', unit='m/s', minimum=1e-5, maximum=1e-2
+        5e-4, 'Speed of that press.', unit='m/s', minimum=1e-5, maximum=1e-2
+    )
+    probe_force: float = parameter(
+        0.1,
+        'Growth of the force at which that press stops and waits. Twice as much makes the estimate '
+        'twice as good, and is more likely to be taken for a slip.',
+        unit='N',
+        minimum=1e-3,
+        maximum=10.0,
     )
     max_events_age: float = parameter(
         0.02, 'Age of the events that stops.', unit='s', minimum=2e-3, maximum=1.0

@@ -3,8 +3,8 @@
 """A small press when slip control is enabled, from which the stiffness of the contact is learned.
 
 Slip gives no time to learn it: the arm needs most of its advance within 20 ms, and a force that is
-10 ms old says little of that. So the arm presses a little, slowly, until the stiffness is known
-well enough, and returns.
+10 ms old says little of that. So the arm presses a little, slowly, waits until the stiffness is
+known well enough, and returns.
 """
 
 from __future__ import annotations
@@ -21,13 +21,15 @@ class ProbeSettings:
 
     Attributes:
         advance: Largest advance [m]; 0 does not probe.
+        force: Growth of the force that is enough [N]: it then waits for the estimate.
         step: Advance per window, both ways [m].
         precision: Relative standard deviation of the stiffness that is good enough.
         windows: After so many windows it returns, whatever was learned.
     """
 
     advance: float = 5e-5
-    step: float = 1e-6
+    force: float = 0.1
+    step: float = 5e-7
     precision: float = 0.06
     windows: int = 150
 
@@ -37,11 +39,12 @@ class ProbeSettings:
         Raises:
             SlipControlError: An advance or time below zero, or a step or precision of zero.
         """
-        finite = all(math.isfinite(v) for v in (self.advance, self.step, self.precision))
+        numbers = (self.advance, self.force, self.step, self.precision)
+        finite = all(math.isfinite(v) for v in numbers)
         if not finite or self.advance < 0.0 or self.windows < 0:
             raise SlipControlError(f'{self}: give finite numbers >= 0')
-        if self.step <= 0.0 or self.precision <= 0.0:
-            raise SlipControlError(f'{self}: step and precision must be above 0')
+        if min(self.force, self.step, self.precision) <= 0.0:
+            raise SlipControlError(f'{self}: force, step and precision must be above 0')
 
 
 class StiffnessProbe:
@@ -90,4 +93,5 @@ class StiffnessProbe:
             self.place = max(self.place - settings.step, 0.0)
             self.active = self.place > 0.0
             return
-        self.place = min(self.place + settings.step, settings.advance, max(limit, 0.0))
+        step = settings.step if stiffness * self.place < settings.force else 0.0
+        self.place = min(self.place + step, settings.advance, max(limit, 0.0))

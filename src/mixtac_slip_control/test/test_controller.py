@@ -162,7 +162,7 @@ def test_a_force_near_the_ceiling_cannot_be_enabled() -> None:
 
 
 def test_enabling_probes_the_stiffness_and_slip_ends_the_probe() -> None:
-    probe = ProbeSettings(advance=1e-5, windows=12)
+    probe = ProbeSettings(advance=1e-5, step=1e-6, windows=12)
     rig = Rig(probe=probe).enabled()
     places = [rig.step().total_advance for _ in range(15)]
     assert rig.controller.probing

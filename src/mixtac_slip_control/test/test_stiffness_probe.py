@@ -11,7 +11,7 @@ import pytest
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.stiffness_probe import ProbeSettings, StiffnessProbe
 
-SETTINGS = ProbeSettings(advance=1e-5, step=1e-6, precision=0.1, windows=30)
+SETTINGS = ProbeSettings(advance=1e-5, force=0.1, step=1e-6, precision=0.1, windows=30)
 
 
 def started() -> StiffnessProbe:
@@ -42,6 +42,13 @@ def test_it_returns_as_soon_as_the_stiffness_is_known() -> None:
         probe.update(1e3, 200.0, 1.0)
         places.append(probe.place)
     assert places == sorted(places, reverse=True)
+
+
+def test_it_waits_where_the_force_has_grown_enough() -> None:
+    probe = started()
+    for _ in range(20):
+        probe.update(2e4, 1e4, 1.0)
+    assert 5e-6 <= probe.place <= 6.1e-6
 
 
 def test_it_stays_within_what_the_force_allows() -> None:

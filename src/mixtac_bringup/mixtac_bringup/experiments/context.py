@@ -58,4 +58,9 @@ class Context:
             MixtacError: One cannot be carried out.
         """
         bar = self.progress.add_task(title, total=len(pieces))
-        return carry_out(pieces, self.pieces, self.jobs, lambda: self.progress.advance(bar))
+
+        def say(words: str) -> None:
+            text = f'{title} ({words})' if words else title
+            self.progress.update(bar, description=text)
+
+        return carry_out(pieces, self.pieces, self.jobs, lambda: self.progress.advance(bar), say)

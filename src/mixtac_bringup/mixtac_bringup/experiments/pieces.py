@@ -4,16 +4,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
+
+
+_LOOK_S = 1.0
+_WORD = '.word'
 
 
 class Piece(Protocol):
@@ -46,6 +51,7 @@ def carry_out(
     folder: Path,
     jobs: int = 1,
     advance: Callable[[], object] = lambda: None,
+    say: Callable[[str], object] = lambda _text: None,
 ) -> list[dict[str, Any]]:
     """Return the results of pieces in their order; only those that are missing are computed.
 
@@ -54,11 +60,15 @@ def carry_out(
         folder: Where results are kept.
         jobs: Processes.
         advance: Called after each piece.
+        say: Called now and then with how far the pieces under way are, where there are several
+            processes.
 
     Raises:
         MixtacError: A piece cannot be carried out; those that were finished are kept.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    for word in folder.glob(f'*{_WORD}'):  # of a run that was cut off
+        word.unlink(missing_ok=True)
     results: dict[int, dict[str, Any]] = {}
     for index, piece in enumerate(pieces):
         found = _kept(folder / f'{stem_of(piece)}.json')
@@ -71,7 +81,7 @@ def carry_out(
             results[index] = _carry_out_one(pieces[index], folder)
             advance()
     elif missing:
-        _spread_out(pieces, missing, folder, jobs, results, advance)
+        _spread_out(pieces, missing, folder, jobs, results, advance, say)
     return [results[index] for index in range(len(pieces))]
 
 
@@ -82,19 +92,38 @@ def _spread_out(
     jobs: int,
     results: dict[int, dict[str, Any]],
     advance: Callable[[], object],
+    say: Callable[[str], object],
 ) -> None:
     context = multiprocessing.get_context('spawn')
     with ProcessPoolExecutor(
         min(jobs, len(missing)), mp_context=context, initializer=_one_thread
     ) as pool:
         futures = {pool.submit(_carry_out_one, pieces[i], folder): i for i in missing}
+        open_ones = set(futures)
         try:
-            for future in as_completed(futures):
-                results[futures[future]] = future.result()
-                advance()
+            while open_ones:
+                finished, open_ones = wait(open_ones, _LOOK_S, FIRST_COMPLETED)
+                for future in finished:
+                    results[futures[future]] = future.result()
+                    advance()
+                say(', '.join(_told(folder)))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def tell(folder: Path, stem: str, text: str) -> None:
+    """Leave word of how far a piece is, for the process that waits for it."""
+    (folder / f'{stem}{_WORD}').write_text(text, encoding='utf-8')
+
+
+def _told(folder: Path) -> list[str]:
+    """Return what the pieces under way have said."""
+    words = []
+    for path in sorted(folder.glob(f'*{_WORD}')):
+        with contextlib.suppress(OSError):  # it may have been finished meanwhile
+            words.append(path.read_text(encoding='utf-8'))
+    return words
 
 
 def _one_thread() -> None:
@@ -109,6 +138,7 @@ def _carry_out_one(piece: Piece, folder: Path) -> dict[str, Any]:
     partial = folder / f'{stem}.partial'
     partial.write_text(json.dumps(result) + '\n', encoding='utf-8')
     partial.replace(folder / f'{stem}.json')
+    (folder / f'{stem}{_WORD}').unlink(missing_ok=True)
     return result
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mixtac_bringup.experiments.estimate_files import load_estimate, save_estimate
-from mixtac_bringup.experiments.pieces import stem_of
+from mixtac_bringup.experiments.pieces import stem_of, tell
 from mixtac_bringup.experiments.sizes import DYNAMIC, HOLD, IMPACT, STATIC
 from mixtac_bringup.experiments.sources_digest import sensor_digest
 from mixtac_bringup.experiments.trial_sets import trial_sets
@@ -118,7 +118,11 @@ class TrainPiece:
         torch.set_num_threads(1)
         # Samples are named after the whole simulator, and so is what was begun with them.
         begun = folder / f'{stem}_{generation.simulator_digest()}'
-        trained = Run(self.config, begun).carry_out()
+
+        def report(stage: str, epoch: int, epochs: int, _loss: float, _error: float | None) -> None:
+            tell(folder, stem, f'{self.model} s{self.seed}: {stage} {epoch}/{epochs}')
+
+        trained = Run(self.config, begun, report=report).carry_out()
         save(folder / f'{stem}.safetensors', trained, {})
         return {'minutes': trained.card.training['minutes'], 'skipped': trained.skipped}
 

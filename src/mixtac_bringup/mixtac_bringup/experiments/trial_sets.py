@@ -86,9 +86,10 @@ class SimulatedTrials:
         """Return sizes, preset and seeds."""
         sizes = self.sizes
         count, seconds = sizes.tests[profile]
+        trained = ', '.join(dict.fromkeys(TRAINED[: sizes.trials]))
         return (
             f'virtual sensor, preset {PRESET}; per seed one sensor, trained on {sizes.trials}'
-            f' trials of {sizes.seconds:g} s ({", ".join(dict.fromkeys(TRAINED))}; data seeds from'
+            f' trials of {sizes.seconds:g} s ({trained}; data seeds from'
             f' {FIRST_DATA_SEED}), judged on {count} {profile} trials of {seconds:g} s of other'
             f' days (trial seeds from {FIRST_TEST})'
         )

@@ -9,7 +9,7 @@ delays of `Transport`, which are measured over DDS by `mixtac bench slip`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from mixtac_events.arrays import Events
     from mixtac_sim.aps import ApsFrame
+    from mixtac_sim.arm.mujoco_arm import MujocoArm
     from mixtac_sim.grasp.grasp import Grasp, GraspBlock
     from mixtac_slip_control.arm.planned_trajectory import PlannedTrajectory
     from mixtac_slip_control.arm.stream_settings import StreamSettings
@@ -73,11 +74,14 @@ class ArmSetup:
         tracking: How it follows its commands.
         normal: Of the contact, in the base frame.
         stream: How advances are streamed; the planner's own settings if None.
+        plant: What follows the commands: a lag of each joint, or the arm in MuJoCo with servos of
+            that lag, pressing a gel of the contact's stiffness.
     """
 
     tracking: Tracking = field(default_factory=Tracking)
     normal: tuple[float, float, float] = SIDEWAYS
     stream: StreamSettings | None = None
+    plant: Literal['lag', 'mujoco'] = 'lag'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +148,7 @@ class ClosedLoop:
         if settings is not None:
             self._controller = SlipController(settings, planner, setup.normal)
             self._guides = GuideMaker(settings.guide)
-        self._tip = FingertipAdvance(READY, np.array(setup.normal), setup.tracking, CYCLE_S)
+        self._tip = _tip(setup, grasp)
         self._rng = np.random.default_rng(seed)
         self._under_way: list[tuple[float, PlannedTrajectory]] = []
         self._frames: list[ApsFrame] = []
@@ -246,3 +250,14 @@ class ClosedLoop:
             stopped=self._stopped,
             events=[b.events for b in blocks if b.events is not None],
         )
+
+
+def _tip(setup: ArmSetup, grasp: Grasp) -> FingertipAdvance | MujocoArm:
+    """Return what follows the commands."""
+    normal, tracking = np.array(setup.normal), setup.tracking
+    if setup.plant == 'lag':
+        return FingertipAdvance(READY, normal, tracking, CYCLE_S)
+    from mixtac_sim.arm.mujoco_arm import MujocoArm
+
+    contact = {'n_per_mm': grasp.stiffness_n_per_mm, 'preload_n': grasp.grasp_n}
+    return MujocoArm(READY, normal, tracking.lag_s, CYCLE_S, **contact)

@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac up slip`: slip control on a simulated grasp and arm, over real DDS, until interrupted."""
+"""`mixtac up slip`: slip control on a simulated grasp and arm, over real DDS, until interrupted.
+
+Slip control, arm and supervisor take their time from the simulation (`/clock`): a host that is late
+slows down everything alike, and neither watchdogs nor the answer to a blow depend on its speed.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +19,8 @@ import typer
 from mixtac_bringup.graph import config_file, executable, yaml_value
 
 NAMESPACE = 'mixtac'
+ENDED_FIRST = ('supervisor', 'slip_control', 'driver')
+"""So that no node loses another that it needs."""
 
 
 def slip(
@@ -26,6 +32,9 @@ def slip(
     margin: Annotated[float, typer.Option(help='Grasp force over the least that holds.')] = 1.05,
     preset: Annotated[str, typer.Option(help='How hard the sensor is.')] = 'paper_like',
     seed: Annotated[int, typer.Option(help='Which sensor, day and object.')] = 1,
+    plant: Annotated[
+        str, typer.Option(help='What the arm is: lag, or mujoco (requirements/mujoco.txt).')
+    ] = 'lag',
     seconds: Annotated[float, typer.Option(help='How long; 0 until interrupted (s).')] = 0.0,
 ) -> None:
     """Hold a simulated object against blows with the real driver and slip control."""
@@ -36,26 +45,35 @@ def slip(
         grasp = {
             'object': object_name,
             'knock': disturb,
-            'knock_every': every if disturb > 0.0 else 0.0,
             'margin': margin,
             'preset': preset,
             'device_seed': seed,
             'seed': seed,
             'socket': socket,
+            'publish_clock': True,
         }
         processes.start('virtual_grasp', _simulated('virtual_grasp', **grasp))
-        processes.start('virtual_arm', _simulated('virtual_arm'))
+        processes.start('virtual_arm', _simulated('virtual_arm', plant=plant, use_sim_time=True))
         processes.start('driver', _installed('driver', 'mixtac_driver', device=f'virtual:{socket}'))
-        control = {'arm': 'fr3', 'normal_frame': 'base', 'normal_y': 1.0, 'normal_z': 0.0}
+        control = {
+            'arm': 'fr3',
+            'normal_frame': 'base',
+            'normal_y': 1.0,
+            'normal_z': 0.0,
+            'use_sim_time': True,
+        }
         processes.start(
             'slip_control', _installed('slip_control', 'mixtac_slip_control', **control)
         )
-        supervisor = [sys.executable, '-m', f'{__package__}.supervisor_node']
-        processes.start('supervisor', [*supervisor, '--ros-args', '-r', f'__ns:=/{NAMESPACE}'])
+        processes.start('supervisor', _supervisor(every if disturb > 0.0 else 0.0))
         end = time.monotonic() + seconds
-        while not seconds or time.monotonic() < end:
-            time.sleep(0.2)
-            processes.check()
+        try:
+            while not seconds or time.monotonic() < end:
+                time.sleep(0.2)
+                processes.check()
+        finally:
+            for name in ENDED_FIRST:
+                processes.stop(name)
 
 
 def _simulated(name: str, **values: object) -> list[str]:
@@ -64,6 +82,14 @@ def _simulated(name: str, **values: object) -> list[str]:
 
 def _installed(name: str, package: str, **values: object) -> list[str]:
     return _command([str(executable(package, f'{name}_node'))], name, values)
+
+
+def _supervisor(every: float) -> list[str]:
+    return [
+        *(sys.executable, '-m', f'{__package__}.supervisor_node', '--ros-args'),
+        *('-r', f'__ns:=/{NAMESPACE}', '-p', f'knock_every:={yaml_value(every)}'),
+        *('-p', 'use_sim_time:=true'),
+    ]
 
 
 def _command(program: list[str], name: str, values: dict[str, object]) -> list[str]:

@@ -57,6 +57,10 @@ def peer(ros_domain: dict[str, str]) -> Iterator[Peer]:
     context.try_shutdown()
 
 
+PAUSES_S = (0.012, 0.05, 0.2)
+"""Between packets, longer after each refusal: a busy machine loses best-effort messages."""
+
+
 class Peer:
     """Publishes what camera and reference sensor would, and asks for the fit."""
 
@@ -111,10 +115,11 @@ class Peer:
         publisher.publish(message)
 
     def fit(self) -> tuple[Any, ClockFit | None]:
+        self.fits.clear()
         future = self._client.call_async(self._trigger.Request())
-        self.executor.spin_until_future_complete(future, timeout_sec=40.0)
+        self.executor.spin_until_future_complete(future, timeout_sec=120.0)
         answer = future.result()
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + 60.0
         while answer.success and not self.fits and time.monotonic() < deadline:
             self.executor.spin_once(timeout_sec=0.1)
         if not self.fits:
@@ -123,8 +128,8 @@ class Peer:
         names = message.get_fields_and_field_types()
         return answer, from_fields({name: getattr(message, name) for name in names})
 
-    def play(self, trial: Trial) -> None:
-        """Publish a trial, a little faster than it went."""
+    def play(self, trial: Trial, pause_s: float) -> None:
+        """Publish a trial."""
         at_frame = at_force = 0
         cuts = np.arange(0, round(1e6 * SECONDS), PACKET_US)
         for number, start in enumerate(cuts):
@@ -140,7 +145,7 @@ class Peer:
                 force = float(trial.reference_wrench[k, 2])
                 self.send('/ft_sensor/wrench', header__stamp=stamp, wrench__force__z=force)
             at_force = until
-            time.sleep(0.012)
+            time.sleep(pause_s)
 
     def _packet(self, number: int, events: Any, until: int) -> None:
         packet = encode(events, complete_until=until)
@@ -183,9 +188,12 @@ def test_a_trial_with_frames_is_refined(node_under_test: subprocess.Popen[str], 
     trial = simulate_trial(300_000, 300_101, 'oscillation', SECONDS, sync=True)
     assert peer.ready()
     assert node_under_test.poll() is None
-    peer.play(trial)
-    time.sleep(0.5)
-    answer, fit = peer.fit()
+    for pause_s in PAUSES_S:
+        peer.play(trial, pause_s)
+        time.sleep(0.5)
+        answer, fit = peer.fit()
+        if fit is not None and fit.method == 'refined':
+            break
     assert answer.success, answer.message
     assert fit is not None
     assert fit.method == 'refined'

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mixtac_bringup.experiments.pieces import carry_out, stem_of
+from mixtac_bringup.experiments.pieces import carry_out, stem_of, tell
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,6 +34,7 @@ class Squared:
             file.write(f'{self.value}\n')
         if self.value < 0:
             raise ValueError(self.value)
+        tell(folder, stem, f'squaring {self.value}')
         return {'square': self.value**2}
 
 
@@ -46,6 +47,7 @@ def test_results_come_in_order_and_only_missing_ones_are_computed(tmp_path, jobs
     results = carry_out(pieces, folder, jobs, lambda: seen.append(1))
     assert [each['square'] for each in results] == [0, 1, 4, 9]
     assert len(seen) == 4
+    assert not list(folder.glob('*.word'))
     assert sorted(log.read_text().split()) == ['0', '1', '2', '3']
 
 

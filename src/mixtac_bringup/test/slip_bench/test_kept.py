@@ -47,14 +47,15 @@ def test_other_settings_have_another_name() -> None:
 
 
 def test_pieces_are_summed_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(detectors, 'PIECE_S', 0.1)
+    monkeypatch.setattr(detectors, 'PIECE_S', 0.05)
+    monkeypatch.setattr(detectors, 'LEARN_S', 0.02)
     kept = Kept(tmp_path / 'kept.jsonl')
-    found = detectors.count_alarms('flicker', 0.2, shipped_settings(), 'easy', kept)
-    assert found.seconds == pytest.approx(0.2)
+    found = detectors.count_alarms('flicker', 0.1, shipped_settings(), 'easy', kept)
+    assert found.seconds == pytest.approx(0.1)
     assert found.flow == 0
     assert found.mean_count > 0.0
     assert len((tmp_path / 'kept.jsonl').read_text().splitlines()) == 2
-    again = detectors.count_alarms('flicker', 0.2, shipped_settings(), 'easy', kept)
+    again = detectors.count_alarms('flicker', 0.1, shipped_settings(), 'easy', kept)
     assert again == found
 
 

@@ -38,6 +38,29 @@ class Tracking:
             raise SimulationError(msg)
 
 
+class JointLag:
+    """Joints that follow their commands with a first-order lag.
+
+    Args:
+        q: Joint positions at the start [7] [rad].
+        tracking: Of the arm.
+        period_s: Of the commands [s].
+    """
+
+    def __init__(self, q: NDArray[np.float64], tracking: Tracking, period_s: float = 1e-3) -> None:
+        self._q = np.array(q, np.float64)
+        self._keep = float(np.exp(-period_s / tracking.lag_s)) if tracking.lag_s > 0.0 else 0.0
+
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """Return the joint positions [7] [rad]."""
+        return self._q.copy()
+
+    def track(self, command: NDArray[np.float64]) -> None:
+        """Go on by one period towards commanded joint positions [7] [rad]."""
+        self._q = command + self._keep * (self._q - command)
+
+
 class FingertipAdvance:
     """The fingertip's place along the contact normal while joints follow their commands.
 
@@ -55,16 +78,15 @@ class FingertipAdvance:
         tracking: Tracking,
         period_s: float = 1e-3,
     ) -> None:
-        self._q = np.array(q, np.float64)
+        self._joints = JointLag(q, tracking, period_s)
         self._normal = normal
-        self._start = flange_place(self._q)
-        self._keep = np.exp(-period_s / tracking.lag_s) if tracking.lag_s > 0.0 else 0.0
+        self._start = flange_place(self._joints.q)
         self._last_mm = 0.0
 
     @property
     def q(self) -> NDArray[np.float64]:
         """Return the joint positions [7] [rad]."""
-        return self._q.copy()
+        return self._joints.q
 
     def follow(self, command: NDArray[np.float64], points: int) -> NDArray[np.float64]:
         """Go on by one period of the commands.
@@ -76,8 +98,8 @@ class FingertipAdvance:
         Returns:
             Places of the fingertip at the ends of as many equal parts of the period [mm].
         """
-        self._q = command + self._keep * (self._q - command)
-        place_mm = 1e3 * float((flange_place(self._q) - self._start) @ self._normal)
+        self._joints.track(command)
+        place_mm = 1e3 * float((flange_place(self._joints.q) - self._start) @ self._normal)
         way = np.linspace(self._last_mm, place_mm, points + 1)[1:]
         self._last_mm = place_mm
         return way

@@ -158,6 +158,8 @@ class JointTrajectoryController:
             self._active = _Active(self._pending, before[0].copy(), before[1], now_s)
             self._pending = None
         if self._active is None:
+            # Since its activation it holds a position, which is a trajectory like any other.
+            self._command_s = now_s + self._ahead_s
             return
         sampled = self._active.at(now_s + self._ahead_s)
         if sampled is not None:

@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The FR3 in MuJoCo behind the commands of its controller: an independent plant for the arm.
+
+It stands in for `tracking.FingertipAdvance`. The lag of its servos is a setting, as there; inertia,
+coupling of the joints, saturation of the torques and the reaction of the gel are MuJoCo's. The
+servos of the real control unit are not public.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mixtac_sim.arm.fr3 import flange_place
+from mixtac_sim.arm.fr3_mjcf import STEP_S, TORQUE_MAX_NM, GelContact, Servo, fr3_mjcf
+from mixtac_sim.errors import SimulationError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+JOINTS = 7
+SETTLE_S = 0.2
+"""Time in which servos and gel come to rest under the preload [s]."""
+REMEDY = 'pip install -r requirements/mujoco.txt'
+
+
+def load_mujoco() -> Any:  # noqa: ANN401  (no types without the package)
+    """Return the module `mujoco`.
+
+    Raises:
+        SimulationError: It is not installed.
+    """
+    try:
+        return importlib.import_module('mujoco')
+    except ImportError as error:
+        msg = f'the arm in MuJoCo needs the package mujoco ({error}): {REMEDY}'
+        raise SimulationError(msg) from error
+
+
+class MujocoArm:
+    """An FR3 that follows joint commands and presses a gel against a wall.
+
+    Args:
+        q: Joint positions at the start [7] [rad].
+        normal: Direction of the advance in the base frame [3], of length 1.
+        lag_s: With which a joint follows a ramp [s], positive; the servos are critically damped.
+        period_s: Of the commands [s], a multiple of 0.25 ms.
+        n_per_mm: Stiffness of the gel [N/mm]; 0: nothing is touched.
+        preload_n: Force at the start [N].
+
+    Attributes:
+        saturated: Steps in which a servo reached its largest torque.
+
+    Raises:
+        SimulationError: MuJoCo is not installed, or values that mean nothing.
+    """
+
+    def __init__(
+        self,
+        q: Floats,
+        normal: Floats,
+        lag_s: float = 3.5e-3,
+        period_s: float = 1e-3,
+        *,
+        n_per_mm: float = 0.0,
+        preload_n: float = 0.0,
+    ) -> None:
+        if not lag_s > 0.0 or n_per_mm < 0.0:
+            msg = f'lag {lag_s} s, stiffness {n_per_mm} N/mm: give a lag > 0 and no negative one'
+            raise SimulationError(msg)
+        self._mujoco = load_mujoco()
+        self._start_q = np.array(q, np.float64)
+        self._normal = np.asarray(normal, np.float64)
+        self._steps = round(period_s / STEP_S)
+        contact = self._contact(n_per_mm, preload_n) if n_per_mm > 0.0 else None
+        self._model = self._mujoco.MjModel.from_xml_string(fr3_mjcf(contact, self._servo(lag_s)))
+        self._data = self._mujoco.MjData(self._model)
+        self._touches = contact is not None
+        self.saturated = 0
+        self._place(self._model, self._data)
+        self._data.ctrl[:] = self._start_q
+        for _ in range(round(SETTLE_S / STEP_S)):
+            self._step()
+        self.saturated = 0
+        self._origin = self._flange()
+        self._last_mm = 0.0
+
+    @property
+    def q(self) -> Floats:
+        """Return the joint positions [7] [rad]."""
+        return np.array(self._data.qpos[:JOINTS])
+
+    @property
+    def torque(self) -> Floats:
+        """Return the torques of the servos [7] [N m]."""
+        return np.array(self._data.actuator_force)
+
+    @property
+    def flange(self) -> Floats:
+        """Return the place of the flange [3] [m] in the base frame."""
+        return self._flange()
+
+    @property
+    def contact_n(self) -> float:
+        """Return the normal force between gel and wall [N], at rest that of the spring.
+
+        In motion the mass that MuJoCo needs at the surface of the gel adds shocks of its own.
+        """
+        force = np.zeros(6)
+        total = 0.0
+        for k in range(self._data.ncon if self._touches else 0):
+            self._mujoco.mj_contactForce(self._model, self._data, k, force)
+            total += float(force[0])
+        return total
+
+    @property
+    def gel_n(self) -> float:
+        """Return the force of the gel's spring on the arm [N]."""
+        if not self._touches:
+            return 0.0
+        joint = self._model.joint('gel')
+        compression = float(
+            self._model.qpos_spring[joint.qposadr[0]] - self._data.joint('gel').qpos[0]
+        )
+        return float(self._model.jnt_stiffness[joint.id]) * compression
+
+    def track(self, command: Floats) -> None:
+        """Go on by one period towards commanded joint positions [7] [rad]."""
+        self._data.ctrl[:] = command
+        for _ in range(self._steps):
+            self._step()
+
+    def follow(self, command: Floats, points: int) -> Floats:
+        """Go on by one period of the commands.
+
+        Args:
+            command: Commanded joint positions [7] [rad].
+            points: How many places to return.
+
+        Returns:
+            Places of the fingertip at the ends of as many equal parts of the period [mm].
+        """
+        self._data.ctrl[:] = command
+        places = np.empty(self._steps + 1)
+        places[0] = self._last_mm
+        for k in range(self._steps):
+            self._step()
+            places[k + 1] = 1e3 * float((self._flange() - self._origin) @ self._normal)
+        self._last_mm = float(places[-1])
+        wanted = np.linspace(0.0, self._steps, points + 1)[1:]
+        return np.interp(wanted, np.arange(self._steps + 1), places)
+
+    def _step(self) -> None:
+        self._mujoco.mj_step(self._model, self._data)
+        self.saturated += bool(np.any(np.abs(self._data.actuator_force) >= TORQUE_MAX_NM))
+
+    def _flange(self) -> Floats:
+        return np.array(self._data.site('flange').xpos)
+
+    def _place(self, model: Any, data: Any) -> None:  # noqa: ANN401
+        """Bring a model to the joint positions of the start."""
+        data.qpos[:JOINTS] = self._start_q
+        self._mujoco.mj_forward(model, data)
+
+    def _servo(self, lag_s: float) -> Servo:
+        """Return critically damped servos for the inertia that each joint has at the start."""
+        model = self._mujoco.MjModel.from_xml_string(fr3_mjcf())
+        data = self._mujoco.MjData(model)
+        self._place(model, data)
+        inertia = np.zeros((JOINTS, JOINTS))
+        self._mujoco.mj_fullM(model, inertia, data.qM)
+        # Damping over stiffness is the lag, and at critical damping twice the time constant.
+        stiffness = np.diag(inertia) * (2.0 / lag_s) ** 2
+        return Servo(stiffness.tolist(), (lag_s * stiffness).tolist())
+
+    def _contact(self, n_per_mm: float, preload_n: float) -> GelContact:
+        model = self._mujoco.MjModel.from_xml_string(fr3_mjcf())
+        data = self._mujoco.MjData(model)
+        self._place(model, data)
+        turn = np.array(data.site('flange').xmat).reshape(3, 3)
+        place = flange_place(self._start_q)
+        in_flange = (turn.T @ self._normal).tolist()
+        return GelContact(
+            place.tolist(), self._normal.tolist(), in_flange, 1e3 * n_per_mm, preload_n
+        )
