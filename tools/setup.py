@@ -24,7 +24,7 @@ from pathlib import Path
 from setup_checks import check_python, check_system, full_ros
 from setup_steps import ROOT, SetupError, Steps, call, fingerprint, say
 
-EXTRAS = ('view',)
+EXTRAS = ('view', 'mujoco')
 
 
 def make_venv(venv: Path, *, system_packages: bool) -> None:
@@ -206,7 +206,7 @@ def main() -> int:
         action='append',
         default=[],
         choices=EXTRAS,
-        help='an optional part: view is the live view in a browser',
+        help='an optional part: view is the live view in a browser, mujoco an FR3 for slip control',
     )
     parser.add_argument(
         '--runtime', action='store_true', help='without what only tests and checks need'

@@ -41,6 +41,9 @@ def draw_curves(path: Path, curves: Sequence[dict[str, Any]]) -> None:
         known = [(row['epoch'], row['validation']) for row in rows if row['validation'] is not None]
         if known:
             panel.plot(*zip(*known, strict=True), label='validation MAE')
-        panel.set(title=stage, xlabel='epoch', ylabel='N', yscale='log')
+        # The logarithm of a likelihood may be negative, and is no force.
+        forces = all(row['loss'] > 0.0 for row in rows)
+        scale, unit = ('log', 'N') if forces else ('linear', 'log likelihood, negative')
+        panel.set(title=stage, xlabel='epoch', ylabel=unit, yscale=scale)
         panel.legend()
     figure.savefig(path, dpi=110)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 JOINTS = 7
 SETTLE_S = 0.2
 """Time in which servos and gel come to rest under the preload [s]."""
-REMEDY = 'pip install -r requirements/mujoco.txt'
+REMEDY = 'python3 tools/setup.py --with mujoco, or pip install -r requirements/mujoco.txt'
 
 
 def load_mujoco() -> Any:  # noqa: ANN401  (no types without the package)
