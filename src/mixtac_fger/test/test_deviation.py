@@ -31,7 +31,10 @@ from mixtac_fger.training_settings import TrainingSettings
 STATE = 8
 
 
-def windows(count: int, seed: int) -> Errors:
+TRIALS = 1000
+
+
+def windows(count: int, seed: int, trials: int = TRIALS) -> Errors:
     """Return errors whose spread is 0.02 N, and 0.2 N where the first state is positive."""
     random = torch.Generator().manual_seed(seed)
     hidden = torch.rand(count, STATE, generator=random) * 2 - 1
@@ -40,6 +43,7 @@ def windows(count: int, seed: int) -> Errors:
         hidden,
         torch.rand(count, generator=random),
         spread * torch.randn(count, generator=random),
+        trials,
     )
 
 
@@ -65,6 +69,26 @@ def test_intervals_cover_what_they_say(trained):
         assert inside == pytest.approx(0.683, abs=0.08)
         inside = (fresh.error.abs() <= 1.96 * found)[part].float().mean().item()
         assert inside == pytest.approx(0.95, abs=0.03)
+
+
+def test_few_trials_make_it_wider():
+    """Trials err by a spread of their own; a further trial is covered on average all the same."""
+    random = torch.Generator().manual_seed(5)
+    network = SimpleNamespace(deviation=DeviationHead(STATE, 16))
+    hidden, force = torch.zeros(900, STATE), torch.zeros(900)
+    with torch.no_grad():
+        unit = float(torch.exp(network.deviation.log_deviation(hidden[:1], force[:1])))
+    covered = {3: 0.0, TRIALS: 0.0}
+    for trials in covered:
+        for _ in range(300):
+            spreads = torch.exp(0.7 * torch.randn(4, 1, generator=random))
+            errors = unit * spreads * torch.randn(4, 300, generator=random)
+            known = Errors(hidden, force, errors[:3].flatten(), trials)
+            scale = calibrate_deviation(network, known)
+            inside = errors[3].abs() <= unit * scale
+            covered[trials] += float(inside.float().mean()) / 300
+    assert covered[TRIALS] < 0.66
+    assert covered[3] == pytest.approx(0.683, abs=0.04)
 
 
 def test_the_compiled_head_gives_the_same_numbers(trained):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The command `experiments vibration`: which tones the events of a simulated sensor show."""
+"""The command `experiments tones`: which tones the events of a simulated sensor show."""
 
 from __future__ import annotations
 

@@ -69,6 +69,7 @@ class Scores:
 def align(
     trials: Annotated[int, typer.Option(min=1, help='Simulated trials.')] = 200,
     damaged: Annotated[int, typer.Option(min=0, help='Damaged trials.')] = 100,
+    seconds: Annotated[float, typer.Option(min=8.0, help='Length of a trial.')] = 25.0,
     cache: Annotated[OptionalPath, typer.Option(help='Folder that keeps the recordings.')] = None,
     report: Annotated[OptionalPath, typer.Option('--json', help='Write the result.')] = None,
 ) -> None:
@@ -84,7 +85,7 @@ def align(
     faults = DamageScores()
     sensor: list[TrialRecording] = []
     for number in track(range(trials), 'aligning', console=console):
-        recording = simulate_recording(number, cache)
+        recording = simulate_recording(number, seconds, cache)
         if sensor and sensor[0].sensor != recording.sensor:
             score_sensor(sensor, scores, groups)
             sensor = []
@@ -92,7 +93,7 @@ def align(
         if number < damaged:
             faults.add(recording, number)
     score_sensor(sensor, scores, groups)
-    result = summarise(scores, groups, faults)
+    result = {'seconds': seconds} | summarise(scores, groups, faults)
     console.print_json(data=result)
     if report is not None:
         report.write_text(json.dumps(result, indent=2) + '\n', encoding='utf-8')

@@ -25,7 +25,8 @@ FIRST_SEED: Final = 600_000
 """Nothing was tuned on this seed or a later one."""
 PROFILES: Final = ('impact', 'dynamic', 'oscillation', 'press', 'demo')
 """Trials of one sensor; the first of them shows the lag of its gel."""
-LENGTH_S: Final = (12.0, 16.0)
+LENGTH_S: Final = 25.0
+"""Of a trial, as in the paper."""
 DAMAGES: Final = ('no impulse', 'one impulse', 'clipped', 'double taps', 'event gap', 'clock jump')
 ADC_WHITE: Final = 1023.0
 
@@ -69,11 +70,13 @@ class TrialRecording:
         return np.asarray(self.rate * camera_us * 1e-6 + self.offset_s)
 
 
-def simulate_recording(number: int, cache: Path | None = None) -> TrialRecording:
+def simulate_recording(
+    number: int, seconds: float = LENGTH_S, cache: Path | None = None
+) -> TrialRecording:
     """Return recording `number` of the benchmark, from a cache where it has been simulated."""
-    path = None if cache is None else cache / f'{FIRST_SEED + number}_cells.npz'
+    path = None if cache is None else cache / f'{FIRST_SEED + number}_{seconds:g}s_cells.npz'
     if path is None or not path.exists():
-        data = _simulated(number)
+        data = _simulated(number, seconds)
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             np.savez(path, allow_pickle=False, **data)
@@ -98,14 +101,12 @@ def _preset(number: int) -> str:
     return tuple(PRESETS)[number // len(PROFILES) % len(PRESETS)]
 
 
-def _simulated(number: int) -> dict[str, NDArray[Any]]:
-    seed = FIRST_SEED + number
-    length = round(float(np.random.default_rng(seed).uniform(*LENGTH_S)), 1)
+def _simulated(number: int, seconds: float) -> dict[str, NDArray[Any]]:
     trial = simulate_trial(
         FIRST_SEED + number // len(PROFILES),
-        seed,
+        FIRST_SEED + number,
         PROFILES[number % len(PROFILES)],
-        length,
+        seconds,
         sync=True,
         preset=preset(_preset(number)),
     )

@@ -20,7 +20,7 @@ from mixtac_fger.adapt.presses import folds
 from mixtac_fger.batches import stack
 from mixtac_fger.calibration import SMALLEST_FORCE_N, fit_scale
 from mixtac_fger.errors import CalibrationError
-from mixtac_fger.train.deviation_stage import Errors, calibrate_deviation, collect
+from mixtac_fger.train.deviation_stage import calibrate_deviation, collect, joined
 from mixtac_fger.train.sequence_groups import MemoryGroups
 from mixtac_fger.training import estimate
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from mixtac_fger.batches import Sequences
     from mixtac_fger.dataset import Sample
     from mixtac_fger.network import FgerNetwork
+    from mixtac_fger.train.deviation_stage import Errors
 
     Say = Callable[[str], None]
 
@@ -100,7 +101,8 @@ def adapt(
     say(f'{way}, all presses')
     final, gain = _fitted(network, way, presses)
     if final.deviation is not None:
-        _calibrate(final, errors[way])
+        # Presses were held out: errors on what was fitted to are too small.
+        calibrate_deviation(final, joined(errors[way]))
     return Adapted(final, way, gain, mae, len(presses), pressed_s)
 
 
@@ -166,9 +168,3 @@ def _check(network: FgerNetwork, presses: Sequence[Sample]) -> float:
             ' unit of the reference'
         )
     return pressed_s
-
-
-def _calibrate(network: FgerNetwork, held_out: Sequence[Errors]) -> None:
-    """Fit the scale of the deviation to the errors on presses that were held out."""
-    fields = zip(*((e.hidden, e.force, e.error) for e in held_out), strict=True)
-    calibrate_deviation(network, Errors(*(torch.cat(each) for each in fields)))

@@ -26,7 +26,7 @@ def models(
         OptionalStrings, typer.Option(help='Only this row; may be given more than once.')
     ] = None,
     size: Annotated[
-        str, typer.Option(help='full (CPU, hours), native (GPU) or quick (minutes).')
+        str, typer.Option(help='full or reduced (CPU, hours), native (GPU) or quick (minutes).')
     ] = 'full',
     quick: Annotated[bool, typer.Option('--quick', help='Short for --size quick --seeds 1.')] = (
         False

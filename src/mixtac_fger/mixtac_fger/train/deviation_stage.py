@@ -3,13 +3,15 @@
 """Stage 4: how uncertain the force is, learned from the errors of the finished network.
 
 The likelihood is Laplace's, as errors have heavy tails. The temperature is fitted afterwards, on
-trials that were held out: one deviation to both sides covers as much as a Gaussian's does. Gains of
-the sensors are not used: the error that an unknown stiffness makes belongs to the uncertainty.
+trials that were held out: one deviation to both sides covers as much as a Gaussian's does. Windows
+of one trial err together, so that n trials tell the temperature as n draws do, and a further trial
+spreads like Student's t with n degrees of freedom. Gains of the sensors are not used: the error
+that an unknown stiffness makes belongs to the uncertainty.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -18,7 +20,7 @@ from torch import Tensor, nn
 from mixtac_fger.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from mixtac_fger.deviation_head import DeviationHead
     from mixtac_fger.network import FgerNetwork
@@ -41,11 +43,23 @@ class Errors:
         hidden: Recurrent state, [N, lstm_size].
         force: Estimate [N], [N].
         error: Estimate minus known force [N], [N].
+        trials: Number of trials that they are from.
     """
 
     hidden: Tensor
     force: Tensor
     error: Tensor
+    trials: int
+
+
+def joined(parts: Sequence[Errors]) -> Errors:
+    """Return the windows of all parts, which are from different trials."""
+    return Errors(
+        torch.cat([part.hidden for part in parts]),
+        torch.cat([part.force for part in parts]),
+        torch.cat([part.error for part in parts]),
+        sum(part.trials for part in parts),
+    )
 
 
 @dataclass(eq=False)
@@ -91,7 +105,12 @@ class DeviationStage:
         order = torch.randperm(len(errors.error), generator=random)
         for chosen in torch.split(order, _BATCH):
             yield self._loss(
-                Errors(errors.hidden[chosen], errors.force[chosen], errors.error[chosen])
+                replace(
+                    errors,
+                    hidden=errors.hidden[chosen],
+                    force=errors.force[chosen],
+                    error=errors.error[chosen],
+                )
             )
 
     def validate(self) -> float | None:
@@ -131,26 +150,26 @@ def collect(network: FgerNetwork, groups: SequenceGroups, most: int = _WINDOWS) 
         sequences = groups.load(index).to(device)
         frames = torch.split(sequences.frame_inputs, _BATCH)
         features = torch.cat([network.frame(part.float()) for part in frames])
-        state = network.initial_state(sequences.force.shape[1])
+        trials = sequences.force.shape[1]
+        state = network.initial_state(trials)
         events = sequences.event_features.float()
         course = network.course(events, features, sequences.slots, state)
         rows = torch.nonzero(sequences.valid.flatten())[:, 0]
         rows = rows[torch.randperm(len(rows), generator=random)[:share].to(device)]
         force = course.force.flatten()[rows]
         error = force - sequences.force.flatten()[rows]
-        parts.append(Errors(course.hidden.flatten(0, 1)[rows], force, error))
-    return Errors(*(torch.cat(each) for each in zip(*map(_fields, parts), strict=True)))
+        parts.append(Errors(course.hidden.flatten(0, 1)[rows], force, error, trials))
+    return joined(parts)
 
 
 @torch.no_grad()
 def calibrate_deviation(network: FgerNetwork, errors: Errors) -> float:
-    """Set the head's scale so that one deviation covers `COVERED` of the windows; return it."""
+    """Set the head's scale so that one deviation covers `COVERED` of a further trial; return it."""
+    from scipy.stats import t as student
+
     head = head_of(network)
     ratio = errors.error.abs() * torch.exp(-head.log_deviation(errors.hidden, errors.force))
-    scale = float(torch.quantile(ratio, COVERED))
+    few_trials = float(student.ppf(0.5 * (1.0 + COVERED), errors.trials))
+    scale = few_trials * float(torch.quantile(ratio, COVERED))
     head.scale.fill_(max(scale, 1e-3))
     return float(head.scale)
-
-
-def _fields(errors: Errors) -> tuple[Tensor, Tensor, Tensor]:
-    return errors.hidden, errors.force, errors.error
