@@ -76,7 +76,9 @@ class SlipProbe(Node):  # type: ignore[misc]
         self.windows += 1
         if message.state != self._state:
             self._note_state(message.state, now_ns)
-        self._advance_m = message.total_advance
+        # Once disabled, the object is grasped anew with the force of before.
+        enabled = message.state == SlipState.ENABLED
+        self._advance_m = message.total_advance if enabled else 0.0
         if message.slipping and not self._slipping:
             self.slips_ns.append(now_ns)
             self._rearm_ns = now_ns + REARM_NS
@@ -110,7 +112,7 @@ class SlipProbe(Node):  # type: ignore[misc]
             if self._rearm_ns and now_ns >= self._rearm_ns:
                 self._rearm_ns = 0
                 self._enable.call_async(SetBool.Request(data=False))
-        elif now_ns - self._asked_ns > RETRY_NS:
+        elif min(now_ns - self._asked_ns, now_ns - self._enabled_ns) > RETRY_NS:
             self._asked_ns = now_ns
             future = self._enable.call_async(SetBool.Request(data=True))
             future.add_done_callback(lambda f: self._on_enabled(f.result()))

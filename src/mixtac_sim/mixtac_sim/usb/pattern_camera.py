@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,8 @@ class PatternCamera(VirtualDavis346):
     """Sends a pattern in step with its clock, whatever the host asks of sensor and filters.
 
     Nothing runs between two reads. A read that finds no time gone by since the last one waits for
-    the early packet delay, as the camera does, and then brings everything up to its own moment.
+    the early packet delay, as the camera does, and then brings everything up to its own moment;
+    where the pattern has a pause it goes on so until there is something.
 
     Args:
         serial: Serial number, at most eight characters.
@@ -37,12 +39,17 @@ class PatternCamera(VirtualDavis346):
         return self._clock()
 
     def _before_read(self, endpoint: int, timeout_s: float | None) -> None:
-        if endpoint == descriptors.DATA_ENDPOINT and self.streaming:
+        if endpoint != descriptors.DATA_ENDPOINT:
+            return
+        deadline_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        while self.streaming:
             pause_s = self._last_read_s + self._delay_s() - time.monotonic()
             if pause_s > 0:
-                time.sleep(pause_s if timeout_s is None else min(pause_s, timeout_s))
+                time.sleep(min(pause_s, max(deadline_s - time.monotonic(), 0.0)))
             self._produce()
             self._last_read_s = time.monotonic()
+            if len(self._fifo) or self._last_read_s >= deadline_s:
+                return
 
     def _delay_s(self) -> float:
         cycles = self.register(Module.USB, Usb.EARLY_PACKET_DELAY)
