@@ -104,7 +104,7 @@ class ProcessGroup:
             sink = (self._log_dir / f'{name}.log').open('w')
         member = _Member(
             subprocess.Popen(
-                _ending_with_parent(command),
+                ending_with_parent(command),
                 env=self._env,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
@@ -155,7 +155,7 @@ def _leave(number: int, _frame: FrameType | None) -> None:
     raise SystemExit(128 + number)
 
 
-def _ending_with_parent(command: list[str]) -> list[str]:
+def ending_with_parent(command: list[str]) -> list[str]:
     """Return a command whose process gets SIGTERM when the thread that started it is gone."""
     setpriv = shutil.which('setpriv')
     main = threading.current_thread() is threading.main_thread()

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import psutil
 
 from mixtac_bringup.errors import GraphError
+from mixtac_bringup.processes import ending_with_parent
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -24,7 +25,7 @@ POLL_S = 0.1
 
 
 class JsonProcess:
-    """Starts a process; ends it by its pid.
+    """Starts a process; ends it by its pid, or with its parent.
 
     Args:
         name: What it is, for messages.
@@ -35,7 +36,11 @@ class JsonProcess:
     def __init__(self, name: str, command: list[str], env: dict[str, str]) -> None:
         self._name = name
         self._process = subprocess.Popen(
-            command, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            ending_with_parent(command),
+            env=env,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         self._lines: queue.Queue[dict[str, Any]] = queue.Queue()
         self._thread = threading.Thread(target=self._read, daemon=True)

@@ -1,0 +1,45 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A camera that sends a pattern answers reads as the real one does."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from usb_oracle import decode
+
+from mixtac_sim.usb import descriptors
+from mixtac_sim.usb.errors import UsbTimeout
+from mixtac_sim.usb.pattern import make_pattern
+from mixtac_sim.usb.pattern_camera import PatternCamera
+
+RUN = ((0, 3), (9, 0), (0, 1), (0, 0))
+BUFFER = 1 << 16
+EVENTS = 65
+
+
+@pytest.fixture
+def camera():
+    """One event per millisecond, so that most early packet delays pass without any."""
+    made = PatternCamera('P0000001', make_pattern(1000.0, events_per_row=1.0))
+    yield made
+    made.unplug()
+
+
+def run(camera):
+    for module, param in RUN:
+        camera.control(0x40, 0xBF, module, param, struct.pack('>I', 1))
+
+
+def test_a_read_that_begins_in_a_pause_is_answered_by_what_comes_after(camera):
+    run(camera)
+    parts = [camera.read_bulk(descriptors.DATA_ENDPOINT, BUFFER, 20.0) for _ in range(2 * EVENTS)]
+    words = np.frombuffer(b''.join(parts), '<u2')
+    assert len(decode(words).events) > EVENTS // 2
+
+
+def test_without_running_there_is_nothing_to_wait_for(camera):
+    with pytest.raises(UsbTimeout):
+        camera.read_bulk(descriptors.DATA_ENDPOINT, BUFFER, 0.01)
