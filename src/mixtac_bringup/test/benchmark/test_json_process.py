@@ -21,7 +21,7 @@ SAYS = 'import json, time; print(json.dumps({"ready": 1}), flush=True); time.sle
 def test_it_says_its_lines_and_what_is_missing_is_named():
     with JsonProcess('speaker', [sys.executable, '-c', SAYS], {}) as process:
         assert process.expect('ready', 60.0) == {'ready': 1}
-        with pytest.raises(GraphError, match="speaker said nothing of 'more'.*still runs"):
+        with pytest.raises(GraphError, match=r"speaker said nothing of 'more'.*still runs"):
             process.expect('more', 0.2)
 
 
