@@ -143,7 +143,9 @@ def value_text(value: Value) -> str:
         return '-'
     if value.count == 1:
         return number(value.mean)
-    return f'{number(value.mean)} ± {number(value.spread)} ({value.count} {value.over})'
+    # What rounding leaves of a spread of nothing is not one.
+    spread = value.spread if value.spread > 1e-9 * abs(value.mean) else 0.0
+    return f'{number(value.mean)} ± {number(spread)} ({value.count} {value.over})'
 
 
 def number(value: float) -> str:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 PRESSED, TAPPING = 'pressed', 'tapping'
 DEPTH_MM = 0.6
 """How deep what vibrates stands, pressed [mm]."""
-SIZES_MM = {PRESSED: (0.05, 0.1), TAPPING: (0.8, 1.0)}
+SIZES_MM = {PRESSED: (0.05, 0.1, 0.2), TAPPING: (0.8, 1.0)}
 """Pressed: amplitudes, zero to peak; tapping: depths of the dent [mm]."""
 HOVER = 0.5
 """Tapping: height of the middle of the motion over the skin, in amplitudes; the rest is depth."""
