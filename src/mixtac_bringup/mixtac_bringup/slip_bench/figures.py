@@ -96,10 +96,11 @@ def draw_curves(path: Path, curves: Mapping[str, Any]) -> None:
     for ax, (speed, both) in zip(axes, curves.items(), strict=True):
         for name, curve in both.items():
             late = [np.nan if v is None else v for v in curve['latency_ms']]
-            ax.plot(np.array(curve['false_alarms_per_min']) + 0.01, late, label=name)
+            (line,) = ax.plot(np.array(curve['false_alarms_per_min']) + 0.01, late, label=name)
             shipped = curve['shipped']
             if shipped['latency_p50_ms'] is not None:
-                ax.plot(shipped['false_alarms_per_min'] + 0.01, shipped['latency_p50_ms'], 'o')
+                at = shipped['false_alarms_per_min'] + 0.01, shipped['latency_p50_ms']
+                ax.plot(*at, 'o', color=line.get_color(), label=f'{name}, shipped')
         ax.set(xscale='log', xlabel='false alarms per minute + 0.01', ylabel='median latency [ms]')
         ax.set_title(f'{speed.replace("_mm_s", " mm/s")}, simulated')
         ax.legend()

@@ -35,6 +35,7 @@ def slip(
         OptionalPath, typer.Option(help='Keep finished parts in this file and go on from them.')
     ] = None,
     report: Annotated[OptionalPath, typer.Option('--json', help='Write the result.')] = None,
+    figure: Annotated[OptionalPath, typer.Option(help='Draw the curves there (PNG).')] = None,
 ) -> None:
     """Measure slip control: held objects, latency, limits, false alarms. Simulated results."""
     from rich.console import Console
@@ -64,6 +65,10 @@ def slip(
         from mixtac_bringup.slip_bench.detectors import curves
 
         outcome['curves'] = curves(curve_trials, settings, preset)
+        if figure is not None:
+            from mixtac_bringup.slip_bench.figures import draw_curves
+
+            draw_curves(figure, outcome['curves'])
     if report is not None:
         report.write_text(json.dumps(outcome, indent=2) + '\n', encoding='utf-8')
     shown = {k: v for k, v in outcome.items() if k != 'curves'}

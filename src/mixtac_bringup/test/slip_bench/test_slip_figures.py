@@ -1,9 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Quantiles with misses, and the stream of the benchmark over DDS."""
+"""Quantiles with misses, the detectors' curves, and the stream of the benchmark over DDS."""
+
+from pathlib import Path
 
 import numpy as np
+from matplotlib import image
 
+from mixtac_bringup.slip_bench.figures import draw_curves
 from mixtac_bringup.slip_bench.report import quantiles
 from mixtac_bringup.slip_bench.slip_pattern import make_slip_pattern
 
@@ -24,3 +28,15 @@ def test_the_stream_holds_the_knocks_where_it_says() -> None:
     assert counts[onset : onset + 4].max() > 3 * counts[onset - 200 : onset].max()
     assert pattern.frames >= 25
     assert len(pattern.words) == pattern.ends[-1]
+
+
+def test_curves_are_drawn_where_a_detector_missed_everything(tmp_path: Path) -> None:
+    curve = {
+        'false_alarms_per_min': [3.0, 1.0, 0.0],
+        'latency_ms': [0.8, 1.2, None],
+        'shipped': {'latency_p50_ms': 1.2, 'false_alarms_per_min': 1.0},
+    }
+    missed = curve | {'shipped': {'latency_p50_ms': None, 'false_alarms_per_min': 0.0}}
+    path = tmp_path / 'curves.png'
+    draw_curves(path, {'10_mm_s': {'flow': curve, 'count': missed}})
+    assert image.imread(path).std() > 0.05
