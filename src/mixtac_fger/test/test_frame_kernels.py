@@ -75,7 +75,7 @@ def test_displacement_finds_how_far_a_texture_moved(shift_x, shift_y):
     displacement(reference, waves(shift_x, shift_y), 3, 1e-3, work, out)
     inner = out[:, 5:-5, 5:-5].reshape(2, -1).mean(axis=1)
     # Central differences of these waves are 10 % too small, so the displacement is 10 % too large;
-    # the waves' curvature adds up to 0.012 px, most where the other direction moves by half a pixel.
+    # their curvature adds up to 0.012 px, most where the other direction moves by half a pixel.
     shift = np.array([shift_x, shift_y])
     assert np.all(np.abs(inner - shift) <= 0.1 * np.abs(shift) + 0.015)
 
