@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,29 @@ def simulate(spec: TrialSpec) -> Trial:
         chosen = chosen.without(spec.without)
     seeds = (spec.device_seed, spec.trial_seed)
     return simulate_trial(*seeds, spec.profile, spec.seconds, sync=True, preset=chosen)
+
+
+def stiffness(spec: TrialSpec, *, known_sensor: bool = False) -> float:
+    """Return how stiff the gel of a trial is over what a model can know before it.
+
+    Args:
+        spec: The trial.
+        known_sensor: The sensor's usual stiffness is known, and only that of the day is not.
+
+    Returns:
+        Modulus of sensor and day over the usual modulus of all sensors, or of this one.
+    """
+    from mixtac_sim.conditions import draw_conditions
+    from mixtac_sim.device import draw_device
+    from mixtac_sim.presets import preset
+
+    chosen = preset(spec.preset)
+    day = draw_conditions(spec.trial_seed, chosen).stiffness
+    if known_sensor:
+        return day
+    alike = replace(chosen, gel=replace(chosen.gel, modulus_log_sd=0.0))
+    usual, own = (draw_device(spec.device_seed, each) for each in (alike, chosen))
+    return day * own.layer.modulus_kpa / usual.layer.modulus_kpa
 
 
 @functools.cache

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mixtac_fger import generation
-from mixtac_fger.experiments.suite import CONSTANT, run_config, test_specs, unseen_specs
+from mixtac_fger.experiments.stiffness_bound import StiffnessBound
+from mixtac_fger.experiments.suite import BOUND, CONSTANT, run_config, test_specs, unseen_specs
 from mixtac_fger.judge.estimators import constant_estimator
 from mixtac_fger.judge.judging import judge_sources, sensor_scales
 from mixtac_fger.judge.summary import by_profile, summarise
@@ -79,9 +80,13 @@ class Job:
         """
         config = run_config(self.suite, self.model, self.seed, str(self.folder / 'samples'))
         training: dict[str, Any] = {}
+        estimator: TrialEstimator
         if self.model == CONSTANT:
             say('constant: looking at the training forces')
             estimator = constant_estimator(_median_force(training_sources(config.data)))
+        elif self.model == BOUND:
+            sources = training_sources(config.data)
+            estimator = StiffnessBound(frozenset(s.origin['device_seed'] for s in sources))
         else:
             say(f'{self.model}, seed {self.seed}: training')
             name = f'{self.size}_{self.model}_s{self.seed}'

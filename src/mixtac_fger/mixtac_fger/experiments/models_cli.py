@@ -41,7 +41,7 @@ def models(
     import torch
 
     from mixtac_fger.experiments.job import Job
-    from mixtac_fger.experiments.suite import ROWS, SIZES
+    from mixtac_fger.experiments.suite import ROWS, SIZES, UNTRAINED
     from mixtac_fger.experiments.table import aggregate, as_markdown, as_table
 
     if quick:
@@ -56,7 +56,7 @@ def models(
         Job(SIZES[size], size, name, seed, out)
         for seed in range(seeds)
         for name in chosen
-        if name != 'constant' or seed == 0
+        if name not in UNTRAINED or seed == 0
     ]
     results = []
     with Progress(console=console, transient=True) as progress:

@@ -94,10 +94,19 @@ class ConstantEstimator:
 
     def estimate(self, trial: TrialArrays) -> TrialEstimate:
         """Return the constant on the windows that other models are judged on."""
-        label = trial.label()
-        settled = int(trial.arrival_us[min(5, len(trial.arrival_us)) - 1])
-        ends = window_ends(trial, label, self.window_us, settled)
+        ends = _judged_windows(trial, self.window_us)
         return _beside(trial, ends, np.full(len(ends), self.force), None)
+
+
+def known_force(trial: TrialArrays, window_us: int = 2000) -> TrialEstimate:
+    """Return the known force itself on the windows that models are judged on."""
+    ends = _judged_windows(trial, window_us)
+    return _beside(trial, ends, trial.label().at(ends).astype(np.float64), None)
+
+
+def _judged_windows(trial: TrialArrays, window_us: int) -> NDArray[np.int64]:
+    settled = int(trial.arrival_us[min(5, len(trial.arrival_us)) - 1])
+    return window_ends(trial, trial.label(), window_us, settled)
 
 
 def constant_estimator(force: float) -> TrialEstimator:

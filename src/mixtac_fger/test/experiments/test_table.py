@@ -6,9 +6,18 @@ from __future__ import annotations
 
 import pytest
 
-from mixtac_fger.experiments.suite import FULL, ROWS, run_config, test_specs, unseen_specs
+from mixtac_fger.experiments.suite import (
+    FULL,
+    OURS_MANY,
+    REDUCED,
+    ROWS,
+    run_config,
+    test_specs,
+    unseen_specs,
+)
 from mixtac_fger.experiments.table import aggregate, as_markdown
 from mixtac_fger.train.data import training_sources
+from mixtac_fger.train.run_config import find_run_config, read_run_config
 
 test_specs.__test__ = False
 
@@ -41,3 +50,9 @@ def test_all_seeds_see_the_same_trials():
     runs = [run_config(FULL, 'fger', seed, '') for seed in (0, 1)]
     assert runs[0].data == runs[1].data
     assert runs[0].training != runs[1].training
+
+
+def test_shipped_run_is_that_of_the_table():
+    shipped = read_run_config(find_run_config('ours'))
+    for suite in (FULL, REDUCED):
+        assert shipped.fingerprint() == run_config(suite, OURS_MANY, 0, '').fingerprint()
