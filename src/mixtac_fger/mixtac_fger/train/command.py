@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from mixtac_fger.trial_plan import TrialSpec
 
 EVALUATION_SECONDS = 10.0
+_PREPARING = 'preparing'
 
 
 def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path | None) -> None:
@@ -70,8 +71,9 @@ def _train(
         bars: dict[str, Any] = {}
 
         def prepared(done: int, total: int) -> None:
-            bar = bars.setdefault('', progress.add_task('preparing', total=total))
-            progress.update(bar, completed=done)
+            if _PREPARING not in bars:
+                bars[_PREPARING] = progress.add_task(_PREPARING, total=total)
+            progress.update(bars[_PREPARING], completed=done)
 
         def report(stage: str, epoch: int, epochs: int, loss: float, error: float | None) -> None:
             if stage not in bars:
