@@ -28,6 +28,9 @@ def models(
     size: Annotated[
         str, typer.Option(help='full or reduced (CPU, hours), native (GPU) or quick (minutes).')
     ] = 'full',
+    choices: Annotated[
+        bool, typer.Option('--choices', help='Ours, and with one choice undone at a time.')
+    ] = False,
     quick: Annotated[bool, typer.Option('--quick', help='Short for --size quick --seeds 1.')] = (
         False
     ),
@@ -41,15 +44,17 @@ def models(
     import torch
 
     from mixtac_fger.experiments.job import Job
-    from mixtac_fger.experiments.suite import ROWS, SIZES, UNTRAINED
+    from mixtac_fger.experiments.suite import CHOICES, ROWS, SIZES, UNTRAINED
     from mixtac_fger.experiments.table import aggregate, as_markdown, as_table
+    from mixtac_fger.train.run_config import OURS
 
     if quick:
         size, seeds = 'quick', 1
-    chosen = list(model or ROWS)
-    unknown = [name for name in chosen if name not in ROWS]
+    known = (*ROWS, *CHOICES)
+    chosen = list(model or ((OURS, *CHOICES) if choices else ROWS))
+    unknown = [name for name in chosen if name not in known]
     if unknown or size not in SIZES:
-        raise ConfigError(f'model {unknown or ""} size {size!r}: choose {ROWS}; {tuple(SIZES)}')
+        raise ConfigError(f'model {unknown or ""} size {size!r}: choose {known}; {tuple(SIZES)}')
     torch.set_num_threads(1)
     console = Console()
     work = [

@@ -16,6 +16,15 @@ UNTRAINED = frozenset({CONSTANT, BOUND})
 OURS_MANY = 'ours_many_sensors'
 ROWS = (CONSTANT, 'frames', 'events', 'fusion', 'fger', OURS, OURS_MANY, BOUND)
 """Models in the order of the table."""
+CHOICES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    'without_reference': ({'frame_channels': ('frame',)}, {}),
+    'without_frame_flow': ({'frame_channels': ('difference',)}, {}),
+    'counts_for_flow': ({'gradient_flow': False}, {}),
+    'correction_at_arrival': ({'correction_point': 'arrival'}, {}),
+    'without_shortcut': ({'event_shortcut': False}, {}),
+    'without_blows': ({}, {'blow_every': 0, 'force_weight': 0.0}),
+}
+"""Ours with one choice undone at a time: what differs in network and in training."""
 _FIRST_TRIAL = 800_000
 """Trial seeds of the tests; training uses 100,000 to 200,000."""
 _FIRST_DEVICE = 810_000
@@ -115,14 +124,15 @@ def run_config(suite: Suite, model: str, seed: int, cache: str) -> RunConfig:
     many = model == OURS_MANY
     count = suite.sensors if many else suite.trials
     simulated = SimulatedData(_PRESET, count if many else 1, count, suite.seconds, PROFILES)
-    ours = model in {OURS, OURS_MANY} | UNTRAINED
+    ours = model in {OURS, OURS_MANY, *CHOICES} | UNTRAINED
     training = suite.our_training if ours else suite.paper_training
     if many:
         training = training | suite.many_training
+    network, changed = CHOICES.get(model, ({} if ours else suite.paper_network, {}))
     return RunConfig(
         model=OURS if ours else model,
-        network={} if ours else suite.paper_network,
-        training=training | {'seed': seed},
+        network=network,
+        training=training | changed | {'seed': seed},
         data=DataConfig(simulated=simulated, cache=cache, checked=_held_out(ours, many)),
     )
 

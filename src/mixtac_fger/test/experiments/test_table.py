@@ -7,6 +7,7 @@ from __future__ import annotations
 import pytest
 
 from mixtac_fger.experiments.suite import (
+    CHOICES,
     FULL,
     OURS_MANY,
     REDUCED,
@@ -33,7 +34,7 @@ def test_mean_and_spread_over_seeds():
     assert aggregate([result(0, 0.1)])['fger']['dynamic']['mae']['spread'] == 0.0
 
 
-@pytest.mark.parametrize('model', ROWS)
+@pytest.mark.parametrize('model', [*ROWS, *CHOICES])
 def test_no_test_trial_is_trained_on(model):
     trained = [source.spec for source in training_sources(run_config(FULL, model, 1, '').data)]
     seen = test_specs(FULL, trained[0].device_seed)
