@@ -63,13 +63,13 @@ class FgerConfig:
         frame_size: Size of the frame feature f_frame.
         lstm_size: Size of the recurrent state.
         mlp_size: Hidden width of MLP_df and MLP_corr.
-        event_shortcut: Give MLP_df the event feature beside the recurrent state. The state is
-            bounded; without the feature an increment is as well, and a blow of some newtons within
-            a few windows is not followed.
+        event_shortcut: Give MLP_df the event feature beside the recurrent state, which is bounded,
+            so that an increment is not. Where blows are trained on (`training.blow_every`) it
+            makes no difference.
         deviation_size: Hidden width of the head that says how uncertain the force is, 0 for none.
         correction_point: `exposure_centre`: the frame is compared with the estimate at the centre
             of its exposure and the correction is carried forward to now; `arrival`: with the
-            present estimate, as a literal reading of Algorithm 1 has it (30 % more error).
+            present estimate, as a literal reading of Algorithm 1 has it (15 % more error).
         history_windows: How many past estimates are kept for that comparison.
     """
 
