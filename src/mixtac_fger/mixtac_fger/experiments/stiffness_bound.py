@@ -3,8 +3,9 @@
 """What a model would reach that sees everything: all errors are the stiffness that nobody sees.
 
 A camera measures lengths and times. A newton needs a mass as well, and the only one in reach is
-the gel's modulus: two sensors of the same geometry, one twice as stiff, show the same picture under
-forces of which one is twice the other.
+the gel's modulus: two sensors of the same geometry, gel and mesh of one twice as stiff, show the
+same picture under forces of which one is twice the other. What the ratio of mesh to gel gives away
+is left out.
 """
 
 from __future__ import annotations
