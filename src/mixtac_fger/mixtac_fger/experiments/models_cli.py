@@ -80,7 +80,8 @@ def models(
             progress.advance(bar)
     table = aggregate(results)
     console.print(as_table(table, f'MAE [N], simulated, paper_like, {size}, {seeds} seeds'))
-    (out / f'table_{size}.md').write_text(as_markdown(table), encoding='utf-8')
+    name = f'table_{size}_choices.md' if choices else f'table_{size}.md'
+    (out / name).write_text(as_markdown(table), encoding='utf-8')
     if json is not None:
         content = {'size': size, 'seeds': seeds, 'simulated': True, 'table': table}
         json.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')
