@@ -44,17 +44,16 @@ def models(
     import torch
 
     from mixtac_fger.experiments.job import Job
-    from mixtac_fger.experiments.suite import CHOICES, ROWS, SIZES, UNTRAINED
+    from mixtac_fger.experiments.suite import ALL_ROWS, CHOICES, ROWS, SIZES, UNTRAINED
     from mixtac_fger.experiments.table import aggregate, as_markdown, as_table
     from mixtac_fger.train.run_config import OURS
 
     if quick:
         size, seeds = 'quick', 1
-    known = (*ROWS, *CHOICES)
     chosen = list(model or ((OURS, *CHOICES) if choices else ROWS))
-    unknown = [name for name in chosen if name not in known]
+    unknown = [name for name in chosen if name not in ALL_ROWS]
     if unknown or size not in SIZES:
-        raise ConfigError(f'model {unknown or ""} size {size!r}: choose {known}; {tuple(SIZES)}')
+        raise ConfigError(f'model {unknown or ""} size {size!r}: choose {ALL_ROWS}; {tuple(SIZES)}')
     torch.set_num_threads(1)
     console = Console()
     work = [

@@ -25,6 +25,8 @@ CHOICES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     'without_blows': ({}, {'blow_every': 0, 'force_weight': 0.0}),
 }
 """Ours with one choice undone at a time: what differs in network and in training."""
+ALL_ROWS = (*ROWS, *CHOICES)
+"""All that can be trained and judged, in order."""
 _FIRST_TRIAL = 800_000
 """Trial seeds of the tests; training uses 100,000 to 200,000."""
 _FIRST_DEVICE = 810_000

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
-from mixtac_fger.experiments.suite import CHOICES, ROWS
+from mixtac_fger.experiments.suite import ALL_ROWS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,7 +37,7 @@ def aggregate(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
         model -> column -> figure -> `mean`, `spread`, `seeds`; the spread of one seed is 0.
     """
     table: dict[str, Any] = {}
-    for model in (*ROWS, *CHOICES):
+    for model in ALL_ROWS:
         found = [each['figures'] for each in results if each['model'] == model]
         if not found:
             continue

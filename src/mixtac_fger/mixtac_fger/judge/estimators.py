@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from mixtac_fger.trials.trial_arrays import TrialArrays
     from mixtac_fger.weights import LoadedModel
 
+SETTLE_FRAMES = 5
+"""Frames before the first window that counts: those of FGER-Net's reference."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StreamingEstimator:
@@ -65,7 +68,7 @@ class PaperEstimator:
     """
 
     network: PaperNetwork
-    settle_frames: int = 5
+    settle_frames: int = SETTLE_FRAMES
 
     def estimate(self, trial: TrialArrays) -> TrialEstimate:
         """Return the estimates of a trial.
@@ -75,8 +78,7 @@ class PaperEstimator:
         """
         sample = make_paper_sample(self.network.config, trial)
         (force,) = run_samples(self.network, [sample])
-        settled = trial.arrival_us[min(self.settle_frames, len(trial.arrival_us)) - 1]
-        later = sample.window_end_us > settled
+        later = sample.window_end_us > _settled_us(trial, self.settle_frames)
         return _beside(trial, sample.window_end_us[later], force[later].astype(np.float64), None)
 
 
@@ -105,8 +107,11 @@ def known_force(trial: TrialArrays, window_us: int = 2000) -> TrialEstimate:
 
 
 def _judged_windows(trial: TrialArrays, window_us: int) -> NDArray[np.int64]:
-    settled = int(trial.arrival_us[min(5, len(trial.arrival_us)) - 1])
-    return window_ends(trial, trial.label(), window_us, settled)
+    return window_ends(trial, trial.label(), window_us, _settled_us(trial, SETTLE_FRAMES))
+
+
+def _settled_us(trial: TrialArrays, frames: int) -> int:
+    return int(trial.arrival_us[min(frames, len(trial.arrival_us)) - 1])
 
 
 def constant_estimator(force: float) -> TrialEstimator:

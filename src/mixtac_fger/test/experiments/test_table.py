@@ -7,11 +7,10 @@ from __future__ import annotations
 import pytest
 
 from mixtac_fger.experiments.suite import (
-    CHOICES,
+    ALL_ROWS,
     FULL,
     OURS_MANY,
     REDUCED,
-    ROWS,
     run_config,
     test_specs,
     unseen_specs,
@@ -34,7 +33,7 @@ def test_mean_and_spread_over_seeds():
     assert aggregate([result(0, 0.1)])['fger']['dynamic']['mae']['spread'] == 0.0
 
 
-@pytest.mark.parametrize('model', [*ROWS, *CHOICES])
+@pytest.mark.parametrize('model', ALL_ROWS)
 def test_no_test_trial_is_trained_on(model):
     trained = [source.spec for source in training_sources(run_config(FULL, model, 1, '').data)]
     seen = test_specs(FULL, trained[0].device_seed)
