@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from std_srvs.srv import Trigger
 
-from mixtac_driver.errors import DriverError, StreamError
+from mixtac_driver.errors import StreamError
 from mixtac_driver.hot_pixels import PixelCounter, hot_pixels
 from mixtac_driver.pixel_mask import PixelMask, check_path, save_mask
 from mixtac_events.errors import MixtacError
@@ -145,7 +145,7 @@ class DriverServices:
                 p.hot_pixels_factor,
             )
             mask = self._settings.file_mask.with_pixels(found)
-        except DriverError:
+        except MixtacError:
             self._settings.use_mask(before, self._camera.apply)
             raise
         self._settings.use_mask(mask, self._camera.apply)

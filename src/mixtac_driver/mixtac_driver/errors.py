@@ -57,7 +57,7 @@ class StreamError(DriverError):
     """A data stream that stopped, or never confirmed its start."""
 
 
-class RecordingError(DriverError):
+class RecordingError(MixtacError):
     """A recording that cannot be played; opening it again does not help."""
 
 

@@ -59,6 +59,7 @@ class FramePublisher:
         elif info_wanted or exposure_wanted:
             image = messages.image_header(frame, origin_us, self._frame_id)
         if info_wanted:
-            self._info.publish(self._complete(messages.camera_info(frame, identity, image)))
+            size = (identity.geometry.width, identity.geometry.height)
+            self._info.publish(self._complete(messages.camera_info(frame, size, image)))
         if exposure_wanted:
             self._exposure.publish(messages.frame_exposure(frame, origin_us, image))

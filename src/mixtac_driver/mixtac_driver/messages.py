@@ -18,7 +18,6 @@ from mixtac_node.image_conversion import fill
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_driver.identity import Identity
     from mixtac_driver.packetizer import Packet
     from mixtac_driver.readings import Frame, InertialSamples
 
@@ -101,11 +100,17 @@ def image_encoding(color_filter: int, x: int, y: int) -> str:
     return 'bayer_' + ''.join(row[::-1] if x % 2 else row for row in rows) + '16'
 
 
-def camera_info(frame: Frame, identity: Identity, image_message: Image) -> CameraInfo:
-    """Return the camera information that goes with an image: sizes and region, no calibration."""
+def camera_info(frame: Frame, size: tuple[int, int], image_message: Image) -> CameraInfo:
+    """Return the camera information that goes with an image: sizes and region, no calibration.
+
+    Args:
+        frame: The frame.
+        size: Width and height of the pixel array.
+        image_message: The message of the same frame.
+    """
     message = CameraInfo()
     message.header = image_message.header
-    message.width, message.height = identity.geometry.width, identity.geometry.height
+    message.width, message.height = size
     height, width = frame.image.shape
     if (width, height) != (message.width, message.height):
         message.roi.x_offset, message.roi.y_offset = frame.x, frame.y

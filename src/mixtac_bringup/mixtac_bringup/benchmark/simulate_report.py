@@ -139,10 +139,10 @@ def processor_s() -> float:
 
 def _batch(specs: list[TrialSpec], folder: Path) -> None:
     from mixtac_bringup.simulate.generation import generate
-    from mixtac_sim.datasets.description import DatasetDescription
+    from mixtac_sim.datasets.generator import describe
 
     preset = specs[0].preset
-    plan = DatasetDescription.of_simulator(PROFILE, 0, preset, 'trial', specs)
+    plan = describe(PROFILE, 0, preset, 'trial', specs)
     generate(plan, folder, jobs=BATCH_JOBS)
 
 

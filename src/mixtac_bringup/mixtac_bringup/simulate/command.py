@@ -66,7 +66,7 @@ def simulate(
 def _description(
     profile: str, dataset: str, trials: int, seconds: float, seed: int, preset: str
 ) -> DatasetDescription:
-    from mixtac_sim.datasets.description import DatasetDescription
+    from mixtac_sim.datasets.generator import describe
     from mixtac_sim.datasets.plans import DATASETS, plan_dataset, plan_profile
     from mixtac_sim.presets import preset as check_preset
 
@@ -76,7 +76,7 @@ def _description(
         split_by = DATASETS[dataset].split_by
     else:
         planned, split_by = plan_profile(profile, trials, seconds, seed, preset), 'trial'
-    return DatasetDescription.of_simulator(dataset or profile, seed, preset, split_by, planned)
+    return describe(dataset or profile, seed, preset, split_by, planned)
 
 
 def _generate(

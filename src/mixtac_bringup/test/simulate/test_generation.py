@@ -19,13 +19,14 @@ from mixtac_bringup.simulate import generation
 from mixtac_bringup.simulate.generation import generate
 from mixtac_bringup.simulate.trial_bag import UNFINISHED, is_finished
 from mixtac_sim.datasets.description import DatasetDescription
+from mixtac_sim.datasets.generator import describe
 from mixtac_sim.datasets.plans import plan_profile
 from mixtac_sim.errors import SimulationError
 
 
 def description(trials=3, seconds=2.6):
     planned = plan_profile('idle', trials, seconds, preset='easy')
-    return DatasetDescription.of_simulator('idle', 0, 'easy', 'trial', planned)
+    return describe('idle', 0, 'easy', 'trial', planned)
 
 
 def contents(folder):
@@ -69,10 +70,10 @@ def test_a_killed_run_goes_on_where_it_was(whole, tmp_path):
     code = (
         'from pathlib import Path\n'
         'from mixtac_bringup.simulate.generation import generate\n'
-        'from mixtac_sim.datasets.description import DatasetDescription\n'
+        'from mixtac_sim.datasets.generator import describe\n'
         'from mixtac_sim.datasets.plans import plan_profile\n'
         "planned = plan_profile('idle', 3, 2.6, preset='easy')\n"
-        "plan = DatasetDescription.of_simulator('idle', 0, 'easy', 'trial', planned)\n"
+        "plan = describe('idle', 0, 'easy', 'trial', planned)\n"
         f'generate(plan, Path({str(tmp_path)!r}))\n'
     )
     process = subprocess.Popen([sys.executable, '-c', code])

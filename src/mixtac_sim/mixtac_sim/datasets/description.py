@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
-from mixtac_sim.datasets.generator import generator_digest, generator_version
-from mixtac_sim.datasets.trial_spec import TrialSpec
-from mixtac_sim.errors import SimulationError
+from mixtac_sim.datasets.trial_spec import DatasetError, TrialSpec
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -43,18 +41,6 @@ class DatasetDescription:
     trials: tuple[TrialSpec, ...]
     generator: dict[str, str]
     complete: bool = False
-
-    @staticmethod
-    def of_simulator(
-        name: str, seed: int, preset: str, split_by: str, trials: list[TrialSpec]
-    ) -> DatasetDescription:
-        """Return the description of trials that this simulator is about to make."""
-        generator = {
-            'package': 'mixtac_sim',
-            'version': generator_version(),
-            'digest': generator_digest(),
-        }
-        return DatasetDescription(name, seed, preset, split_by, tuple(trials), generator)
 
     def completed(self) -> DatasetDescription:
         """Return the same with all bags written."""
@@ -90,17 +76,17 @@ class DatasetDescription:
             folder: Folder of the data set.
 
         Raises:
-            SimulationError: It is missing, damaged, or of another schema.
+            DatasetError: It is missing, damaged, or of another schema.
         """
         path = folder / FILE_NAME
         try:
             document = yaml.safe_load(path.read_text(encoding='utf8'))
         except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise SimulationError(f'{path} cannot be read ({error}): name a data set') from error
+            raise DatasetError(f'{path} cannot be read ({error}): name a data set') from error
         if not isinstance(document, dict) or document.get('schema') != SCHEMA:
-            raise SimulationError(f'{path} does not describe a Mixtac data set')
+            raise DatasetError(f'{path} does not describe a Mixtac data set')
         if document.get('schema_version') != SCHEMA_VERSION:
-            raise SimulationError(
+            raise DatasetError(
                 f'{path} has schema version {document.get("schema_version")}, this is for '
                 f'{SCHEMA_VERSION}: use the matching release, or generate it anew'
             )
@@ -108,4 +94,4 @@ class DatasetDescription:
             trials = tuple(TrialSpec.from_dict(fields) for fields in document['trials'])
             return DatasetDescription(trials=trials, **{key: document[key] for key in _SETTINGS})
         except (KeyError, TypeError) as error:
-            raise SimulationError(f'{path} lacks {error}: generate it anew') from error
+            raise DatasetError(f'{path} lacks {error}: generate it anew') from error

@@ -8,6 +8,12 @@ import hashlib
 from functools import cache
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mixtac_sim.datasets.description import DatasetDescription
+
+if TYPE_CHECKING:
+    from mixtac_sim.datasets.trial_spec import TrialSpec
 
 PACKAGE = 'mixtac_sim'
 
@@ -29,3 +35,15 @@ def generator_digest() -> str:
         if 'usb' not in path.relative_to(root).parts:
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def describe(
+    name: str, seed: int, preset: str, split_by: str, trials: list[TrialSpec]
+) -> DatasetDescription:
+    """Return the description of trials that this simulator is about to make."""
+    generator = {
+        'package': PACKAGE,
+        'version': generator_version(),
+        'digest': generator_digest(),
+    }
+    return DatasetDescription(name, seed, preset, split_by, tuple(trials), generator)

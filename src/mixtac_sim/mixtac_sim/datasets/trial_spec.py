@@ -7,10 +7,14 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from mixtac_sim.errors import SimulationError
+from mixtac_events.errors import MixtacError
 
 SPLITS: Final = ('train', 'test')
 DEFAULT_PRESET: Final = 'paper_like'
+
+
+class DatasetError(MixtacError):
+    """A description of a data set or of a trial that cannot be read or is not allowed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,14 +43,14 @@ class TrialSpec:
         """Refuse what cannot be a bag's name or a split.
 
         Raises:
-            SimulationError: As above.
+            DatasetError: As above.
         """
         if not self.name.replace('_', '').replace('-', '').isalnum():
-            raise SimulationError(
+            raise DatasetError(
                 f'trial name {self.name!r} would not be a folder: use letters, digits, _ and -'
             )
         if self.split not in SPLITS:
-            raise SimulationError(f'split {self.split!r} is unknown: use one of {SPLITS}')
+            raise DatasetError(f'split {self.split!r} is unknown: use one of {SPLITS}')
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as values for YAML or JSON."""
@@ -57,10 +61,10 @@ class TrialSpec:
         """Return the trial of such values.
 
         Raises:
-            SimulationError: A field is missing, unknown or not allowed.
+            DatasetError: A field is missing, unknown or not allowed.
         """
         try:
             spec = TrialSpec(**fields)
         except TypeError as error:
-            raise SimulationError(f'a trial cannot be read from {fields}: {error}') from error
+            raise DatasetError(f'a trial cannot be read from {fields}: {error}') from error
         return spec

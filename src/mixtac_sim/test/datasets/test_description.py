@@ -10,15 +10,14 @@ import pytest
 import yaml
 
 from mixtac_sim.datasets.description import FILE_NAME, DatasetDescription
+from mixtac_sim.datasets.generator import describe
 from mixtac_sim.datasets.plans import plan_dataset
-from mixtac_sim.errors import SimulationError
+from mixtac_sim.datasets.trial_spec import DatasetError
 
 
 @pytest.fixture
 def description() -> DatasetDescription:
-    return DatasetDescription.of_simulator(
-        'static', 3, 'hard', 'trial', plan_dataset('static', 3, 'hard')
-    )
+    return describe('static', 3, 'hard', 'trial', plan_dataset('static', 3, 'hard'))
 
 
 def test_what_is_written_is_read(tmp_path, description):
@@ -73,10 +72,10 @@ def test_other_trials_or_another_simulator_are_told_apart(description):
 )
 def test_other_files_are_refused(tmp_path, text):
     (tmp_path / FILE_NAME).write_text(text)
-    with pytest.raises(SimulationError):
+    with pytest.raises(DatasetError):
         DatasetDescription.read(tmp_path)
 
 
 def test_no_file_is_refused(tmp_path):
-    with pytest.raises(SimulationError, match=FILE_NAME):
+    with pytest.raises(DatasetError, match=FILE_NAME):
         DatasetDescription.read(tmp_path)

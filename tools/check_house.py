@@ -1,0 +1,296 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Check the structure of the source tree, and print its size.
+
+Fails when
+
+* a package imports a package of its own floor or of a higher one,
+* imports inside a package form a circle, between modules or between folders of modules,
+* a module that is not named `*_node.py` imports rclpy,
+* a package that robots run imports torch, matplotlib or the simulator,
+* a module is too long, has no SPDX header, or unpickles,
+* `package.xml` does not declare a workspace package that the code imports.
+
+Imports under `TYPE_CHECKING` and inside functions count like all others. The table of modules and
+code lines per package, and the list of small modules with one importer, are printed and never fail.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import io
+import re
+import statistics
+import sys
+import tokenize
+from collections import defaultdict
+from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+ROOT = Path(__file__).resolve().parent.parent
+FLOORS = {
+    'mixtac_msgs': 0,
+    'event_camera_msgs': 0,
+    'mixtac_events': 1,
+    'mixtac_node': 2,
+    'mixtac_recordings': 3,
+    'mixtac_driver': 4,
+    'mixtac_alignment': 4,
+    'mixtac_fger': 4,
+    'mixtac_slip_control': 4,
+    'mixtac_sim': 4,
+    'mixtac_learning': 5,
+    'mixtac_cli': 6,
+    'mixtac_lab': 7,
+    'mixtac_bringup': 8,
+}
+RUN = frozenset(
+    {
+        'mixtac_events',
+        'mixtac_node',
+        'mixtac_recordings',
+        'mixtac_driver',
+        'mixtac_alignment',
+        'mixtac_fger',
+        'mixtac_slip_control',
+    }
+)
+NOT_ON_ROBOTS = ('torch', 'matplotlib', 'mixtac_sim')
+MAX_CODE_LINES = 450
+SMALL = 60
+UNSAFE = re.compile(r'pickle\.loads?\(|torch\.load\(|yaml\.load\(|allow_pickle=True')
+
+
+@dataclass(frozen=True)
+class Module:
+    """A source file.
+
+    Attributes:
+        name: Dotted name.
+        path: Where it lies.
+        text: Its source.
+        imports: Full names of what it imports anywhere, type checking included.
+        code_lines: Lines that are neither blank, comment nor docstring.
+    """
+
+    name: str
+    path: Path
+    text: str
+    imports: frozenset[str]
+    code_lines: int
+
+    @property
+    def package(self) -> str:
+        """Top-level package."""
+        return self.name.partition('.')[0]
+
+    @property
+    def folder(self) -> str:
+        """Package or sub-package in which it lies."""
+        return self.name.rpartition('.')[0]
+
+
+def imported_names(tree: ast.AST) -> frozenset[str]:
+    """Return the full names of everything that a syntax tree imports."""
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+            found.update(f'{node.module}.{alias.name}' for alias in node.names)
+    return frozenset(found)
+
+
+def docstring_lines(tree: ast.AST) -> set[int]:
+    """Return the numbers of the lines that docstrings take."""
+    lines: set[int] = set()
+    for node in ast.walk(tree):
+        if not isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
+            continue
+        first = node.body[0] if node.body else None
+        if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+            lines.update(range(first.lineno, (first.end_lineno or first.lineno) + 1))
+    return lines
+
+
+def count_code_lines(text: str, tree: ast.AST) -> int:
+    """Count the lines that hold code."""
+    skipped = {
+        tokenize.COMMENT,
+        tokenize.NL,
+        tokenize.NEWLINE,
+        tokenize.INDENT,
+        tokenize.DEDENT,
+        tokenize.ENDMARKER,
+    }
+    lines: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in skipped:
+            lines.update(range(token.start[0], token.end[0] + 1))
+    return len(lines - docstring_lines(tree))
+
+
+def read_modules(root: Path) -> list[Module]:
+    """Read every module of every package below `src`."""
+    found = []
+    for package in sorted(p for p in (root / 'src').iterdir() if p.is_dir()):
+        for path in sorted((package / package.name).rglob('*.py')):
+            text = path.read_text()
+            tree = ast.parse(text)
+            parts = path.relative_to(package).with_suffix('').parts
+            name = '.'.join(parts).removesuffix('.__init__')
+            found.append(
+                Module(name, path, text, imported_names(tree), count_code_lines(text, tree))
+            )
+    return found
+
+
+def check_imports(module: Module) -> list[str]:
+    """Return the imports of a module that the floors forbid."""
+    wrong = []
+    for name in sorted({each.partition('.')[0] for each in module.imports}):
+        if name == 'rclpy' and not module.path.stem.endswith('_node'):
+            wrong.append('imports rclpy; only *_node.py modules do')
+        if name in NOT_ON_ROBOTS and module.package in RUN:
+            wrong.append(f'imports {name}, which is not installed on robots')
+        elif (
+            name in FLOORS
+            and name != module.package
+            and FLOORS[name] >= FLOORS.get(module.package, 0)
+        ):
+            wrong.append(f'imports {name}, which is not on a lower floor')
+    return wrong
+
+
+def check_text(module: Module) -> list[str]:
+    """Return what is wrong with the text of a module."""
+    wrong = []
+    if module.code_lines > MAX_CODE_LINES:
+        wrong.append(f'{module.code_lines} code lines, at most {MAX_CODE_LINES}')
+    if 'SPDX-License-Identifier: Apache-2.0' not in module.text[:200]:
+        wrong.append('no SPDX header')
+    if UNSAFE.search(module.text):
+        wrong.append('loads data that can run code; use safetensors, npz or safe_load')
+    return wrong
+
+
+def edges(modules: Iterable[Module]) -> dict[str, set[str]]:
+    """Return which modules of a package import which, by name."""
+    modules = list(modules)
+    names = {module.name for module in modules}
+    return {module.name: (module.imports & names) - {module.name} for module in modules}
+
+
+def folders_of(graph: Mapping[str, set[str]], package: str) -> dict[str, set[str]]:
+    """Return which folders of a package import which; a top module is a folder of its own."""
+
+    def folder(name: str) -> str:
+        parent = name.rpartition('.')[0]
+        return name if parent == package else parent
+
+    found: dict[str, set[str]] = defaultdict(set)
+    for name, imported in graph.items():
+        found[folder(name)] |= {folder(each) for each in imported} - {folder(name)}
+    return dict(found)
+
+
+def find_circle(graph: Mapping[str, set[str]]) -> str:
+    """Return the first circle of a graph in words, empty when there is none."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return ' -> '.join(reversed(error.args[1]))
+    return ''
+
+
+def check_manifest(root: Path, package: str, modules: Iterable[Module]) -> list[str]:
+    """Return the workspace packages that are imported but not declared in package.xml."""
+    manifest = (root / 'src' / package / 'package.xml').read_text()
+    declared = set(re.findall(r'<(?:exec_|test_|build_)?depend>([^<]+)<', manifest))
+    used = {name.partition('.')[0] for module in modules for name in module.imports}
+    ros = {n for n in used if n.endswith('_msgs') or n in ('rclpy', 'std_srvs') or n in FLOORS}
+    missing = sorted(ros - declared - {package})
+    return [f'src/{package}/package.xml: {name} is imported but not declared' for name in missing]
+
+
+def check(root: Path, modules: list[Module]) -> list[str]:
+    """Return all faults, one line each."""
+    wrong = []
+    for module in modules:
+        where = module.path.relative_to(root)
+        wrong += [f'{where}: {fault}' for fault in check_imports(module) + check_text(module)]
+    for package in sorted({module.package for module in modules}):
+        inside = [module for module in modules if module.package == package]
+        graph = edges(inside)
+        for circle in {find_circle(graph), find_circle(folders_of(graph, package))} - {''}:
+            wrong.append(f'{package}: imports form a circle: {circle}')
+        wrong += check_manifest(root, package, inside)
+    return wrong
+
+
+def importers(modules: list[Module]) -> dict[str, set[str]]:
+    """Return by which modules each module is imported."""
+    found: dict[str, set[str]] = defaultdict(set)
+    names = {module.name for module in modules}
+    for module in modules:
+        for name in module.imports & names:
+            found[name].add(module.name)
+    return found
+
+
+def table(modules: list[Module]) -> str:
+    """Return the table of modules, code lines and median module per package."""
+    rows = ['package                modules  code lines  median module']
+    sizes: dict[str, list[int]] = defaultdict(list)
+    lines: dict[str, int] = defaultdict(int)
+    for module in modules:
+        lines[module.package] += module.code_lines
+        if module.path.name != '__init__.py':
+            sizes[module.package].append(module.code_lines)
+    for package in sorted(lines, key=lambda name: (FLOORS.get(name, 0), name)):
+        median = statistics.median(sizes[package]) if sizes[package] else 0
+        rows.append(f'{package:22} {len(sizes[package]):7} {lines[package]:11} {median:14.0f}')
+    every = [size for package in sizes.values() for size in package]
+    median = statistics.median(every)
+    rows.append(f'{"all":22} {len(every):7} {sum(lines.values()):11} {median:14.0f}')
+    return '\n'.join(rows)
+
+
+def small_rooms(modules: list[Module]) -> list[str]:
+    """Return the small modules that one module imports: rooms that may not be worth a door."""
+    by = importers(modules)
+    return [
+        f'  {module.name} ({module.code_lines} code lines, for {next(iter(by[module.name]))})'
+        for module in modules
+        if module.path.name != '__init__.py'
+        and module.code_lines < SMALL
+        and len(by[module.name]) == 1
+    ]
+
+
+def main() -> int:
+    """Print the size of the house and one line per fault."""
+    parser = argparse.ArgumentParser(description='check the structure of the source tree')
+    parser.add_argument('--root', type=Path, default=ROOT, help='checkout to look at')
+    parser.add_argument('--table', action='store_true', help='print only the table of sizes')
+    options = parser.parse_args()
+    modules = read_modules(options.root)
+    print(table(modules))
+    if options.table:
+        return 0
+    small = small_rooms(modules)
+    print(f'modules below {SMALL} code lines with one importer: {len(small)}', *small, sep='\n')
+    wrong = check(options.root, modules)
+    print('\n'.join(wrong) or f'{len(FLOORS)} packages in order')
+    return 1 if wrong else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
