@@ -11,6 +11,6 @@ fi
 . "$MIXTAC_HOME/tools/env.sh"
 if [ "${1:-}" = mixtac ]; then
     shift
-    exec python -m mixtac_bringup "$@"
+    exec python -m mixtac_cli "$@"
 fi
 exec "$@"

@@ -26,7 +26,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackagePrefix, FindPackageShare
 
 from launch import LaunchDescription
-from mixtac_bringup.topics import REFERENCE, TOPICS
+from mixtac_node.topics import REFERENCE, TOPICS
 
 FORWARDED = ('device', 'serial', 'namespace', 'params_file', 'single_process', 'log_level')
 ARGUMENTS = [
@@ -105,7 +105,7 @@ def _recorder(context):
         command = ['ros2', 'bag', 'record', '-s', 'mcap', '-o', output, *names]
         return ExecuteProcess(cmd=command, output='screen')
     return Node(
-        package='mixtac_bringup',
+        package='mixtac_cli',
         executable='recorder_node',
         name='recorder',
         namespace=namespace,
@@ -116,9 +116,7 @@ def _recorder(context):
 
 def _check():
     """Return the process that checks."""
-    program = PathJoinSubstitution(
-        [FindPackagePrefix('mixtac_bringup'), 'lib', 'mixtac_bringup', 'mixtac']
-    )
+    program = PathJoinSubstitution([FindPackagePrefix('mixtac_cli'), 'lib', 'mixtac_cli', 'mixtac'])
     options = [
         *('--namespace', LaunchConfiguration('namespace')),
         *('--reference-topic', LaunchConfiguration('reference_topic')),

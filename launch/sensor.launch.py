@@ -25,7 +25,7 @@ from launch_ros.substitutions import FindPackageShare
 from lifecycle_msgs.msg import Transition
 
 from launch import LaunchDescription
-from mixtac_bringup.dds_profile import profile_environment
+from mixtac_node.process import profile_environment
 
 PLAYBACK = {
     'playback_rate': (float, 'speed, 0 as fast as the subscribers allow'),
@@ -213,7 +213,7 @@ def _alignment(context):
             **_common(context, 'alignment', overrides),
         ),
         Node(
-            package='mixtac_bringup',
+            package='mixtac_alignment',
             executable='force_error_node',
             **_common(context, 'force_error', {}),
         ),
@@ -248,7 +248,7 @@ def _estimation(context):
                 'clock and cannot follow it; leave out single_process'
             )
         together = LifecycleNode(
-            package='mixtac_bringup',
+            package='mixtac_cli',
             executable='sensor_node',
             **_common(context, 'fger', _device(context), members=('driver', 'fger')),
         )
@@ -280,7 +280,7 @@ def _nodes(context):
     if _value(context, 'view') == 'true':
         actions.append(
             Node(
-                package='mixtac_bringup',
+                package='mixtac_cli',
                 executable='view_node',
                 **_common(context, 'view', {}),
             )

@@ -19,7 +19,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
-from mixtac_bringup.dds_profile import profile_environment
+from mixtac_node.process import profile_environment
 
 ARGUMENTS = [
     DeclareLaunchArgument(

@@ -28,7 +28,7 @@ def test_the_tree_is_in_order(capsys: pytest.CaptureFixture[str]):
     ('name', 'text', 'complaint'),
     [
         ('core.py', 'import mixtac_driver\n', 'not on a lower floor'),
-        ('core.py', 'from mixtac_bringup.graph import x\n', 'not on a lower floor'),
+        ('core.py', 'from mixtac_node.graph import x\n', 'not on a lower floor'),
         ('core.py', 'def f():\n    import rclpy.qos\n', 'only *_node.py'),
         ('core.py', 'x = 1\n' * 301, 'split it'),
         ('core.py', 'import pickle\npickle.load(f)\n', 'can run code'),

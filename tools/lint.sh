@@ -7,5 +7,5 @@ cd "$(dirname "$0")/.."
 ruff check .
 ruff format --check .
 mypy src/*/mixtac_*/ tools
-python tools/check_layers.py
+python tools/check_house.py
 python tools/write_reference.py --check

@@ -11,18 +11,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from mixtac_alignment.alignment_parameters import AlignmentParameters
-from mixtac_bringup.align.force_error_parameters import ForceErrorParameters
-from mixtac_bringup.recorder_parameters import RecorderParameters
-from mixtac_bringup.topics import SERVICES, TOPICS
-from mixtac_bringup.view.view_parameters import ViewParameters
-from mixtac_driver.driver_parameters import DriverParameters
-from mixtac_fger.fger_parameters import FgerParameters
+from mixtac_alignment.force_error import ForceErrorParameters
+from mixtac_alignment.parameters import AlignmentParameters
+from mixtac_cli.parameters import RecorderParameters, ViewParameters
+from mixtac_driver.parameters import DriverParameters
+from mixtac_fger.parameters import FgerParameters
 from mixtac_node.parameters import ParameterSpec, specs
-from mixtac_sim.virtual_arm_parameters import VirtualArmParameters
-from mixtac_sim.virtual_grasp_parameters import VirtualGraspParameters
-from mixtac_sim.virtual_sensor_parameters import VirtualSensorParameters
-from mixtac_slip_control.slip_control_parameters import SlipControlParameters
+from mixtac_node.topics import SERVICES, TOPICS
+from mixtac_sim.parameters import (
+    VirtualArmParameters,
+    VirtualGraspParameters,
+    VirtualSensorParameters,
+)
+from mixtac_slip_control.parameters import SlipControlParameters
 
 ROOT = Path(__file__).resolve().parent.parent
 SCHEMAS: dict[str, type[Any]] = {

@@ -22,6 +22,9 @@ setup(
     description='Aligns the camera clock with the reference clock',
     license='Apache-2.0',
     entry_points={
-        'console_scripts': ['alignment_node = mixtac_alignment.alignment_node:main'],
+        'console_scripts': [
+            'alignment_node = mixtac_alignment.alignment_node:main',
+            'force_error_node = mixtac_alignment.force_error_node:main',
+        ],
     },
 )

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import setup
 
 PACKAGE = 'mixtac_bringup'
 
@@ -19,8 +19,7 @@ def config_files() -> list[tuple[str, list[str]]]:
 setup(
     name=PACKAGE,
     version='0.1.0',
-    packages=find_packages(exclude=['test']),
-    package_data={PACKAGE: ['py.typed']},
+    packages=[],
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
@@ -32,15 +31,6 @@ setup(
     zip_safe=True,
     maintainer='Mixtac maintainers',
     maintainer_email='maintainers@mixtac.example.org',
-    description='Launch files, parameter files and the mixtac command line',
+    description='Launch files, parameter files and viewer layouts',
     license='Apache-2.0',
-    entry_points={
-        'console_scripts': [
-            'mixtac = mixtac_bringup.cli:main',
-            'force_error_node = mixtac_bringup.align.force_error_node:main',
-            'recorder_node = mixtac_bringup.recorder_node:main',
-            'view_node = mixtac_bringup.view.view_node:main',
-            'sensor_node = mixtac_bringup.compose.sensor_node:main',
-        ],
-    },
 )

@@ -21,5 +21,5 @@ setup(
     maintainer_email='maintainers@mixtac.example.org',
     description='Driver of the DAVIS346 event camera',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['driver_node = mixtac_driver.driver_node:main']},
+    entry_points={'console_scripts': ['driver_node = mixtac_driver.node.driver_node:main']},
 )

@@ -27,6 +27,6 @@ setup(
             'virtual_grasp_node = mixtac_sim.virtual_grasp_node:main',
             'virtual_sensor_node = mixtac_sim.virtual_sensor_node:main',
         ],
-        'mixtac.usb_backends': ['virtual = mixtac_sim.usb.backend:open_backend'],
+        'mixtac.usb_backends': ['virtual = mixtac_sim.usb.pyusb_backend:open_backend'],
     },
 )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The clock map of a recording by the best means that it allows."""
+"""The clock map of a recording by the most precise method that its data allow."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mixtac_alignment.clock_fit import with_drift_prior
 from mixtac_alignment.errors import RefinementError
 from mixtac_alignment.impulses import ImpulseSettings
 from mixtac_alignment.refinement import Refinement, refine
-from mixtac_alignment.tap_anchors import FEWEST_FRAMES, fit_taps
+from mixtac_alignment.taps import FEWEST_FRAMES, fit_taps
 from mixtac_alignment.two_impulse import fit_counts
 
 if TYPE_CHECKING:
@@ -18,10 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_alignment.event_history import CellEvents
-    from mixtac_alignment.frame_features import FrameFeatures
     from mixtac_alignment.gel_lag import GelLag
-    from mixtac_alignment.rate_history import EventCounts
+    from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
 
 
 def align(

@@ -16,31 +16,26 @@ from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
 
 from mixtac_alignment.align import align
-from mixtac_alignment.alignment_parameters import AlignmentParameters
+from mixtac_alignment.clock_fit import to_fields
 from mixtac_alignment.edges import fit_edges
-from mixtac_alignment.event_history import EventHistory, by_cell
-from mixtac_alignment.fit_message import to_fields
-from mixtac_alignment.force_history import ForceHistory
-from mixtac_alignment.frame_features import reduce_frame
-from mixtac_alignment.frame_history import FrameHistory
-from mixtac_alignment.rate_history import EventRateHistory
+from mixtac_alignment.histories import (
+    EventHistory,
+    EventRateHistory,
+    ForceHistory,
+    FrameHistory,
+    by_cell,
+    reduce_frame,
+)
+from mixtac_alignment.parameters import AlignmentParameters
 from mixtac_events.codec import decode_message, warm_up
-from mixtac_events.errors import CodecError, MixtacError
+from mixtac_events.errors import MixtacError
+from mixtac_events.packets import CodecError
 from mixtac_msgs.msg import ClockFit as ClockFitMessage
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
-from mixtac_node.base_node import (
-    QOS_EVENTS,
-    QOS_FORCE,
-    QOS_LATCHED,
-    OverridableQos,
-    declare,
-    run,
-    stamp_to_ns,
-    stamp_to_us,
-    us_to_stamp,
-)
+from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED, OverridableQos, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from mixtac_node.image_conversion import ImageConversionError, grey
+from mixtac_node.images import ImageConversionError, grey
+from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 
 if TYPE_CHECKING:
     from mixtac_alignment.clock_fit import ClockFit

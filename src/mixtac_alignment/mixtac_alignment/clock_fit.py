@@ -10,21 +10,25 @@ is therefore kept about two epochs near the middle of the anchors, all in second
 
 with :math:`T_E` (`camera_epoch_us`) and :math:`T_F` (`reference_epoch_s`) whole seconds, so that
 differences to them are exact. `paper_offset_s` is the `b` of the paper's relation.
+
+`to_fields` and `from_fields` convert a map to the fields of `mixtac_msgs/ClockFit` and back; the
+node, bags and files use the same ones.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mixtac_alignment.errors import DriftError, NoImpulseError, ShortBaselineError
+from mixtac_alignment.errors import AlignmentError, DriftError, NoImpulseError, ShortBaselineError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
+
 
 MAX_DRIFT: Final = 2e-4
 """Largest believable ``|a - 1|``: two uncompensated crystals differ by up to 1e-4."""
@@ -250,3 +254,54 @@ def _require_drift(fit: ClockFit, max_drift: float) -> None:
             f'{1e6 * allowed:.0f} ppm here: the anchors belong to different impulses, or samples '
             'were lost; record again with two sharp taps'
         )
+
+
+def to_fields(fit: ClockFit) -> dict[str, Any]:
+    """Return the message fields of a fit, all but the header; times in seconds."""
+    return {
+        'a': fit.a,
+        'b': fit.b,
+        'covariance': fit.covariance.ravel().tolist(),
+        'camera_epoch': fit.camera_epoch_us / 1_000_000,
+        'reference_epoch': fit.reference_epoch_s,
+        'camera_anchors': [anchor.camera_us / 1_000_000 for anchor in fit.anchors],
+        'reference_anchors': [anchor.reference_s for anchor in fit.anchors],
+        'residuals': fit.residuals_s.tolist(),
+        'residual_rms': fit.residual_rms_s,
+        'method': fit.method,
+        'message': fit.summary(),
+    }
+
+
+def from_fields(fields: Mapping[str, Any]) -> ClockFit:
+    """Return the fit that a message describes.
+
+    The map and its covariance come back exactly, the anchors rounded as float64 seconds are, and
+    with the fit's own uncertainty there in place of theirs.
+
+    Args:
+        fields: Fields by name, as `to_fields` makes them.
+
+    Raises:
+        AlignmentError: The fields describe no map.
+    """
+    covariance = np.array(fields['covariance'], np.float64).reshape(2, 2)
+    epoch_us = round(fields['camera_epoch'] * 1e6)
+    if not fields['a'] > 0.0 or not np.isfinite([fields['a'], fields['b'], *covariance.flat]).all():
+        raise AlignmentError(
+            f'clock fit with a = {fields["a"]}, b = {fields["b"]} is no map of clocks: fit again'
+        )
+    anchors = zip(fields['camera_anchors'], fields['reference_anchors'], strict=True)
+    bare = ClockFit(
+        a=float(fields['a']),
+        b=float(fields['b']),
+        covariance=covariance,
+        camera_epoch_us=epoch_us,
+        reference_epoch_s=float(fields['reference_epoch']),
+        anchors=(),
+        residuals_s=np.array(fields['residuals'], np.float64),
+        method=str(fields['method']),
+    )
+    return bare.with_anchors(
+        Anchor(round(c * 1e6), float(r), float(bare.std_at(round(c * 1e6)))) for c, r in anchors
+    )

@@ -19,6 +19,7 @@ from mixtac_alignment.errors import AmbiguousImpulsesError, NoImpulseError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+
 EDGE_STD_S: Final = 2e-6
 """Both stamps are counts of a microsecond, with as much jitter."""
 TOLERANCE_S: Final = 2e-3

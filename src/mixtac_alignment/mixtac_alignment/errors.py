@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Why two clocks could not be aligned."""
+"""Errors of the clock alignment; each text says what to do."""
+
+from __future__ import annotations
 
 from mixtac_events.errors import MixtacError
 

@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How the gel's deformation lags the force on it, as a sum of retarded responses.
+"""How the deformation of the gel lags the force on it, as a sum of retarded responses.
 
 The force on a layer of silicone leads its deformation: F = F_e + sum h_i with
 ``dh_i/dt = -h_i / tau_i + g_i dF_e/dt`` (quasi-linear viscoelasticity, Prony series). The camera
-sees the deformation, which follows F_e; for the clocks it is the force that counts. Seen from the
-force, F_e = F - sum w_i H_i with H_i the high-passed force of corner 1 / T_i. Where a trial has
-impacts, the weights follow from the trial; where it has slow motion only, a lag of the gel and an
-offset of the clocks look alike, and the prior below decides, with its uncertainty in the result.
+sees the deformation, which follows F_e; the clocks are aligned by the force. Expressed by the
+force, F_e = F - sum w_i H_i, where H_i is the force after a high-pass filter of corner 1 / T_i.
+Where a trial has impacts, the weights follow from the trial. Where it has slow motion only, a lag
+of the gel and an offset of the clocks look alike; the prior `GelLag` then decides, and its
+uncertainty is part of the result.
 """
 
 from __future__ import annotations
@@ -18,10 +19,51 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numba import njit
 
-from mixtac_alignment.cubic_spline import refined
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+
+@njit(cache=True, nogil=True)
+def spline_refined(values: NDArray[np.float64], finer: int) -> NDArray[np.float64]:
+    """Return the natural cubic spline through samples at finer steps.
+
+    Args:
+        values: Evenly spaced samples, ``float64 [n]``, at least two.
+        finer: Steps per sample.
+
+    Returns:
+        ``float64 [(n - 1) * finer + 1]``, with the samples themselves among them.
+    """
+    bend = _second_differences(values)
+    count = len(values)
+    fine = np.empty((count - 1) * finer + 1)
+    for i in range(count - 1):
+        for k in range(finer):
+            right = k / finer
+            left = 1.0 - right
+            fine[i * finer + k] = (
+                left * values[i]
+                + right * values[i + 1]
+                + ((left**3 - left) * bend[i] + (right**3 - right) * bend[i + 1]) / 6.0
+            )
+    fine[-1] = values[-1]
+    return fine
+
+
+@njit(cache=True, nogil=True)
+def _second_differences(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the second derivatives at the samples, by elimination in a tridiagonal matrix."""
+    count = len(values)
+    bend, upper = np.zeros(count), np.zeros(count)
+    for i in range(1, count - 1):
+        pivot = 4.0 - upper[i - 1]
+        upper[i] = 1.0 / pivot
+        right = 6.0 * (values[i + 1] - 2.0 * values[i] + values[i - 1])
+        bend[i] = (right - bend[i - 1]) / pivot
+    for i in range(count - 2, 0, -1):
+        bend[i] -= upper[i] * bend[i + 1]
+    return bend
+
 
 TIMES_S: Final = (0.7e-3, 4.1e-3, 0.055, 1.05, 20.0)
 """Retardation times T_i; relaxation times of 0.5 and 3 ms, 0.05, 1 and 20 s of a soft silicone."""
@@ -64,7 +106,7 @@ class LaggedForce:
     def __init__(self, t_s: NDArray[np.float64], force_N: NDArray[np.float64]) -> None:
         self._start = float(t_s[0])
         self._step = float(t_s[-1] - t_s[0]) / ((len(t_s) - 1) * FINER)
-        force = refined(np.ascontiguousarray(force_N, np.float64), FINER)
+        force = spline_refined(np.ascontiguousarray(force_N, np.float64), FINER)
         change = np.diff(force, prepend=force[0])
         responses = [self._response(change, time) for time in TIMES_S]
         stretched = self._response(change, STRETCH * TIMES_S[1])

@@ -1,26 +1,38 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Synchronising impulses: what they are, and the time of an extremum between samples.
+"""Synchronising impulses, and how they are found in the force and in the event rate.
 
 An impulse is a sharp tap on the sensor. The force sensor sees a short peak; the camera sees two
 bursts of events, loading and unloading, with a trough between them where the silicone stands still
 at its largest deformation. Force peak and event trough are the same moment (paper, section Aligning
-Data). The events come later than that: the silicone's deformation lags its force, and pixels answer
-the later the darker they are. Their latency is a constant of the sensor (`event_latency_s`) and is
-taken off. The delay of the force sensor's filter (1.5 to 3 ms for a 800 Hz stream) stays in the
-offset `b`, from which nothing can tell it: a camera time maps to the stamp of the sample that shows
-the force of that moment. The module `stillness` says which moment of the trough is taken.
+Data). The events come later than that: the deformation of the silicone lags the force, and the
+darker a pixel, the later it responds. This latency is a constant of the sensor (`event_latency_s`)
+and is subtracted. The delay of the force sensor's filter (1.5 to 3 ms for a stream of 800 Hz) cannot
+be told from the offset `b` and stays in it: a camera time maps to the stamp of the sample that shows
+the force of that moment.
+
+The moment of stillness is taken from the falling flank of the loading burst, not from the middle of
+the trough, which is late. A pixel that has fired on the way in must come back by two thresholds
+before it fires on the way out, so that the second burst starts late, by milliseconds for gentle or
+slow taps; and the way out is often slower than the way in. While the motion keeps its direction, the
+event rate is proportional to its speed, which falls linearly to zero at the largest deformation. The
+anchor is therefore where the falling flank of the first burst, extended, meets the rate at rest.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mixtac_alignment.errors import AlignmentError
+from mixtac_alignment.signals import gaussian_smooth, noise_std, prominent_peaks
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from mixtac_alignment.histories import EventCounts
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,3 +133,251 @@ def strongest(impulses: list[Impulse], spacing_s: float) -> list[Impulse]:
         if all(abs(impulse.time_s - other.time_s) >= spacing_s for other in kept):
             kept.append(impulse)
     return sorted(kept, key=lambda i: i.time_s)
+
+
+TOP: Final = 0.9
+"""Part of the height above which samples belong to the top of a peak."""
+NOISE_FACTOR: Final = 8.0
+"""Peaks stand out of the noise by this many standard deviations."""
+
+
+def find_force_impulses(
+    t_s: NDArray[np.float64],
+    force_N: NDArray[np.float64],
+    settings: ImpulseSettings | None = None,
+) -> list[Impulse]:
+    """Find sharp force peaks, with times between the samples.
+
+    Args:
+        t_s: Increasing sample times [s], relative to the start of the recording (epoch times would
+            cost digits), reference clock, ``float64 [N]``.
+        force_N: Normal force [N], of either sign, ``float64 [N]``.
+        settings: What counts as an impulse.
+
+    Returns:
+        Impulses in the order of time; bounces are merged into the strongest.
+
+    Raises:
+        AlignmentError: Arrays that are no recording.
+    """
+    chosen = settings or ImpulseSettings()
+    _require_recording(t_s, force_N)
+    force = _pressing(force_N)
+    period = float(np.median(np.diff(t_s)))
+    least = max(chosen.min_force, NOISE_FACTOR * noise_std(force))
+    window = 2 * max(3, round(2.0 * chosen.max_width_s / period)) + 1
+    peaks = prominent_peaks(force, least, window)
+    impulses = [
+        _force_impulse(t_s, force, int(peak), float(height), float(width) * period, period)
+        for peak, height, width in zip(*peaks, strict=True)
+        if width * period <= chosen.max_width_s
+    ]
+    return strongest(impulses, chosen.min_spacing_s)
+
+
+def _force_impulse(
+    t_s: NDArray[np.float64],
+    force: NDArray[np.float64],
+    peak: int,
+    height: float,
+    width_s: float,
+    period: float,
+) -> Impulse:
+    first, last = _top(force, peak, force[peak] - (1.0 - TOP) * height)
+    time_s, std_s = vertex(t_s[first:last], force[first:last])
+    flat_first, flat_last = _top(force, peak, force[peak] - 1e-6 * height, least=0)
+    flat_s = (flat_last - flat_first) * period
+    return Impulse(
+        time_s=time_s,
+        std_s=float(np.hypot(std_s, period / np.sqrt(12.0))),
+        strength=height / max(width_s, period),
+        width_s=width_s,
+        saturated=flat_last - flat_first >= 3 and flat_s > 0.3 * width_s,
+    )
+
+
+def _top(force: NDArray[np.float64], peak: int, level: float, least: int = 2) -> tuple[int, int]:
+    """Return the range of samples about the peak above a level, at least `least` to each side."""
+    first = last = peak
+    while first > 0 and (force[first - 1] >= level or peak - first < least):
+        first -= 1
+    while last < len(force) - 1 and (force[last + 1] >= level or last - peak < least):
+        last += 1
+    return first, last + 1
+
+
+def _pressing(force_N: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the force with the sign that makes pressing positive, and rest at zero."""
+    relative = force_N - np.median(force_N)
+    return relative if relative.max() >= -relative.min() else -relative
+
+
+def _require_recording(t_s: NDArray[np.float64], force_N: NDArray[np.float64]) -> None:
+    if t_s.shape != force_N.shape or t_s.ndim != 1 or len(t_s) < 16:
+        raise AlignmentError(
+            f'force recording of shapes {t_s.shape} and {force_N.shape}: give two equal 1-d arrays '
+            'of at least 16 samples'
+        )
+    if not (np.isfinite(t_s).all() and np.isfinite(force_N).all()):
+        raise AlignmentError('force recording holds NaN or infinity: remove these samples')
+    if not np.all(np.diff(t_s) > 0.0):
+        raise AlignmentError('force sample times do not increase: sort them and drop repeats')
+
+
+FLANK: Final = (0.12, 0.4)
+"""Parts of the burst's height between which its flank is straight: below, the smoothing rounds it;
+above, the speed of most taps is curved."""
+FEWEST_BINS: Final = 4
+LARGEST_STD_BINS: Final = 2.0
+"""A line through bins that is less certain than this is none."""
+LEVELS: Final = np.arange(0.7, 0.15, -0.1)
+"""Parts of the burst's height at which the flank is timed where its bins form no line: many pixels
+with nearly the same threshold make plateaus."""
+
+
+def stillness(
+    rate: NDArray[np.float64],
+    smooth: NDArray[np.float64],
+    trough: int,
+    depth: float,
+    rest: float,
+) -> tuple[float, float]:
+    """Return when the flank before a trough runs out, and its standard deviation, in bins.
+
+    Args:
+        rate: Event rate per bin.
+        smooth: The same, smoothed.
+        trough: Bin of the trough.
+        depth: Height of the weaker burst over the trough.
+        rest: Rate at rest.
+
+    Returns:
+        Position on the axis where bin k covers ``[k, k + 1)``; between the burst and the end of the
+        trough.
+    """
+    burst = _burst_before(smooth, trough, smooth[trough] + 0.9 * depth)
+    first, last = _flank(smooth, burst, trough)
+    at = np.arange(first, last, dtype=np.float64) + 0.5
+    fitted = _run_out(at, rate[first:last] - rest)
+    poor = fitted[1] > LARGEST_STD_BINS
+    position, std = _timed_run_out(smooth, burst, trough, rest) if poor else fitted
+    inside = float(np.clip(position, burst + 0.5, trough + (trough - burst)))
+    return inside, std + abs(position - inside)
+
+
+def _burst_before(smooth: NDArray[np.float64], trough: int, level: float) -> int:
+    """Return the top of the burst before a trough."""
+    at = trough
+    while at > 0 and smooth[at] < level:
+        at -= 1
+    while at > 0 and smooth[at - 1] > smooth[at]:
+        at -= 1
+    return at
+
+
+def _flank(smooth: NDArray[np.float64], burst: int, trough: int) -> tuple[int, int]:
+    """Return the range of bins of the straight part between a burst and a trough."""
+    height = smooth[burst] - smooth[trough]
+    part = (smooth[burst : trough + 1] - smooth[trough]) / height
+    first = burst + int(np.flatnonzero(part >= FLANK[1])[-1])
+    last = first + int(np.flatnonzero(part[first - burst :] <= FLANK[0])[0]) + 1
+    missing = max(0, FEWEST_BINS - (last - first))
+    return max(0, first - (missing + 1) // 2), min(len(smooth), last + missing // 2)
+
+
+def _run_out(at: NDArray[np.float64], height: NDArray[np.float64]) -> tuple[float, float]:
+    """Return where a falling line through samples reaches zero, and its standard deviation."""
+    middle = float(at.mean())
+    u = at - middle
+    slope = float(u @ height) / float(u @ u)
+    mean = float(height.mean())
+    if slope >= -1e-9 * (1.0 + abs(mean)):
+        return middle, float(np.ptp(at))
+    scatter = height - mean - slope * u
+    variance = float(scatter @ scatter) / max(1, len(at) - 2)
+    beyond = -mean / slope
+    spread = variance / slope**2 * (1.0 / len(at) + beyond**2 / float(u @ u))
+    return middle + beyond, float(np.sqrt(spread))
+
+
+def _timed_run_out(
+    smooth: NDArray[np.float64], burst: int, trough: int, rest: float
+) -> tuple[float, float]:
+    """Return the same from the times at which the rate last falls through each level.
+
+    Times are regressed on levels: here it is the times that scatter.
+    """
+    height = smooth[burst] - smooth[trough]
+    levels = smooth[trough] + LEVELS * height
+    span = smooth[burst : trough + 1]
+    last = np.array([np.flatnonzero(span >= level)[-1] for level in levels])
+    times = burst + last + 0.5 + (span[last] - levels) / (span[last] - span[last + 1])
+    u = levels - levels.mean()
+    slope = float(u @ times) / float(u @ u)
+    above = float(levels.mean()) - rest
+    scatter = times - times.mean() - slope * u
+    variance = float(scatter @ scatter) / (len(times) - 2)
+    spread = variance * (1.0 / len(times) + above**2 / float(u @ u))
+    return float(times.mean()) - slope * above, float(np.sqrt(spread))
+
+
+SMOOTHING_S: Final = 0.001
+"""Standard deviation of the smoothing: bursts last 2 to 20 ms, single bins scatter."""
+MODEL_STD_S: Final = 4e-4
+"""How far taps of other shapes move the end of the flank, found with threshold pixels and on
+virtual sensors; what moves all alike, the latency of the pixels, stays in the offset of a fit."""
+LARGEST_STD_S: Final = 0.0015
+"""A moment of stillness that is less certain is none: between bounces of a dropped load, say."""
+QUEUE_STD_S: Final = 0.001
+"""Extra uncertainty where the readout was saturated: late events fill the trough's start."""
+
+
+def find_event_impulses(
+    counts: EventCounts, settings: ImpulseSettings | None = None
+) -> list[Impulse]:
+    """Find troughs between two bursts, and the moment of stillness to a part of a bin.
+
+    Args:
+        counts: Event counts in bins of at most 1 ms, camera clock.
+        settings: What counts as an impulse.
+
+    Returns:
+        Impulses in the order of time, relative to the start of the counts; none that touch a time
+        for which packets were lost, where a trough may only be missing data.
+    """
+    chosen = settings or ImpulseSettings()
+    width_s = counts.width_us * 1e-6
+    per_second = counts.counts.astype(np.float64) / width_s
+    smooth = gaussian_smooth(per_second, SMOOTHING_S / width_s)
+    rest = float(np.median(smooth))
+    window = 2 * max(3, round(2.0 * chosen.max_width_s / width_s)) + 1
+    troughs = prominent_peaks(-smooth, chosen.min_burst_rate, window)
+    impulses = [
+        _event_impulse(
+            stillness(per_second, smooth, int(trough), float(depth), min(rest, smooth[trough])),
+            float(smooth[trough] + depth) > chosen.readout_rate,
+            float(depth),
+            float(width) * width_s,
+            width_s,
+        )
+        for trough, depth, width in zip(*troughs, strict=True)
+        if width * width_s <= chosen.max_width_s
+        and smooth[trough] <= chosen.max_trough_ratio * (smooth[trough] + depth)
+        and not counts.lost_near(trough, window)
+    ]
+    certain = [impulse for impulse in impulses if impulse.std_s <= LARGEST_STD_S]
+    return strongest(certain, chosen.min_spacing_s)
+
+
+def _event_impulse(
+    at: tuple[float, float], queued: bool, depth: float, width: float, width_s: float
+) -> Impulse:
+    """Return the impulse at a position in bins, with its uncertainty in seconds."""
+    position, std = at
+    variance = (std * width_s) ** 2 + MODEL_STD_S**2 + (QUEUE_STD_S**2 if queued else 0.0)
+    return Impulse(
+        time_s=position * width_s,
+        std_s=float(np.sqrt(variance)),
+        strength=depth,
+        width_s=width,
+    )

@@ -1,9 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Which impulse of one recording is which of the other, with nothing known of the clocks.
+"""Which impulse of one recording is which of the other, with nothing known about the clocks.
 
-Every two impulses of one recording laid over two of the other propose a map, if the time between
-them agrees within the drift that clocks may have. The map under which most impulses meet wins.
+`prefer_isolated` first leaves out impulses without stillness on both sides: a deliberate tap has it,
+a bouncing load has not. Every two impulses of one recording laid over two of the other then propose
+a map, if the time between them agrees within the drift that clocks may have. The map under which
+most impulses meet wins.
 """
 
 from __future__ import annotations
@@ -17,7 +19,44 @@ import numpy as np
 from mixtac_alignment.errors import AmbiguousImpulsesError, NoImpulseError
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from mixtac_alignment.impulses import Impulse, ImpulseSettings
+
+
+QUIET_S: Final = 0.3
+"""How long before and after a tap nothing may happen [s]."""
+IMPULSE_S: Final = 0.08
+"""Time around an impulse that belongs to it [s]."""
+DISTURBANCE_SHARE: Final = 0.25
+"""What counts as something happening: this part of the impulse's own height."""
+
+
+def prefer_isolated(
+    impulses: list[Impulse], time_s: NDArray[np.float64], signal: NDArray[np.float64]
+) -> list[Impulse]:
+    """Return the isolated impulses, or all where fewer than two are isolated.
+
+    Args:
+        impulses: Impulses found in a signal.
+        time_s: Times of the signal [s], increasing, on the impulses' clock.
+        signal: What the impulses stand out of: event rate or force, in any unit.
+    """
+    height = np.abs(signal - np.median(signal))
+    chosen = [impulse for impulse in impulses if _is_isolated(impulse.time_s, time_s, height)]
+    return chosen if len(chosen) >= 2 else impulses
+
+
+def _is_isolated(at_s: float, time_s: NDArray[np.float64], height: NDArray[np.float64]) -> bool:
+    far, left, right, end = np.searchsorted(
+        time_s, (at_s - QUIET_S, at_s - IMPULSE_S, at_s + IMPULSE_S, at_s + QUIET_S)
+    )
+    own = height[left:right]
+    around = np.concatenate([height[far:left], height[right:end]])
+    if not len(own) or not len(around):
+        return False
+    return bool(around.max() < DISTURBANCE_SHARE * own.max())
+
 
 MOST_IMPULSES: Final = 24
 """Impulses of each recording that are tried, the strongest ones."""

@@ -2,18 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""The clock map refined over the whole trial: frames against the reference force.
 
-The frames, through a static map that is fitted along, show the gel's deformation at exactly known
-times; the reference force, through the retarded responses of the gel (`gel_lag`), gives the same
-deformation on its own clock. With the force as :math:`F`, the responses as :math:`H_i` and a basis
-of functions of the frames as :math:`q`,
+The frames, through a static map that is fitted at the same time, show the deformation of the gel at
+exactly known times; the reference force, through the retarded responses of the gel (`gel_lag`),
+gives the same deformation on its own clock. With the force as :math:`F`, the responses as
+:math:`H_i` and a basis of functions of the frames as :math:`q`,
 
 .. math:: \overline{F - \textstyle\sum w_i H_i}\,(a\,t + b) = q\,c + \text{noise},
 
-averaged over each exposure, is solved for a, b and w by Gauss-Newton steps; c drops out by
+averaged over each exposure, is solved for a, b and w by Gauss-Newton steps; c is eliminated by
 projection. Residuals beyond three standard deviations lose weight (Cauchy). The first map and the
-gel's weights have priors. The covariance is that of a block bootstrap in closed form
-(cluster-robust sandwich), since residuals of neighbouring frames resemble each other, plus a floor
-found on simulated trials.
+weights of the gel have priors. The covariance is that of a block bootstrap in closed form
+(cluster-robust sandwich), since residuals of neighbouring frames are correlated, plus a floor found
+on simulated trials. A jump of one clock within the recording shows in the residuals
+(`largest_step`) and is refused.
 """
 
 from __future__ import annotations
@@ -24,17 +25,89 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mixtac_alignment.clock_fit import MAX_DRIFT
-from mixtac_alignment.clock_step import largest_step
-from mixtac_alignment.deformation_basis import deformation_basis, slow_basis
 from mixtac_alignment.errors import DriftError, InconsistentFitError, RefinementError
-from mixtac_alignment.force_smoothing import smooth_force
 from mixtac_alignment.gel_lag import COLUMNS, GelLag, LaggedForce
+from mixtac_alignment.signals import smooth_force
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_alignment.frame_features import FrameFeatures
+    from mixtac_alignment.histories import FrameFeatures
+
+
+COMPONENTS: Final = 14
+"""Principal components of the log brightness."""
+PRODUCTS: Final = 6
+"""Components whose squares and products are taken too: brightness is not linear in the force."""
+DRIFT_S: Final = 4.0
+"""Half period of the fastest drift of force and light that is taken for drift [s]."""
+
+
+def slow_basis(t_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an orthonormal basis of a constant and slow drift, ``[n, k]``."""
+    along = (t_s - t_s[0]) / (t_s[-1] - t_s[0])
+    count = int(max(2.0, (t_s[-1] - t_s[0]) / DRIFT_S))
+    return np.asarray(np.linalg.qr(np.cos(np.pi * np.outer(along, np.arange(count))))[0])
+
+
+def deformation_basis(values: NDArray[np.float32], t_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an orthonormal basis of functions of the frames, ``[n, k]``.
+
+    Args:
+        values: Log brightness, ``[n, cells]``.
+        t_s: Time of each frame [s].
+    """
+    centred = values - values.mean(axis=0)
+    left, size, _ = np.linalg.svd(centred, full_matrices=False)
+    count = min(COMPONENTS, int(np.sum(size > 1e-6 * size[0])))
+    parts = left[:, :count].astype(np.float64) * np.sqrt(len(left))
+    few = min(PRODUCTS, count)
+    columns = [*parts.T, *(parts[:, :2] ** 3).T]
+    columns += [parts[:, i] * parts[:, j] for i in range(few) for j in range(i, few)]
+    return np.asarray(np.linalg.qr(np.column_stack([slow_basis(t_s), *columns]))[0])
+
+
+JUMP_SPACING_S: Final = 0.5
+"""Spacing of the moments at which a jump is looked for [s]."""
+
+
+def largest_step(
+    rows: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    change: NDArray[np.float64],
+    basis: NDArray[np.float64],
+    t_s: NDArray[np.float64],
+    noise_N: float,
+) -> tuple[float, float, float]:
+    """Return the jump that would explain most of the residuals.
+
+    Args:
+        rows: Design of the fit, weighted and without what the basis explains, ``[n, p]``.
+        residual: What the fit left, weighted, ``[n]`` [N].
+        change: Weighted change of the force with time, ``[n]`` [N/s].
+        basis: Orthonormal weighted basis, ``[n, k]``.
+        t_s: Time of each frame [s].
+        noise_N: Standard deviation of the residuals [N].
+
+    Returns:
+        Jump [s], when [s], and how many standard deviations it is.
+    """
+    own = np.linalg.qr(rows)[0]
+    best = (0.0, float(t_s[0]), 0.0)
+    for at in np.arange(t_s[0] + 1.0, t_s[-1] - 1.0, JUMP_SPACING_S):
+        column = -change * (t_s > at)
+        column -= basis @ (basis.T @ column)
+        column -= own @ (own.T @ column)
+        power = float(column @ column)
+        if power < 1e-12:
+            continue
+        jump = float(column @ residual) / power
+        deviations = abs(jump) * float(np.sqrt(power)) / noise_N
+        if deviations > best[2]:
+            best = (jump, float(at), deviations)
+    return best
+
 
 STEPS: Final = 12
 LARGEST_STEP_S: Final = 4e-3

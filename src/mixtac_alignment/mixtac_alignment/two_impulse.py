@@ -1,27 +1,78 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The clock map from two synchronising impulses (paper, section Aligning Data)."""
+"""The clock map from two synchronising impulses (paper, section Aligning Data).
+
+Stretches without data are found first: events missing where noise alone would have made some are
+marked as lost (`mark_gaps`), and a force recording with a gap is refused (`require_continuous`),
+because the clock behind it may be another.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
-from mixtac_alignment.errors import AlignmentError, NoImpulseError, SaturatedImpulseError
-from mixtac_alignment.event_troughs import find_event_impulses
-from mixtac_alignment.force_peaks import find_force_impulses
-from mixtac_alignment.gaps import mark_gaps, require_continuous
-from mixtac_alignment.impulses import Impulse, ImpulseSettings
-from mixtac_alignment.isolation import prefer_isolated
-from mixtac_alignment.pairing import ImpulsePair, pair_impulses
-from mixtac_alignment.rate_history import EventCounts
+from mixtac_alignment.errors import AlignmentError, GapError, NoImpulseError, SaturatedImpulseError
+from mixtac_alignment.histories import EventCounts
+from mixtac_alignment.impulses import (
+    Impulse,
+    ImpulseSettings,
+    find_event_impulses,
+    find_force_impulses,
+)
+from mixtac_alignment.pairing import ImpulsePair, pair_impulses, prefer_isolated
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
+
+
+EVENT_GAP_S: Final = 0.02
+"""Silence of the pixels that noise makes impossible: at rest a sensor gives 20 events/ms."""
+FEWEST_AT_REST: Final = 40.0
+"""Events expected in such a silence, below which it means nothing."""
+FORCE_GAP_S: Final = 0.05
+
+
+def mark_gaps(counts: EventCounts) -> EventCounts:
+    """Return counts in which stretches without a single event are marked as lost."""
+    bins = max(1, round(EVENT_GAP_S * 1e6 / counts.width_us))
+    if float(np.median(counts.counts)) * bins < FEWEST_AT_REST:
+        return counts
+    silent = np.concatenate([[False], counts.counts == 0, [False]])
+    turns = np.flatnonzero(np.diff(silent.astype(np.int8)))
+    found = tuple(
+        (int(first), int(end))
+        for first, end in zip(turns[::2], turns[1::2], strict=True)
+        if end - first >= bins
+    )
+    return replace(counts, lost=counts.lost + found)
+
+
+def require_continuous(t_s: NDArray[np.float64], largest_s: float = FORCE_GAP_S) -> None:
+    """Refuse force samples with a gap, behind which the clock may be another.
+
+    Args:
+        t_s: Times of the samples [s].
+        largest_s: Gap that is still believed to be lost samples only [s].
+
+    Raises:
+        GapError: Samples are further apart than that and four periods.
+    """
+    if len(t_s) < 3:
+        return
+    steps = np.diff(t_s)
+    worst = int(np.argmax(steps))
+    if steps[worst] > max(largest_s, 4.0 * float(np.median(steps))):
+        raise GapError(
+            f'{steps[worst]:.3f} s without force samples {t_s[worst] - t_s[0]:.2f} s into the '
+            'recording: samples were lost or the clock of the force sensor jumped; record again'
+        )
+
 
 STRONG: Final = 0.02
 """Pairs with this part of the strongest one's weight are impulses; that of a dropped load may be

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mixtac_alignment.fit_message import from_fields
+from mixtac_alignment.clock_fit import from_fields
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_alignment.clock_fit import Anchor, fit_clock
+from mixtac_alignment.clock_fit import Anchor, fit_clock, from_fields, to_fields
 from mixtac_alignment.errors import AlignmentError
-from mixtac_alignment.fit_message import from_fields, to_fields
 
 EPOCH_US = 1_700_000_000_000_000
 

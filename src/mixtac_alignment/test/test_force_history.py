@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_alignment.force_history import ForceHistory
+from mixtac_alignment.histories import ForceHistory
 
 
 @given(steps=st.lists(st.integers(-3, 300_000_000), max_size=80), capacity=st.integers(1, 30))

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixtac_alignment.frame_history import WAITING, FrameHistory
+from mixtac_alignment.histories import WAITING, FrameHistory
 
 
 def test_halves_meet_in_any_order() -> None:

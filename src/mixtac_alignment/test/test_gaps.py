@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mixtac_alignment.errors import GapError
-from mixtac_alignment.gaps import mark_gaps, require_continuous
-from mixtac_alignment.rate_history import EventCounts
+from mixtac_alignment.histories import EventCounts
+from mixtac_alignment.two_impulse import mark_gaps, require_continuous
 
 
 def test_silence_that_noise_makes_impossible_is_lost_data() -> None:

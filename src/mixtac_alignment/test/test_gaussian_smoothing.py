@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 
-from mixtac_alignment.gaussian_smoothing import gaussian_smooth
+from mixtac_alignment.signals import gaussian_smooth
 
 
 @given(

@@ -11,10 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_alignment.event_troughs import find_event_impulses
-from mixtac_alignment.force_peaks import find_force_impulses
-from mixtac_alignment.impulses import Impulse, strongest, vertex
-from mixtac_alignment.rate_history import EventCounts
+from mixtac_alignment.histories import EventCounts
+from mixtac_alignment.impulses import (
+    Impulse,
+    find_event_impulses,
+    find_force_impulses,
+    strongest,
+    vertex,
+)
 
 
 @given(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mixtac_alignment.impulses import Impulse
-from mixtac_alignment.isolation import prefer_isolated
+from mixtac_alignment.pairing import prefer_isolated
 from mixtac_alignment.two_impulse import fit_two_impulses
 
 
@@ -44,7 +44,7 @@ def test_a_tap_during_a_hold_does_not_stand_alone():
 
 @pytest.mark.parametrize('seed', [9001, 9003])
 def test_trials_with_a_dropped_weight_are_aligned(seed: int):
-    trial = pytest.importorskip('mixtac_sim.trial').simulate_trial(seed, seed, 'demo', 14.0)
+    trial = pytest.importorskip('mixtac_sim.world.trial').simulate_trial(seed, seed, 'demo', 14.0)
     fit = fit_two_impulses(
         trial.events.t, trial.reference_t_us * 1e-6, trial.reference_wrench[:, 2]
     )

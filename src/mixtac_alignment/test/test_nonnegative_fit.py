@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from mixtac_alignment.nonnegative_fit import nonnegative_left, nonnegative_weights
+from mixtac_alignment.taps import nonnegative_left, nonnegative_weights
 
 
 @given(seed=st.integers(0, 2**32 - 1), columns=st.integers(1, 8), alike=st.booleans())

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import find_peaks, peak_widths
 
-from mixtac_alignment.prominent_peaks import prominent_peaks
+from mixtac_alignment.signals import prominent_peaks
 
 LEAST = 0.5
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_alignment.errors import AlignmentError
-from mixtac_alignment.rate_history import EventCounts, EventRateHistory
+from mixtac_alignment.histories import EventCounts, EventRateHistory
 
 EPOCH_US = 1_700_000_000_000_000
 

@@ -12,8 +12,7 @@ import pytest
 from mixtac_alignment.align import align
 from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
 from mixtac_alignment.errors import DriftError, InconsistentFitError, RefinementError
-from mixtac_alignment.frame_features import FrameFeatures, reduce_frame
-from mixtac_alignment.rate_history import EventCounts
+from mixtac_alignment.histories import EventCounts, FrameFeatures, reduce_frame
 from mixtac_alignment.refinement import refine
 
 RATE, OFFSET_S, WEIGHT, TIME_S = 1.0 + 40e-6, 2.3456, 0.26, 3.26e-3

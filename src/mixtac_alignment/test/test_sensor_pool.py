@@ -10,8 +10,8 @@ import pytest
 from mixtac_alignment.clock_fit import Anchor, ClockFit
 from mixtac_alignment.gel_lag import GelLag
 from mixtac_alignment.impulses import ImpulseSettings
+from mixtac_alignment.pool import pool_lag, pool_latency
 from mixtac_alignment.refinement import Refinement
-from mixtac_alignment.sensor_pool import pool_lag, pool_latency
 
 PRIOR = GelLag((0.2,) * 6, (0.1,) * 6)
 

@@ -11,9 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_alignment.event_troughs import find_event_impulses
-from mixtac_alignment.rate_history import EventCounts
-from mixtac_alignment.stillness import stillness
+from mixtac_alignment.histories import EventCounts
+from mixtac_alignment.impulses import find_event_impulses, stillness
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_alignment.event_history import CellEvents, EventHistory, by_cell
 from mixtac_alignment.gel_lag import GelLag
-from mixtac_alignment.tap_waveform import TapModel, brightening, common_course, tap_signal
+from mixtac_alignment.histories import CellEvents, EventHistory, by_cell
+from mixtac_alignment.taps import TapModel, brightening, common_course, tap_signal
 from mixtac_events.arrays import Events
 
 CELLS = 60

@@ -16,7 +16,7 @@ from mixtac_alignment.errors import (
     SaturatedImpulseError,
     ShortBaselineError,
 )
-from mixtac_alignment.rate_history import EventCounts
+from mixtac_alignment.histories import EventCounts
 from mixtac_alignment.two_impulse import fit_counts, fit_two_impulses
 
 

@@ -12,8 +12,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac_bringup.compose.process import in_one_process
-from mixtac_bringup.graph import sensor_graph
+from mixtac_node.graph import in_one_process, sensor_graph
 
 LAUNCH = Path(__file__).resolve().parents[3] / 'launch'
 SENSOR = LAUNCH / 'sensor.launch.py'
@@ -88,7 +87,7 @@ def test_the_launch_description_starts_the_graph(device: str, together: str):
 
 
 def test_align_adds_both_nodes_of_the_alignment_on_the_same_reference():
-    added = {('mixtac_alignment', 'alignment_node'), ('mixtac_bringup', 'force_error_node')}
+    added = {('mixtac_alignment', 'alignment_node'), ('mixtac_alignment', 'force_error_node')}
     plain, _ = processes('sensor', device='virtual')
     aligned, _ = processes('sensor', device='virtual', align='true', reference_topic='/other')
     assert set(aligned) - set(plain) == added

@@ -1,34 +1,116 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The DAVIS346 as an object: open it, start it, take what it sees."""
+"""The DAVIS346 as an object: open it, start it, and iterate over batches of decoded data."""
 
 from __future__ import annotations
 
 import threading
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mixtac_driver.backend import attached_cameras
-from mixtac_driver.camera_control import CameraControl
-from mixtac_driver.clock_epochs import ClockEpochs
-from mixtac_driver.clock_map import ClockMap
-from mixtac_driver.configuration import Configuration
-from mixtac_driver.connection import Connection
-from mixtac_driver.debug_messages import DebugMessage, DebugReader
-from mixtac_driver.decoder import StreamDecoder
+from mixtac_driver.clock import ClockEpochs
+from mixtac_driver.davis346.control import CameraControl
+from mixtac_driver.davis346.identity import Identity, read_identity, read_is_master
+from mixtac_driver.davis346.settings import Configuration
+from mixtac_driver.decode.decoder import DEFAULT_CAPACITY, StreamDecoder
 from mixtac_driver.errors import DriverError, StreamError
-from mixtac_driver.identity import Identity, read_identity, read_is_master
-from mixtac_driver.readers import make_reader
-from mixtac_driver.stream import CameraBatch, StreamSettings
-from mixtac_driver.transfer_queue import Transfer, TransportCounters
+from mixtac_driver.usb.device import DATA_ENDPOINT, Connection, attached_cameras
+from mixtac_driver.usb.libusb import AsynchronousReader
+from mixtac_driver.usb.transport import (
+    BulkReader,
+    DebugMessage,
+    DebugReader,
+    Transfer,
+    TransportCounters,
+)
+from mixtac_events.clock_map import ClockMap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import TracebackType
 
-    from mixtac_driver.decoder_state import DecoderCounters
-    from mixtac_driver.readers import Reader
-    from mixtac_driver.sequences import Origin
+    from mixtac_driver.clock import Origin
+    from mixtac_driver.decode.state import DecoderCounters
+    from mixtac_events.readings import DecodedBatch
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSettings:
+    """How data are taken from the camera.
+
+    Attributes:
+        transfers: Reads that wait at the endpoint at once, where the backend can do that.
+        transfer_size: Bytes asked for per read.
+        queue_size: Bytes that may wait to be decoded, besides those in the transfers.
+        event_capacity: Events per batch.
+        silence_s: Time without any data [s] after which the stream counts as dead; a running
+            camera sends time wraps every 33 ms.
+        confirmation_s: Time [s] within which the camera has to confirm the reset of its clock.
+    """
+
+    transfers: int = 128
+    transfer_size: int = 65536
+    queue_size: int = 32 << 20
+    event_capacity: int = DEFAULT_CAPACITY
+    silence_s: float = 3.0
+    confirmation_s: float = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraBatch:
+    """A stretch of what the camera saw.
+
+    Attributes:
+        decoded: Events, frames, inertial samples and edges [us on the camera clock since its
+            reset]. The events are views that the next batch overwrites.
+        origin: Add `origin.us` to those times to get them on the epoch-based camera clock, which
+            never goes back, not even when the camera's own clock is reset.
+        arrival_ns: Host time of the transfer's arrival [ns since the Unix epoch].
+    """
+
+    decoded: DecodedBatch
+    origin: Origin
+    arrival_ns: int
+
+    @property
+    def time_us(self) -> int:
+        """Time that the stream has reached [us, epoch-based camera clock]."""
+        return self.decoded.time_us + self.origin.us
+
+
+Reader = AsynchronousReader | BulkReader
+"""What reads the data endpoint."""
+
+
+def make_reader(
+    connection: Connection, settings: StreamSettings, now_ns: Callable[[], int]
+) -> Reader:
+    """Return a reader of a camera's data: asynchronous through libusb, else one read at a time.
+
+    Args:
+        connection: The open camera.
+        settings: How data are taken.
+        now_ns: Host clock [ns since the Unix epoch].
+    """
+    port = connection.libusb_port()
+    if port is not None:
+        return AsynchronousReader(
+            port,
+            DATA_ENDPOINT,
+            connection.clear_halt,
+            transfers=settings.transfers,
+            transfer_size=settings.transfer_size,
+            queue_size=settings.queue_size,
+            now_ns=now_ns,
+        )
+    return BulkReader(
+        connection.read_data,
+        connection.clear_halt,
+        transfer_size=settings.transfer_size,
+        now_ns=now_ns,
+    )
+
 
 POLL_S = 0.1
 
@@ -39,7 +121,7 @@ class Davis346:
     `batches` is for one thread; everything else may be used from others too.
 
     Args:
-        device: Device string (see `mixtac_driver.backend`).
+        device: Device string (see `mixtac_driver.usb.device`).
         serial: Serial number, or empty for the only camera.
         configuration: Settings.
         stream: How data are taken.

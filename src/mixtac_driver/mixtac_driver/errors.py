@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What can go wrong between the driver and a camera."""
 
+from __future__ import annotations
+
 from mixtac_events.errors import MixtacError
 
 
@@ -55,14 +57,6 @@ class ConfigurationError(DriverError):
 
 class StreamError(DriverError):
     """A data stream that stopped, or never confirmed its start."""
-
-
-class RecordingError(MixtacError):
-    """A recording that cannot be played; opening it again does not help."""
-
-
-class DamagedRecordingError(RecordingError):
-    """Recorded data that are not what their format demands."""
 
 
 class EndOfStream(DriverError):  # noqa: N818 - a state, not a failure

@@ -7,25 +7,24 @@ from __future__ import annotations
 from enum import Enum
 from typing import TYPE_CHECKING, Protocol
 
-from mixtac_driver.backend import check_device, is_real, known_devices
 from mixtac_driver.camera import Davis346
 from mixtac_driver.errors import UnknownDeviceError
-from mixtac_driver.recordings.opening import looks_like_a_path
-from mixtac_driver.recordings.recorded_source import RecordedSource
+from mixtac_driver.playback.source import RecordedSource
+from mixtac_driver.usb.device import check_device, is_real, known_devices
+from mixtac_recordings.camera_stream import looks_like_a_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from mixtac_driver.camera_control import CameraControl
-    from mixtac_driver.clock_map import ClockMap
-    from mixtac_driver.configuration import Configuration
-    from mixtac_driver.debug_messages import DebugMessage
-    from mixtac_driver.decoder_state import DecoderCounters
-    from mixtac_driver.identity import Identity
-    from mixtac_driver.recordings.playback_parameters import PlaybackParameters
-    from mixtac_driver.sequences import Origin
-    from mixtac_driver.stream import CameraBatch, StreamSettings
-    from mixtac_driver.transfer_queue import TransportCounters
+    from mixtac_driver.camera import CameraBatch, StreamSettings
+    from mixtac_driver.clock import Origin
+    from mixtac_driver.davis346.control import CameraControl
+    from mixtac_driver.davis346.identity import Identity
+    from mixtac_driver.davis346.settings import Configuration
+    from mixtac_driver.decode.state import DecoderCounters
+    from mixtac_driver.usb.transport import DebugMessage, TransportCounters
+    from mixtac_events.clock_map import ClockMap
+    from mixtac_recordings.recording import PlaybackParameters
 
 
 class Source(Protocol):

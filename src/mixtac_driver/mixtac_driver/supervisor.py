@@ -1,24 +1,132 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps a source streaming: opens it, hands on what it sees, opens it again when it dies."""
+"""Keeps a source streaming: opens it, passes its batches on, and reopens it when the stream fails."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections import Counter
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from mixtac_driver.errors import DriverError, EndOfStream, RecordingError
-from mixtac_driver.recovery_settings import Backoff, RecoveryPolicy, RecoverySettings
+from mixtac_driver.errors import DriverError, EndOfStream
 from mixtac_events.errors import MixtacError
+from mixtac_node.parameters import parameter
+from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mixtac_driver.camera import CameraBatch
     from mixtac_driver.source import Source
-    from mixtac_driver.stream import CameraBatch
+
+
+class RecoveryPolicy(str, Enum):
+    """What a failure leads to.
+
+    Attributes:
+        RECONNECT: Open the camera again, with growing pauses, until it is back.
+        FAIL_STOP: End with the reason; a camera that was never there is still waited for.
+    """
+
+    RECONNECT = 'reconnect'
+    FAIL_STOP = 'fail_stop'
+
+
+@dataclass(frozen=True, slots=True)
+class RecoverySettings:
+    """How failures are dealt with.
+
+    Attributes:
+        policy: What a failure leads to.
+        first_pause_s: Pause before the first attempt to open the camera again [s].
+        longest_pause_s: Longest pause [s]; each is twice as long as the one before.
+        give_up_after_s: Time without a stream [s] after which reconnecting ends; 0 never ends.
+    """
+
+    policy: RecoveryPolicy = RecoveryPolicy.RECONNECT
+    first_pause_s: float = 0.05
+    longest_pause_s: float = 0.5
+    give_up_after_s: float = 0.0
+
+    def gives_up(self, seconds: float) -> bool:
+        """Return whether so many seconds without a stream are too many."""
+        return 0 < self.give_up_after_s <= seconds
+
+
+class Backoff:
+    """Pauses that double up to a bound.
+
+    Args:
+        first_s: First pause [s].
+        longest_s: Longest pause [s].
+    """
+
+    def __init__(self, first_s: float, longest_s: float) -> None:
+        self._first_s = min(first_s, longest_s)
+        self._longest_s = longest_s
+        self._next_s = self._first_s
+
+    def next(self) -> float:
+        """Return the next pause [s]."""
+        pause_s = self._next_s
+        self._next_s = min(2 * pause_s, self._longest_s)
+        return pause_s
+
+    def reset(self) -> None:
+        """Begin with the first pause again."""
+        self._next_s = self._first_s
+
+
+@dataclass(frozen=True)
+class RecoveryParameters:
+    """Reconnect or end, and how patiently."""
+
+    recovery_policy: str = parameter(
+        RecoveryPolicy.RECONNECT.value,
+        'What a failure of the camera leads to: reconnect opens it again until it is back; '
+        'fail_stop ends the driver with the reason and exit status 1',
+        choices=tuple(policy.value for policy in RecoveryPolicy),
+        read_only=True,
+    )
+    recovery_first_pause: float = parameter(
+        0.05,
+        'Pause before the first attempt to reconnect',
+        unit='s',
+        minimum=0.01,
+        maximum=60.0,
+        read_only=True,
+    )
+    recovery_longest_pause: float = parameter(
+        0.5,
+        'Longest pause between attempts; each is twice as long as the one before. A camera that is '
+        'plugged in ends the pause',
+        unit='s',
+        minimum=0.01,
+        maximum=600.0,
+        read_only=True,
+    )
+    recovery_give_up_after: float = parameter(
+        0.0,
+        'Time without a stream after which the driver ends as under fail_stop; 0 never',
+        unit='s',
+        minimum=0.0,
+        maximum=86_400.0,
+        read_only=True,
+    )
+
+
+def recovery_settings(p: RecoveryParameters) -> RecoverySettings:
+    """Return what the parameters ask for."""
+    return RecoverySettings(
+        policy=RecoveryPolicy(p.recovery_policy),
+        first_pause_s=p.recovery_first_pause,
+        longest_pause_s=p.recovery_longest_pause,
+        give_up_after_s=p.recovery_give_up_after,
+    )
+
 
 STOP_TIMEOUT_S = 8.0
 WATCH_S = 0.2

@@ -10,8 +10,8 @@ import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from mixtac_driver.decoder import StreamDecoder
-from mixtac_driver.identity import Geometry
+from mixtac_driver.davis346.model import Geometry
+from mixtac_driver.decode.decoder import StreamDecoder
 
 SETTINGS = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 

@@ -13,10 +13,11 @@ from fake_libusb import FakeLibusb
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_driver import async_transport, libusb_transfers, transport
-from mixtac_driver.async_transport import AsynchronousReader
 from mixtac_driver.errors import DisconnectedError, StreamError, UsbError
-from mixtac_driver.libusb_transfers import LibusbPort
+from mixtac_driver.usb import libusb as async_transport
+from mixtac_driver.usb import libusb as libusb_transfers
+from mixtac_driver.usb import transport
+from mixtac_driver.usb.libusb import AsynchronousReader, LibusbPort
 
 
 class Rig:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_driver.auto_exposure import AutoExposure, ExposureLimits, right_exposure
+from mixtac_driver.node.settings import AutoExposure, ExposureLimits, right_exposure
 
 LIMITS = ExposureLimits(0.35, 20, 30_000)
 

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from mixtac_driver import backend
 from mixtac_driver.errors import UnknownDeviceError, UsbError
+from mixtac_driver.usb import device as backend
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from mixtac_driver.benchmark import decode_benchmark
-from mixtac_driver.benchmark.streams import event_stream, frame_stream, repeated
-from mixtac_driver.decoder import StreamDecoder
-from mixtac_driver.identity import Geometry
+from mixtac_driver.davis346.model import Geometry
+from mixtac_driver.decode.decoder import StreamDecoder
+from mixtac_lab.bench import decode as decode_benchmark
+from mixtac_lab.bench.decode import event_stream, frame_stream, repeated
 
 
 @pytest.mark.parametrize('random', [False, True])

@@ -13,8 +13,8 @@ import pytest
 from davis_fake import FakeBackend, FakeCamera
 from usb.core import USBError
 
-from mixtac_driver.camera import Davis346
-from mixtac_driver.configuration import Configuration
+from mixtac_driver.camera import Davis346, StreamSettings
+from mixtac_driver.davis346.settings import Configuration
 from mixtac_driver.errors import (
     DisconnectedError,
     NoCameraError,
@@ -22,15 +22,14 @@ from mixtac_driver.errors import (
     UnsupportedCameraError,
     UsbError,
 )
-from mixtac_driver.stream import StreamSettings
 
 QUICK = StreamSettings(silence_s=0.3)
 
 
 @pytest.fixture(autouse=True)
 def quick_settling(monkeypatch):
-    monkeypatch.setattr('mixtac_driver.sequences.BIASES_SETTLE_S', 0.01)
-    monkeypatch.setattr('mixtac_driver.sequences.LOGIC_SETTLE_S', 0.01)
+    monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.01)
+    monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.01)
 
 
 def opened(fake, **kwargs):

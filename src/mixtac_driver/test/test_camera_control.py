@@ -12,18 +12,18 @@ from davis_fake import FakeBackend, FakeCamera
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_driver.biases import ShiftedSourceBias, VoltageBias
 from mixtac_driver.camera import Davis346
-from mixtac_driver.camera_control import CameraControl
-from mixtac_driver.configuration import Configuration, Region
+from mixtac_driver.davis346.biases import ShiftedSourceBias, VoltageBias
+from mixtac_driver.davis346.control import CameraControl
+from mixtac_driver.davis346.registers import Chip
+from mixtac_driver.davis346.settings import Configuration, Region
 from mixtac_driver.errors import ConfigurationError, DriverError, UsbError
-from mixtac_driver.registers import Chip
 
 
 @pytest.fixture(autouse=True)
 def quick_settling(monkeypatch):
-    monkeypatch.setattr('mixtac_driver.sequences.BIASES_SETTLE_S', 0.0)
-    monkeypatch.setattr('mixtac_driver.sequences.LOGIC_SETTLE_S', 0.0)
+    monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.0)
+    monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.0)
 
 
 @pytest.fixture

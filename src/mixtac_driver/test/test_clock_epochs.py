@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_driver.clock_epochs import ClockEpochs
+from mixtac_driver.clock import ClockEpochs, Origin
 from mixtac_driver.errors import StreamError
-from mixtac_driver.sequences import Origin
 
 ASKED = Origin(10**15, 1000)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_driver.clock_map import ClockMap
+from mixtac_events.clock_map import ClockMap
 
 EPOCH_NS = 1_760_000_000_000_000_000
 

@@ -10,8 +10,8 @@ import pytest
 
 pytest.importorskip('rosgraph_msgs.msg')
 
-from mixtac_driver.clock_publisher import ClockPublisher
-from mixtac_node.base_node import stamp_to_us
+from mixtac_driver.node.publishers import ClockPublisher
+from mixtac_node.stamps import stamp_to_us
 
 EPOCH_US = 1_760_000_000_000_000
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from usb.core import USBTimeoutError
 
 from mixtac_driver.camera import Davis346
-from mixtac_driver.debug_messages import DebugMessage, DebugReader, decode_message
+from mixtac_driver.usb.transport import DebugMessage, DebugReader, decode_message
 
 
 def names():

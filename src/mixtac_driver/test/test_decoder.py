@@ -20,10 +20,10 @@ from decoder_cases import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_driver.decoder import StreamDecoder
+from mixtac_driver.davis346.model import Geometry
+from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_driver.errors import DriverError
-from mixtac_driver.identity import Geometry
-from mixtac_driver.wrap_count import Gap, gap_of
+from mixtac_driver.usb.transport import Gap, gap_of
 
 
 @SETTINGS

@@ -11,7 +11,7 @@ from decoder_cases import SETTINGS, assert_same, decode, geometries
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_driver.identity import Geometry
+from mixtac_driver.davis346.model import Geometry
 
 UNUSUAL = [0, 1, 3, 6, 18, 0x0FFF, 0x4123, 0x5012, 0x5412, 0x6400, 0x7000, 0x7003, 0x1FFF, 0x2FFF]
 

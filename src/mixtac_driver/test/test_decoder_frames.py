@@ -11,7 +11,7 @@ import pytest
 from davis_oracle import Oracle
 from decoder_cases import assert_same, decode, region_words
 
-from mixtac_driver.identity import Geometry
+from mixtac_driver.davis346.model import Geometry
 
 SMALL = (7, 4)  # width and height of frames in tests that take many
 

@@ -9,7 +9,7 @@ import pytest
 from davis_oracle import Oracle
 from decoder_cases import assert_same, decode
 
-from mixtac_driver.identity import Geometry
+from mixtac_driver.davis346.model import Geometry
 
 
 def both(words):

@@ -12,8 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from mixtac_driver.doctor import computer
-from mixtac_driver.doctor.finding import Level
-from mixtac_driver.doctor.host_files import HostFiles
+from mixtac_driver.doctor.computer import HostFiles, Level
 
 
 def write(root, absolute, text):

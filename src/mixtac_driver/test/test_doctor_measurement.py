@@ -10,14 +10,13 @@ import math
 import pytest
 from virtual_scene import Scene
 
-from mixtac_driver.clock_map import ClockEstimate
-from mixtac_driver.configuration import Configuration
-from mixtac_driver.doctor.finding import Level
-from mixtac_driver.doctor.measurement import Measurement
-from mixtac_driver.doctor.running_camera import check_measurement, check_running
-from mixtac_driver.transfer_queue import TransportCounters
+from mixtac_driver.davis346.settings import Configuration
+from mixtac_driver.doctor.computer import Level
+from mixtac_driver.doctor.stream import Measurement, check_measurement, check_running
+from mixtac_driver.usb.transport import TransportCounters
+from mixtac_events.clock_map import ClockEstimate
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.in_process import in_process_backend
+from mixtac_sim.usb.pyusb_backend import in_process_backend
 from mixtac_sim.usb.registers import Board
 
 GOOD = Measurement(

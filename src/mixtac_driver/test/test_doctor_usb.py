@@ -8,11 +8,12 @@ import os
 
 import pytest
 
-from mixtac_driver.doctor import access, software, usb_bus
-from mixtac_driver.doctor.camera_checks import check_attached
-from mixtac_driver.doctor.finding import Finding, Level, first_to_do, ok, worst
-from mixtac_driver.doctor.host_files import HostFiles
-from mixtac_driver.stream import StreamSettings
+from mixtac_driver.camera import StreamSettings
+from mixtac_driver.doctor import computer as software
+from mixtac_driver.doctor import usb as access
+from mixtac_driver.doctor import usb as usb_bus
+from mixtac_driver.doctor.computer import Finding, HostFiles, Level, first_to_do, ok, worst
+from mixtac_driver.doctor.usb import check_attached
 
 NODE = 'dev/bus/usb/002/005'
 

@@ -30,11 +30,12 @@ from virtual_scene import Scene
 
 from mixtac_events.codec import decode_message
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
-from mixtac_node.base_node import QOS_EVENTS, QOS_LATCHED, QOS_SENSOR, stamp_to_ns, stamp_to_us
+from mixtac_node.base_node import QOS_EVENTS, QOS_LATCHED, QOS_SENSOR
+from mixtac_node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_sim.usb.server import UsbServer
 
 pytestmark = pytest.mark.dds
-COMMAND = [sys.executable, '-m', 'mixtac_driver.driver_node', '--ros-args']
+COMMAND = [sys.executable, '-m', 'mixtac_driver.node.driver_node', '--ros-args']
 
 
 class Graph:

@@ -9,13 +9,12 @@ import dataclasses
 import pytest
 from davis_fake import FakeBackend, FakeCamera
 
-from mixtac_driver.bias_parameters import BiasParameters
 from mixtac_driver.camera import Davis346
-from mixtac_driver.configuration import Configuration
-from mixtac_driver.device_parameters import stream_settings
-from mixtac_driver.driver_parameters import DriverParameters, camera_configuration
+from mixtac_driver.davis346.biases import BiasParameters
+from mixtac_driver.davis346.settings import Configuration
+from mixtac_driver.davis346.writes import register_writes, run_writes
 from mixtac_driver.errors import ConfigurationError
-from mixtac_driver.register_writes import register_writes, run_writes
+from mixtac_driver.parameters import DriverParameters, camera_configuration, stream_settings
 from mixtac_node.parameters import ParameterError, build, specs
 
 VOLTAGES = {

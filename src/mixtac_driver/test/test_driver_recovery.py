@@ -14,8 +14,8 @@ from event_camera_msgs.msg import EventPacket
 from test_driver_node import Graph
 
 from mixtac_node.base_node import QOS_EVENTS
-from mixtac_sim.usb.fault_client import inject
 from mixtac_sim.usb.faults import Fault, FaultKind
+from mixtac_sim.usb.pyusb_backend import inject
 
 pytestmark = pytest.mark.dds
 ERROR = b'\x02'

@@ -15,14 +15,14 @@ pytest.importorskip('std_srvs.srv')
 
 from davis_fake import FakeBackend, FakeCamera
 
-from mixtac_driver import driver_services
 from mixtac_driver.camera import Davis346
-from mixtac_driver.driver_parameters import DriverParameters
-from mixtac_driver.driver_services import DriverServices, NextFrame
-from mixtac_driver.driver_settings import DriverSettings
-from mixtac_driver.pixel_mask import PixelMask, load_mask
-from mixtac_driver.readings import Frame
+from mixtac_driver.node import services as driver_services
+from mixtac_driver.node.services import DriverServices, NextFrame
+from mixtac_driver.node.settings import DriverSettings
+from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.pixels import PixelMask, load_mask
 from mixtac_events.arrays import Events
+from mixtac_events.readings import Frame
 
 HOT = [(10 * k + 5, 7) for k in range(10)]
 
@@ -74,8 +74,8 @@ class Rig:
 
 @pytest.fixture
 def rig(monkeypatch, tmp_path):
-    monkeypatch.setattr('mixtac_driver.sequences.BIASES_SETTLE_S', 0.0)
-    monkeypatch.setattr('mixtac_driver.sequences.LOGIC_SETTLE_S', 0.0)
+    monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.0)
+    monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.0)
     monkeypatch.setattr(driver_services, 'REPORT_PERIOD_S', 0.05)
     parameters = replace(
         DriverParameters(),

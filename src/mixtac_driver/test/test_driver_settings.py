@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixtac_driver.camera_control import CameraControl
-from mixtac_driver.driver_parameters import DriverParameters
-from mixtac_driver.driver_settings import DriverSettings
+from mixtac_driver.davis346.control import CameraControl
 from mixtac_driver.errors import ConfigurationError, UsbError
-from mixtac_driver.pixel_mask import PixelMask, save_mask
-from mixtac_driver.readings import Frame
+from mixtac_driver.node.settings import DriverSettings
+from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.pixels import PixelMask, save_mask
+from mixtac_events.readings import Frame
 
 AUTO = replace(DriverParameters(), aps_auto_exposure=True)
 

@@ -14,11 +14,10 @@ pytest.importorskip('diagnostic_msgs.msg')
 from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_driver.camera import Davis346
-from mixtac_driver.driver_meters import DriverMeters
-from mixtac_driver.driver_parameters import DriverParameters
-from mixtac_driver.driver_settings import DriverSettings
-from mixtac_driver.driver_status import DriverStatus
-from mixtac_driver.pixel_mask import PixelMask
+from mixtac_driver.node.settings import DriverSettings
+from mixtac_driver.node.status import DriverMeters, DriverStatus
+from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.pixels import PixelMask
 from mixtac_driver.supervisor import State
 from mixtac_node.diagnostics import ERROR, OK, WARN
 

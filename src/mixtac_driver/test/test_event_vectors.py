@@ -9,9 +9,9 @@ import pytest
 from llvmlite import binding
 from numba import njit
 
-from mixtac_driver import event_vectors, vector_press
-from mixtac_driver.array_pointer import pointer_to
-from mixtac_driver.source_fingerprint import source_fingerprint
+from mixtac_driver.decode import vectors as event_vectors
+from mixtac_driver.decode import vectors as vector_press
+from mixtac_driver.decode.kernel import pointer_to, source_fingerprint
 
 
 def taker():

@@ -11,11 +11,11 @@ import pytest
 from davis_oracle import Oracle
 from decoder_cases import assert_same, decode
 
-from mixtac_driver import decoder as decoder_module
-from mixtac_driver.benchmark import fuzz_words
-from mixtac_driver.benchmark.fuzz import FuzzError, GuardedDecoder, Tally, run_session
-from mixtac_driver.decoder import StreamDecoder
-from mixtac_driver.identity import Geometry
+from mixtac_driver.davis346.model import Geometry
+from mixtac_driver.decode import decoder as decoder_module
+from mixtac_driver.decode.decoder import StreamDecoder
+from mixtac_lab.bench import fuzz as fuzz_words
+from mixtac_lab.bench.fuzz import FuzzError, GuardedDecoder, Tally, run_session
 
 
 @pytest.mark.parametrize('number', range(6))

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixtac_driver.hot_pixels import PixelCounter, hot_pixels
+from mixtac_driver.pixels import PixelCounter, hot_pixels
 from mixtac_events.arrays import Events
 
 HOT = [(10, 20), (11, 20), (0, 0), (345, 259), (200, 100)]

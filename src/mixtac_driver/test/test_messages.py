@@ -14,14 +14,14 @@ pytest.importorskip('mixtac_msgs.msg')
 
 from davis_fake import FakeBackend, FakeCamera
 
-from mixtac_driver import messages
 from mixtac_driver.camera import Davis346
-from mixtac_driver.packetizer import Packetizer
-from mixtac_driver.readings import EdgeKind, Frame, InertialSamples
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode_message
+from mixtac_events.packetizer import Packetizer
+from mixtac_events.readings import EdgeKind, Frame, InertialSamples
 from mixtac_msgs.msg import ExternalEdge
-from mixtac_node.base_node import stamp_to_us
+from mixtac_node.stamps import stamp_to_us
+from mixtac_recordings import messages
 
 ORIGIN_US = 1_760_000_000_000_000
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_driver.packetizer import Packetizer
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode
+from mixtac_events.packetizer import Packetizer
 
 BASE = 1_760_000_000_000_000
 

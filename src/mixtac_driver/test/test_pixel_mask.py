@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixtac_driver.errors import ConfigurationError
-from mixtac_driver.pixel_mask import PixelMask, load_mask, mask_of_image, save_mask
+from mixtac_driver.pixels import PixelMask, load_mask, mask_of_image, save_mask
 from mixtac_events.arrays import Events
 
 PIXELS = st.tuples(st.integers(0, 345), st.integers(0, 259))

@@ -16,22 +16,24 @@ from davis_fake import FakeBackend, FakeCamera
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
-from mixtac_driver import edge_publisher, messages
-from mixtac_driver.calibration.camera_calibration import CameraCalibration
-from mixtac_driver.calibration.camera_info_file import write_camera_info
+from mixtac_driver.calibration.camera_info import write_camera_info
+from mixtac_driver.calibration.lens import CameraCalibration
 from mixtac_driver.camera import Davis346
-from mixtac_driver.device_parameters import DeviceParameters
-from mixtac_driver.driver_meters import DriverMeters
-from mixtac_driver.driver_parameters import DriverParameters
-from mixtac_driver.edge_publisher import EdgePublisher
-from mixtac_driver.event_publisher import EventPublisher
-from mixtac_driver.frame_publisher import FramePublisher
-from mixtac_driver.inertial_publisher import InertialPublisher
-from mixtac_driver.readings import Edges, Frame, InertialSamples
-from mixtac_driver.rectified_publisher import RectifiedPublisher
+from mixtac_driver.node import publishers as edge_publisher
+from mixtac_driver.node.publishers import (
+    EdgePublisher,
+    EventPublisher,
+    FramePublisher,
+    InertialPublisher,
+    RectifiedPublisher,
+)
+from mixtac_driver.node.status import DriverMeters
+from mixtac_driver.parameters import DeviceParameters, DriverParameters
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode_message
-from mixtac_node.base_node import stamp_to_us
+from mixtac_events.readings import Edges, Frame, InertialSamples
+from mixtac_node.stamps import stamp_to_us
+from mixtac_recordings import messages
 
 ORIGIN_US = 1_760_000_000_000_000
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_driver.readings import inertial_samples
+from mixtac_events.readings import inertial_samples
 
 
 def raw(values, info):

@@ -17,12 +17,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from usb.core import USBError, USBTimeoutError
 
-from mixtac_driver import connection as connection_module
-from mixtac_driver.backend import attached_cameras, find_camera
 from mixtac_driver.camera import Davis346
-from mixtac_driver.clock_jump import JUMP_US, JumpGuard
-from mixtac_driver.configuration import Configuration
-from mixtac_driver.connection import Connection
+from mixtac_driver.clock import JUMP_US, JumpGuard
+from mixtac_driver.davis346.settings import Configuration
 from mixtac_driver.errors import (
     AccessError,
     BusError,
@@ -35,10 +32,16 @@ from mixtac_driver.errors import (
     StreamError,
     UsbError,
 )
-from mixtac_driver.protocol import Protocol, usb_failure
-from mixtac_driver.recovery_parameters import RecoveryParameters, recovery_settings
-from mixtac_driver.recovery_settings import Backoff, RecoveryPolicy, RecoverySettings
-from mixtac_driver.registers import Write
+from mixtac_driver.supervisor import (
+    Backoff,
+    RecoveryParameters,
+    RecoveryPolicy,
+    RecoverySettings,
+    recovery_settings,
+)
+from mixtac_driver.usb import device as connection_module
+from mixtac_driver.usb.device import Connection, attached_cameras, find_camera
+from mixtac_driver.usb.protocol import Protocol, Write, usb_failure
 from mixtac_node.parameters import ParameterError, build, specs
 
 

@@ -9,14 +9,9 @@ import time
 
 import pytest
 
-from mixtac_driver.errors import (
-    EndOfStream,
-    NoCameraError,
-    RecordingError,
-    StreamError,
-)
-from mixtac_driver.recovery_settings import RecoveryPolicy, RecoverySettings
-from mixtac_driver.supervisor import State, Supervisor
+from mixtac_driver.errors import EndOfStream, NoCameraError, StreamError
+from mixtac_driver.supervisor import RecoveryPolicy, RecoverySettings, State, Supervisor
+from mixtac_recordings.recording import RecordingError
 
 NOBODY = frozenset()
 ONE, TWO = frozenset({(1, 1)}), frozenset({(1, 2)})

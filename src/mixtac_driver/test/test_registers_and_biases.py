@@ -11,17 +11,17 @@ from davis_fake import FakeBackend, FakeCamera
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_driver.biases import (
+from mixtac_driver.camera import Davis346
+from mixtac_driver.davis346.biases import (
     DEFAULT_BIASES,
     CurrentBias,
     ShiftedSourceBias,
     VoltageBias,
 )
-from mixtac_driver.camera import Davis346
-from mixtac_driver.configuration import Configuration, Region
+from mixtac_driver.davis346.registers import Chip
+from mixtac_driver.davis346.settings import Configuration, Region
+from mixtac_driver.davis346.writes import register_writes
 from mixtac_driver.errors import ConfigurationError
-from mixtac_driver.register_writes import register_writes
-from mixtac_driver.registers import Chip
 
 SENT = {
     0: 411, 1: 405, 2: 480, 3: 449, 4: 469, 8: 23119, 9: 32126, 10: 17023, 11: 24575, 12: 16415,

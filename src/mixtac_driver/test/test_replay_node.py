@@ -29,10 +29,11 @@ from sensor_msgs.msg import Image, Imu
 
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode_message
-from mixtac_node.base_node import QOS_EVENTS, QOS_SENSOR, stamp_to_us
+from mixtac_node.base_node import QOS_EVENTS, QOS_SENSOR
+from mixtac_node.stamps import stamp_to_us
 
 pytestmark = pytest.mark.dds
-COMMAND = [sys.executable, '-m', 'mixtac_driver.driver_node', '--ros-args']
+COMMAND = [sys.executable, '-m', 'mixtac_driver.node.driver_node', '--ros-args']
 LENGTH_US = 500_000
 EVENTS = some_events(length_us=LENGTH_US)
 FRAMES = range(START_US + 100_000, START_US + LENGTH_US, 100_000)

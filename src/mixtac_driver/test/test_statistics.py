@@ -10,8 +10,8 @@ import pytest
 from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_driver.camera import Davis346
-from mixtac_driver.statistics import read_64, read_statistics
-from mixtac_driver.statistics_meter import StatisticsMeter
+from mixtac_driver.davis346.control import read_64, read_statistics
+from mixtac_driver.node.status import StatisticsMeter
 
 COUNTED = {
     (1, 81): 1, (1, 82): 2, (1, 84): 3, (1, 86): 4, (1, 88): 5, (1, 90): 6, (1, 92): 7,

@@ -11,16 +11,14 @@ import pytest
 from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_driver import supervisor as supervisor_module
-from mixtac_driver.camera import Davis346
-from mixtac_driver.recovery_settings import RecoverySettings
-from mixtac_driver.stream import StreamSettings
-from mixtac_driver.supervisor import State, Supervisor
+from mixtac_driver.camera import Davis346, StreamSettings
+from mixtac_driver.supervisor import RecoverySettings, State, Supervisor
 
 
 @pytest.fixture(autouse=True)
 def quick_settling(monkeypatch):
-    monkeypatch.setattr('mixtac_driver.sequences.BIASES_SETTLE_S', 0.01)
-    monkeypatch.setattr('mixtac_driver.sequences.LOGIC_SETTLE_S', 0.01)
+    monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.01)
+    monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.01)
 
 
 def wait_until(condition, seconds=5.0):

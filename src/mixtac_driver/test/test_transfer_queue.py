@@ -9,7 +9,7 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_driver.transfer_queue import TransferQueue
+from mixtac_driver.usb.transport import TransferQueue
 
 
 def words(*values):

@@ -13,10 +13,10 @@ import pytest
 from davis_fake import FakeBackend, FakeCamera
 from usb.core import USBError
 
-from mixtac_driver import transport
-from mixtac_driver.connection import Connection
 from mixtac_driver.errors import DisconnectedError, UsbError
-from mixtac_driver.transport import BulkReader
+from mixtac_driver.usb import transport
+from mixtac_driver.usb.device import Connection
+from mixtac_driver.usb.transport import BulkReader
 
 
 @pytest.fixture

@@ -14,11 +14,11 @@ pytest.importorskip('mixtac_sim.usb.device')
 from virtual_scene import Scene
 
 from mixtac_driver.camera import Davis346
-from mixtac_driver.configuration import Configuration
+from mixtac_driver.davis346.settings import Configuration
 from mixtac_driver.errors import DisconnectedError
-from mixtac_driver.readings import STANDARD_GRAVITY
 from mixtac_events.arrays import Events
-from mixtac_sim.usb.in_process import in_process_backend
+from mixtac_events.readings import STANDARD_GRAVITY
+from mixtac_sim.usb.pyusb_backend import in_process_backend
 
 
 @pytest.fixture

@@ -14,14 +14,13 @@ pytest.importorskip('mixtac_sim.usb.device')
 
 from virtual_scene import Scene
 
-from mixtac_driver.camera import Davis346
-from mixtac_driver.configuration import Configuration
+from mixtac_driver.camera import Davis346, StreamSettings
+from mixtac_driver.davis346.settings import Configuration
+from mixtac_driver.davis346.writes import register_writes
 from mixtac_driver.errors import UsbError
-from mixtac_driver.register_writes import register_writes
-from mixtac_driver.stream import StreamSettings
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_sim.usb.faults import Fault, FaultKind
-from mixtac_sim.usb.in_process import in_process_backend
+from mixtac_sim.usb.pyusb_backend import in_process_backend
 from mixtac_sim.usb.server import UsbServer
 
 GARBAGE_WRAP = 0x7FFF
@@ -29,9 +28,9 @@ GARBAGE_WRAP = 0x7FFF
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr('mixtac_driver.sequences.BIASES_SETTLE_S', 0.01)
-    monkeypatch.setattr('mixtac_driver.sequences.LOGIC_SETTLE_S', 0.01)
-    monkeypatch.setattr('mixtac_driver.protocol.CONTROL_TIMEOUT_MS', 50)
+    monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.01)
+    monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.01)
+    monkeypatch.setattr('mixtac_driver.usb.protocol.CONTROL_TIMEOUT_MS', 50)
 
 
 class Rig:
@@ -209,7 +208,7 @@ def test_one_lost_answer_is_made_good_by_asking_again(rig):
 
 
 def test_server_that_does_not_answer_counts_as_unplugged(tmp_path, monkeypatch):
-    monkeypatch.setattr('mixtac_sim.usb.backend._GRACE_S', 0.1)
+    monkeypatch.setattr('mixtac_sim.usb.pyusb_backend._GRACE_S', 0.1)
     path = str(tmp_path / 'camera.sock')
     rig = Rig(lambda device: UsbServer(device, path), device=f'virtual:{path}')
     rig.device.inject(Fault(FaultKind.HANG_READS, seconds=0.8))

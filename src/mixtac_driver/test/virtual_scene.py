@@ -12,7 +12,7 @@ import numpy as np
 
 from mixtac_events.arrays import Events
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.imu_words import ImuReading
+from mixtac_sim.usb.words import ImuReading
 
 
 class Scene:

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The shared vocabulary of Mixtac: event arrays, packet encodings, time windows."""
+"""Event arrays, camera readings, packet encodings, time windows: NumPy and numba, no ROS."""

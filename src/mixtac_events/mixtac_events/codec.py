@@ -14,8 +14,7 @@ import numpy as np
 
 from mixtac_events import libcaer, libcaer_cmp
 from mixtac_events.arrays import Events
-from mixtac_events.errors import CodecError
-from mixtac_events.packets import DecodedPacket, EncodedPacket
+from mixtac_events.packets import CodecError, DecodedPacket, EncodedPacket
 
 if TYPE_CHECKING:
     from array import array
@@ -40,7 +39,6 @@ class Codec(Protocol):
 _CODECS: dict[str, Codec] = {libcaer_cmp.NAME: libcaer_cmp, libcaer.NAME: libcaer}
 ENCODINGS = tuple(_CODECS)
 """Names of the encodings, the preferred one first."""
-
 DAVIS346_WIDTH = 346
 DAVIS346_HEIGHT = 260
 

@@ -17,8 +17,7 @@ import numpy as np
 from numba import njit
 
 from mixtac_events.arrays import Events
-from mixtac_events.errors import CodecError
-from mixtac_events.packets import DecodedPacket, EncodedPacket
+from mixtac_events.packets import CodecError, DecodedPacket, EncodedPacket
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,14 +26,13 @@ if TYPE_CHECKING:
     Words = NDArray[np.uint16]
     Flags = NDArray[np.bool_]
 
+
 NAME: Final = 'libcaer'
 MAX_COORDINATE: Final = (1 << 15) - 1
 MAX_STEP_US: Final = (1 << 30) - 1
 """Longest step between neighbouring events: beyond it a roll-over could not be told apart."""
-
 _ROLL_OVER: Final = 1 << 31
 _LOW_MASK: Final = _ROLL_OVER - 1
-
 _UNSORTED: Final = 1
 _TOO_LONG: Final = 2
 _OUTSIDE: Final = 3

@@ -14,10 +14,15 @@ import numpy as np
 from numba import njit
 
 from mixtac_events.arrays import Events
-from mixtac_events.errors import WindowError
+from mixtac_events.errors import MixtacError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+
+class WindowError(MixtacError):
+    """A time window that cannot be."""
+
 
 RESTART_US: Final = 1_000_000
 """A step back of the stream beyond this is a restarted clock, not a late packet."""

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from mixtac_events.arrays import Events
 from mixtac_events.codec import ENCODINGS, decode, decode_message, encode, warm_up
-from mixtac_events.errors import CodecError, MixtacError
+from mixtac_events.errors import MixtacError
+from mixtac_events.packets import CodecError
 
 EPOCH_US = 1_700_000_000_000_000
 

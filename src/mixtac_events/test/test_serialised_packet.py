@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_events.errors import CodecError
-from mixtac_events.serialised_packet import read_packet
+from mixtac_events.packets import CodecError, read_packet
 
 names = st.text(st.characters(min_codepoint=32, max_codepoint=0x3FF), max_size=20)
 

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_events.arrays import Events
-from mixtac_events.errors import WindowError
-from mixtac_events.windows import WindowSlicer, counts_per_window
+from mixtac_events.windows import WindowError, WindowSlicer, counts_per_window
 
 EPOCH_US = 1_700_000_000_000_000
 

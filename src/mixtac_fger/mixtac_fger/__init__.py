@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Normal force from frames and events: networks, streaming inference, training, the node."""
+"""Normal force from frames and events at run time: FGER-Net, its features and its node."""

@@ -8,15 +8,27 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from mixtac_fger.errors import ConfigError
+from mixtac_events.errors import MixtacError
 
+
+class ModelError(MixtacError):
+    """A model file that is missing, damaged or made for another architecture."""
+
+
+class ConfigError(MixtacError):
+    """A network configuration with impossible values."""
+
+
+ARCHITECTURE = 'fger_small'
+VERSION = 1
+LOWEST_LOG_DEVIATION, HIGHEST_LOG_DEVIATION = -7.0, 2.0
+"""Limits of the logarithm of a standard deviation before `DeviationHead.scale` [log N]."""
 FRAME_CHANNELS = ('frame', 'difference', 'flow_x', 'flow_y')
 """What the frame network can be given; see `FgerConfig.frame_channels`."""
 CELL_FEATURES = 4
 """Numbers per grid cell and window: flow x, flow y, ON count, OFF count."""
 CORRECTION_POINTS = ('exposure_centre', 'arrival')
 """Where a frame's force is compared with the estimate; see `FgerConfig.correction_point`."""
-
 LATER_FIELDS: dict[str, Any] = {'event_shortcut': False, 'deviation_size': 0}
 """Fields that weight files of the first release lack, and what they mean by that."""
 

@@ -17,17 +17,14 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from sensor_msgs.msg import CameraInfo, Image, TimeReference
 from std_srvs.srv import Trigger
 
-from mixtac_events.errors import CodecError, MixtacError
-from mixtac_events.serialised_packet import SerialisedPacket, read_packet
-from mixtac_fger.camera_check import CameraFacts, check_camera
-from mixtac_fger.fger_parameters import FgerParameters
-from mixtac_fger.force_message import ForceMessage
-from mixtac_fger.judgement import judge
-from mixtac_fger.live_feed import LiveFeed
-from mixtac_fger.model_files import find_model
-from mixtac_fger.reference_file import load_reference, save_reference
-from mixtac_fger.warm_up import warm_up
-from mixtac_fger.weights import load_model
+from mixtac_events.errors import MixtacError
+from mixtac_events.packets import CodecError, SerialisedPacket, read_packet
+from mixtac_fger.estimator import CameraFacts, check_camera
+from mixtac_fger.frames import load_reference, save_reference
+from mixtac_fger.live_feed import ForceMessage, LiveFeed, judge_feed
+from mixtac_fger.parameters import FgerParameters
+from mixtac_fger.streaming import warm_up
+from mixtac_fger.weights import find_model, load_model
 from mixtac_msgs.msg import ForceQuality
 from mixtac_node.base_node import (
     QOS_EVENTS,
@@ -37,16 +34,14 @@ from mixtac_node.base_node import (
     OverridableQos,
     declare,
     run,
-    stamp_to_ns,
-    stamp_to_us,
-    us_to_stamp,
 )
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
+from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_fger.estimates import Estimate
+    from mixtac_fger.estimator import Estimate
     from mixtac_fger.weights import LoadedModel
 
 
@@ -262,7 +257,7 @@ class FgerNode(OverridableQos, LifecycleNode):  # type: ignore[misc]
         if self._feed is None:
             return Status(OK, 'not active: no force is published')
         found = self._feed.status()
-        level, message = judge(found, self._settings.stale_frame_age)
+        level, message = judge_feed(found, self._settings.stale_frame_age)
         values = asdict(found)
         del values['lately']
         values['camera_checked'] = bool(self._camera.width)

@@ -1,30 +1,71 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""From message fields to the estimator: decoding, counting losses, timing."""
+"""Between ROS messages and the estimator: decoding, counting losses, timing, diagnostics.
+
+Works on the fields of messages and needs no ROS.
+"""
 
 from __future__ import annotations
 
+import struct
 import time
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from mixtac_events.codec import PacketMessage, decode_message
-from mixtac_events.errors import CodecError
-from mixtac_fger.errors import ImageError
+from mixtac_events.packets import CDR_LITTLE_ENDIAN, CodecError
+from mixtac_fger.features import ImageError
 from mixtac_fger.streaming import NO_LIMIT_US, ForceEstimator
-from mixtac_node.image_conversion import ImageConversionError, grey
-from mixtac_node.rates import RateMeter, RecentValues
+from mixtac_node.diagnostics import RateMeter, RecentValues
+from mixtac_node.images import ImageConversionError, grey
 
 if TYPE_CHECKING:
     from array import array
 
     from mixtac_events.packets import DecodedPacket
-    from mixtac_fger.estimates import Estimate, EstimatorStatus
+    from mixtac_fger.estimator import Estimate, EstimatorStatus
     from mixtac_fger.weights import LoadedModel
+
+
+_START: Final = 4
+_STAMP = struct.Struct('<iI')
+_LENGTH = struct.Struct('<I')
+_WRENCH = struct.Struct('<6d')
+_FORCE_Z: Final = 16
+"""Bytes before force.z in a wrench."""
+_NUMBER = struct.Struct('<d')
+
+
+class ForceMessage:
+    """Writes forces along z as serialised messages.
+
+    Args:
+        frame_id: `header.frame_id` of all of them.
+    """
+
+    def __init__(self, frame_id: str) -> None:
+        name = frame_id.encode() + b'\0'
+        content = _STAMP.pack(0, 0) + _LENGTH.pack(len(name)) + name
+        content += bytes(-len(content) % 8)
+        self._force_at = _START + len(content) + _FORCE_Z
+        zero = _WRENCH.pack(*[0.0] * 6)
+        self._bytes = bytearray(CDR_LITTLE_ENDIAN + bytes(2) + content + zero)
+
+    def serialised(self, stamp_us: int, force: float) -> bytes:
+        """Return the message.
+
+        Args:
+            stamp_us: `header.stamp` [us].
+            force: `wrench.force.z` [N].
+        """
+        seconds, rest = divmod(stamp_us, 1_000_000)
+        _STAMP.pack_into(self._bytes, _START, seconds, rest * 1000)
+        _NUMBER.pack_into(self._bytes, self._force_at, force)
+        return bytes(self._bytes)
+
 
 COMPARABLE_NS = 10_000_000_000
 """Ages beyond this, or below zero, are those of replayed stamps or of another host's clock."""
-
 WATCHED = {
     'lost_packets': 'event packets lost',
     'repeated_packets': 'event packets came twice: is there a second publisher?',
@@ -239,3 +280,31 @@ class LiveFeed:
         }
         before, self._before = self._before, now
         return {name: rise for name in WATCHED if (rise := now[name] - before[name]) > 0}
+
+
+OK: Final = 0
+WARN: Final = 1
+"""Levels of `diagnostic_msgs/DiagnosticStatus`."""
+
+
+def judge_feed(found: FeedStatus, stale_s: float) -> tuple[int, str]:
+    """Return the level and the message that a status deserves.
+
+    Args:
+        found: Figures of the active estimator.
+        stale_s: Age from which frames are too old [s].
+    """
+    parts = []
+    if found.estimator.reason:
+        parts.append(found.estimator.reason)
+    elif found.rate_hz == 0.0:
+        parts.append('no force in the last second: no event packets arrive')
+    age_s = found.estimator.frame_age_us * 1e-6
+    if found.estimator.ready and age_s > stale_s:
+        parts.append(f'latest frame is {age_s:.1f} s old: the force drifts')
+    if found.lately:
+        rises = (f'{count} {WATCHED[name]}' for name, count in found.lately.items())
+        parts.append('since the last report: ' + ', '.join(rises))
+    if found.problem:
+        parts.append(found.problem)
+    return (WARN, '; '.join(parts)) if parts else (OK, 'estimating')

@@ -2,45 +2,141 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live estimator: events and frames in as they arrive, a force out per 2 ms window.
 
-All times are on the camera clock. What happens when:
+All times are on the camera clock [us].
 
 * No reference or no frame yet: no output; `EstimatorStatus.reason` says which.
 * A frame arrives late, as all do: the estimate at the centre of its exposure is corrected and the
-  correction carried forward. One that comes before its events waits for them; one whose exposure
-  is not near the time of the events is not used.
-* No frames: the force goes on by events alone, up to `longest_without_frame_us`; then nothing comes
-  out until the next frame.
-* Packets are missing: windows of which no packet told give no force, those with a part missing are
-  marked. The state is kept, as a contact does not end with a lost packet; after a hole longer than
-  `LONG_HOLE_US`, output resumes with the first frame exposed after it.
+  correction carried forward. A frame that arrives before its events waits for them; a frame whose
+  exposure is not near the time of the events is not used.
+* No frames: the force continues on events alone, up to `longest_without_frame_us`; then there is no
+  output until the next frame.
+* Packets are missing: windows with no data produce no force, windows with incomplete data are
+  marked. The state is kept, because a contact does not end with a lost packet; after a hole longer
+  than `LONG_HOLE_US`, output resumes with the first frame exposed after it.
 * The camera clock goes backwards: the recurrent state is reset and counted; the reference is kept,
   since the gel is still the same; output resumes with the next frame.
-* Numbers that are not finite never leave: the state is reset and counted.
+* Values that are not finite are never output: the state is reset and counted.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mixtac_events.arrays import Events
+from mixtac_events.codec import decode, encode
 from mixtac_events.windows import WindowSlicer
-from mixtac_fger.errors import TareError
-from mixtac_fger.estimates import Estimate, EstimatorCounts, EstimatorStatus
+from mixtac_fger.estimator import Estimate, EstimatorStatus
 from mixtac_fger.features import WindowFeatures, correction_lag
-from mixtac_fger.frame_encoder import FrameEncoder
-from mixtac_fger.frame_worker import FrameWorker
-from mixtac_fger.recurrent_state import RecurrentPath
-from mixtac_fger.stream_time import Arrival, StreamTime
+from mixtac_fger.frames import FrameEncoder, FrameWorker, TareError
+from mixtac_fger.recurrent_network import RecurrentPath
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_events.arrays import Events
-    from mixtac_fger.frame_encoder import EncodedFrame
+    from mixtac_fger.frames import EncodedFrame
     from mixtac_fger.weights import LoadedModel
+
+
+@dataclass(slots=True)
+class EstimatorCounts:
+    """What the estimator counts; see `EstimatorStatus`."""
+
+    windows: int = 0
+    estimates: int = 0
+    withheld: int = 0
+    incomplete: int = 0
+    saturated: int = 0
+    frames: int = 0
+    frames_dropped: int = 0
+    frames_off_clock: int = 0
+    resets: int = 0
+
+
+BACKWARD_US: Final = 20_000
+"""A step back beyond this is a restarted clock: packets of one camera come in order."""
+LONG_HOLE_US: Final = 100_000
+"""A hole beyond this makes the estimate start from the next frame; shorter ones it gets over."""
+JUMP_US: Final = 1_000_000
+"""A step forward beyond this is a hole also without lost packets: no camera is silent so long."""
+
+
+class Arrival(Enum):
+    """How a packet follows the one before."""
+
+    GOES_ON = 'goes on'
+    AFTER_HOLE = 'after a hole'
+    STARTS = 'starts a stream, or follows a long hole or a restart of the clock'
+
+
+class StreamTime:
+    """Follows the time of a stream and remembers the stretch that no packet told of.
+
+    Attributes:
+        newest_us: Time up to which the stream is known, camera clock [us]; None before the first.
+        gaps: Holes, the long ones included.
+        restarts: Times the clock went back.
+        skipped_us: Camera time in holes that began the estimate anew [us].
+    """
+
+    def __init__(self) -> None:
+        self.newest_us: int | None = None
+        self.gaps = 0
+        self.restarts = 0
+        self.skipped_us = 0
+        self._hole_us = (0, 0)
+
+    def push(self, first_us: int, complete_until_us: int, *, lost_before: bool) -> Arrival:
+        """Take the times of a packet and say how it follows.
+
+        Args:
+            first_us: Its first event, or `complete_until_us` without one.
+            complete_until_us: No event before this time will follow.
+            lost_before: Packets directly before it are missing.
+        """
+        newest = self.newest_us
+        if newest is None:
+            return self._start(first_us, complete_until_us)
+        if complete_until_us < newest - BACKWARD_US:
+            self.restarts += 1
+            return self._start(first_us, complete_until_us)
+        self.newest_us = max(newest, complete_until_us)
+        step = first_us - newest
+        if step <= 0 or not (lost_before or step > JUMP_US):
+            return Arrival.GOES_ON
+        self.gaps += 1
+        if step > LONG_HOLE_US:
+            self.skipped_us += step
+            return self._start(first_us, complete_until_us)
+        self._hole_us = newest, first_us
+        return Arrival.AFTER_HOLE
+
+    def covered(self, end_us: int, width_us: int) -> tuple[bool, bool]:
+        """Return whether packets told of anything, and of everything, in a window.
+
+        Args:
+            end_us: End of the window.
+            width_us: Width of it.
+        """
+        begin, end = self._hole_us
+        missing = min(end_us, end) - max(end_us - width_us, begin)
+        return missing < width_us, missing <= 0
+
+    def forget(self) -> None:
+        """Have the next packet start a stream."""
+        self.newest_us = None
+
+    def _start(self, first_us: int, complete_until_us: int) -> Arrival:
+        self.newest_us = complete_until_us
+        # Of what was before the first event nothing is known.
+        self._hole_us = (first_us - JUMP_US, first_us)
+        return Arrival.STARTS
+
 
 TARE_WINDOWS = 100
 """Estimates that must all be near zero before a tare is allowed."""
@@ -293,3 +389,28 @@ class ForceEstimator:
         self._recent.clear()
         self._encoded.clear()
         self._frame = None
+
+
+WARM_UP_START_US = 1_000_000
+
+
+def warm_up(model: LoadedModel) -> list[Estimate]:
+    """Run a throw-away estimator on a few frames and packets; seconds at the very first time.
+
+    Returns:
+        What it gave: something, as else it would not have been through everything.
+    """
+    config = model.config
+    estimator = ForceEstimator(model)
+    for kind in (np.uint8, np.uint16):
+        for index in range(config.reference_frames):
+            image = np.full((config.height, config.width), 100, kind)
+            estimator.push_frame(image, WARM_UP_START_US - 1000 * index)
+    t_us = np.arange(WARM_UP_START_US + 1000, WARM_UP_START_US + 11_000, 100, dtype=np.int64)
+    zeros = np.zeros(len(t_us), np.uint16)
+    packet = encode(
+        Events(t_us, zeros, zeros, t_us % 200 == 0), complete_until=WARM_UP_START_US + 12_000
+    )
+    # As from the middleware: bytes that must not be changed.
+    decoded = decode(packet.payload.tobytes(), packet.encoding, packet.time_base)
+    return estimator.push_events(decoded.events, decoded.complete_until)

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from mixtac_events.arrays import Events
-from mixtac_fger.batches import Sequences, stack
 from mixtac_fger.config import FgerConfig
-from mixtac_fger.dataset import ForceLabel, make_sample
-from mixtac_fger.network import FgerNetwork
 from mixtac_fger.weights import LoadedModel, ModelCard
+from mixtac_learning.network import FgerNetwork
+from mixtac_learning.train.batches import Sequences, stack
+from mixtac_learning.trials.samples import make_sample
+from mixtac_learning.trials.trial import ForceLabel
 
 HEIGHT, WIDTH = 260, 346
 STEP_US = 1000

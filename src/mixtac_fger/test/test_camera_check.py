@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from mixtac_fger.camera_check import SERIAL_KEY, CameraFacts, check_camera
-from mixtac_fger.errors import ModelError
+from mixtac_fger.config import ModelError
+from mixtac_fger.estimator import SERIAL_KEY, CameraFacts, check_camera
 from mixtac_fger.weights import LoadedModel, ModelCard
 
 DAVIS = CameraFacts(346, 260, serial='V0000001')

@@ -29,9 +29,10 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 
-from mixtac_fger.reference_file import load_reference
+from mixtac_fger.frames import load_reference
 from mixtac_msgs.msg import ForceQuality
-from mixtac_node.base_node import QOS_SENSOR, stamp_to_us, us_to_stamp
+from mixtac_node.base_node import QOS_SENSOR
+from mixtac_node.stamps import stamp_to_us, us_to_stamp
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

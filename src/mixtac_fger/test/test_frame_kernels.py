@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_fger.config import FgerConfig
-from mixtac_fger.frame_kernels import (
+from mixtac_events.frames import (
     _sum_along_columns,
     _sum_along_rows,
     bin_mean,
@@ -18,6 +17,7 @@ from mixtac_fger.frame_kernels import (
     gradients,
     log_contrast,
 )
+from mixtac_fger.config import FgerConfig
 
 
 def waves(shift_x: float = 0.0, shift_y: float = 0.0) -> np.ndarray:

@@ -9,10 +9,9 @@ import pytest
 import torch
 from torch import nn
 
-from mixtac_fger.config import FgerConfig
-from mixtac_fger.errors import ModelError
-from mixtac_fger.frame_step import frame_maps, frame_step, frame_weights, map_shapes, row_scratch
-from mixtac_fger.network import FrameNetwork
+from mixtac_fger.config import FgerConfig, ModelError
+from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, map_shapes, row_scratch
+from mixtac_learning.network import FrameNetwork
 
 CONFIGS = {
     'default': FgerConfig(),

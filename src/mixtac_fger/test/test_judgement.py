@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from mixtac_fger.judgement import OK, WARN, judge
-from mixtac_fger.live_feed import WATCHED, LiveFeed
+from mixtac_fger.live_feed import OK, WARN, WATCHED, LiveFeed, judge_feed
 
 STALE_S = 0.5
 
@@ -24,34 +23,34 @@ def good(model):
 
 
 def test_all_is_well(good):
-    assert judge(good, STALE_S) == (OK, 'estimating')
+    assert judge_feed(good, STALE_S) == (OK, 'estimating')
 
 
 def test_the_reason_for_no_force_comes_first(good):
     estimator = replace(good.estimator, ready=False, reason='waiting for a frame')
     found = replace(good, estimator=estimator, rate_hz=0.0, lately={'lost_packets': 3})
-    level, text = judge(found, STALE_S)
+    level, text = judge_feed(found, STALE_S)
     assert level == WARN
     assert text.startswith('waiting for a frame; ')
     assert '3 event packets lost' in text
 
 
 def test_no_packets(good):
-    level, text = judge(replace(good, rate_hz=0.0), STALE_S)
+    level, text = judge_feed(replace(good, rate_hz=0.0), STALE_S)
     assert level == WARN
     assert 'no event packets arrive' in text
 
 
 def test_old_frames(good):
     old = replace(good, estimator=replace(good.estimator, frame_age_us=700_000))
-    level, text = judge(old, STALE_S)
+    level, text = judge_feed(old, STALE_S)
     assert level == WARN
     assert '0.7 s old' in text
 
 
 @pytest.mark.parametrize('name', WATCHED)
 def test_every_watched_counter_warns(good, name):
-    level, text = judge(replace(good, lately={name: 7}), STALE_S)
+    level, text = judge_feed(replace(good, lately={name: 7}), STALE_S)
     assert level == WARN
     assert f'7 {WATCHED[name]}' in text
 

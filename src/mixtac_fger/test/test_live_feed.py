@@ -14,7 +14,7 @@ import pytest
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_fger.live_feed import LiveFeed
-from mixtac_fger.warm_up import warm_up
+from mixtac_fger.streaming import warm_up
 
 SIZE = (346, 260)
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from mixtac_fger.config import FgerConfig
-from mixtac_fger.errors import ReferenceFileError
-from mixtac_fger.reference_file import load_reference, save_reference
+from mixtac_fger.frames import ReferenceFileError, load_reference, save_reference
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from mixtac_events.arrays import Events
-from mixtac_fger.network import FgerNetwork
 from mixtac_fger.streaming import SATURATION_PER_US, ForceEstimator
 from mixtac_fger.weights import LoadedModel, ModelCard
+from mixtac_learning.network import FgerNetwork
 
 START_US = 200_000
 FRAME_US = 40_000

@@ -11,12 +11,13 @@ import pytest
 import torch
 
 from mixtac_events.arrays import Events
-from mixtac_fger.batches import stack
-from mixtac_fger.dataset import make_sample
-from mixtac_fger.errors import ImageError, TareError
-from mixtac_fger.evaluation import stream
+from mixtac_fger.features import ImageError
+from mixtac_fger.frames import TareError
 from mixtac_fger.streaming import ForceEstimator
-from mixtac_fger.training import estimate
+from mixtac_learning.judge.estimators import stream
+from mixtac_learning.train.batches import stack
+from mixtac_learning.train.trainer import estimate
+from mixtac_learning.trials.samples import make_sample
 
 
 def still_frames(estimator: ForceEstimator, trial, count: int = 5) -> None:
@@ -35,7 +36,7 @@ def noise_events(start_us: int, end_us: int, count: int, seed: int = 0) -> Event
 
 
 def test_streaming_equals_the_batch_network(model, config, trial, monkeypatch):
-    monkeypatch.setattr('mixtac_fger.dataset.STORED', np.float32)
+    monkeypatch.setattr('mixtac_learning.trials.samples.STORED', np.float32)
     # Samples are kept as float16 on disk; the two paths are compared without that rounding.
     sample = make_sample(config, trial, trial.label, {})
     force, _ = estimate(model.network, stack([sample]))
@@ -46,7 +47,7 @@ def test_streaming_equals_the_batch_network(model, config, trial, monkeypatch):
 
 
 def test_deviations_are_those_of_the_batch_network(model, config, trial, monkeypatch):
-    monkeypatch.setattr('mixtac_fger.dataset.STORED', np.float32)
+    monkeypatch.setattr('mixtac_learning.trials.samples.STORED', np.float32)
     batch = stack([make_sample(config, trial, trial.label, {})])
     network = model.network
     with torch.inference_mode():

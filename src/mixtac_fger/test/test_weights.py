@@ -10,11 +10,9 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from mixtac_fger.config import FgerConfig
-from mixtac_fger.errors import ConfigError, ModelError
-from mixtac_fger.model_files import find_model, shipped_models
-from mixtac_fger.network import FgerNetwork
-from mixtac_fger.weights import ModelCard, load_model, save_model
+from mixtac_fger.config import ConfigError, FgerConfig, ModelError
+from mixtac_fger.weights import ModelCard, find_model, load_model, save_model, shipped_models
+from mixtac_learning.network import FgerNetwork
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The rclpy side that every node shares: QoS profiles, parameters, time stamps, the run loop."""
+"""What every node shares: QoS profiles, declared parameters, the run loop."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import sys
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import rclpy
-from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -30,6 +29,7 @@ from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
 
 T = TypeVar('T')
 
@@ -91,28 +91,6 @@ def _overridable(topic: str, options: dict[str, Any]) -> dict[str, Any]:
         return options
     own = dict(zip(options, _own(options.values()), strict=True))
     return {'qos_overriding_options': QoSOverridingOptions.with_default_policies(), **own}
-
-
-def us_to_stamp(t_us: int) -> Time:
-    """Return a time [us since the epoch of its clock] as a ROS stamp."""
-    seconds, microseconds = divmod(int(t_us), 1_000_000)
-    return Time(sec=seconds, nanosec=microseconds * 1000)
-
-
-def stamp_to_us(stamp: Time) -> int:
-    """Return a ROS stamp as whole microseconds (rounded down) of its clock."""
-    return int(stamp.sec * 1_000_000 + stamp.nanosec // 1000)
-
-
-def ns_to_stamp(t_ns: int) -> Time:
-    """Return a time [ns since the epoch of its clock] as a ROS stamp."""
-    seconds, nanoseconds = divmod(int(t_ns), 1_000_000_000)
-    return Time(sec=seconds, nanosec=nanoseconds)
-
-
-def stamp_to_ns(stamp: Time) -> int:
-    """Return a ROS stamp in nanoseconds of its clock."""
-    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
 def declare(

@@ -19,6 +19,7 @@ from mixtac_events.errors import MixtacError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+
 Value = bool | int | float | str
 T = TypeVar('T')
 _KEY = 'mixtac'

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_node import image_conversion as conversion
-from mixtac_node.image_conversion import (
+from mixtac_node import images as conversion
+from mixtac_node.images import (
     ENCODINGS,
     TARGETS,
     BridgeConverter,

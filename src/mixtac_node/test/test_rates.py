@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_node.rates import RateMeter, RecentValues
+from mixtac_node.diagnostics import RateMeter, RecentValues
 
 
 def test_rate_is_counts_over_time():

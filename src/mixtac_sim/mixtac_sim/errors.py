@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors of the simulated sensor."""
 
+from __future__ import annotations
+
 from mixtac_events.errors import MixtacError
 
 

@@ -12,16 +12,17 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from mixtac_node.base_node import QOS_SENSOR, declare, ns_to_stamp, run, stamp_to_ns
+from mixtac_node.base_node import QOS_SENSOR, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from mixtac_node.stamps import ns_to_stamp, stamp_to_ns
+from mixtac_sim.arm.controller import JointTrajectoryController, Release, Trajectory
 from mixtac_sim.arm.fr3 import JOINT_NAMES, READY, violations
-from mixtac_sim.arm.mujoco_arm import MujocoArm
-from mixtac_sim.arm.tracking import JointLag, Tracking
-from mixtac_sim.arm.trajectory_controller import JointTrajectoryController, Release, Trajectory
-from mixtac_sim.virtual_arm_parameters import VirtualArmParameters
+from mixtac_sim.arm.plant import JointLag, MujocoArm, Tracking
+from mixtac_sim.parameters import VirtualArmParameters
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
 
 BEFORE_S = 100.0
 """The controller's time at the start [s]: a stamp of zero would mean something else."""

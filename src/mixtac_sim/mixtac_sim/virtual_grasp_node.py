@@ -24,27 +24,26 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from mixtac_msgs.msg import SlipState
-from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, declare, ns_to_stamp, run, stamp_to_us
+from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, declare, run
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
+from mixtac_node.stamps import ns_to_stamp, stamp_to_us
 from mixtac_sim.arm.fr3 import JOINT_NAMES, flange_place
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.grasp.answer_pace import AnswerPace
-from mixtac_sim.grasp.live_grasp import LiveGrasp
+from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock, PacedSimulation
 from mixtac_sim.grasp.objects import OBJECTS, ObjectName, draw_setup
-from mixtac_sim.grasp.paced_clock import PacedClock, PacedSimulation
-from mixtac_sim.inertial_unit import InertialUnit
-from mixtac_sim.live_profile import LiveProfile
-from mixtac_sim.presets import preset
+from mixtac_sim.live.touch import LiveProfile
+from mixtac_sim.live.virtual_sensor import VirtualSensor
+from mixtac_sim.parameters import VirtualGraspParameters
 from mixtac_sim.random_streams import stream
-from mixtac_sim.reference import ReferenceSensor
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
-from mixtac_sim.virtual_grasp_parameters import VirtualGraspParameters
-from mixtac_sim.virtual_sensor import VirtualSensor
+from mixtac_sim.world.effects import preset
+from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
 
 if TYPE_CHECKING:
-    from mixtac_sim.virtual_sensor import WrenchBatch
+    from mixtac_sim.live.virtual_sensor import WrenchBatch
+
 
 PUBLISH_PERIOD_S = 2e-3
 SLIP_AHEAD_US = 4_000

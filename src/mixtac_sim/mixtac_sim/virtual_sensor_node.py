@@ -15,21 +15,23 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
-from mixtac_node.base_node import QOS_FORCE, OverridableQos, declare, ns_to_stamp, run
+from mixtac_node.base_node import QOS_FORCE, OverridableQos, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
-from mixtac_sim.presets import preset
-from mixtac_sim.profiles import make_profile
-from mixtac_sim.touch_control import TouchControl
+from mixtac_node.stamps import ns_to_stamp
+from mixtac_sim.live.touch import TouchControl
+from mixtac_sim.live.virtual_sensor import make_virtual_sensor
+from mixtac_sim.parameters import VirtualSensorParameters
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
-from mixtac_sim.virtual_sensor_factory import make_virtual_sensor
-from mixtac_sim.virtual_sensor_parameters import VirtualSensorParameters
+from mixtac_sim.world.effects import preset
+from mixtac_sim.world.profiles import make_profile
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mixtac_sim.touch_parameters import TouchParameters
-    from mixtac_sim.virtual_sensor import WrenchBatch
+    from mixtac_sim.live.virtual_sensor import WrenchBatch
+    from mixtac_sim.parameters import TouchParameters
+
 
 # Samples go out in small batches, as real force sensors' drivers do: it saves wake-ups.
 PUBLISH_PERIOD_S: Final = 0.004

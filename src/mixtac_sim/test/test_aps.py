@@ -5,9 +5,9 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.aps import READ_NOISE_DN, READOUT_US, Aps, ApsSettings
-from mixtac_sim.array_geometry import TILE, TILES
 from mixtac_sim.errors import SimulationError
+from mixtac_sim.grids import TILE, TILES
+from mixtac_sim.pixels.aps import READ_NOISE_DN, READOUT_US, Aps, ApsSettings
 
 
 def light(lux):

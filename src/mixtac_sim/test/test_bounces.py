@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mixtac_sim.contact import Contact, Mode
-from mixtac_sim.contact_steps import GRAVITY, STEP_US
-from mixtac_sim.device import draw_device
-from mixtac_sim.elastomer import force_law
-from mixtac_sim.indenter import WEIGHT_20_G
-from mixtac_sim.presets import preset
-from mixtac_sim.viscoelasticity import PronySeries
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.contact import GRAVITY, Contact, Mode, PronySeries
+from mixtac_sim.mechanics.elastomer import force_law
+from mixtac_sim.mechanics.indenters import WEIGHT_20_G
+from mixtac_sim.world.device import draw_device
+from mixtac_sim.world.effects import preset
 
 MASS_KG = 1e-3 * WEIGHT_20_G.mass_g
 PAPER = preset('paper_like')

@@ -5,11 +5,10 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.contact import Contact, Mode
-from mixtac_sim.contact_steps import GRAVITY, STEP_US
-from mixtac_sim.elastomer import Layer, force_law
-from mixtac_sim.indenter import HEMISPHERE, WEIGHT_20_G
-from mixtac_sim.viscoelasticity import PronySeries
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.contact import GRAVITY, Contact, Mode, PronySeries
+from mixtac_sim.mechanics.elastomer import Layer, force_law
+from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G
 
 STEP_S = 1e-6 * STEP_US
 DAMPED = PronySeries((0.3, 0.3, 0.04), (0.5e-3, 3e-3, 0.1))

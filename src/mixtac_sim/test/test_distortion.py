@@ -6,19 +6,18 @@ import cv2
 import numpy as np
 import pytest
 
-from mixtac_sim.array_geometry import PADDED, PIXELS, TILE, TILES
-from mixtac_sim.bead_motion import BeadMotion
-from mixtac_sim.conditions import draw_conditions
-from mixtac_sim.device import draw_device
-from mixtac_sim.dvs import Dvs
-from mixtac_sim.elastomer import force_law
-from mixtac_sim.indenter import HEMISPHERE
-from mixtac_sim.pixels import PixelSettings
-from mixtac_sim.presets import preset
-from mixtac_sim.profiles import make_profile
-from mixtac_sim.renderer import ONE
-from mixtac_sim.scene import Scene
-from mixtac_sim.sensor import TactileSensor
+from mixtac_sim.grids import PADDED, PIXELS, TILE, TILES
+from mixtac_sim.mechanics.elastomer import force_law
+from mixtac_sim.mechanics.indenters import HEMISPHERE
+from mixtac_sim.optics.beads import BeadMotion
+from mixtac_sim.optics.renderer import ONE
+from mixtac_sim.optics.scene import Scene
+from mixtac_sim.pixels.biases import PixelSettings
+from mixtac_sim.pixels.dvs import Dvs
+from mixtac_sim.world.device import draw_conditions, draw_device
+from mixtac_sim.world.effects import preset
+from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.sensor import TactileSensor
 
 
 def opencv(lens, x, y, depth, roll=0.0):

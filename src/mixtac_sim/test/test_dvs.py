@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from mixtac_sim.array_geometry import PADDED, PIXELS, TILES
-from mixtac_sim.dvs import Dvs
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.noise import NoiseSource
-from mixtac_sim.pixels import PixelSettings, PixelSpread, draw_spread
-from mixtac_sim.renderer import ONE
-from mixtac_sim.scene import Scene
+from mixtac_sim.grids import PADDED, PIXELS, TILES
+from mixtac_sim.optics.renderer import ONE
+from mixtac_sim.optics.scene import Scene
+from mixtac_sim.pixels.biases import PixelSettings, PixelSpread, draw_spread
+from mixtac_sim.pixels.dvs import Dvs
+from mixtac_sim.pixels.noise import NoiseSource
 
 QUIET = {'leak_hz': 0.0, 'leak_hz_per_lux': 0.0, 'shot_hz': 0.0, 'refractory_us': 0.0}
 

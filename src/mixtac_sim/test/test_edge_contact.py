@@ -5,13 +5,13 @@
 import numpy as np
 import pytest
 
-from mixtac_sim import edge_contact
-from mixtac_sim.bead_motion import BeadMotion
-from mixtac_sim.device import draw_device
-from mixtac_sim.edge_contact import solve_edge
-from mixtac_sim.elastomer import Layer, force_law
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.indenter import HEMISPHERE, INDENTERS, Indenter
+from mixtac_sim.mechanics import layer as edge_contact
+from mixtac_sim.mechanics.elastomer import Layer, force_law
+from mixtac_sim.mechanics.indenters import HEMISPHERE, INDENTERS, Indenter
+from mixtac_sim.mechanics.layer import solve_edge
+from mixtac_sim.optics.beads import BeadMotion
+from mixtac_sim.world.device import draw_device
 
 EDGE = INDENTERS['edge']
 THICKNESS = 4.25

@@ -5,10 +5,10 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.elastomer import Layer, force_law
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.indenter import HEMISPHERE, Indenter
-from mixtac_sim.layer_contact import punch_factor, surface_mobility
+from mixtac_sim.mechanics.elastomer import Layer, force_law
+from mixtac_sim.mechanics.indenters import HEMISPHERE, Indenter
+from mixtac_sim.mechanics.layer import punch_factor, surface_mobility
 
 # Flat punch on a bonded incompressible layer: Hayes et al. 1972 give 1.281, 3.609 and 9.069 for
 # 0.2, 1 and 2; the others are from a separate solution of the same equation.

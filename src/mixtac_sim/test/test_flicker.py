@@ -5,17 +5,15 @@
 import numpy as np
 import pytest
 
-from mixtac_sim import flicker
-from mixtac_sim.aps import ApsSettings
-from mixtac_sim.array_geometry import PADDED, PIXELS, TILES
-from mixtac_sim.dvs import Dvs
-from mixtac_sim.flicker import Flicker, draw_flicker
-from mixtac_sim.pixels import PixelSettings, PixelSpread
-from mixtac_sim.presets import EASY, preset
-from mixtac_sim.profiles import make_profile
-from mixtac_sim.scene import Scene
-from mixtac_sim.sensor import TactileSensor
-from mixtac_sim.steps import BLOCK_STEPS
+from mixtac_sim.grids import BLOCK_STEPS, PADDED, PIXELS, TILES
+from mixtac_sim.optics import scene as flicker
+from mixtac_sim.optics.scene import Flicker, Scene, draw_flicker
+from mixtac_sim.pixels.aps import ApsSettings
+from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
+from mixtac_sim.pixels.dvs import Dvs
+from mixtac_sim.world.effects import EASY, preset
+from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.sensor import TactileSensor
 
 QUIET = {'leak_hz': 0.0, 'leak_hz_per_lux': 0.0, 'shot_hz': 0.0, 'refractory_us': 0.0}
 ONES = np.ones(PADDED, np.float32)

@@ -7,15 +7,12 @@ import struct
 import numpy as np
 import pytest
 
-from mixtac_sim.inertial_unit import InertialUnit
-from mixtac_sim.live_profile import LiveProfile
-from mixtac_sim.pixel_biases import DEFAULT_REGISTERS, OFF, ON
-from mixtac_sim.pixels import PixelSettings
-from mixtac_sim.reference import ReferenceSensor
-from mixtac_sim.sensor import TactileSensor
-from mixtac_sim.simulation_clock import SimulationClock
+from mixtac_sim.live.touch import LiveProfile
+from mixtac_sim.live.virtual_sensor import SimulationClock, VirtualSensor
+from mixtac_sim.pixels.biases import DEFAULT_REGISTERS, OFF, ON, PixelSettings
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.virtual_sensor import VirtualSensor
+from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
+from mixtac_sim.world.sensor import TactileSensor
 
 
 class Watched(TactileSensor):

@@ -12,14 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_sim import live_gestures
-from mixtac_sim.contact import Mode
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.live_objects import OBJECTS
-from mixtac_sim.live_profile import LiveProfile
-from mixtac_sim.sensor import TactileSensor
-from mixtac_sim.touch_control import ENDLESS_S, LARGEST_N, TouchControl
-from mixtac_sim.touch_parameters import TouchParameters
+from mixtac_sim.live import touch as live_gestures
+from mixtac_sim.live.touch import ENDLESS_S, LARGEST_N, LiveProfile, TouchControl
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.mechanics.indenters import LIVE_INDENTERS
+from mixtac_sim.parameters import TouchParameters
+from mixtac_sim.world.sensor import TactileSensor
 
 STEP_US = 125
 AHEAD_US = 8_000
@@ -29,7 +28,7 @@ class Sensor:
     """A live sensor whose time the test turns; the contact is not simulated."""
 
     def __init__(self):
-        self.profile = LiveProfile(tuple(OBJECTS.values()))
+        self.profile = LiveProfile(tuple(LIVE_INDENTERS.values()))
         self.now_us = 0
 
     def play(self, scenario):
@@ -174,11 +173,11 @@ def test_memory_of_past_scenarios_is_bounded(sensor, control):
     assert len(sensor.profile._plays) < 12
 
 
-@pytest.mark.parametrize('name', list(OBJECTS))
+@pytest.mark.parametrize('name', list(LIVE_INDENTERS))
 def test_every_object_can_be_simulated(name):
-    profile = LiveProfile(tuple(OBJECTS.values()))
+    profile = LiveProfile(tuple(LIVE_INDENTERS.values()))
     sensor = TactileSensor(1, 1, profile)
-    profile.play(live_gestures.press(OBJECTS[name], 0.5, 0.05), 0)
+    profile.play(live_gestures.press(LIVE_INDENTERS[name], 0.5, 0.05), 0)
     truth = sensor.advance(260_000).truth
     assert truth['fz'].max() == pytest.approx(0.5, rel=0.02)
     assert 0.05 < truth['depth_mm'].max() < 3.0

@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from mixtac_sim.array_geometry import HEIGHT, PIXELS, TILE, TILES, WIDTH
-from mixtac_sim.device import draw_device
-from mixtac_sim.dvs import Dvs
-from mixtac_sim.mesh_motion import LEVELS_MM, MeshMotion
-from mixtac_sim.optics import Lens
-from mixtac_sim.pixels import PixelSettings
-from mixtac_sim.scene import Lighting, build_sagging, build_scene
+from mixtac_sim.grids import HEIGHT, PIXELS, TILE, TILES, WIDTH
+from mixtac_sim.optics.lens import Lens
+from mixtac_sim.optics.renderer import LEVELS_MM, MeshMotion
+from mixtac_sim.optics.scene import Lighting, build_sagging, build_scene
+from mixtac_sim.pixels.biases import PixelSettings
+from mixtac_sim.pixels.dvs import Dvs
+from mixtac_sim.world.device import draw_device
 
 LENS = Lens(2.8, 2.0, 13.0, 4.0, 2.0, 0.0, 0.0, (172.5, 129.5))
 LIGHT = Lighting(200.0, (0.0, 0.0), 0.0, 0.05, 0.4, 0.15, 0.0, 0.3, (0.2, 0.1), corner_px=1e4)

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim
 
-from mixtac_sim.inertial_unit import InertialUnit
-from mixtac_sim.mount import Mount
-from mixtac_sim.presets import EASY, preset
-from mixtac_sim.reference import ReferenceSensor
+from mixtac_sim.world.effects import EASY, preset
+from mixtac_sim.world.instruments import InertialUnit, Mount, ReferenceSensor
 
 T_US = np.arange(1, 8_001) * 125
 

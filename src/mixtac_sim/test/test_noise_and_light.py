@@ -5,13 +5,13 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.array_geometry import PADDED, PIXELS, TILES
-from mixtac_sim.device import draw_device
-from mixtac_sim.dvs import Dvs
-from mixtac_sim.noise import NoiseSource
-from mixtac_sim.pixels import PixelSettings, PixelSpread
-from mixtac_sim.presets import preset
-from mixtac_sim.scene import Scene
+from mixtac_sim.grids import PADDED, PIXELS, TILES
+from mixtac_sim.optics.scene import Scene
+from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
+from mixtac_sim.pixels.dvs import Dvs
+from mixtac_sim.pixels.noise import NoiseSource
+from mixtac_sim.world.device import draw_device
+from mixtac_sim.world.effects import preset
 
 LUX = np.array([1.0, 4.0, 16.0, 64.0, 200.0])
 SETTINGS = PixelSettings(leak_hz=0.1, leak_hz_per_lux=0.002, shot_hz=8.0, shot_lux=4.0)

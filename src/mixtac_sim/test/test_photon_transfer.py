@@ -5,8 +5,8 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.aps import Aps, ApsSettings
-from mixtac_sim.array_geometry import TILE, TILES
+from mixtac_sim.grids import TILE, TILES
+from mixtac_sim.pixels.aps import Aps, ApsSettings
 
 
 def pair(lux):

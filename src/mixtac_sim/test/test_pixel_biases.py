@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_sim.pixel_biases import (
+from mixtac_sim.pixels.biases import (
     DEFAULT_REGISTERS,
     DIFF,
     FOLLOWER,
@@ -16,9 +16,9 @@ from mixtac_sim.pixel_biases import (
     PHOTORECEPTOR,
     REFRACTORY,
     PixelBiases,
+    PixelSettings,
     current_a,
 )
-from mixtac_sim.pixels import PixelSettings
 
 
 def register(coarse, fine, *, enabled=True):
@@ -48,7 +48,7 @@ def test_known_settings_give_the_known_constants():
 
 
 def test_default_registers_are_those_of_the_driver():
-    biases = pytest.importorskip('mixtac_driver.biases')
+    biases = pytest.importorskip('mixtac_driver.davis346.biases')
     wire = {address: bias.encode() for address, bias in biases.DEFAULT_BIASES.values()}
     assert {address: wire[address] for address in DEFAULT_REGISTERS} == dict(DEFAULT_REGISTERS)
 

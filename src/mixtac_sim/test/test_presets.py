@@ -8,13 +8,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from mixtac_sim.effects import OFF
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.presets import EASY, EFFECTS, PRESETS, Preset, preset
-from mixtac_sim.profiles import make_profile
-from mixtac_sim.reference import ReferenceSensor
-from mixtac_sim.sensor import TactileSensor
-from mixtac_sim.trial import simulate_trial
+from mixtac_sim.world.effects import EASY, EFFECTS, OFF, PRESETS, Preset, preset
+from mixtac_sim.world.instruments import ReferenceSensor
+from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.sensor import TactileSensor
+from mixtac_sim.world.trial import simulate_trial
 
 # Of the simulator before presets existed: device seed, trial seed, profile, duration [s].
 DIGESTS = {

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_sim.contact import Mode
-from mixtac_sim.contact_steps import STEP_US
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.profiles import PROFILES, make_profile
-from mixtac_sim.segments import Profile, Segment, Tone
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.world.profiles import PROFILES, Profile, Segment, Tone, make_profile
 
 
 def commands(profile):

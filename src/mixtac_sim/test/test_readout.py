@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_sim.readout import Readout, pack
+from mixtac_sim.pixels.noise import Readout, pack
 
 
 def keys(times, pixels):

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.reference import ReferenceSensor
+from mixtac_sim.world.instruments import ReferenceSensor
 
 T_US = np.arange(1, 16_001) * 125
 

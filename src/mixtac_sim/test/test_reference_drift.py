@@ -5,9 +5,8 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.presets import preset
-from mixtac_sim.reference import ReferenceSensor
-from mixtac_sim.wander import Wander
+from mixtac_sim.world.effects import preset
+from mixtac_sim.world.instruments import ReferenceSensor, Wander
 
 PAPER = preset('paper_like')
 

@@ -5,13 +5,12 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.contact import Contact, Mode
-from mixtac_sim.contact_steps import STEP_US
-from mixtac_sim.device import draw_device
-from mixtac_sim.elastomer import Layer, force_law
-from mixtac_sim.indenter import HEMISPHERE
-from mixtac_sim.presets import preset
-from mixtac_sim.viscoelasticity import PronySeries
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.contact import Contact, Mode, PronySeries
+from mixtac_sim.mechanics.elastomer import Layer, force_law
+from mixtac_sim.mechanics.indenters import HEMISPHERE
+from mixtac_sim.world.device import draw_device
+from mixtac_sim.world.effects import preset
 
 STEP_S = 1e-6 * STEP_US
 SERIES = PronySeries((0.3, 0.05, 0.04, 0.02), (0.003, 0.05, 1.0, 20.0))

@@ -4,8 +4,8 @@
 
 import numpy as np
 
-from mixtac_sim.array_geometry import HEIGHT, PIXELS, TILE, WIDTH
-from mixtac_sim.renderer import ONE, Renderer
+from mixtac_sim.grids import HEIGHT, PIXELS, TILE, WIDTH
+from mixtac_sim.optics.renderer import ONE, Renderer
 
 
 def spots(*rows):

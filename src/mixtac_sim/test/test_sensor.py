@@ -5,13 +5,14 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.contact import Mode
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.profiles import make_profile
-from mixtac_sim.segments import Profile, Segment
-from mixtac_sim.sensor import ApsSettings, PixelSettings, TactileSensor
-from mixtac_sim.steps import cut_block
-from mixtac_sim.trial import simulate_trial
+from mixtac_sim.grids import cut_block
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.pixels.aps import ApsSettings
+from mixtac_sim.pixels.biases import PixelSettings
+from mixtac_sim.world.profiles import Profile, Segment, make_profile
+from mixtac_sim.world.sensor import TactileSensor
+from mixtac_sim.world.trial import simulate_trial
 
 
 def tap(duration=1.0, start=0.1, force=0.8):

@@ -5,8 +5,7 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.elastomer import Layer
-from mixtac_sim.shear import Shear
+from mixtac_sim.mechanics.elastomer import Layer, Shear
 
 LAYER = Layer(150.0, 4.0)
 FORCE, RADIUS = np.full(50, 0.8), np.full(50, 2.5)

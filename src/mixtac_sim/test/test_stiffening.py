@@ -5,12 +5,12 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.bead_motion import BeadMotion
-from mixtac_sim.contact import Contact, Mode
-from mixtac_sim.device import draw_device
-from mixtac_sim.elastomer import Layer, force_law
-from mixtac_sim.indenter import HEMISPHERE, WEIGHT_20_G
-from mixtac_sim.presets import preset
+from mixtac_sim.mechanics.contact import Contact, Mode
+from mixtac_sim.mechanics.elastomer import Layer, force_law
+from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G
+from mixtac_sim.optics.beads import BeadMotion
+from mixtac_sim.world.device import draw_device
+from mixtac_sim.world.effects import preset
 
 LAYER = Layer(180.0, 4.0)
 

@@ -6,11 +6,15 @@ import json
 
 import pytest
 
-from mixtac_sim.conditions import draw_conditions
-from mixtac_sim.device import draw_device
-from mixtac_sim.presets import PRESETS, preset
-from mixtac_sim.reference import ReferenceSensor
-from mixtac_sim.trial_record import describe_conditions, describe_device, describe_reference
+from mixtac_sim.world.device import (
+    describe_conditions,
+    describe_device,
+    describe_reference,
+    draw_conditions,
+    draw_device,
+)
+from mixtac_sim.world.effects import PRESETS, preset
+from mixtac_sim.world.instruments import ReferenceSensor
 
 
 @pytest.mark.parametrize('name', PRESETS)

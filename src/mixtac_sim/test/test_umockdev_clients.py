@@ -272,8 +272,8 @@ def test_registers_are_those_that_libcaer_writes(sessions, client):
 
 def test_our_decoder_and_the_scene_agree():
     """The same scene through our own decoder, without USB."""
-    from mixtac_driver.decoder import StreamDecoder
-    from mixtac_driver.identity import Geometry
+    from mixtac_driver.davis346.model import Geometry
+    from mixtac_driver.decode.decoder import StreamDecoder
 
     scene = make_scene()
     device = VirtualDavis346('V0000346', clock=lambda: 0)

@@ -16,9 +16,9 @@ pytestmark = pytest.mark.umockdev
 
 PROGRAM = """
 import json, sys
-from mixtac_driver.doctor.camera_checks import check_attached
-from mixtac_driver.doctor.host_files import HostFiles
-from mixtac_driver.doctor.running_camera import check_running
+from mixtac_driver.doctor.usb import check_attached
+from mixtac_driver.doctor.computer import HostFiles
+from mixtac_driver.doctor.stream import check_running
 found = [*check_attached(HostFiles()), *check_running("davis346", 1.0)]
 found = [(f.name, f.level.name, f.found, dict(f.values)) for f in found]
 json.dump(found, open(sys.argv[1], 'w'))

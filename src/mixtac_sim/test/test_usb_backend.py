@@ -19,10 +19,9 @@ import usb.util
 
 from mixtac_events.errors import MixtacError
 from mixtac_sim.usb import wire
-from mixtac_sim.usb.backend import open_backend
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.errors import NoVirtualSensorError, VirtualUsbError
-from mixtac_sim.usb.in_process import in_process_backend
+from mixtac_sim.usb.faults import NoVirtualSensorError, VirtualUsbError
+from mixtac_sim.usb.pyusb_backend import in_process_backend, open_backend
 from mixtac_sim.usb.server import UsbServer
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from mixtac_sim.usb import descriptors
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.errors import UsbBusy, UsbGone, UsbStall, UsbTimeout
+from mixtac_sim.usb.faults import UsbBusy, UsbGone, UsbStall, UsbTimeout
 
 
 @pytest.fixture

@@ -16,18 +16,17 @@ import usb.util
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_sim.usb.backend import open_backend
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.errors import (
+from mixtac_sim.usb.faults import (
+    Fault,
     FaultError,
+    FaultKind,
     NoVirtualSensorError,
     UsbGone,
     UsbTimeout,
     VirtualUsbError,
 )
-from mixtac_sim.usb.fault_client import inject
-from mixtac_sim.usb.faults import Fault, FaultKind
-from mixtac_sim.usb.in_process import in_process_backend
+from mixtac_sim.usb.pyusb_backend import in_process_backend, inject, open_backend
 from mixtac_sim.usb.server import UsbServer
 
 WORDS = np.arange(100, 400, dtype=np.uint16)

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_sim.usb.fifo import ByteFifo
+from mixtac_sim.usb.stream import ByteFifo
 
 actions = st.lists(
     st.one_of(

@@ -11,9 +11,8 @@ import pytest
 from usb_oracle import decode
 
 from mixtac_sim.usb import descriptors
-from mixtac_sim.usb.errors import UsbTimeout
-from mixtac_sim.usb.pattern import make_pattern
-from mixtac_sim.usb.pattern_camera import PatternCamera
+from mixtac_sim.usb.faults import UsbTimeout
+from mixtac_sim.usb.pattern import PatternCamera, make_pattern
 
 RUN = ((0, 3), (9, 0), (0, 1), (0, 0))
 BUFFER = 1 << 16

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from usb_oracle import APS, IMU, Frame, camera, decode, drain, events_of, some_frame, write
 
-from mixtac_sim.usb.imu_words import ImuReading
 from mixtac_sim.usb.registers import Board
+from mixtac_sim.usb.words import ImuReading
 
 
 @pytest.mark.parametrize('orientation', range(8))

@@ -5,12 +5,12 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.contact import Mode
-from mixtac_sim.pixels import PixelSettings
-from mixtac_sim.presets import EASY
-from mixtac_sim.profiles import make_profile
-from mixtac_sim.segments import Profile, Segment, Tone
-from mixtac_sim.sensor import ApsSettings, TactileSensor
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.pixels.aps import ApsSettings
+from mixtac_sim.pixels.biases import PixelSettings
+from mixtac_sim.world.effects import EASY
+from mixtac_sim.world.profiles import Profile, Segment, Tone, make_profile
+from mixtac_sim.world.sensor import TactileSensor
 
 QUIET = {'shot_hz': 0.0, 'leak_hz': 0.0, 'leak_hz_per_lux': 0.0}
 EVEN = EASY.without('pixels', 'light', 'timing')

@@ -7,14 +7,13 @@ import pytest
 from scipy.signal import periodogram
 
 from mixtac_events.arrays import Events
-from mixtac_sim.device import draw_device
+from mixtac_lab.experiments.studies.tones import binned, find_line, shake
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.gestures import VIBRATION_DEPTH_MM, VIBRATION_MM
-from mixtac_sim.pixels import PixelSettings
-from mixtac_sim.presets import EASY, preset
-from mixtac_sim.profiles import make_profile
-from mixtac_sim.sensor import TactileSensor
-from mixtac_sim.vibration_lines import binned, find_line, shake
+from mixtac_sim.pixels.biases import PixelSettings
+from mixtac_sim.world.device import draw_device
+from mixtac_sim.world.effects import EASY, preset
+from mixtac_sim.world.profiles import VIBRATION_DEPTH_MM, VIBRATION_MM, make_profile
+from mixtac_sim.world.sensor import TactileSensor
 
 PAPER = preset('paper_like')
 

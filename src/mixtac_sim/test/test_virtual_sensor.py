@@ -11,17 +11,15 @@ import numpy as np
 import pytest
 
 from mixtac_events.arrays import Events
-from mixtac_sim.contact import Mode
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.indenter import Indenter
-from mixtac_sim.inertial_unit import InertialUnit
-from mixtac_sim.live_profile import LiveProfile
-from mixtac_sim.reference import ReferenceSamples
-from mixtac_sim.segments import Profile, Segment
-from mixtac_sim.simulation_clock import SimulationClock
+from mixtac_sim.live.touch import LiveProfile
+from mixtac_sim.live.virtual_sensor import SimulationClock, VirtualSensor
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.errors import UsbTimeout
-from mixtac_sim.virtual_sensor import VirtualSensor
+from mixtac_sim.usb.faults import UsbTimeout
+from mixtac_sim.world.instruments import InertialUnit, ReferenceSamples
+from mixtac_sim.world.profiles import Profile, Segment
 
 TRUTH = np.dtype(
     [('t_us', '<i8'), ('fx', '<f8'), ('fy', '<f8'), ('fz', '<f8'), ('depth_mm', '<f8')]

@@ -22,10 +22,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from mixtac_node.base_node import QOS_FORCE, stamp_to_ns
-from mixtac_sim.reference import ReferenceSensor
-from mixtac_sim.usb.backend import open_backend
+from mixtac_node.base_node import QOS_FORCE
+from mixtac_node.stamps import stamp_to_ns
 from mixtac_sim.usb.descriptors import serial_number
+from mixtac_sim.usb.pyusb_backend import open_backend
+from mixtac_sim.world.instruments import ReferenceSensor
 
 pytestmark = pytest.mark.dds
 COMMAND = [sys.executable, '-m', 'mixtac_sim.virtual_sensor_node', '--ros-args']

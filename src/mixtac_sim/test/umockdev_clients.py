@@ -77,7 +77,7 @@ class Seen:
 def ours(seen):
     """Acceleration in m/s^2, turn rate in rad/s; the clock restarts after a reset."""
     from mixtac_driver.camera import Davis346
-    from mixtac_driver.configuration import Configuration
+    from mixtac_driver.davis346.settings import Configuration
 
     every_edge = Configuration(detect_rising=True, detect_falling=True)
     with Davis346('davis346', configuration=every_edge) as camera:

@@ -15,8 +15,7 @@ from pathlib import Path
 
 import psutil
 
-from mixtac_driver.camera import Davis346
-from mixtac_driver.stream import StreamSettings
+from mixtac_driver.camera import Davis346, StreamSettings
 from mixtac_driver.supervisor import Supervisor
 
 

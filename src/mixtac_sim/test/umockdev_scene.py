@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mixtac_events.arrays import Events
-from mixtac_sim.usb.imu_words import ImuReading
+from mixtac_sim.usb.words import ImuReading
 
 DURATION_US = 1_000_000
 WRAP_US = 0x8000

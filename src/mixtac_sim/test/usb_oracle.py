@@ -11,7 +11,7 @@ import numpy as np
 
 from mixtac_events.arrays import Events
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.errors import UsbTimeout
+from mixtac_sim.usb.faults import UsbTimeout
 
 MUX, DVS, APS, IMU, USB = 0, 1, 2, 3, 9
 

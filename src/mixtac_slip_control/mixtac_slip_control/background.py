@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a quantity does while nothing slips, and the value it exceeds at a stated rate.
+"""The distribution of a quantity while nothing slips, and the value it exceeds at a stated rate.
 
 Event counts at rest have tails much heavier than a Poisson process (frame read-out, hot pixels,
-ripple), so neither its spread nor a normal one gives a threshold. Here the tail itself is measured:
-excesses over a high quantile follow a generalised Pareto law (Pickands 1975, Balkema and de Haan
-1974); its scale comes from their mean, its shape is a stated assumption.
+ripple), so neither a Poisson nor a normal distribution gives a threshold. The tail itself is
+measured: excesses over a high quantile follow a generalised Pareto distribution (Pickands 1975,
+Balkema and de Haan 1974). Its scale comes from their mean, its shape is a stated assumption.
 """
 
 from __future__ import annotations

@@ -1,33 +1,39 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Detection, law, interlock and the arm's planner as one object without ROS.
+"""Detection, law, interlock and planner of the arm as one object without ROS.
 
 The node and the simulations drive the same object: inputs arrive by the `on_` methods, `plan`
-returns what is to be sent to the arm, `tick` looks at the watchdogs where nothing arrives. All
-`now_s` are on one host clock, the one that trajectories are stamped with; event and force times are
-on the camera clock.
+returns what is to be sent to the arm, `tick` checks the watchdogs when nothing arrives. All `now_s`
+are on one host clock, the one that trajectories are stamped with; event and force times are on the
+camera clock.
 
-Every trajectory ends at rest, so an arm that is told nothing more stops by itself; `braking` stops
-it sooner.
+Every trajectory ends at rest, so an arm that receives nothing more stops by itself; `braking` stops
+it sooner. `node_status` summarises the controller for diagnostics.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mixtac_slip_control.advance_law import AdvanceLaw
-from mixtac_slip_control.advancer import Advancer
-from mixtac_slip_control.contact_stiffness import ContactStiffness
+from mixtac_slip_control.bounds import Advancer, ContactStiffness, StiffnessProbe
+from mixtac_slip_control.detectors import SlipJudge
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.interlock import Interlock
-from mixtac_slip_control.safety import SafetyWatch
-from mixtac_slip_control.slip_features import SlipFeatures, SlipWindow
-from mixtac_slip_control.slip_judge import SlipJudge
-from mixtac_slip_control.slip_settings import SlipSettings
-from mixtac_slip_control.slip_step import SlipStep
-from mixtac_slip_control.stiffness_probe import StiffnessProbe
+from mixtac_slip_control.features import SlipFeatures, SlipWindow
+from mixtac_slip_control.law import AdvanceLaw
+from mixtac_slip_control.parameters import SlipSettings
+from mixtac_slip_control.safety import (
+    EVENTS,
+    FORCE,
+    HEARTBEAT,
+    JOINTS,
+    Interlock,
+    InterlockState,
+    SafetyWatch,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -35,11 +41,48 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_events.arrays import Events
-    from mixtac_slip_control.arm.planned_trajectory import PlannedTrajectory
-    from mixtac_slip_control.flow_guide import FlowGuide
-    from mixtac_slip_control.planner import Planner
+    from mixtac_slip_control.arm.planner import Planner
+    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
+    from mixtac_slip_control.features import FlowGuide
 
     Normal = Sequence[float] | Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, slots=True)
+class SlipStep:
+    """What one window led to; the fields are those of `mixtac_msgs/SlipState`.
+
+    Attributes:
+        end_us: End of the window, camera clock [us].
+        count: Events in the window.
+        background: Middle of the counts at rest.
+        background_sigma: Scale of the tail of the counts at rest.
+        threshold: Count above which the paper's law says slip.
+        count_slipping: What the paper's law says.
+        flow: Translation of the skin [px per contrast threshold].
+        flow_threshold: Translation above which the flow detector says slip.
+        flow_slipping: What the flow detector says.
+        slipping: What counts, by the choice of detector.
+        state: Number of the `InterlockState`.
+        enabled: Whether the arm may follow slip.
+        advance: Asked for by this window, along the contact normal [m].
+        total_advance: Since enabling [m].
+    """
+
+    end_us: int
+    count: int
+    background: float
+    background_sigma: float
+    threshold: float
+    count_slipping: bool
+    flow: float
+    flow_threshold: float
+    flow_slipping: bool
+    slipping: bool
+    state: int
+    enabled: bool
+    advance: float
+    total_advance: float
 
 
 class SlipController:
@@ -277,3 +320,83 @@ class SlipController:
             advance=advance,
             total_advance=self.total_advance,
         )
+
+
+OK, WARN, ERROR = range(3)
+"""Levels of `diagnostic_msgs/DiagnosticStatus`."""
+AGES: Final = (EVENTS, FORCE, JOINTS, HEARTBEAT)
+
+
+@dataclass(slots=True)
+class FeedCounts:
+    """What came in and went out.
+
+    Attributes:
+        packets: Event packets.
+        lost: Packets missing by their sequence numbers.
+        refused: Messages that could not be read.
+        problem: The latest reason for one, empty if there was none.
+        windows: Slip states published.
+        trajectories: Trajectories published.
+    """
+
+    packets: int = 0
+    lost: int = 0
+    refused: int = 0
+    problem: str = ''
+    windows: int = 0
+    trajectories: int = 0
+
+
+def node_status(
+    controller: SlipController, counts: FeedCounts, latest: SlipStep | None, now_s: float
+) -> tuple[int, str, dict[str, object]]:
+    """Return level, one line for people, and figures by name.
+
+    Args:
+        controller: The controller.
+        counts: Of the node.
+        latest: The latest window, None before the first.
+        now_s: Host time [s].
+    """
+    values: dict[str, object] = {
+        'state': controller.interlock.state.name.lower(),
+        'packets': counts.packets,
+        'lost packets': counts.lost,
+        'unreadable messages': counts.refused,
+        'windows': counts.windows,
+        'skipped windows': controller.features.slicer.skipped_windows,
+        'late events': controller.features.slicer.late_events,
+        'clock restarts': controller.features.slicer.restarts,
+        'trajectories': counts.trajectories,
+        'advance limit [m]': controller.advance_limit,
+        **{f'{name} age [s]': _age_of(controller, name, now_s) for name in AGES},
+    }
+    if latest is not None:
+        values |= {
+            'count threshold [events]': latest.threshold,
+            'flow threshold [px]': latest.flow_threshold,
+            'total advance [m]': latest.total_advance,
+        }
+    return *_level(controller, counts, latest, now_s), values
+
+
+def _age_of(controller: SlipController, name: str, now_s: float) -> object:
+    age = controller.watch.age(name, now_s)
+    return age if math.isfinite(age) else 'never'
+
+
+def _level(
+    controller: SlipController, counts: FeedCounts, latest: SlipStep | None, now_s: float
+) -> tuple[int, str]:
+    if controller.interlock.state is InterlockState.STOPPED:
+        return ERROR, f'stopped: {controller.interlock.reason}'
+    if latest is None:
+        problem = counts.problem or 'check that the driver runs'
+        return WARN, f'no events yet: {problem}'
+    if not controller.judge.learned:
+        return WARN, 'learning the background: keep the contact still'
+    if controller.enabled:
+        return OK, 'enabled'
+    fault = controller.watch.fault(now_s) if controller.has_arm else 'no arm'
+    return OK, f'watching; cannot be enabled: {fault}' if fault else 'watching; ready'

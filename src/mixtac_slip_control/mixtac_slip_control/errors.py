@@ -1,9 +1,27 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What slip control refuses."""
+"""Errors of slip control and of the arm that it moves; each text says what to do."""
+
+from __future__ import annotations
 
 from mixtac_events.errors import MixtacError
 
 
 class SlipControlError(MixtacError):
     """A setting or a request that slip control cannot follow."""
+
+
+class ArmError(SlipControlError):
+    """An arm, a state or a request that cannot be followed; the text says what to do."""
+
+
+class RobotDescriptionError(ArmError):
+    """A URDF that holds no usable serial arm."""
+
+
+class UnreachableError(ArmError):
+    """A pose or an advance that the arm cannot reach from where it stands."""
+
+
+class BackendError(ArmError):
+    """A robot, or the library that talks to it, that is missing or reports a fault."""

@@ -1,21 +1,87 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What may not happen while the arm follows slip, and how old what is known may be.
+"""Interlock and watchdogs: when the arm may follow slip.
 
-This watches; it is not a safety-rated function. The robot's own limits, its protective stop and the
-emergency stop remain what keeps people safe.
+The interlock is off at start, on by request, and latches the first fault. The watch knows how old
+each input is and which limits hold. Neither is a safety-rated function: the robot's own limits, its
+protective stop and the emergency stop remain what keeps people safe.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
 from mixtac_slip_control.errors import SlipControlError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+
+class InterlockState(IntEnum):
+    """State of the interlock; the numbers are those of `mixtac_msgs/SlipState`."""
+
+    DISABLED = 0
+    """Slip is reported, nothing moves."""
+    ENABLED = 1
+    """Slip moves the arm."""
+    STOPPED = 2
+    """A fault has stopped it; only a reset leads to DISABLED."""
+
+
+class Interlock:
+    """Latches the first fault.
+
+    Attributes:
+        state: Present state.
+        reason: Why it stopped; empty unless it did.
+    """
+
+    def __init__(self) -> None:
+        self.state = InterlockState.DISABLED
+        self.reason = ''
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the arm may follow slip."""
+        return self.state is InterlockState.ENABLED
+
+    def enable(self, fault: str | None) -> None:
+        """Let the arm follow slip.
+
+        Args:
+            fault: What speaks against it now, or None.
+
+        Raises:
+            SlipControlError: Something does, or it is stopped and was not reset.
+        """
+        if self.state is InterlockState.STOPPED:
+            raise SlipControlError(
+                f'slip control is stopped ({self.reason}): remove the cause and call ~/reset'
+            )
+        if fault is not None:
+            raise SlipControlError(f'slip control stays disabled: {fault}')
+        self.state = InterlockState.ENABLED
+
+    def disable(self) -> None:
+        """Let nothing move; a stop stays a stop."""
+        if self.state is InterlockState.ENABLED:
+            self.state = InterlockState.DISABLED
+
+    def stop(self, reason: str) -> None:
+        """Stop for good; the first reason is kept. Without effect unless enabled."""
+        if self.state is InterlockState.ENABLED:
+            self.state = InterlockState.STOPPED
+            self.reason = reason
+
+    def reset(self) -> None:
+        """Leave the stop; the arm stays disabled."""
+        if self.state is InterlockState.STOPPED:
+            self.state = InterlockState.DISABLED
+        self.reason = ''
+
 
 EVENTS: Final = 'events'
 FORCE: Final = 'force'

@@ -21,35 +21,25 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from mixtac_events.codec import decode_message, warm_up
-from mixtac_events.errors import CodecError, MixtacError
+from mixtac_events.errors import MixtacError
+from mixtac_events.packets import CodecError
 from mixtac_msgs.msg import SlipState
-from mixtac_node.base_node import (
-    QOS_EVENTS,
-    QOS_FORCE,
-    QOS_SENSOR,
-    OverridableQos,
-    declare,
-    run,
-    stamp_to_us,
-    us_to_stamp,
-)
+from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR, OverridableQos, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
-from mixtac_node.image_conversion import grey
-from mixtac_slip_control.arm.trajectory_message import TrajectoryMessage
-from mixtac_slip_control.arm_parts import make_arm
-from mixtac_slip_control.controller import SlipController
-from mixtac_slip_control.flow_guide import GuideMaker
-from mixtac_slip_control.joint_order import JointOrder
-from mixtac_slip_control.node_status import FeedCounts, node_status
-from mixtac_slip_control.parameter_settings import slip_settings
-from mixtac_slip_control.slip_control_parameters import SlipControlParameters
-from mixtac_slip_control.slip_step import SlipStep
+from mixtac_node.images import grey
+from mixtac_node.stamps import stamp_to_us, us_to_stamp
+from mixtac_slip_control.arm.model import JointOrder, make_arm
+from mixtac_slip_control.arm.trajectory import TrajectoryMessage
+from mixtac_slip_control.controller import FeedCounts, SlipController, SlipStep, node_status
+from mixtac_slip_control.features import GuideMaker
+from mixtac_slip_control.parameters import SlipControlParameters, slip_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mixtac_slip_control.arm.planned_trajectory import PlannedTrajectory
-    from mixtac_slip_control.slip_settings import SlipSettings
+    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
+    from mixtac_slip_control.parameters import SlipSettings
+
 
 STEP_FIELDS = tuple(f.name for f in dataclasses.fields(SlipStep) if f.name != 'end_us')
 WATCH_PERIOD_S = 5e-3

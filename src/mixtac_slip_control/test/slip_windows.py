@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mixtac_slip_control.slip_features import SlipWindow
+from mixtac_slip_control.features import SlipWindow
 
 
 def window(

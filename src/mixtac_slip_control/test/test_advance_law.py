@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_slip_control.advance_law import AdvanceLaw, AdvanceSettings
 from mixtac_slip_control.errors import SlipControlError
+from mixtac_slip_control.law import AdvanceLaw, AdvanceSettings
 
 SETTINGS = AdvanceSettings(
     gain=0.5,

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from mixtac_slip_control.arm.serial_arm import fr3_urdf
-from mixtac_slip_control.arm_parts import make_arm
-from mixtac_slip_control.controller import SlipController
+from mixtac_slip_control.arm.kinematics import fr3_urdf
+from mixtac_slip_control.arm.model import JointOrder, make_arm
+from mixtac_slip_control.controller import ERROR, OK, WARN, FeedCounts, SlipController, node_status
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.joint_order import JointOrder
-from mixtac_slip_control.node_status import ERROR, OK, WARN, FeedCounts, node_status
-from mixtac_slip_control.slip_control_parameters import SlipControlParameters
+from mixtac_slip_control.parameters import SlipControlParameters
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_slip_control.contact_stiffness import ContactStiffness, StiffnessSettings, stiffening
+from mixtac_slip_control.bounds import ContactStiffness, StiffnessSettings, stiffening
 from mixtac_slip_control.errors import SlipControlError
 
 STILL = StiffnessSettings(drift=1e-9)

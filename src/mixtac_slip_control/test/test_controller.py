@@ -11,22 +11,20 @@ import numpy as np
 import pytest
 
 from mixtac_events.arrays import Events
-from mixtac_slip_control.arm.errors import ArmError
 from mixtac_slip_control.background import BackgroundSettings
+from mixtac_slip_control.bounds import ProbeSettings
 from mixtac_slip_control.controller import SlipController
-from mixtac_slip_control.detector import CountSettings
-from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.interlock import InterlockState
-from mixtac_slip_control.slip_judge import JudgeSettings
-from mixtac_slip_control.slip_settings import SlipSettings
-from mixtac_slip_control.stiffness_probe import ProbeSettings
+from mixtac_slip_control.detectors import CountSettings, JudgeSettings
+from mixtac_slip_control.errors import ArmError, SlipControlError
+from mixtac_slip_control.parameters import SlipSettings
+from mixtac_slip_control.safety import InterlockState
 
 from .slip_windows import FakePlanner
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mixtac_slip_control.slip_step import SlipStep
+    from mixtac_slip_control.controller import SlipStep
 
 READY = (0.0, -0.8, 0.0, -2.3, 0.0, 1.6, 0.8)
 T0 = 1_700_000_000.0

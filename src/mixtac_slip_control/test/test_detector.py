@@ -7,9 +7,8 @@ from __future__ import annotations
 import pytest
 
 from mixtac_slip_control.background import BackgroundSettings
-from mixtac_slip_control.detector import CountDetector, CountSettings
+from mixtac_slip_control.detectors import CountDetector, CountSettings, HysteresisSettings
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.hysteresis import HysteresisSettings
 
 from .slip_windows import quiet_windows, window
 

@@ -7,11 +7,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixtac_lab.slip.detectors import ScoredTrial, detector_curve, score_trial
 from mixtac_slip_control.background import BackgroundSettings
-from mixtac_slip_control.detector import CountSettings
-from mixtac_slip_control.detector_curves import ScoredTrial, detector_curve, score_trial
+from mixtac_slip_control.detectors import CountSettings, FlowSettings
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.flow_detector import FlowSettings
 
 from .slip_windows import quiet_windows, window
 

@@ -9,8 +9,8 @@ import math
 import pytest
 
 from mixtac_slip_control.background import BackgroundSettings
+from mixtac_slip_control.detectors import FlowDetector, FlowSettings
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.flow_detector import FlowDetector, FlowSettings
 
 from .slip_windows import quiet_windows, window
 

@@ -10,16 +10,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mixtac_events.arrays import Events
-from mixtac_slip_control.arm.advance_planner import AdvancePlanner
-from mixtac_slip_control.arm.joint_limits import JointLimits
-from mixtac_slip_control.arm.serial_arm import SerialArm
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.background import BackgroundSettings
+from mixtac_slip_control.bounds import ProbeSettings
 from mixtac_slip_control.controller import SlipController
-from mixtac_slip_control.detector import CountSettings
-from mixtac_slip_control.interlock import InterlockState
-from mixtac_slip_control.slip_judge import JudgeSettings
-from mixtac_slip_control.slip_settings import SlipSettings
-from mixtac_slip_control.stiffness_probe import ProbeSettings
+from mixtac_slip_control.detectors import CountSettings, JudgeSettings
+from mixtac_slip_control.parameters import SlipSettings
+from mixtac_slip_control.safety import InterlockState
 
 READY = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
 SIDEWAYS = (0.0, 1.0, 0.0)

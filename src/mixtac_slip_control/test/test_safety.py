@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.interlock import Interlock, InterlockState
-from mixtac_slip_control.safety import SafetySettings, SafetyWatch
+from mixtac_slip_control.safety import Interlock, InterlockState, SafetySettings, SafetyWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable

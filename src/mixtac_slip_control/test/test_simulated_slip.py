@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
-from mixtac_slip_control.flow_guide import GuideMaker
-from mixtac_slip_control.parameter_settings import slip_settings
-from mixtac_slip_control.slip_control_parameters import SlipControlParameters
-from mixtac_slip_control.slip_features import SlipFeatures
-from mixtac_slip_control.slip_judge import SlipJudge
+from mixtac_slip_control.detectors import SlipJudge
+from mixtac_slip_control.features import GuideMaker, SlipFeatures
+from mixtac_slip_control.parameters import SlipControlParameters, slip_settings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

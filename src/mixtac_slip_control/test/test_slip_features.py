@@ -9,8 +9,7 @@ import pytest
 
 from mixtac_events.arrays import Events
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.flow_guide import GuideMaker, GuideSettings
-from mixtac_slip_control.slip_features import SlipFeatures, SlipWindow
+from mixtac_slip_control.features import GuideMaker, GuideSettings, SlipFeatures, SlipWindow
 
 HEIGHT, WIDTH = 260, 346
 CONTRAST = 0.05

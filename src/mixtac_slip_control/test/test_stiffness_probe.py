@@ -8,8 +8,8 @@ import itertools
 
 import pytest
 
+from mixtac_slip_control.bounds import ProbeSettings, StiffnessProbe
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.stiffness_probe import ProbeSettings, StiffnessProbe
 
 SETTINGS = ProbeSettings(advance=1e-5, force=0.1, step=1e-6, precision=0.1, windows=30)
 

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Camera calibration: checkerboard views, lens models, camera_info files, undistortion."""
+"""Calibration of the lens, and undistortion of frames and events."""

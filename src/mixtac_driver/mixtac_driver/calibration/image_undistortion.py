@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from mixtac_driver.calibration.errors import CalibrationError
+from mixtac_driver.calibration.lens import CalibrationError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_driver.calibration.camera_calibration import CameraCalibration
+    from mixtac_driver.calibration.lens import CameraCalibration
+
 
 _OUTSIDE_PX = -1e6
 _BAYER = 'bayer_'

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The computer: processor, kernel, clock, disk, network buffers."""
+"""Findings about this computer: processor, kernel, clock, disk, network buffers, libusb, USB memory."""
 
 from __future__ import annotations
 
@@ -8,14 +8,104 @@ import ctypes
 import os
 import platform
 import shutil
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mixtac_driver.doctor.finding import Finding, Level, Value, ok
+from mixtac_driver.camera import StreamSettings
+from mixtac_driver.errors import UsbError
+from mixtac_driver.usb.device import REAL, open_backend
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Iterable, Mapping
 
-    from mixtac_driver.doctor.host_files import HostFiles
+
+Value = str | int | float | bool | None
+
+
+class Level(IntEnum):
+    """How bad it is, ordered."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something that was looked at.
+
+    Attributes:
+        name: What was looked at, a few words.
+        level: How bad it is.
+        found: What was found.
+        remedy: What to do about it, empty where there is nothing to do.
+        values: The figures behind it, by name with unit.
+    """
+
+    name: str
+    level: Level
+    found: str
+    remedy: str = ''
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+
+def ok(name: str, found: str, **values: Value) -> Finding:
+    """Return a finding that needs no action."""
+    return Finding(name, Level.OK, found, values=values)
+
+
+def worst(findings: Iterable[Finding]) -> Level:
+    """Return the highest level of all, OK where there are none."""
+    return max((finding.level for finding in findings), default=Level.OK)
+
+
+def first_to_do(findings: Iterable[Finding]) -> Finding | None:
+    """Return the first of the worst findings, or None where all is well.
+
+    Checks come in the order in which one depends on another, so the first is the one to mend.
+    """
+    found = list(findings)
+    level = worst(found)
+    return next((f for f in found if f.level is level), None) if level > Level.OK else None
+
+
+@dataclass(frozen=True, slots=True)
+class HostFiles:
+    """The files of the operating system.
+
+    Attributes:
+        root: What stands for the root folder; another one only in tests.
+    """
+
+    root: Path = Path('/')
+
+    def path(self, absolute: str) -> Path:
+        """Return where a path like `/sys/bus` is found."""
+        return self.root / absolute.lstrip('/')
+
+    def text(self, absolute: str) -> str | None:
+        """Return the text of a file without blanks around it, or None where it cannot be read."""
+        return read_text(self.path(absolute))
+
+    def number(self, absolute: str) -> int | None:
+        """Return the number in a file, or None where there is none."""
+        text = self.text(absolute)
+        return int(text) if text is not None and text.lstrip('-').isdigit() else None
+
+    def may_use(self, absolute: str) -> bool:
+        """Return whether this process may read and write a file."""
+        return os.access(self.path(absolute), os.R_OK | os.W_OK)
+
+
+def read_text(path: Path) -> str | None:
+    """Return the text of a file without blanks around it, or None where it cannot be read."""
+    try:
+        return path.read_text(errors='replace').strip()
+    except OSError:
+        return None
+
 
 CPUS = '/sys/devices/system/cpu'
 RECEIVE_LIMIT = '/proc/sys/net/core/rmem_max'
@@ -136,3 +226,39 @@ def _plain_findings(files: HostFiles, folder: Path) -> list[Finding]:
         check_disk(folder),
         check_receive_buffer(files),
     ]
+
+
+USBFS_MEMORY = '/sys/module/usbcore/parameters/usbfs_memory_mb'
+DEFAULT_MEMORY_MB = 16
+
+
+def check_libusb() -> Finding:
+    """Say which libusb serves real cameras."""
+    try:
+        backend = open_backend(REAL)
+    except UsbError as error:
+        found, _, remedy = str(error).partition(': ')
+        return Finding('libusb', Level.ERROR, found, remedy)
+    library = getattr(getattr(backend, 'lib', None), '_name', None)
+    return ok('libusb', str(library or 'present'))
+
+
+def check_usb_memory(files: HostFiles, settings: StreamSettings | None = None) -> Finding:
+    """Say whether the kernel lets programs keep enough reads waiting; all USB programs share it."""
+    name = 'USB memory'
+    settings = settings or StreamSettings()
+    limit = files.number(USBFS_MEMORY)
+    needed = settings.transfers * settings.transfer_size / (1 << 20)
+    if limit is None:
+        return ok(name, 'the kernel does not tell')
+    values = {'limit [MiB]': limit, 'needed [MiB]': needed}
+    if limit == 0:
+        return Finding(name, Level.OK, 'unlimited', values=values)
+    remedy = f'echo {max(DEFAULT_MEMORY_MB, round(8 * needed))} | sudo tee {USBFS_MEMORY}'
+    if limit < needed:
+        found = f'{limit} MiB, and the driver needs {needed:g} MiB'
+        return Finding(name, Level.ERROR, found, remedy, values)
+    if limit < 2 * needed:
+        found = f'{limit} MiB for all USB programs; this driver alone needs {needed:g} MiB'
+        return Finding(name, Level.WARN, found, remedy, values)
+    return Finding(name, Level.OK, f'{limit} MiB, {needed:g} MiB needed', values=values)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixtac_driver.calibration.checkerboard import Board, View
+from mixtac_driver.calibration.board import Board, View
 
 WIDTH, HEIGHT = 346, 260
 SQUARE_M = 0.004

@@ -9,7 +9,7 @@ import numpy as np
 from board_camera import HEIGHT, WIDE, WIDTH, camera_matrix
 from hypothesis import strategies as st
 
-from mixtac_driver.calibration.camera_calibration import CameraCalibration
+from mixtac_driver.calibration.lens import CameraCalibration
 
 
 def calibration(

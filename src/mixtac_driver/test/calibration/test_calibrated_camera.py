@@ -9,10 +9,10 @@ import pytest
 from board_camera import HEIGHT, WIDTH
 from lenses import calibration
 
-from mixtac_driver.calibration.calibrated_camera import CalibratedCamera
-from mixtac_driver.calibration.calibration_parameters import CalibrationParameters
-from mixtac_driver.calibration.camera_info_file import read_camera_info, write_camera_info
-from mixtac_driver.calibration.errors import CalibrationError
+from mixtac_driver.calibration.camera_info import read_camera_info, write_camera_info
+from mixtac_driver.calibration.lens import CalibrationError
+from mixtac_driver.calibration.undistortion import CalibratedCamera
+from mixtac_driver.parameters import CalibrationParameters
 from mixtac_events.arrays import Events
 
 SIZE = (WIDTH, HEIGHT)

@@ -13,14 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lenses import calibration, calibrations
 
-from mixtac_driver.calibration.camera_info_file import (
+from mixtac_driver.calibration.camera_info import (
     format_camera_info,
     parse_camera_info,
     read_camera_info,
     write_camera_info,
 )
-from mixtac_driver.calibration.distortion import MODELS
-from mixtac_driver.calibration.errors import CalibrationError
+from mixtac_driver.calibration.lens import MODELS, CalibrationError
 
 # As camera_calibration_parsers writes it (its documentation's example).
 OTHERS = """image_width: 2448

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from mixtac_driver.calibration.camera_info_url import resolve
-from mixtac_driver.calibration.errors import CalibrationError
+from mixtac_driver.calibration.camera_info import resolve
+from mixtac_driver.calibration.lens import CalibrationError
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from board_camera import COLUMNS, HEIGHT, ROWS, SQUARE_M, WIDTH, BoardCamera, corners
 
-from mixtac_driver.calibration.checkerboard import Board, find_board
-from mixtac_driver.calibration.errors import CalibrationError
+from mixtac_driver.calibration.board import Board, find_board
+from mixtac_driver.calibration.lens import CalibrationError
 
 BOARD = Board(COLUMNS, ROWS, SQUARE_M)
 STRAIGHT = (np.array([0.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.03]))

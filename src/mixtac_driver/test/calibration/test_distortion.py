@@ -11,13 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lenses import calibration, calibrations, opencv_undistorted
 
-from mixtac_driver.calibration.distortion import (
-    MAX_ANGLE_RAD,
-    MODELS,
-    distort,
-    fold_radius,
-    undistort,
-)
+from mixtac_driver.calibration.lens import MAX_ANGLE_RAD, MODELS, distort, fold_radius, undistort
 
 PIXELS = np.stack(np.meshgrid(np.linspace(0, 345, 24), np.linspace(0, 259, 18)), -1).reshape(-1, 2)
 

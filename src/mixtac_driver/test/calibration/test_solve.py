@@ -22,12 +22,16 @@ from board_camera import (
     rays,
 )
 
-from mixtac_driver.calibration.checkerboard import Board, find_board
-from mixtac_driver.calibration.demands import Demands
-from mixtac_driver.calibration.distortion import MODELS, undistort
-from mixtac_driver.calibration.errors import CalibrationError, Refusal, RefusedError
-from mixtac_driver.calibration.lens_fit import fit_lens
-from mixtac_driver.calibration.solve import calibrate
+from mixtac_driver.calibration.board import Board, find_board
+from mixtac_driver.calibration.fit import fit_lens
+from mixtac_driver.calibration.lens import (
+    MODELS,
+    CalibrationError,
+    Refusal,
+    RefusedError,
+    undistort,
+)
+from mixtac_driver.calibration.solve import Demands, calibrate
 
 MIDDLE = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
 

@@ -12,11 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lenses import calibration, calibrations, opencv_undistorted
 
-from mixtac_driver.calibration.distortion import MODELS
-from mixtac_driver.calibration.errors import CalibrationError
-from mixtac_driver.calibration.event_undistortion import EventUndistortion
 from mixtac_driver.calibration.image_undistortion import ImageUndistortion
-from mixtac_driver.calibration.rectified_camera import rectified_camera
+from mixtac_driver.calibration.lens import MODELS, CalibrationError
+from mixtac_driver.calibration.solve import rectified_camera
+from mixtac_driver.calibration.undistortion import EventUndistortion
 from mixtac_events.arrays import Events
 
 ALL = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), -1).reshape(-1, 2)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from board_camera import perfect_views
 
-from mixtac_driver.calibration.view_selection import (
+from mixtac_driver.calibration.board import (
     CELLS,
     MAX_VIEWS,
     Verdict,

@@ -1,19 +1,27 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry and limits of the Franka Research 3, written down apart from those of the controller.
+"""The Franka Research 3: geometry, limits, and a model for MuJoCo (MJCF).
 
-Modified Denavit-Hartenberg parameters, positions and torques: Franka's documentation and
-franka_description; speeds: joint speed at mid range; acceleration and jerk: libfranka.
+Written independently of the controller's own geometry. Modified Denavit-Hartenberg parameters,
+positions and torques: Franka's documentation and franka_description; speeds: joint speed at mid
+range; acceleration and jerk: libfranka. The MuJoCo model has no meshes, position servos and a gel
+at its flange; link masses are Franka's, inertias are those of balls of 6 cm, as none are
+published; armature and joint damping are estimates.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
+
 
 JOINT_NAMES = tuple(f'fr3_joint{k}' for k in range(1, 8))
 A_M = (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088)
@@ -77,3 +85,145 @@ def violations(q: NDArray[np.float64], period_s: float, reserve: float = 1e-3) -
         np.any(np.abs(dddq) > room * DDDQ_MAX, axis=1),
     ]
     return int(sum(np.count_nonzero(each) for each in broken))
+
+
+MASSES_KG: Final = (2.397, 2.927, 2.936, 2.245, 2.616, 2.327, 1.817, 0.627)
+"""Of links 0 to 7."""
+TORQUE_MAX_NM: Final = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
+RADIUS_M: Final = 0.06
+ARMATURE_KG_M2: Final = 0.1
+DAMPING_NM_S: Final = 1.0
+STEP_S: Final = 2.5e-4
+"""Step of the simulation."""
+GEL_KG: Final = 0.1
+"""What moves with the surface of the gel; a lighter one would need smaller steps."""
+GEL_DAMPING_RATIO: Final = 0.05
+"""Of that on the spring: the gel's own losses are modelled with the grasp, not here."""
+GEL_RADIUS_M: Final = 0.005
+GEL_REACH_M: Final = 0.02
+"""From the flange to the surface of the gel."""
+WALL_M: Final = 0.05
+"""Half the edge of what it presses against."""
+
+
+@dataclass(frozen=True, slots=True)
+class GelContact:
+    """What the flange presses against: a gel as a spring between it and a wall.
+
+    Attributes:
+        place_m: Of the flange [3] in the base frame.
+        normal: Direction of the advance in the base frame [3], of length 1.
+        normal_in_flange: The same in the flange's frame [3].
+        n_per_m: Stiffness of the gel [N/m].
+        preload_n: Force at the start [N].
+    """
+
+    place_m: Sequence[float]
+    normal: Sequence[float]
+    normal_in_flange: Sequence[float]
+    n_per_m: float
+    preload_n: float
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """Position servo of each joint.
+
+    Attributes:
+        stiffness_nm: Torque per error of position [7] [N m/rad].
+        damping_nm_s: Torque per speed [7] [N m s/rad]; over the stiffness it is the lag with which
+            a joint follows.
+    """
+
+    stiffness_nm: Sequence[float]
+    damping_nm_s: Sequence[float]
+
+
+def fr3_mjcf(contact: GelContact | None = None, servo: Servo | None = None) -> str:
+    """Return the model.
+
+    Args:
+        contact: What the flange presses against; nothing if None.
+        servo: Of the joints; no actuators if None.
+    """
+    # At MuJoCo's own settings a loaded contact creeps by millimetres per second.
+    option = (
+        f'<option timestep="{STEP_S}" integrator="implicitfast" cone="elliptic" impratio="100" '
+        'noslip_iterations="10"/>'
+    )
+    lines = [
+        '<mujoco model="fr3"><compiler angle="radian"/>',
+        option,
+        '<worldbody>',
+        _wall(contact) if contact else '',
+        _body(0, '0 0 0', '1 0 0 0', contact),
+        '</body>' * len(MASSES_KG),
+        '</worldbody>',
+        _actuators(servo) if servo else '',
+        '</mujoco>',
+    ]
+    return '\n'.join(lines)
+
+
+def _body(k: int, place: str, turn: str, contact: GelContact | None) -> str:
+    """Return link k and all behind it, not closed."""
+    mass = MASSES_KG[k]
+    inertia = 0.4 * mass * RADIUS_M**2
+    # MuJoCo reads gravcomp when it compiles; set later it does nothing.
+    text = (
+        f'<body name="fr3_link{k}" pos="{place}" quat="{turn}" gravcomp="1">'
+        f'<inertial pos="0 0 0" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>'
+    )
+    if k > 0:
+        low, high = Q_LOWER[k - 1], Q_UPPER[k - 1]
+        text += (
+            f'<joint name="{JOINT_NAMES[k - 1]}" axis="0 0 1" range="{low} {high}" limited="true" '
+            f'damping="{DAMPING_NM_S}" armature="{ARMATURE_KG_M2}"/>'
+        )
+    if k == len(A_M):
+        site = f'<site name="flange" pos="0 0 {FLANGE_M}"/>'
+        return text + site + (_gel(contact) if contact else '')
+    half = 0.5 * ALPHA[k]
+    c, s = math.cos(ALPHA[k]), math.sin(ALPHA[k])
+    place = f'{A_M[k]} {-s * D_M[k]} {c * D_M[k]}'
+    return text + _body(k + 1, place, f'{math.cos(half)} {math.sin(half)} 0 0', contact)
+
+
+def _gel(contact: GelContact) -> str:
+    """Return the surface of the gel, on a spring along the normal."""
+    axis = _words(contact.normal_in_flange)
+    place = _words([GEL_REACH_M * n for n in contact.normal_in_flange])
+    damping = 2.0 * GEL_DAMPING_RATIO * math.sqrt(contact.n_per_m * GEL_KG)
+    return (
+        f'<body name="gel" pos="0 0 {FLANGE_M}" gravcomp="1">'
+        f'<inertial pos="{place}" mass="{GEL_KG}" diaginertia="1e-5 1e-5 1e-5"/>'
+        f'<joint name="gel" type="slide" axis="{axis}" stiffness="{contact.n_per_m}" '
+        f'springref="{contact.preload_n / contact.n_per_m}" damping="{damping}"/>'
+        f'<geom name="gel" type="sphere" size="{GEL_RADIUS_M}" pos="{place}" mass="0" '
+        'solref="0.0005 1" solimp="0.99 0.999 1e-5"/></body>'
+    )
+
+
+def _wall(contact: GelContact) -> str:
+    """Return the wall that the gel touches at the start."""
+    ahead = GEL_REACH_M + GEL_RADIUS_M + WALL_M
+    place = [p + ahead * n for p, n in zip(contact.place_m, contact.normal, strict=True)]
+    x, y, z = contact.normal
+    return (
+        f'<geom name="wall" type="box" size="{WALL_M} {WALL_M} {WALL_M}" pos="{_words(place)}" '
+        f'zaxis="{x} {y} {z}" solref="0.0005 1" solimp="0.99 0.999 1e-5"/>'
+    )
+
+
+def _actuators(servo: Servo) -> str:
+    rows = zip(JOINT_NAMES, servo.stiffness_nm, servo.damping_nm_s, TORQUE_MAX_NM, strict=True)
+    lines = [
+        f'<position joint="{name}" kp="{stiffness}" kv="{damping}" '
+        f'forcerange="{-torque} {torque}" forcelimited="true"/>'
+        for name, stiffness, damping, torque in rows
+    ]
+    return '<actuator>' + ''.join(lines) + '</actuator>'
+
+
+def _words(values: Sequence[float]) -> str:
+    return ' '.join(repr(float(v)) for v in values)

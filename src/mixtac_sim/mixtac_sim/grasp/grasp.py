@@ -1,36 +1,256 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A grasp that the sensor watches: press, object, skin and camera in lock-step."""
+"""A grasp that the sensor watches: fingertip, object, skin and camera advance in lock-step.
+
+The fingertip presses gel, mesh and object in series; the object falls or is struck against the
+pull of the skin and the friction of the wall. Before the start it hangs from both at the smallest
+force that holds it, times a margin.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numba import njit
 
-from mixtac_sim.bead_motion import BeadMotion
-from mixtac_sim.conditions import draw_conditions
-from mixtac_sim.contact_steps import STEP_US
-from mixtac_sim.device import draw_device
-from mixtac_sim.elastomer import Layer, force_law
-from mixtac_sim.grasp.fall import fall
-from mixtac_sim.grasp.hang import critical_force_n, hang
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.grasp.camera import SkinBlock, SkinCamera, on_day
 from mixtac_sim.grasp.objects import OBJECTS
-from mixtac_sim.grasp.press import Press
-from mixtac_sim.grasp.skin_beads import SkinBeads
-from mixtac_sim.grasp.skin_camera import SkinBlock, SkinCamera, on_day
-from mixtac_sim.presets import PAPER_LIKE
+from mixtac_sim.grasp.skin import Skin, SkinBeads, slide
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.contact import Contact, Mode
+from mixtac_sim.mechanics.elastomer import ForceLaw, Layer, force_law
+from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.random_streams import stream
+from mixtac_sim.world.device import draw_conditions, draw_device
+from mixtac_sim.world.effects import PAPER_LIKE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_events.arrays import Events
-    from mixtac_sim.aps import ApsFrame
-    from mixtac_sim.device import DeviceModel
     from mixtac_sim.grasp.objects import GraspSetup
-    from mixtac_sim.presets import Preset
+    from mixtac_sim.mechanics.indenters import Indenter
+    from mixtac_sim.pixels.aps import ApsFrame
+    from mixtac_sim.world.device import DeviceModel
+    from mixtac_sim.world.effects import Preset
+
+
+SETTLE_S = 3.0
+"""Time for which the force is held before anything happens [s]."""
+
+
+class Press:
+    """A fingertip that presses an object against a wall.
+
+    Args:
+        device: The sensor.
+        layer: Its layer on the day.
+        face: The object's face.
+        object_n_per_mm: Stiffness of the object itself [N/mm].
+        force_n: Force of the grasp [N], held for 3 s before the start.
+        stiffness_n_per_mm: Stiffness of gel, mesh and object together at that force, if it is to
+            be a given one [N/mm]; the gel is then taken as stiff or soft enough for it.
+
+    Attributes:
+        law: Elastic force over the travel of the fingertip.
+        stiffness_n_per_mm: Its slope at the force of the grasp [N/mm].
+    """
+
+    def __init__(
+        self,
+        device: DeviceModel,
+        layer: Layer,
+        face: Indenter,
+        object_n_per_mm: float,
+        force_n: float,
+        stiffness_n_per_mm: float | None = None,
+    ) -> None:
+        gel = force_law(layer, face, device.mesh_n_per_mm, device.stiffening)
+        self.gel = gel
+        self.law = _in_series(gel, object_n_per_mm)
+        if stiffness_n_per_mm is not None:
+            scale = _slope(self.law, force_n) / stiffness_n_per_mm
+            self.law = replace(self.law, step_mm=self.law.step_mm * scale)
+        self.stiffness_n_per_mm = _slope(self.law, force_n)
+        self._contact = Contact([self.law], [0.0], device.prony)
+        settle = np.full(round(1e6 * SETTLE_S / STEP_US), force_n)
+        path = self._contact.advance(
+            np.full(len(settle), Mode.FORCE, np.int8), settle, np.zeros(len(settle), np.int8)
+        )
+        self._start_mm = float(path.position_mm[-1])
+        self.elastic_n = float(path.elastic_n[-1])
+        if self.elastic_n >= 0.98 * self.law.force_n[-1]:
+            msg = (
+                f'a grasp of {force_n:.2f} N is beyond what this gel model bears under '
+                f'{face}, {self.law.force_n[-1]:.2f} N; press less'
+            )
+            raise SimulationError(msg)
+
+    def radius_mm(self) -> float:
+        """Return the contact radius at the start [mm]."""
+        return float(self.gel.radius_at(self.elastic_n))
+
+    def advance(
+        self, advance_mm: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Move the fingertip; return force and its elastic part [n] [N] on the 125 us grid.
+
+        Args:
+            advance_mm: Its place at the end of each step, inwards from the start [n] [mm].
+        """
+        count = len(advance_mm)
+        path = self._contact.advance(
+            np.full(count, Mode.POSITION, np.int8),
+            self._start_mm + advance_mm,
+            np.zeros(count, np.int8),
+        )
+        return path.force_n, path.elastic_n
+
+    def hold_force(
+        self, force_n: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Press with given forces [n] [N] on the grid; return force and its elastic part."""
+        count = len(force_n)
+        path = self._contact.advance(
+            np.full(count, Mode.FORCE, np.int8), force_n, np.zeros(count, np.int8)
+        )
+        return path.force_n, path.elastic_n
+
+
+def _in_series(gel: ForceLaw, object_n_per_mm: float) -> ForceLaw:
+    """Return the force law of gel and object in series, over their travel together."""
+    travel = gel.depths_mm + gel.force_n / object_n_per_mm
+    even = np.linspace(0.0, travel[-1], len(travel))
+    force = np.interp(even, travel, gel.force_n)
+    return ForceLaw(float(even[1]), force, np.interp(even, travel, gel.radius_mm))
+
+
+def _slope(law: ForceLaw, force_n: float) -> float:
+    """Return the stiffness at a force [N/mm]."""
+    return float(np.interp(force_n, law.force_n, np.gradient(law.force_n, law.step_mm)))
+
+
+SUBSTEPS = 8
+"""Steps per grid step of 125 us while the object moves; a step at rest is one."""
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def fall(
+    body: NDArray[np.float64],
+    constants: tuple[float, float, float, float, float, float, float],
+    skin: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    gel: tuple[NDArray[np.float64], NDArray[np.float64]],
+    surface: NDArray[np.float64],
+    law: tuple[float, float, float, float, float, float],
+    normal_n: NDArray[np.float64],
+    path: NDArray[np.float64],
+    patches: NDArray[np.float64],
+) -> None:
+    """Advance the object over some grid steps.
+
+    Args:
+        body: Time [s], place [mm] and speed [mm/s] of the object, downwards; changed.
+        constants: Mass [kg], weight [N], static and kinetic friction of the wall, start [s],
+            length [s] and speed [mm/s] of the blow.
+        skin: State of the patches, as in ``slide``; changed.
+        gel: As in ``slide``.
+        surface: As in ``slide``.
+        law: As in ``slide``.
+        normal_n: Normal force over each grid step [n] [N].
+        path: Place [mm], speed [mm/s] and pull of the skin [N] at the end of each step [n, 3].
+        patches: Shear of the patches at the end of each step [n, patch] [mm].
+    """
+    mass, weight, static, kinetic, knock_s, pulse_s, knock_mm_s = constants
+    grid_s = 1e-6 * STEP_US
+    for k in range(normal_n.size):
+        pull = 0.0
+        blown = knock_s - grid_s <= body[0] <= knock_s + pulse_s
+        parts = SUBSTEPS if blown or body[2] != 0.0 else 1
+        step = grid_s / parts
+        for _ in range(parts):
+            body[0] += step
+            pull = slide(skin, gel, surface, law, normal_n[k], body[2], step)
+            since = (body[0] - knock_s) / pulse_s
+            blow = 0.0
+            if 0.0 < since < 1.0:
+                blow = 1e-3 * mass * knock_mm_s * 0.5 * np.pi / pulse_s * np.sin(np.pi * since)
+            net = weight + blow - pull
+            if body[2] == 0.0 and abs(net) <= static * normal_n[k]:
+                continue
+            way = np.sign(body[2]) if body[2] != 0.0 else np.sign(net)
+            speed = body[2] + 1e3 * step * (net - way * kinetic * normal_n[k]) / mass
+            # Dry friction stops a body, it never turns it around.
+            body[2] = 0.0 if speed * way < 0.0 else speed
+            body[1] += step * body[2]
+        path[k, 0], path[k, 1], path[k, 2] = body[1], body[2], pull
+        patches[k] = skin[0]
+
+
+HANG_S = 0.4
+"""How long an object must hang to count as held [s]."""
+MOVED_MM = 0.02
+"""How far it may move in the second half of that [mm]."""
+SEARCH_STEP = 1.02
+"""Step of the search for the smallest force."""
+SEARCH_START = 0.95
+"""Force from which the search goes up, over what the static frictions hold together."""
+
+
+def hang(
+    setup: GraspSetup, layer: Layer, radius_mm: float, force_n: float, surface_seed: int
+) -> tuple[Skin, bool]:
+    """Let an object hang from skin and wall, loaded alike at first.
+
+    Args:
+        setup: The object.
+        layer: The gel.
+        radius_mm: Contact radius [mm].
+        force_n: Normal force [N].
+        surface_seed: Draws the object's surface.
+
+    Returns:
+        The skin as it then is, and whether the object held.
+    """
+    rng = np.random.default_rng(surface_seed)
+    skin = Skin(layer, radius_mm, setup.friction, rng, round_face=setup.round_face)
+    static = setup.friction.static(SETTLE_S)
+    skin.rest(setup.weight_n * static / (static + setup.wall_mu), SETTLE_S)
+    body = np.zeros(3)
+    constants = (*setup.constants()[:4], 2.0 * HANG_S, 1.0, 0.0)
+    count = round(0.5e6 * HANG_S / STEP_US)
+    path, patches = np.empty((count, 3)), np.empty((count, len(skin.shear_mm)))
+    state, gel, law = skin.arrays()
+    places = []
+    for _ in range(2):
+        force = np.full(count, force_n)
+        fall(body, constants, state, gel, skin.surface, law, force, path, patches)
+        places.append(float(body[1]))
+        if places[-1] > 1.0:
+            return skin, False
+    skin.slid_mm[:] = 0.0
+    return skin, places[1] - places[0] < MOVED_MM
+
+
+def critical_force_n(setup: GraspSetup, layer: Layer, radius_mm: float, surface_seed: int) -> float:
+    """Return the smallest force that holds an object, to 2 % [N].
+
+    Arguments are those of ``hang``.
+
+    Raises:
+        SimulationError: Not even twice what the static frictions say holds it.
+    """
+    static = setup.weight_n / (setup.friction.static(SETTLE_S) + setup.wall_mu)
+    force = SEARCH_START * static
+    while force < 2.0 * static:
+        if hang(setup, layer, radius_mm, force, surface_seed)[1]:
+            return force
+        force *= SEARCH_STEP
+    msg = f'no force up to {force:.2f} N holds {setup}; its surface is too uneven'
+    raise SimulationError(msg)
+
 
 DOWN = (0.0, 1.0)
 """Gravity in the image: the sensor is mounted upright."""

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The skin under an object, in patches that stick and slip each on their own.
+"""The skin under a held object: patches that stick and slip, and the beads that move with them.
 
 The gel under each patch is a shear spring to the mesh, neighbours pull at each other through the
 skin, and a skin that moves sends a shear wave into the gel, which resists its speed (the
-quasi-dynamic approximation of fault mechanics, Rice 1993). The layer's resonance, some 400 Hz,
-is not modelled; beads see the wave as a delay. Where friction weakens within a slip that is short
+quasi-dynamic approximation of fault mechanics, Rice 1993). The layer's resonance, some 400 Hz, is
+not modelled; beads see the wave as a delay. Where friction weakens within a slip that is short
 against the weakening over the stiffness, patches stick and slip; otherwise they slide smoothly.
 """
 
@@ -16,13 +16,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from mixtac_sim.grasp.friction import REFERENCE_MM_S
+from mixtac_sim.grasp.objects import REFERENCE_MM_S
+from mixtac_sim.grids import STEP_US
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_sim.elastomer import Layer
-    from mixtac_sim.grasp.friction import Friction
+    from mixtac_sim.grasp.objects import Friction
+    from mixtac_sim.mechanics.elastomer import Layer
+    from mixtac_sim.world.device import DeviceModel
+
 
 RINGS = ((0.0, 1), (0.4, 5), (0.8, 10))
 """Radius over the contact's, and number, of the patches of each ring."""
@@ -244,3 +247,62 @@ def _drag(
     """Carry out some steps; see ``Skin.drag``."""
     for k in range(speeds_mm_s.size):
         slide(state, gel, surface, law, normal_n[k], speeds_mm_s[k], step_s)
+
+
+REACH = 0.6
+"""Distance over which shear decays outside the contact, in thicknesses (as in ``Shear``)."""
+SMALLEST_MM = 1.0
+"""Smallest width of the part of the gel that one patch moves [mm]."""
+
+
+class SkinBeads:
+    """Turns the displacement of patches into that of beads.
+
+    A bead follows the patches above it in proportion to its height over the mesh, later by what a
+    shear wave takes from the skin to it; reflections are not modelled.
+
+    Args:
+        device: The sensor.
+        layer: Its layer on the day.
+        contact_mm: Centre of the contact from the optical axis [mm].
+        places_mm: Centres of the patches from the contact's [patch, 2] [mm].
+        radius_mm: Contact radius [mm].
+    """
+
+    def __init__(
+        self,
+        device: DeviceModel,
+        layer: Layer,
+        contact_mm: tuple[float, float],
+        places_mm: NDArray[np.float64],
+        radius_mm: float,
+    ) -> None:
+        beads = device.markers
+        at = np.stack([beads.x_mm, beads.y_mm], axis=1) - np.array(contact_mm)
+        width = max(0.35 * radius_mm, 0.5 * layer.thickness_mm, SMALLEST_MM)
+        distance = np.linalg.norm(at[:, None] - places_mm, axis=2)
+        near = np.exp(-0.5 * (distance / width) ** 2) + 1e-12
+        outside = np.maximum(np.hypot(*at.T) - radius_mm, 0.0) / (REACH * layer.thickness_mm)
+        height = 1.0 - beads.depth_mm / layer.thickness_mm
+        share = near / near.sum(axis=1, keepdims=True)
+        self._weights = share * (height * np.exp(-(outside**2)))[:, None]
+        late = np.rint(beads.depth_mm / wave_speed_mm_s(layer) * 1e6 / STEP_US).astype(np.int64)
+        self._late = np.maximum(late, 0)
+        self._past = np.zeros((int(self._late.max()) + 1, len(places_mm)))
+        self._rows = [np.flatnonzero(self._late == k) for k in range(len(self._past))]
+        self.amount_mm = np.zeros(len(height))
+
+    def settle(self, patches_mm: NDArray[np.float64]) -> None:
+        """Take displacements of the patches [patch] [mm] as having been there for long."""
+        self._past[:] = patches_mm
+
+    def push(self, patches_mm: NDArray[np.float64]) -> None:
+        """Go on by one grid step to displacements of the patches [patch] [mm]."""
+        self._past[1:] = self._past[:-1]
+        self._past[0] = patches_mm
+
+    def amounts(self) -> NDArray[np.float64]:
+        """Return the shear displacement of each bead now [n] [mm]; reused by the next call."""
+        for past, rows in zip(self._past, self._rows, strict=True):
+            self.amount_mm[rows] = self._weights[rows] @ past
+        return self.amount_mm

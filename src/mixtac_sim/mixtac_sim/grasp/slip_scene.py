@@ -12,20 +12,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_sim.bead_motion import BeadMotion
-from mixtac_sim.conditions import draw_conditions
-from mixtac_sim.contact_steps import STEP_US
-from mixtac_sim.device import draw_device
-from mixtac_sim.elastomer import Layer
 from mixtac_sim.errors import SimulationError
+from mixtac_sim.grasp.camera import SkinBlock, SkinCamera, on_day
+from mixtac_sim.grasp.grasp import SETTLE_S, Press
 from mixtac_sim.grasp.objects import draw_friction
-from mixtac_sim.grasp.press import SETTLE_S, Press
-from mixtac_sim.grasp.skin import Skin
-from mixtac_sim.grasp.skin_beads import SkinBeads
-from mixtac_sim.grasp.skin_camera import SkinBlock, SkinCamera, on_day
-from mixtac_sim.indenter import Indenter
-from mixtac_sim.presets import PAPER_LIKE
+from mixtac_sim.grasp.skin import Skin, SkinBeads
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.elastomer import Layer
+from mixtac_sim.mechanics.indenters import Indenter
+from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.random_streams import stream
+from mixtac_sim.world.device import draw_conditions, draw_device
+from mixtac_sim.world.effects import PAPER_LIKE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,10 +31,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_events.arrays import Events
-    from mixtac_sim.aps import ApsFrame
-    from mixtac_sim.flicker import Flicker
-    from mixtac_sim.grasp.friction import Friction
-    from mixtac_sim.presets import Preset
+    from mixtac_sim.grasp.objects import Friction
+    from mixtac_sim.optics.scene import Flicker
+    from mixtac_sim.pixels.aps import ApsFrame
+    from mixtac_sim.world.effects import Preset
+
 
 FACE = Indenter('flat', 6.0)
 """Face of the object where none is given: 12 mm wide (choice)."""

@@ -14,7 +14,6 @@ FIRMWARE: Final = 0x0006
 DATA_ENDPOINT: Final = 0x82
 DEBUG_ENDPOINT: Final = 0x81
 MAX_SERIAL_LENGTH: Final = 8
-
 _DEVICE = struct.Struct('<BBHBBBBHHHBBBB')
 _CONFIGURATION = struct.Struct('<BBHBBBBB')
 _INTERFACE = struct.Struct('<BBBBBBBBB')

@@ -2,30 +2,259 @@
 # SPDX-License-Identifier: Apache-2.0
 """The virtual DAVIS346 as a USB device: control requests in, data out, no transport.
 
-Any number of threads may call it: usually one produces data, one per transport connection asks.
+Any number of threads may call it: usually one produces data, and one per connection asks.
 """
 
 from __future__ import annotations
 
+import math
 import time
+from abc import ABC, abstractmethod
+from threading import Condition
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from mixtac_events.arrays import Events
-from mixtac_sim.usb.control_endpoint import ControlEndpoint
-from mixtac_sim.usb.event_filter import is_filter_register
-from mixtac_sim.usb.host_side import HostSide
-from mixtac_sim.usb.oscillator import Oscillator
+from mixtac_sim.usb import descriptors
+from mixtac_sim.usb.endpoints import ControlEndpoint, DataEndpoint, Presence
+from mixtac_sim.usb.faults import Fault, FaultInjector, FaultKind
 from mixtac_sim.usb.registers import Aps, Board, Dvs, Imu, Module, Mux, RegisterFile, Usb
-from mixtac_sim.usb.stream import StreamAssembler
+from mixtac_sim.usb.stream import ByteFifo, Oscillator, StreamAssembler, is_filter_register
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from array import array
+    from collections.abc import Callable, Hashable, Iterable
 
-    import numpy as np
     from numpy.typing import NDArray
 
-    from mixtac_sim.usb.aps_words import Frame
-    from mixtac_sim.usb.imu_words import ImuReading
+    from mixtac_sim.usb.words import Frame, ImuReading
+
+    Buffer = array[int] | bytearray | memoryview
+
+
+_IN: Final = 0x80
+_CLEAR_DATA_HALT: Final = (0x02, 1, descriptors.DATA_ENDPOINT)
+
+
+class HostSide(ABC):
+    """The USB of the device, with a lock that the rest of the device shares.
+
+    Args:
+        serial: Serial number, at most eight characters.
+        fifo_bytes: Output buffer.
+
+    Attributes:
+        serial: Serial number; may change while it is unplugged.
+    """
+
+    _endpoint0: ControlEndpoint
+
+    def __init__(self, serial: str, fifo_bytes: int) -> None:
+        self.serial = serial
+        self._next_serial = ''
+        self._condition = Condition()
+        self._presence = Presence()
+        self._faults = FaultInjector(self._condition)
+        self._fifo = ByteFifo(fifo_bytes)
+        self._data = DataEndpoint(
+            self._condition, self._fifo, self._presence, self._faults, self._early_packet_s
+        )
+        self._power_up()
+
+    @abstractmethod
+    def _power_up(self) -> None:
+        """Bring registers, buffer and clock to their first state."""
+
+    @abstractmethod
+    def _restart_clock(self) -> None:
+        """Let the camera clock be zero and say so in the stream."""
+
+    def _before_read(  # noqa: B027 - most devices need none
+        self, endpoint: int, timeout_s: float | None
+    ) -> None:
+        """Prepare a read; for devices that make their data only when they are asked for.
+
+        Args:
+            endpoint: The endpoint.
+            timeout_s: How long the host waits [s]; none waits for ever.
+        """
+
+    @abstractmethod
+    def _early_packet_s(self) -> float:
+        """Return the early packet delay [s]."""
+
+    def unplug(self) -> None:
+        """Remove the device: whatever is under way or asked later ends with `UsbGone`."""
+        self.inject(Fault(FaultKind.UNPLUG))
+
+    def plug_in(self, serial: str = '') -> None:
+        """Bring the device back as after power-up; sessions from before stay dead.
+
+        Args:
+            serial: Serial number to come back with, empty for the same.
+        """
+        with self._condition:
+            self.serial = serial or self.serial
+            self._presence.plug_in()
+            self._faults.clear()
+            self._power_up()
+
+    def inject(self, fault: Fault) -> None:
+        """Let something go wrong."""
+        with self._condition:
+            if fault.kind is FaultKind.UNPLUG:
+                self._presence.unplug(fault.seconds or math.inf)
+                self._next_serial = fault.serial
+                self._faults.clear()
+            elif fault.kind is FaultKind.PLUG_IN:
+                self.plug_in(fault.serial)
+            elif fault.kind is FaultKind.CLEAR:
+                self._faults.clear()
+            elif fault.kind is FaultKind.CLOCK_RESET:
+                self._restart_clock()
+            elif fault.kind is FaultKind.GARBAGE_WORDS:
+                rng = np.random.default_rng(fault.seed)
+                self._fifo.push(rng.integers(0, 1 << 16, fault.size // 2, np.uint16))
+                self._data.announce(was_empty=False)
+            else:
+                self._faults.begin(fault)
+
+    def control(
+        self,
+        request_type: int,
+        request: int,
+        value: int,
+        index: int,
+        data: bytes | int,
+        timeout_s: float | None = None,
+    ) -> bytes:
+        """Answer a control request.
+
+        Args:
+            request_type: ``bmRequestType``.
+            request: ``bRequest``.
+            value: ``wValue``.
+            index: ``wIndex``.
+            data: Bytes to the device, or how many are wanted from it.
+            timeout_s: How long the host waits for the answer [s]; none waits for ever.
+
+        Returns:
+            The answer, empty for requests to the device.
+
+        Raises:
+            UsbStall: The device does not know the request or refuses its content.
+            UsbTimeout: A fault of the device: no answer in time.
+            UsbGone: The device was unplugged.
+        """
+        limit_s = math.inf if timeout_s is None else timeout_s
+        with self._condition:
+            self.check_present()
+            plugs = self._presence.plugs
+            self._faults.before_control(request_type, request, value, limit_s)
+            self._presence.check(plugs)
+            if request_type & _IN:
+                wanted = data if isinstance(data, int) else len(data)
+                answer = self._endpoint0.answer(request_type, request, value, index)[:wanted]
+                return self._faults.answer(request_type, answer)
+            sent = b'' if isinstance(data, int) else data
+            self._endpoint0.obey(request_type, request, value, index, sent)
+            if (request_type, request, index) == _CLEAR_DATA_HALT:
+                self._faults.halt_cleared()
+            return b''
+
+    def read_bulk(self, endpoint: int, length: int, timeout_s: float | None) -> bytes:
+        """Wait for data from an endpoint.
+
+        The data endpoint answers when ``length`` bytes are there, or with fewer once the oldest
+        has waited for the early packet delay. The debug endpoint never has anything to say.
+
+        Args:
+            endpoint: 0x82 data, 0x81 debug messages.
+            length: Most bytes to return.
+            timeout_s: How long to wait [s]; none waits for ever.
+
+        Returns:
+            Whole words, at least one.
+
+        Raises:
+            UsbTimeout: Nothing came in time.
+            UsbStall: There is no such endpoint, or it is halted.
+            UsbGone: The device was unplugged.
+        """
+        self._before_read(endpoint, timeout_s)
+        with self._condition:
+            self.check_present()
+            granted = self._data.wait(endpoint, length, timeout_s)
+            return self._fifo.pop(granted + granted % 2)[:granted]
+
+    def read_into(self, endpoint: int, buffer: Buffer, timeout_s: float | None) -> int:
+        """Do the same without a copy.
+
+        Args:
+            endpoint: 0x82 data, 0x81 debug messages.
+            buffer: Where the data go; its length is the most to return [bytes].
+            timeout_s: How long to wait [s]; none waits for ever.
+
+        Returns:
+            How many bytes came.
+
+        Raises:
+            VirtualUsbError: As `read_bulk`.
+        """
+        self._before_read(endpoint, timeout_s)
+        out = np.frombuffer(buffer, np.uint8)
+        with self._condition:
+            self.check_present()
+            return self._fifo.pop_into(out[: self._data.wait(endpoint, len(out), timeout_s)])
+
+    @property
+    def plugs(self) -> int:
+        """How often the device was plugged in; whoever opens it notes that for `check_present`."""
+        with self._condition:
+            self._plug_in_if_due()
+            return self._presence.plugs
+
+    def check_present(self, plugs: int | None = None) -> None:
+        """Make sure that the device is there.
+
+        Args:
+            plugs: What `plugs` was when the session began; none does not matter.
+
+        Raises:
+            UsbGone: It is not, or was not all the time since then.
+        """
+        with self._condition:
+            self._plug_in_if_due()
+            self._presence.check(plugs)
+
+    def claim(self, owner: Hashable) -> None:
+        """Give the interface to one host session.
+
+        Raises:
+            UsbBusy: Another session has it.
+        """
+        with self._condition:
+            self.check_present()
+            self._presence.claim(owner)
+
+    def release(self, owner: Hashable) -> None:
+        """Take the interface back from a session that may or may not hold it."""
+        with self._condition:
+            self._presence.release(owner)
+
+    def reset(self) -> None:
+        """Do a USB port reset: registers, buffer and clock as after power-up."""
+        with self._condition:
+            self.check_present()
+            self._presence.resets += 1
+            self._faults.clear()
+            self._power_up()
+
+    def _plug_in_if_due(self) -> None:
+        if self._presence.is_due:
+            self.plug_in(self._next_serial)
+
 
 _DEFAULT_FIFO: Final = 4 << 20
 

@@ -1,18 +1,57 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What can be made to go wrong on a virtual camera; standard library only.
+"""USB errors of the virtual camera, and faults that can be injected to provoke them.
 
 A `Fault` is handed to `mixtac_sim.usb.device.VirtualDavis346.inject`, or from another process to
-`mixtac_sim.usb.fault_client.inject`. No real camera knows anything of this.
+`mixtac_sim.usb.pyusb_backend.inject`. A real camera has nothing of the kind.
 """
 
 from __future__ import annotations
 
 import json
+import math
+import random
+import time
 from dataclasses import asdict, dataclass
 from enum import Enum
+from typing import TYPE_CHECKING, Final
 
-from mixtac_sim.usb.errors import FaultError
+from mixtac_events.errors import MixtacError
+
+if TYPE_CHECKING:
+    from threading import Condition
+
+
+class VirtualUsbError(MixtacError):
+    """Base of all failures of the virtual USB device and its transports."""
+
+
+class UsbStall(VirtualUsbError):  # noqa: N818 - the USB term
+    """The device refuses a request (STALL handshake); a host sees ``EPIPE``."""
+
+
+class UsbTimeout(VirtualUsbError):  # noqa: N818 - the USB term
+    """No data within the time asked for; a host sees ``ETIMEDOUT``."""
+
+
+class UsbGone(VirtualUsbError):  # noqa: N818 - the USB term
+    """The device was unplugged or its server ended; a host sees ``ENODEV``."""
+
+
+class UsbBusy(VirtualUsbError):  # noqa: N818 - the USB term
+    """Somebody else has claimed the interface; a host sees ``EBUSY``."""
+
+
+class UsbOverflow(VirtualUsbError):  # noqa: N818 - the USB term
+    """The device sent more than was asked for (babble); a host sees ``EOVERFLOW``."""
+
+
+class FaultError(VirtualUsbError):
+    """A fault that cannot be injected."""
+
+
+class NoVirtualSensorError(VirtualUsbError):
+    """Nobody serves a virtual sensor where one was looked for."""
 
 
 class FaultKind(str, Enum):
@@ -97,3 +136,150 @@ class Fault:
         except (ValueError, KeyError, TypeError) as error:
             known = ', '.join(kind.value for kind in FaultKind)
             raise FaultError(f'{data!r} is no fault ({error}); kinds are {known}') from error
+
+
+_BLOCKING: Final = (FaultKind.FREEZE, FaultKind.HANG_READS)
+_LONGEST_SHORT_READ: Final = 1500
+_GET_DESCRIPTOR: Final = (0x80, 6)
+_CACHED_DESCRIPTORS: Final = {1, 2}
+
+
+class FaultInjector:
+    """Knows what goes wrong now. Not thread safe: the device guards it with its condition.
+
+    Args:
+        condition: The device's; its lock is held whenever a method is called.
+    """
+
+    def __init__(self, condition: Condition) -> None:
+        self._condition = condition
+        self._random = random.Random()  # noqa: S311 - not for secrets
+        self._active: dict[FaultKind, tuple[Fault, float]] = {}
+        self._left: dict[FaultKind, float] = {}
+        self._halted = False
+        self._drop = 0
+
+    def clear(self) -> None:
+        """End all faults."""
+        self._active, self._left = {}, {}
+        self._halted = False
+        self._drop = 0
+        self._condition.notify_all()
+
+    def begin(self, fault: Fault) -> None:
+        """Start one that lasts."""
+        self._random.seed(fault.seed)
+        if fault.kind is FaultKind.DROP_BYTES:
+            self._drop += fault.size + fault.size % 2
+            return
+        until = time.monotonic() + (fault.seconds or math.inf)
+        self._active[fault.kind] = (fault, until)
+        self._left[fault.kind] = fault.count or math.inf
+        self._condition.notify_all()
+
+    def restarted(self) -> None:
+        """Note that the host started the stream anew."""
+        if self._active.get(FaultKind.FREEZE, (None, 0.0))[1] == math.inf:
+            del self._active[FaultKind.FREEZE]
+
+    def before_control(self, request_type: int, request: int, value: int, limit_s: float) -> None:
+        """Do to a control request what is to be done to it.
+
+        Args:
+            request_type: ``bmRequestType``.
+            request: ``bRequest``.
+            value: ``wValue``.
+            limit_s: How long the host waits [s].
+
+        Raises:
+            UsbStall: It is refused.
+            UsbTimeout: It finds no answer in time.
+        """
+        # A kernel answers these two from memory.
+        if (request_type, request) == _GET_DESCRIPTOR and value >> 8 in _CACHED_DESCRIPTORS:
+            return
+        if request_type & 0x60 and self._take(FaultKind.STALL_CONTROL):
+            raise UsbStall('the request was refused, as injected')
+        delayed = self._take(FaultKind.DELAY_CONTROL)
+        if delayed:
+            self._sleep(delayed.delay, limit_s)
+        if self._take(FaultKind.TIMEOUT_CONTROL):
+            ended_in = self._active[FaultKind.TIMEOUT_CONTROL][1] - time.monotonic()
+            self._sleep(ended_in, limit_s)
+
+    def answer(self, request_type: int, answer: bytes) -> bytes:
+        """Return what is answered to a request instead of this."""
+        if request_type & 0x60 and self._take(FaultKind.GARBAGE_REGISTERS):
+            return self._random.randbytes(len(answer))
+        return answer
+
+    def halt_cleared(self) -> None:
+        """Note that the host cleared the halt of the data endpoint."""
+        self._halted = False
+
+    def before_read(self) -> None:
+        """Do to a read of the data endpoint what is to be done to it.
+
+        Raises:
+            UsbStall: The endpoint is halted.
+            UsbOverflow: More came than was asked for.
+            VirtualUsbError: The bus failed.
+        """
+        self._halted = self._halted or self._take(FaultKind.STALL_DATA) is not None
+        if self._halted:
+            raise UsbStall('the data endpoint is halted, as injected; clear the halt')
+        if self._take(FaultKind.BABBLE):
+            raise UsbOverflow('more data came than was asked for, as injected')
+        if self._take(FaultKind.READ_ERROR):
+            raise VirtualUsbError('the bus failed, as injected')
+
+    @property
+    def is_frozen(self) -> bool:
+        """Whether the data endpoint has nothing to send."""
+        return any(self._is_active(kind) for kind in _BLOCKING)
+
+    @property
+    def is_hung(self) -> bool:
+        """Whether reads miss their time-out."""
+        return self._is_active(FaultKind.HANG_READS)
+
+    @property
+    def thaws_at(self) -> float:
+        """When the next of the faults that block reads ends [s, monotonic clock]."""
+        ends = [self._active[kind][1] for kind in _BLOCKING if kind in self._active]
+        return min(ends, default=math.inf)
+
+    def take_dropped(self, available: int) -> int:
+        """Return how many of the bytes that wait are to be lost."""
+        count = min(self._drop, available)
+        self._drop -= count
+        return count
+
+    def granted(self, length: int) -> int:
+        """Return how many of ``length`` bytes a read gets."""
+        if length > 1 and self._take(FaultKind.SHORT_READS):
+            return self._random.randint(1, min(length, _LONGEST_SHORT_READ))
+        return length
+
+    def _is_active(self, kind: FaultKind) -> bool:
+        if kind not in self._active:
+            return False
+        if time.monotonic() >= self._active[kind][1] or self._left[kind] <= 0:
+            del self._active[kind]
+            return False
+        return True
+
+    def _take(self, kind: FaultKind) -> Fault | None:
+        if not self._is_active(kind):
+            return None
+        self._left[kind] -= 1
+        return self._active[kind][0]
+
+    def _sleep(self, seconds: float, limit_s: float) -> None:
+        faults = self._active
+        deadline = time.monotonic() + min(seconds, limit_s)
+        # Whoever clears the faults, or resets or unplugs the device, ends the wait.
+        while faults is self._active and time.monotonic() < deadline:
+            self._condition.wait(min(deadline - time.monotonic(), 1.0))
+        if faults is self._active and seconds > limit_s:
+            raise UsbTimeout(f'no answer within {limit_s} s, as injected')

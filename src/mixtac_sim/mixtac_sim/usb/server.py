@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from mixtac_sim.usb import wire
-from mixtac_sim.usb.errors import (
+from mixtac_sim.usb.faults import (
+    Fault,
     FaultError,
     UsbBusy,
     UsbGone,
@@ -24,10 +25,10 @@ from mixtac_sim.usb.errors import (
     UsbTimeout,
     VirtualUsbError,
 )
-from mixtac_sim.usb.faults import Fault
 
 if TYPE_CHECKING:
     from mixtac_sim.usb.device import VirtualDavis346
+
 
 # How long a read may sit in the device before the server looks whether the host still waits.
 _SLICE_S: Final = 0.25

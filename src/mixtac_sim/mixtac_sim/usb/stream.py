@@ -1,33 +1,204 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""From what the sensor saw to what waits in the camera's output buffer.
+"""From what the sensor saw to the bytes that wait in the camera's output buffer.
 
 The simulation hands over events, frames and inertial samples ahead of time; each goes out when its
-time has come and only if the register settings of that moment let it.
+time on the camera's own clock has come, and only if the register settings of that moment let it:
+event filters, region of interest, enabled modules. The buffer is a bounded ring of bytes.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from mixtac_events.arrays import Events
-from mixtac_sim.usb.aps_words import Frame, ReadoutSettings, frame_blocks
-from mixtac_sim.usb.event_filter import EventFilter
-from mixtac_sim.usb.imu_words import ImuReading, ImuSettings, imu_blocks
 from mixtac_sim.usb.registers import HEIGHT, WIDTH, Aps, Dvs, Imu, Module, Mux, Usb
-from mixtac_sim.usb.word_encoder import TIMESTAMP_RESET_WORD, Blocks, WordEncoder
+from mixtac_sim.usb.words import (
+    TIMESTAMP_RESET_WORD,
+    Blocks,
+    Frame,
+    ImuReading,
+    ImuSettings,
+    ReadoutSettings,
+    WordEncoder,
+    frame_blocks,
+    imu_blocks,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from mixtac_sim.usb.fifo import ByteFifo
-    from mixtac_sim.usb.oscillator import Oscillator
     from mixtac_sim.usb.registers import Board, RegisterFile
+
+
+class ByteFifo:
+    """A first-in first-out ring of bytes. Not thread safe: the device guards it.
+
+    Args:
+        capacity: Size [bytes].
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._ring = np.zeros(capacity, np.uint8)
+        self._start = 0
+        self._size = 0
+
+    def __len__(self) -> int:
+        """Return how many bytes wait."""
+        return self._size
+
+    @property
+    def free(self) -> int:
+        """How many more bytes fit."""
+        return len(self._ring) - self._size
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._start = self._size = 0
+
+    def push(self, words: NDArray[np.uint16]) -> bool:
+        """Append words, little-endian; all or nothing.
+
+        Returns:
+            Whether they fitted.
+        """
+        data = np.ascontiguousarray(words, '<u2').view(np.uint8)
+        if len(data) > self.free:
+            return False
+        at = (self._start + self._size) % len(self._ring)
+        first = min(len(data), len(self._ring) - at)
+        self._ring[at : at + first] = data[:first]
+        self._ring[: len(data) - first] = data[first:]
+        self._size += len(data)
+        return True
+
+    def pop(self, limit: int) -> bytes:
+        """Remove and return at most ``limit`` bytes, whole words only."""
+        out = np.empty(min(limit & ~1, self._size), np.uint8)
+        self.pop_into(out)
+        return out.tobytes()
+
+    def pop_into(self, out: NDArray[np.uint8]) -> int:
+        """Move bytes to ``out`` and return how many.
+
+        Whole words leave the ring: where ``out`` has an odd length, half of the last one is lost.
+        """
+        count = min(len(out) + len(out) % 2, self._size)
+        first = min(count, len(self._ring) - self._start, len(out))
+        size = min(count, len(out))
+        out[:first] = self._ring[self._start : self._start + first]
+        out[first:size] = self._ring[: size - first]
+        self.drop(count)
+        return size
+
+    def drop(self, count: int) -> None:
+        """Remove the oldest ``count`` bytes; there must be as many."""
+        self._start = (self._start + count) % len(self._ring)
+        self._size -= count
+
+
+_FILTER_REGISTERS = range(Dvs.FIRST_PIXEL_ROW, Dvs.SUPPRESS_TYPE + 1)
+
+
+def is_filter_register(module: int, param: int) -> bool:
+    """Whether writing this register can change what the filters pass."""
+    return module == Module.DVS and param in _FILTER_REGISTERS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EventFilter:
+    """The filter settings at one moment, ready to apply.
+
+    Attributes:
+        keep: Pixels inside the region, ``bool [260, 346]``.
+        muted: Pixels switched off by the pixel filter, ``bool [260, 346]``.
+        flatten: Send every event as OFF.
+        suppressed: Polarity that is not sent, or none.
+        idle: Whether nothing is filtered at all.
+    """
+
+    keep: NDArray[np.bool_]
+    muted: NDArray[np.bool_]
+    flatten: bool
+    suppressed: bool | None
+    idle: bool
+
+    @classmethod
+    def from_registers(cls, registers: RegisterFile) -> EventFilter:
+        """Read the settings; regions and pixels are in user orientation, ends inclusive."""
+
+        def read(param: int) -> int:
+            return registers.read(Module.DVS, param)
+
+        keep = np.zeros((HEIGHT, WIDTH), np.bool_)
+        rows = slice(read(Dvs.ROI_START_ROW), read(Dvs.ROI_END_ROW) + 1)
+        keep[rows, read(Dvs.ROI_START_COLUMN) : read(Dvs.ROI_END_COLUMN) + 1] = True
+        muted = np.zeros((HEIGHT, WIDTH), np.bool_)
+        for k in range(8):
+            row = read(Dvs.FIRST_PIXEL_ROW + 2 * k)
+            column = read(Dvs.FIRST_PIXEL_ROW + 2 * k + 1)
+            if row < HEIGHT and column < WIDTH:
+                muted[row, column] = True
+        suppressed = bool(read(Dvs.SUPPRESS_TYPE)) if read(Dvs.SUPPRESS) else None
+        flatten = bool(read(Dvs.FLATTEN))
+        idle = bool(keep.all()) and not muted.any() and suppressed is None and not flatten
+        return cls(keep, muted, flatten, suppressed, idle)
+
+    def apply(self, events: Events) -> tuple[Events, int]:
+        """Return the events that pass and how many the pixel filter took."""
+        inside = (events.x < WIDTH) & (events.y < HEIGHT)
+        if not inside.all():
+            events = events[inside]
+        if self.idle:
+            return events, 0
+        passing = self.keep[events.y, events.x]
+        muted = self.muted[events.y, events.x]
+        filtered = int(np.count_nonzero(passing & muted))
+        passing &= ~muted
+        if self.suppressed is not None:
+            passing &= events.polarity != self.suppressed
+        if not passing.all():
+            events = events[passing]
+        if self.flatten:
+            off = np.zeros(len(events), np.bool_)
+            events = Events(events.t, events.x, events.y, off)
+        return events, filtered
+
+
+class Oscillator:
+    """Maps true time to the camera clock.
+
+    Both are int64 microseconds; true time counts from the construction of the device on the
+    host's monotonic clock, camera time from the last timestamp reset.
+
+    Args:
+        skew_ppm: How much faster than true time the camera counts [1e-6], kept to 1e-9.
+    """
+
+    def __init__(self, skew_ppm: float) -> None:
+        self._skew_ppb = round(skew_ppm * 1000)
+        self.origin_us = 0
+
+    def reset(self, true_us: int) -> None:
+        """Let camera time be zero at this true time."""
+        self.origin_us = true_us
+
+    def to_camera(self, true_us: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Convert true times [us, int64 array] to camera time, rounded down to whole us."""
+        elapsed = true_us - np.int64(self.origin_us)
+        drift = elapsed * self._skew_ppb // 1_000_000_000
+        return np.asarray(elapsed + drift, np.int64)
+
+    def now(self, true_us: int) -> int:
+        """Convert one true time [us] to camera time [us]."""
+        return int(self.to_camera(np.array([true_us], np.int64))[0])
+
 
 # Beyond this share of the buffer events are dropped, so that frames and time still pass.
 _EVENT_SHARE: Final = 0.5

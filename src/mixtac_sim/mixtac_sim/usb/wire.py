@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     import socket
 
+
 REQUEST: Final = struct.Struct('<BBBxHHIIQ')
 REPLY: Final = struct.Struct('<iI')
 CONTROL: Final = 1

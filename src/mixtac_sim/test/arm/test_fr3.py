@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mixtac_sim.arm.fr3 import READY, flange_place, violations
-from mixtac_sim.arm.tracking import FingertipAdvance, Tracking
+from mixtac_sim.arm.plant import FingertipAdvance, Tracking
 from mixtac_sim.errors import SimulationError
 
 

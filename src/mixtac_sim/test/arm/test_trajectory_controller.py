@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
-from mixtac_sim.arm.trajectory_controller import JointTrajectoryController, Trajectory
+from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
 from mixtac_sim.errors import SimulationError
 
 RATE_HZ = 1000.0

@@ -9,10 +9,8 @@ from dataclasses import replace
 import pytest
 import yaml
 
-from mixtac_sim.datasets.description import FILE_NAME, DatasetDescription
-from mixtac_sim.datasets.generator import describe
-from mixtac_sim.datasets.plans import plan_dataset
-from mixtac_sim.datasets.trial_spec import DatasetError
+from mixtac_recordings.dataset import FILE_NAME, DatasetDescription, DatasetError
+from mixtac_sim.world.datasets import describe, plan_dataset
 
 
 @pytest.fixture

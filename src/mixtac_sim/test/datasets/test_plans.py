@@ -11,11 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_sim.contact import Mode
-from mixtac_sim.datasets.plans import DATASETS, plan_dataset, plan_profile
-from mixtac_sim.datasets.splits import split_groups
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.profiles import PROFILES, make_profile
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.world.datasets import DATASETS, plan_dataset, plan_profile, split_groups
+from mixtac_sim.world.profiles import PROFILES, make_profile
 
 
 @pytest.mark.parametrize(

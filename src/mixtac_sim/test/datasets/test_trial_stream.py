@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixtac_sim.datasets.trial_spec import TrialSpec
-from mixtac_sim.datasets.trial_stream import TrialStream
-from mixtac_sim.presets import preset
-from mixtac_sim.trial import simulate_trial
+from mixtac_recordings.dataset import TrialSpec
+from mixtac_sim.world.effects import preset
+from mixtac_sim.world.trial import TrialStream, simulate_trial
 
 
 def test_stretches_are_the_trial_as_a_whole():

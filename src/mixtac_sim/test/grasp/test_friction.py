@@ -8,10 +8,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from mixtac_sim.elastomer import Layer
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.grasp.friction import Friction
+from mixtac_sim.grasp.objects import Friction
 from mixtac_sim.grasp.skin import Skin, shear_stiffness, slip_speed, wave_resistance
+from mixtac_sim.mechanics.elastomer import Layer
 
 LAYER = Layer(160.0, 4.0)
 EVEN = Friction(roughness=0.0, slip_mm=0.02)

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixtac_sim.contact_steps import GRAVITY
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.grasp.friction import Friction
 from mixtac_sim.grasp.grasp import Grasp
 from mixtac_sim.grasp.objects import (
     OBJECTS,
     WALL_KINETIC,
     WEIGHT_IMPULSE_N_S,
+    Friction,
     GraspSetup,
     draw_setup,
 )
+from mixtac_sim.mechanics.contact import GRAVITY
 
 SETUP = GraspSetup('box', 80.0, 50.0, Friction(roughness=0.0), 0.5, 1.05, 50.0, 1e-3, 0.01, 5.0)
 

@@ -5,10 +5,10 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.aps import ApsSettings
-from mixtac_sim.grasp.live_grasp import LiveGrasp
+from mixtac_sim.grasp.live import LiveGrasp
 from mixtac_sim.grasp.objects import draw_setup
-from mixtac_sim.presets import EASY
+from mixtac_sim.pixels.aps import ApsSettings
+from mixtac_sim.world.effects import EASY
 
 
 @pytest.fixture

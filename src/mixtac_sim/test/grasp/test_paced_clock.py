@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_sim.grasp.answer_pace import AnswerPace
-from mixtac_sim.grasp.paced_clock import PacedClock, PacedSimulation
+from mixtac_sim.grasp.live import AnswerPace, PacedClock, PacedSimulation
 
 EPOCH_NS = 1_700_000_000_000_000_000
 ORIGIN_US = 1_700_000_001_234_567

@@ -7,7 +7,7 @@ import pytest
 
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
-from mixtac_sim.presets import EASY
+from mixtac_sim.world.effects import EASY
 
 ONSET_MS = 40
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mixtac_slip_control.arm.errors import BackendError
-from mixtac_slip_control.arm.trajectory_message import TrajectoryMessage
+from mixtac_slip_control.arm.trajectory import TrajectoryMessage
+from mixtac_slip_control.errors import BackendError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.task import Future
 
-    from mixtac_slip_control.arm.planned_trajectory import PlannedTrajectory
+    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 
 
 class ApproachClient:

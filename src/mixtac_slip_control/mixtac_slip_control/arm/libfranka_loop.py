@@ -2,13 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The 1 kHz loop that drives a Franka arm through pylibfranka, in a process of its own.
 
-Started by `LibfrankaBackend`. Trajectories come on standard input, states go to standard output,
-both as in `libfranka_wire`; a fault ends the process with one line on standard error. pylibfranka
-waits for the robot with the interpreter locked, which no other thread of a node would survive.
+Started by `LibfrankaBackend`. Trajectories arrive on standard input and states leave on standard
+output, as `pack` and `STATE` define them; a fault ends the process with one line on standard error.
+pylibfranka waits for the robot while it holds the interpreter lock, which would stall every other
+thread of a node. This module needs NumPy only, so that any interpreter with pylibfranka can run it.
 
-Commands are taken from the trajectory at the robot's own time, which moves on by the period that
-the robot reports, so that they keep their distance in time however late this process wakes up. It
-is set to the host's clock only while the arm rests, when that changes no command.
+Commands are taken from the trajectory at the robot's own time, which advances by the period that the
+robot reports, so that they keep their distance in time however late this process wakes up. That time
+is set to the host's clock only while the arm rests, when this changes no command.
+
+A Franka arm that misses commands goes on with constant acceleration. The next command from the
+trajectory would then be a step from where the arm has got to, so `GapBridge` leads it back to a
+later point of the trajectory by a quintic.
 """
 
 from __future__ import annotations
@@ -17,19 +22,249 @@ import argparse
 import contextlib
 import gc
 import os
+import struct
 import sys
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from mixtac_slip_control.arm.gap_bridge import GapBridge
-from mixtac_slip_control.arm.libfranka_wire import JOINTS, STATE, Receiver
-from mixtac_slip_control.arm.trajectory_splice import TrajectorySplice
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import ModuleType
+
+    from numpy.typing import NDArray
+
+    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
+
+    Floats = NDArray[np.float64]
+    Times = NDArray[np.int64]
+
+
+JOINTS = 7
+HEADER = struct.Struct('<qI')
+"""Stamp [ns] and number of points; no points: come to rest and end."""
+POINT_BYTES = 8 * (1 + 3 * JOINTS)
+STATE = struct.Struct(f'<qI{3 * JOINTS}d')
+"""Time [ns], trajectories refused as late, q, dq, commanded q."""
+MAX_POINTS = 100_000
+STOP = HEADER.pack(0, 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WireTrajectory:
+    """A trajectory as received.
+
+    Attributes:
+        times_ns: Times of the points (m,) [ns].
+        states: Positions, velocities, accelerations (m, 3, 7).
+    """
+
+    times_ns: NDArray[np.int64]
+    states: Floats
+
+
+def pack(trajectory: PlannedTrajectory) -> bytes:
+    """Return the bytes of a trajectory of seven joints with at least one point."""
+    states = np.stack([trajectory.q, trajectory.dq, trajectory.ddq], axis=1)
+    header = HEADER.pack(trajectory.stamp_ns, len(trajectory.times_s))
+    times = np.round(trajectory.times_s * 1e9).astype('<i8') + trajectory.stamp_ns
+    return header + times.tobytes() + states.astype('<f8').tobytes()
+
+
+class Receiver:
+    """Cuts a stream of bytes into trajectories, dropping all but the latest.
+
+    Attributes:
+        stopped: Whether a stop was received, or bytes that are none of ours.
+    """
+
+    def __init__(self) -> None:
+        self.stopped = False
+        self._pending = bytearray()
+
+    def push(self, data: bytes) -> WireTrajectory | None:
+        """Take in bytes; return the latest complete trajectory among them, if any."""
+        self._pending += data
+        latest = None
+        while not self.stopped and len(self._pending) >= HEADER.size:
+            _, points = HEADER.unpack_from(self._pending)
+            end = HEADER.size + points * POINT_BYTES
+            if points == 0 or points > MAX_POINTS:
+                self.stopped = True
+            elif len(self._pending) < end:
+                break
+            else:
+                latest = _unpack(bytes(self._pending[HEADER.size : end]), points)
+                del self._pending[:end]
+        return latest
+
+
+def _unpack(body: bytes, points: int) -> WireTrajectory:
+    times = np.frombuffer(body, '<i8', points).astype(np.int64)
+    states = np.frombuffer(body, '<f8', offset=8 * points).reshape(points, 3, JOINTS)
+    return WireTrajectory(times, states.astype(np.float64))
+
+
+SAME_POSITION = 1e-7
+"""[rad] by which a trajectory may differ from the one before it where it takes over; then [rad/s]
+and [rad/s2] likewise."""
+SAME_VELOCITY = 1e-5
+SAME_ACCELERATION = 0.05
+
+
+class TrajectorySplice:
+    """Joint states over time, of which the future is replaced by each new trajectory.
+
+    Unlike joint_trajectory_controller it refuses a trajectory that arrived too late to continue
+    the motion without a step: the arm then comes to rest at the end of the one before.
+
+    Attributes:
+        late: Trajectories refused.
+
+    Args:
+        q: Joint positions held at first (n,) [rad].
+    """
+
+    def __init__(self, q: Floats) -> None:
+        rest = np.zeros_like(q)
+        self.late = 0
+        self._times: Times = np.zeros(1, np.int64)
+        self._states: Floats = np.stack([q, rest, rest])[None]
+
+    def replace(self, now_ns: int, times_ns: Times, states: Floats) -> bool:
+        """Take over a trajectory from its first point, or from now if that is earlier.
+
+        Args:
+            now_ns: Time of the last cycle [ns].
+            times_ns: Times of its points (m,) [ns], rising.
+            states: Positions, velocities, accelerations (m, 3, n).
+
+        Returns:
+            Whether it continues the motion; otherwise nothing changes.
+        """
+        kept = int(np.searchsorted(self._times, times_ns[0]))
+        oldest = max(int(np.searchsorted(self._times, now_ns, side='right')) - 1, 0)
+        if kept == 0 or times_ns[0] > self._times[-1]:
+            # At rest before the first point: hold until one spacing before it.
+            held_ns = min(int(times_ns[0]) - 1_000_000, now_ns)
+            times = np.concatenate([[held_ns], times_ns])
+            joined = np.concatenate([self._states[-1:], states])
+        else:
+            times = np.concatenate([self._times[oldest:kept], times_ns])
+            joined = np.concatenate([self._states[oldest:kept], states])
+        before, after = self.at(now_ns), interpolate(times, joined, now_ns)
+        step = np.abs(after - before).max(axis=1)
+        if not (step <= (SAME_POSITION, SAME_VELOCITY, SAME_ACCELERATION)).all():
+            self.late += 1
+            return False
+        self._times, self._states = times, joined
+        return True
+
+    def at(self, t_ns: int) -> Floats:
+        """Return positions, velocities, accelerations (3, n) at a time [ns]."""
+        return interpolate(self._times, self._states, t_ns)
+
+    def still(self, start_ns: int, end_ns: int) -> bool:
+        """Tell whether the arm stays at one place between two times [ns]."""
+        first, last = np.searchsorted(self._times, [start_ns, end_ns], side='right')
+        between = self._states[first:last]
+        states = np.concatenate([[self.at(start_ns)], between, [self.at(end_ns)]])
+        return not states[:, 1:].any() and bool((states[:, 0] == states[0, 0]).all())
+
+    def ended(self, t_ns: int) -> bool:
+        """Tell whether nothing follows a time [ns] but rest."""
+        return bool(t_ns >= self._times[-1])
+
+
+def interpolate(times: Times, states: Floats, t_ns: int) -> Floats:
+    """Return the state (3, n) of quintics through states (m, 3, n) at a time [ns]; ends are held.
+
+    Args:
+        times: Times of the states (m,) [ns], rising.
+        states: Positions, velocities, accelerations.
+        t_ns: Time wanted [ns].
+    """
+    k = int(np.searchsorted(times, t_ns, side='right'))
+    if k == 0 or k == len(times):
+        return np.asarray(states[max(k - 1, 0)])
+    T = float(times[k] - times[k - 1]) * 1e-9
+    t = float(t_ns - times[k - 1]) * 1e-9
+    (q0, v0, a0), (q1, v1, a1) = states[k - 1], states[k]
+    # Taylor coefficients from the first state; the rest brings it to the second one.
+    dq = q1 - q0 - T * (v0 + 0.5 * T * a0)
+    dv = v1 - v0 - T * a0
+    da = a1 - a0
+    c3 = (10.0 * dq - 4.0 * T * dv + 0.5 * T * T * da) / T**3
+    c4 = (-15.0 * dq + 7.0 * T * dv - T * T * da) / T**4
+    c5 = (6.0 * dq - 3.0 * T * dv + 0.5 * T * T * da) / T**5
+    return np.stack(
+        [
+            q0 + t * (v0 + t * (0.5 * a0 + t * (c3 + t * (c4 + t * c5)))),
+            v0 + t * (a0 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))),
+            a0 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),
+        ]
+    )
+
+
+DURATIONS_MS = (4, 7, 10, 15, 20, 30, 40, 60, 80, 120, 160, 240, 320, 480, 640)
+"""Of the way back, tried in turn."""
+CHECKED = np.linspace(0.0, 1.0, 21)
+"""Parts of the way at which the limits are checked."""
+
+
+class GapBridge:
+    """A way back to the trajectory, while there is one.
+
+    Attributes:
+        bridged: Ways back that were begun.
+
+    Args:
+        acceleration: Largest acceleration of a joint [rad/s2].
+        jerk: Largest jerk of a joint [rad/s3].
+    """
+
+    def __init__(self, acceleration: float, jerk: float) -> None:
+        self.bridged = 0
+        self._acceleration = acceleration
+        self._jerk = jerk
+        self._times = np.zeros(2, np.int64)
+        self._states: Floats | None = None
+
+    def start(self, t_ns: int, state: Floats, plan: TrajectorySplice) -> None:
+        """Begin the shortest way back within the limits.
+
+        Args:
+            t_ns: Time of the state [ns].
+            state: Position, velocity, acceleration that the arm has been commanded last (3, n).
+            plan: Trajectory to get back to.
+        """
+        self.bridged += 1
+        for duration_ms in DURATIONS_MS:
+            times = np.array([t_ns, t_ns + duration_ms * 1_000_000])
+            states = np.stack([state, plan.at(int(times[1]))])
+            if self._fits(states, duration_ms * 1e-3):
+                break
+        self._times, self._states = times, states
+
+    def at(self, t_ns: int) -> Floats | None:
+        """Return the state (3, n) on the way at a time [ns], or None when it is over."""
+        if self._states is None or t_ns >= self._times[1]:
+            self._states = None
+            return None
+        return interpolate(self._times, self._states, t_ns)
+
+    def _fits(self, states: Floats, duration_s: float) -> bool:
+        times = np.array([0, round(duration_s * 1e9)])
+        way = np.array([interpolate(times, states, int(u * times[1])) for u in CHECKED])
+        way[-1] = states[1]
+        jerk = np.diff(way[:, 2], axis=0) / (duration_s / (len(CHECKED) - 1))
+        return bool(
+            np.abs(way[:, 2]).max() <= max(self._acceleration, np.abs(states[0, 2]).max())
+            and np.abs(jerk).max() <= self._jerk
+        )
+
 
 FAULT_STATUS = 3
 FIFO_PRIORITY = 50
@@ -37,8 +272,8 @@ READ_BYTES = 1 << 16
 CYCLE_NS = 1_000_000
 LOST_NS = 1_500_000
 """Periods above this mean that the robot went on without a command of ours."""
-ACCELERATION = 9.5
-JERK = 4750.0
+BRIDGE_ACCELERATION = 9.5
+BRIDGE_JERK = 4750.0
 """Of the way back to the trajectory then [rad/s2], [rad/s3]: libfranka's limits less a reserve."""
 
 
@@ -90,7 +325,7 @@ class ControlLoop:
         self._clock_ns = clock_ns
         self._receiver = Receiver()
         self._plan = TrajectorySplice(np.zeros(JOINTS))
-        self._bridge = GapBridge(ACCELERATION, JERK)
+        self._bridge = GapBridge(BRIDGE_ACCELERATION, BRIDGE_JERK)
 
     def run(self) -> None:
         """Hold the commanded state, follow trajectories, and end at rest."""

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
 
-from mixtac_slip_control.arm.errors import RobotDescriptionError
+from mixtac_slip_control.errors import RobotDescriptionError
 
 if TYPE_CHECKING:
     from typing import NoReturn
+
 
 MOVING = ('revolute', 'continuous', 'prismatic')
 Vector = tuple[float, float, float]

@@ -7,12 +7,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixtac_sim.arm.controller import JointTrajectoryController
 from mixtac_sim.arm.fr3 import Q_LOWER, Q_UPPER, READY, violations
-from mixtac_sim.arm.mujoco_arm import MujocoArm
-from mixtac_sim.arm.trajectory_controller import JointTrajectoryController
-from mixtac_slip_control.arm.advance_planner import AdvancePlanner
-from mixtac_slip_control.arm.joint_limits import JointLimits
-from mixtac_slip_control.arm.serial_arm import SerialArm
+from mixtac_sim.arm.plant import MujocoArm
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.arm.planner import AdvancePlanner
 
 CYCLE_S = 1e-3
 START_S = 100.0

@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 
 from mixtac_sim.arm.fr3 import READY, flange_place
-from mixtac_slip_control.arm.advance_planner import AdvancePlanner
-from mixtac_slip_control.arm.errors import ArmError, UnreachableError
-from mixtac_slip_control.arm.joint_limits import JointLimits
-from mixtac_slip_control.arm.serial_arm import SerialArm
-from mixtac_slip_control.arm.stream_settings import StreamSettings
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
+from mixtac_slip_control.errors import ArmError, UnreachableError
 
 ARM, LIMITS = SerialArm.fr3(), JointLimits.fr3()
 X = np.array([1.0, 0.0, 0.0])

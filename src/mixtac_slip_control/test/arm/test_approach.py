@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixtac_sim.arm.controller import JointTrajectoryController
 from mixtac_sim.arm.fr3 import READY, violations
-from mixtac_sim.arm.trajectory_controller import JointTrajectoryController
-from mixtac_slip_control.arm.approach import approach_trajectory, settling_trajectory
-from mixtac_slip_control.arm.errors import ArmError, UnreachableError
-from mixtac_slip_control.arm.joint_limits import JointLimits
-from mixtac_slip_control.arm.serial_arm import SerialArm
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.arm.trajectory import approach_trajectory, settling_trajectory
+from mixtac_slip_control.errors import ArmError, UnreachableError
 
 ARM, LIMITS = SerialArm.fr3(), JointLimits.fr3()
 

@@ -8,11 +8,11 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from mixtac_sim.arm.fr3 import READY
-from mixtac_slip_control.arm.approach import approach_trajectory
 from mixtac_slip_control.arm.approach_node import ApproachClient
-from mixtac_slip_control.arm.errors import BackendError
-from mixtac_slip_control.arm.joint_limits import JointLimits
-from mixtac_slip_control.arm.serial_arm import SerialArm
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.arm.trajectory import approach_trajectory
+from mixtac_slip_control.errors import BackendError
 
 
 class Done:

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from mixtac_sim.arm.fr3 import DQ_MAX, Q_LOWER, Q_UPPER, READY
-from mixtac_slip_control.arm.checks import BoxWorkspace, SphereWorkspace, StateChecks
-from mixtac_slip_control.arm.errors import ArmError
-from mixtac_slip_control.arm.joint_limits import JointLimits
-from mixtac_slip_control.arm.serial_arm import SerialArm
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.limits import BoxWorkspace, JointLimits, SphereWorkspace, StateChecks
+from mixtac_slip_control.errors import ArmError
 
 ARM, LIMITS = SerialArm.fr3(), JointLimits.fr3()
 REST = np.zeros(7)

@@ -19,12 +19,11 @@ import numpy as np
 import pytest
 from fr3_mjcf import fr3_mjcf
 
-from mixtac_slip_control.arm.advance_planner import AdvancePlanner
-from mixtac_slip_control.arm.errors import BackendError
-from mixtac_slip_control.arm.joint_limits import JointLimits
-from mixtac_slip_control.arm.libfranka_backend import LibfrankaBackend
-from mixtac_slip_control.arm.serial_arm import SerialArm
-from mixtac_slip_control.arm.stream_settings import StreamSettings
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.libfranka import LibfrankaBackend
+from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
+from mixtac_slip_control.errors import BackendError
 
 HERE = Path(__file__).resolve().parent
 VENV = HERE.parents[3] / '.venv-franka' / 'bin' / 'python'

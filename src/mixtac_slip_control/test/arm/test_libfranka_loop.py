@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 
 from mixtac_sim.arm.fr3 import READY
-from mixtac_slip_control.arm.advance_planner import AdvancePlanner
-from mixtac_slip_control.arm.joint_limits import JointLimits
-from mixtac_slip_control.arm.libfranka_loop import ControlLoop
-from mixtac_slip_control.arm.libfranka_wire import STATE, STOP, Receiver, pack
-from mixtac_slip_control.arm.serial_arm import SerialArm
-from mixtac_slip_control.arm.stream_settings import StreamSettings
-from mixtac_slip_control.arm.trajectory_splice import TrajectorySplice
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.libfranka_loop import (
+    STATE,
+    STOP,
+    ControlLoop,
+    Receiver,
+    TrajectorySplice,
+    pack,
+)
+from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
 
 ARM, LIMITS = SerialArm.fr3(), JointLimits.fr3()
 X = np.array([1.0, 0.0, 0.0])

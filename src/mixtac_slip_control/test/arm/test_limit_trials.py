@@ -7,10 +7,10 @@
 
 import os
 
-from mixtac_sim.arm.trajectory_controller import JointTrajectoryController
-from mixtac_slip_control.arm import limit_trials
-from mixtac_slip_control.arm.limit_trials import run_trials
-from mixtac_slip_control.arm.stream_settings import StreamSettings
+from mixtac_lab.bench import limits as limit_trials
+from mixtac_lab.bench.limits import run_trials
+from mixtac_sim.arm.controller import JointTrajectoryController
+from mixtac_slip_control.arm.planner import StreamSettings
 
 COUNT = int(os.environ.get('MIXTAC_LIMIT_TRIALS', '400'))
 

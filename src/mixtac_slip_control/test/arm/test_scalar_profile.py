@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_slip_control.arm.scalar_profile import fastest, integrate, jerks, land
+from mixtac_slip_control.arm.profile import fastest, integrate, jerks, land
 
 V, A, J = 0.2, 3.0, 1500.0
 DT = 1e-3

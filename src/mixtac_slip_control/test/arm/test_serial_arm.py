@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixtac_sim.arm.fr3 import READY, flange_place
-from mixtac_slip_control.arm.errors import ArmError, RobotDescriptionError, UnreachableError
-from mixtac_slip_control.arm.joint_limits import JointLimits
-from mixtac_slip_control.arm.serial_arm import FR3_READY, SerialArm
+from mixtac_slip_control.arm.kinematics import FR3_READY, SerialArm
+from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.errors import ArmError, RobotDescriptionError, UnreachableError
 
 ARM = SerialArm.fr3()
 LIMITS = JointLimits.fr3()

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from mixtac_slip_control.arm.planned_trajectory import PlannedTrajectory
-from mixtac_slip_control.arm.trajectory_message import TrajectoryMessage
+from mixtac_slip_control.arm.trajectory import PlannedTrajectory, TrajectoryMessage
 
 
 def message():

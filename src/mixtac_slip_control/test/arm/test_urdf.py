@@ -3,9 +3,9 @@
 
 import pytest
 
-from mixtac_slip_control.arm.errors import RobotDescriptionError
-from mixtac_slip_control.arm.serial_arm import fr3_urdf
+from mixtac_slip_control.arm.kinematics import fr3_urdf
 from mixtac_slip_control.arm.urdf import read_chain
+from mixtac_slip_control.errors import RobotDescriptionError
 
 JOINT = (
     '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/>'

@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Publishes how far the estimated force is from the reference, while both run."""
+
+from __future__ import annotations
+
+import sys
+
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from std_msgs.msg import Float64
+
+from mixtac_alignment.force_error import ForceErrorParameters, ForcePairing
+from mixtac_node.base_node import QOS_FORCE, OverridableQos, declare, run
+from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from mixtac_node.stamps import stamp_to_ns
+
+
+class ForceErrorNode(OverridableQos, Node):  # type: ignore[misc]
+    """Running mean absolute and root mean square error, as topics and diagnostics."""
+
+    def __init__(self) -> None:
+        super().__init__('force_error', namespace='mixtac')
+        p = declare(self, ForceErrorParameters)
+        self._sign = p.sign or 1
+        self._pairing = ForcePairing(p.window)
+        self.create_subscription(WrenchStamped, p.force_topic, self._on_force, QOS_FORCE)
+        self.create_subscription(WrenchStamped, p.reference_topic, self._on_reference, QOS_FORCE)
+        self._mae = self.create_publisher(Float64, '~/mae', QOS_FORCE)
+        self._rmse = self.create_publisher(Float64, '~/rmse', QOS_FORCE)
+        self.create_timer(0.1, self._publish)
+        self._diagnostics = DiagnosticsPublisher(self, 'force error', self._status)
+
+    def _on_force(self, message: WrenchStamped) -> None:
+        self._pairing.push_estimate(stamp_to_ns(message.header.stamp), message.wrench.force.z)
+
+    def _on_reference(self, message: WrenchStamped) -> None:
+        force = self._sign * message.wrench.force.z
+        self._pairing.push_reference(stamp_to_ns(message.header.stamp), force)
+
+    def _publish(self) -> None:
+        if self._pairing.pairs:
+            self._mae.publish(Float64(data=self._pairing.mae))
+            self._rmse.publish(Float64(data=self._pairing.rmse))
+
+    def _status(self) -> Status:
+        pairing = self._pairing
+        values: dict[str, object] = {
+            'pairs': pairing.pairs,
+            'unpaired estimates': pairing.unpaired,
+            'mae [N]': pairing.mae,
+            'rmse [N]': pairing.rmse,
+        }
+        if not pairing.pairs:
+            return Status(WARN, 'no pairs: fit the clocks first (alignment/fit)', values)
+        return Status(OK, f'MAE {pairing.mae:.3f} N, RMSE {pairing.rmse:.3f} N', values)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the force error node."""
+    return run(ForceErrorNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

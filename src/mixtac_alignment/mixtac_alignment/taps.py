@@ -1,0 +1,503 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+r"""The clock map from whole taps: all their events against the whole course of the force.
+
+Bursts of the smoothed event rate are paired with force peaks to about 10 ms. This needs no trough,
+which pixels with unequal thresholds can hide or double. The frames, laid over the force by that map,
+say which parts of the image brighten under force. The signed events of each tap are then fitted with
+the events that the course of the force predicts.
+
+The force, through the lag of the gel, gives the depth of the tap, :math:`d \propto \sqrt{F_e}` (the
+force of a ball on a thin layer grows with the square of its depth). Pixels whose log brightness
+follows the depth fire each time it has moved by a threshold, and pixels differ in how many
+thresholds the tap moves them by. The model is a sum, with non-negative weights, of the expected
+events of a few classes of pixels. It explains what a plain comparison of rates cannot: the second
+burst starts late and is smaller, because pixels must first come back by their threshold. ON and OFF
+events count with opposite signs, weighted by how much each part of the image brightens under force
+in the frames, so that bursts without deformation cancel.
+
+A pixel that a load has brightened and that has come back last fired OFF, so it stands nearer to its
+OFF threshold: the next load shows later in it than in a pixel at a random distance. Noise and leak
+spread the pixels again. At the first tap of a recording all pixels are assumed to be spread evenly;
+at later taps half of them are assumed to stand where a load left them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
+from mixtac_alignment.errors import NoImpulseError
+from mixtac_alignment.gel_lag import GelLag, LaggedForce
+from mixtac_alignment.impulses import Impulse, ImpulseSettings, strongest
+from mixtac_alignment.signals import gaussian_smooth, prominent_peaks, smooth_force
+from mixtac_alignment.two_impulse import paired_impulses
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
+    from mixtac_alignment.pairing import ImpulsePair
+
+
+NNLS_TOLERANCE: Final = 1e-10
+"""Part of the largest gradient that counts as none."""
+NNLS_ROUNDS: Final = 10
+NNLS_ROUNDING: Final = 1e-13
+"""Part of a column that is at least its own; columns may be nearly alike."""
+
+
+def nonnegative_left(design: NDArray[np.float64], signal: NDArray[np.float64]) -> float:
+    """Return the sum of squares that the best non-negative weights leave.
+
+    Args:
+        design: Columns, ``float64 [m, k]``.
+        signal: What they are to make up, ``float64 [m]``.
+    """
+    left = signal - design @ nonnegative_weights(design.T @ design, design.T @ signal)
+    return float(left @ left)
+
+
+@njit(cache=True, nogil=True)
+def nonnegative_weights(
+    gram: NDArray[np.float64], moment: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the non-negative weights of least squares, ``float64 [k]``.
+
+    Args:
+        gram: Products of the columns with each other, ``float64 [k, k]``.
+        moment: Their products with the signal, ``float64 [k]``.
+    """
+    count = len(moment)
+    weights = np.zeros(count)
+    active = np.zeros(count, np.bool_)
+    small = NNLS_TOLERANCE * np.abs(moment).max()
+    for _ in range(NNLS_ROUNDS * count):
+        best = _steepest(gram, moment, weights, active, small)
+        if best < 0:
+            break
+        active[best] = True
+        while not _advance_weights(weights, _solve_active(gram, moment, active), active):
+            pass
+    return weights
+
+
+@njit(cache=True, nogil=True)
+def _steepest(
+    gram: NDArray[np.float64],
+    moment: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    active: NDArray[np.bool_],
+    small: float,
+) -> int:
+    """Return the idle column that would lower the sum of squares fastest; -1 if none would."""
+    best, steepest = -1, small
+    for k in range(len(moment)):
+        if not active[k]:
+            gradient = moment[k] - np.sum(gram[k] * weights)
+            if gradient > steepest:
+                best, steepest = k, gradient
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _advance_weights(
+    weights: NDArray[np.float64], wanted: NDArray[np.float64], active: NDArray[np.bool_]
+) -> bool:
+    """Move towards the wanted weights as far as all stay positive; return whether all the way."""
+    part, first = 1.0, -1
+    for k in range(len(weights)):
+        if active[k] and wanted[k] <= 0.0:
+            reach = weights[k] / (weights[k] - wanted[k]) if weights[k] > 0.0 else 0.0
+            if first < 0 or reach < part:
+                part, first = reach, k
+    for k in range(len(weights)):
+        weights[k] = max(weights[k] + part * (wanted[k] - weights[k]), 0.0)
+    if first < 0:
+        return True
+    active[first] = False
+    weights[first] = 0.0
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _solve_active(
+    gram: NDArray[np.float64], moment: NDArray[np.float64], active: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return the weights of the active columns without the constraint, by Cholesky's factors."""
+    chosen = np.flatnonzero(active)
+    count = len(chosen)
+    lower, part = np.zeros((count, count)), np.zeros(count)
+    for i in range(count):
+        for j in range(i + 1):
+            rest = gram[chosen[i], chosen[j]] - np.sum(lower[i, :j] * lower[j, :j])
+            if i == j:
+                lower[i, i] = np.sqrt(max(rest, NNLS_ROUNDING * gram[chosen[i], chosen[i]]))
+            else:
+                lower[i, j] = rest / lower[j, j]
+        part[i] = (moment[chosen[i]] - np.sum(lower[i, :i] * part[:i])) / lower[i, i]
+    weights = np.zeros(len(moment))
+    for i in range(count - 1, -1, -1):
+        part[i] = (part[i] - np.sum(lower[i + 1 :, i] * part[i + 1 :])) / lower[i, i]
+        weights[chosen[i]] = part[i]
+    return weights
+
+
+STEP_S: Final = 1e-4
+BIN_US: Final = 500
+BEFORE_S: Final = 0.06
+AFTER_S: Final = 0.10
+"""Time around a tap in which its events are counted."""
+FITTED_S: Final = 0.03
+"""Time to both sides of the force peak that is fitted; taps last 20 to 40 ms."""
+SEARCH_S: Final = 0.014
+"""How far from the expected moment the tap may be."""
+GAINS: Final = (0.7, 1.0, 1.5, 2.2, 3.3, 5.0, 8.0, 13.0)
+"""Thresholds that a tap moves the pixels of a class by."""
+OFF_OVER_ON: Final = 1.3
+"""OFF over ON threshold of a DAVIS346 at its usual biases: 0.27 over 0.21 log-e."""
+PIXEL_S: Final = 5e-4
+"""Time constant of the pixels; what they are slower belongs to the latency."""
+PHASES: Final = 24
+COURSE_BIN_US: Final = 4000
+COURSE_BINS: Final = 18
+LEAST_FORCE_N: Final = 0.02
+"""Rounds the root where the contact begins."""
+DARKER: Final = 0.02
+"""Noise of a cell's log brightness."""
+
+
+class TapFit(NamedTuple):
+    """A tap found in the events.
+
+    Attributes:
+        delay_s: How much later than expected it shows [s].
+        misfit: Share of the signal's power that the model leaves.
+    """
+
+    delay_s: float
+    misfit: float
+
+
+def brightening(values: NDArray[np.float32], depth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return weights that make the cells' change of brightness one signal, ``[cells]``.
+
+    Args:
+        values: Log brightness of the cells in each frame, ``[n, cells]``.
+        depth: Depth at each frame, in any unit, ``[n]``.
+    """
+    centred = values - values.mean(axis=0)
+    moved = depth - depth.mean()
+    slope = (centred.T @ moved) / max(float(moved @ moved), 1e-12)
+    scatter = np.var(centred - np.outer(moved, slope), axis=0)
+    return np.asarray(slope / (scatter + DARKER**2), np.float64)
+
+
+def common_course(events: CellEvents, at_us: int, cells: int) -> NDArray[np.float64]:
+    """Return weights under which the cells' signed events of a tap have most in common.
+
+    The first singular vector of events over cells and time, which takes no frames; of either sign.
+
+    Args:
+        events: Events, camera clock.
+        at_us: Expected moment of the tap, camera clock [us].
+        cells: Number of cells.
+    """
+    start = at_us - round(1e6 * FITTED_S)
+    near = events.between(start, start + COURSE_BINS * COURSE_BIN_US)
+    inside = near.cell < cells
+    cell = near.cell[inside].astype(np.int64)
+    place = cell * COURSE_BINS + (near.t_us[inside] - start) // COURSE_BIN_US
+    signed = np.bincount(
+        place, np.where(near.on[inside], 1.0, -OFF_OVER_ON), cells * COURSE_BINS
+    ).reshape(cells, COURSE_BINS)
+    noise = np.sqrt(np.bincount(cell, minlength=cells) + 5.0)
+    common = np.linalg.svd(signed / noise[:, None], full_matrices=False)[0][:, 0]
+    return np.asarray(common / noise, np.float64)
+
+
+def depth_of(force_N: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the depth under a force [N], in any unit."""
+    force = np.maximum(force_N, 0.0)
+    return np.asarray(np.sqrt(force + LEAST_FORCE_N) - np.sqrt(LEAST_FORCE_N))
+
+
+class TapModel:
+    """The events that a force lets expect.
+
+    Args:
+        t_s: Sample times [s], reference clock, evenly spaced, ``float64 [n]``.
+        force_N: Smooth force, pressing positive [N], ``float64 [n]``.
+        at_s: Time of the force peak [s].
+        lag: What is known of the gel.
+        loaded: Whether the sensor has been loaded before in the recording.
+    """
+
+    def __init__(
+        self,
+        t_s: NDArray[np.float64],
+        force_N: NDArray[np.float64],
+        at_s: float,
+        lag: GelLag | None = None,
+        *,
+        loaded: bool = False,
+    ) -> None:
+        near = (t_s > at_s - 0.15) & (t_s < at_s + 0.2)
+        t, force = t_s[near] - at_s, force_N[near]
+        rest = float(np.median(force[t < -0.05])) if np.any(t < -0.05) else 0.0
+        start, end = max(-BEFORE_S, float(t[0]) + STEP_S), min(AFTER_S, float(t[-1]) - STEP_S)
+        fine = np.arange(start, end, STEP_S)
+        mean, _ = LaggedForce(t, force - rest).mean(fine - 0.5 * STEP_S, fine + 0.5 * STEP_S)
+        depth = depth_of(mean[:, 0] - mean[:, 1:] @ np.array((lag or GelLag()).mean))
+        depth /= max(float(depth.max()), 1e-9)
+        classes = np.stack([_events(depth, gain, loaded=loaded) for gain in GAINS])
+        self._edges = np.append(fine - 0.5 * STEP_S, fine[-1] + 0.5 * STEP_S)
+        self._total = np.pad(np.cumsum(classes, axis=1), ((0, 0), (1, 0)))
+
+    def fit(self, edges_s: NDArray[np.float64], signal: NDArray[np.float64]) -> TapFit:
+        """Return when the tap shows in a signal.
+
+        Args:
+            edges_s: Edges of the bins [s], from the expected moment of the force peak, ``[m + 1]``.
+            signal: Signed events per bin, ``[m]``.
+        """
+        used = (edges_s[:-1] >= -FITTED_S) & (edges_s[1:] <= FITTED_S)
+        power = float(signal[used] @ signal[used])
+        if power <= 0.0:
+            return TapFit(0.0, 1.0)
+        coarse = np.arange(-SEARCH_S, SEARCH_S + 1e-9, 1e-3)
+        left = np.array([self._left(x, edges_s, signal, used) for x in coarse])
+        fine = coarse[int(np.argmin(left))] + np.arange(-1.2e-3, 1.3e-3, 2e-4)
+        left = np.array([self._left(x, edges_s, signal, used) for x in fine])
+        k = int(np.clip(np.argmin(left), 2, len(left) - 3))
+        bend, slope, _ = np.polyfit(fine[k - 2 : k + 3] - fine[k], left[k - 2 : k + 3], 2)
+        aside = -slope / (2.0 * bend) if bend > 0.0 else 0.0
+        return TapFit(float(fine[k] + np.clip(aside, -4e-4, 4e-4)), float(left[k]) / power)
+
+    def _left(
+        self,
+        delay_s: float,
+        edges_s: NDArray[np.float64],
+        signal: NDArray[np.float64],
+        used: NDArray[np.bool_],
+    ) -> float:
+        at = edges_s - delay_s
+        design = np.stack([np.diff(np.interp(at, self._edges, row))[used] for row in self._total])
+        return float(nonnegative_left(np.ascontiguousarray(design.T), signal[used]))
+
+
+def tap_signal(
+    events: CellEvents, at_us: int, weight: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return edges of bins [s] from a moment, and the signed weighted events in them.
+
+    Args:
+        events: Events, camera clock.
+        at_us: The moment, camera clock [us].
+        weight: Weight of each cell.
+    """
+    start, count = at_us - round(1e6 * BEFORE_S), round(1e6 * (BEFORE_S + AFTER_S)) // BIN_US
+    near = events.between(start, start + count * BIN_US)
+    inside = near.cell < len(weight)
+    bins = (near.t_us[inside] - start) // BIN_US
+    size = np.where(near.on[inside], 1.0, -OFF_OVER_ON) * weight[near.cell[inside]]
+    edges_us = start - at_us + np.arange(count + 1) * BIN_US
+    return edges_us.astype(np.float64) * 1e-6, np.bincount(bins, size, count).astype(np.float64)
+
+
+def _events(depth: NDArray[np.float64], gain: float, *, loaded: bool) -> NDArray[np.float64]:
+    keep = float(np.exp(-STEP_S / PIXEL_S))
+    fired = np.asarray(_fire(gain * depth, keep, PHASES, OFF_OVER_ON, 0.0))
+    if loaded:
+        fired = 0.5 * (fired + _fire(gain * depth, keep, PHASES, OFF_OVER_ON, gain))
+    return np.asarray(fired / gain)
+
+
+@njit(cache=True, nogil=True)
+def _fire(
+    course: NDArray[np.float64], keep: float, phases: int, off: float, before: float
+) -> NDArray[np.float64]:
+    """Return the signed events per step of pixels that start at all distances to their thresholds.
+
+    A pixel follows the course, in ON thresholds, through a low-pass of first order. From where it
+    starts, a load that moved it by `before`, spread by 0.6 to 1.4, has come and gone.
+    """
+    fired = np.zeros(len(course))
+    for phase in range(phases):
+        value = course[0]
+        last = value + off - (1.0 + off) * (phase + 0.5) / phases
+        # A stride that is coprime to the number of phases: loads independent of the start.
+        top = value + before * (0.6 + 0.8 * (phase * 7 % phases) / phases)
+        while top - last >= 1.0:
+            last += 1.0
+        while value - last <= -off:
+            last -= off
+        for i in range(1, len(course)):
+            value = keep * value + (1.0 - keep) * course[i]
+            while value - last >= 1.0:
+                last += 1.0
+                fired[i] += 1.0
+            while value - last <= -off:
+                last -= off
+                fired[i] -= off
+    return fired / phases
+
+
+SMOOTHING_S: Final = 0.006
+"""Standard deviation of the smoothing that makes one burst of a tap."""
+BURST_STD_S: Final = 0.003
+BURST_LATENCY_S: Final = 0.001
+"""How much later than the force peak the smoothed burst peaks."""
+MATCH_S: Final = 0.02
+TAP_STD_S: Final = 4.5e-4
+"""Scatter of taps of one sensor, found on simulated trials outside the benchmark."""
+COMMON_STD_S: Final = 1.0e-3
+"""The same where the frames do not show the deformation of the tap, but that of another object."""
+DOUBTFUL_MISFIT: Final = 0.4
+LARGEST_MISFIT: Final = 0.65
+"""Share of a tap's signal that may be left: 0.05 to 0.3 on simulated trials."""
+FEWEST_FRAMES: Final = 20
+UNLOADED_PERCENT: Final = 5.0
+"""The sensor is free for at least this part of a recording, before and after the taps."""
+
+
+def fit_taps(
+    counts: EventCounts,
+    events: CellEvents,
+    frames: FrameFeatures,
+    force_t_s: NDArray[np.float64],
+    force_N: NDArray[np.float64],
+    settings: ImpulseSettings | None = None,
+    lag: GelLag | None = None,
+    *,
+    use_all: bool = False,
+) -> ClockFit:
+    """Fit the clock map to the first and the last tap.
+
+    Args:
+        counts: Event counts, camera clock.
+        events: Events around the taps at least, camera clock.
+        frames: Frames, camera clock.
+        force_t_s: Force sample times, reference clock [s], increasing.
+        force_N: Normal force [N], either sign.
+        settings: What counts as a tap, and the latency of the events.
+        lag: What is known of the gel.
+        use_all: Fit all strong taps by least squares instead of the first and the last.
+
+    Raises:
+        AlignmentError: As `two_impulse.fit_counts`, or taps whose events do not follow the force.
+    """
+    chosen = replace(settings or ImpulseSettings(), match_s=MATCH_S)
+    pairs, start_s = paired_impulses(
+        counts, force_t_s, force_N, chosen, lambda marked: find_bursts(marked, chosen)
+    )
+    used = pairs if use_all else (pairs[0], pairs[-1])
+    t_s, force = _even(force_t_s - start_s, force_N)
+    weight = _weights(pairs, counts.start_us, frames, t_s, force)
+    anchors = [
+        _anchor(
+            pair,
+            counts.start_us,
+            start_s,
+            events,
+            weight,
+            TapModel(t_s, force, pair.reference.time_s, lag, loaded=number > 0),
+            chosen,
+        )
+        for number, pair in enumerate(used)
+    ]
+    fit = fit_clock(
+        anchors,
+        min_baseline_s=chosen.min_baseline_s,
+        max_drift=chosen.max_drift,
+        common_std_s=chosen.tap_latency_std_s,
+    )
+    return with_drift_prior(fit, chosen.drift_std)
+
+
+def find_bursts(counts: EventCounts, settings: ImpulseSettings) -> list[Impulse]:
+    """Find bursts of the smoothed event rate that are as short as a tap's.
+
+    Args:
+        counts: Event counts, camera clock.
+        settings: What counts as an impulse.
+
+    Returns:
+        Impulses in the order of time, relative to the start of the counts.
+    """
+    width_s = counts.width_us * 1e-6
+    rate = counts.counts.astype(np.float64) / width_s
+    smooth = gaussian_smooth(rate, SMOOTHING_S / width_s)
+    window = 2 * round(4.0 * settings.max_width_s / width_s) + 1
+    peaks = prominent_peaks(smooth, settings.min_burst_rate, window)
+    reach = round(0.05 / width_s)
+    impulses = [
+        Impulse((peak + 0.5) * width_s, BURST_STD_S, float(height), float(width) * width_s)
+        for peak, height, width in zip(*peaks, strict=True)
+        if width * width_s <= 1.5 * settings.max_width_s and not counts.lost_near(int(peak), reach)
+    ]
+    return strongest(impulses, settings.min_spacing_s)
+
+
+def _even(
+    t_s: NDArray[np.float64], force_N: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return smooth force on even times, pressing positive."""
+    period = float(np.median(np.diff(t_s)))
+    even = np.arange(t_s[0], t_s[-1], period)
+    force = smooth_force(np.interp(even, t_s, force_N), period)
+    turned = force - np.median(force)
+    pressing = force if turned.max() >= -turned.min() else -force
+    return even, pressing - np.percentile(pressing, UNLOADED_PERCENT)
+
+
+def _weights(
+    pairs: tuple[ImpulsePair, ...],
+    start_us: int,
+    frames: FrameFeatures,
+    t_s: NDArray[np.float64],
+    force: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the weights of the cells from frames laid over the force by the coarse map."""
+    first, last = pairs[0], pairs[-1]
+    span = last.camera.time_s - first.camera.time_s
+    rate = (last.reference.time_s - first.reference.time_s) / span
+    middle = 0.5 * ((frames.start_us - start_us) + (frames.end_us - start_us)) * 1e-6
+    at = first.reference.time_s + rate * (middle - first.camera.time_s + BURST_LATENCY_S)
+    inside = (at > t_s[0]) & (at < t_s[-1])
+    if int(inside.sum()) < FEWEST_FRAMES:
+        raise NoImpulseError(
+            f'{int(inside.sum())} frames while the force was recorded, {FEWEST_FRAMES} are needed '
+            'to tell deformation in the events: record frames too, or use the impulses alone'
+        )
+    return brightening(frames.values[inside], depth_of(np.interp(at[inside], t_s, force)))
+
+
+def _anchor(
+    pair: ImpulsePair,
+    start_us: int,
+    start_s: float,
+    events: CellEvents,
+    weight: NDArray[np.float64],
+    model: TapModel,
+    settings: ImpulseSettings,
+) -> Anchor:
+    expected_us = start_us + round(1e6 * (pair.camera.time_s - BURST_LATENCY_S))
+    found, std_s = model.fit(*tap_signal(events, expected_us, weight)), TAP_STD_S
+    if found.misfit > DOUBTFUL_MISFIT:
+        common = common_course(events, expected_us, len(weight))
+        for own in (common, -common):
+            other = model.fit(*tap_signal(events, expected_us, own))
+            if other.misfit < found.misfit:
+                found, std_s = other, COMMON_STD_S
+    if found.misfit > LARGEST_MISFIT:
+        raise NoImpulseError(
+            f'the events {pair.camera.time_s:.2f} s into the recording do not follow the force of '
+            f'the tap ({100.0 * found.misfit:.0f} % are left over): tap on the gel once, sharply'
+        )
+    at_us = expected_us + round(1e6 * (found.delay_s - settings.tap_latency_s))
+    return Anchor(at_us, start_s + pair.reference.time_s, std_s)

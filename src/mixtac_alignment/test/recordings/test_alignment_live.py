@@ -1,0 +1,226 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The alignment node as a process: a simulated trial and edges of a trigger line over topics."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
+pytest.importorskip('event_camera_msgs.msg', reason='needs the built workspace')
+
+import rclpy
+
+from mixtac_alignment.clock_fit import from_fields
+from mixtac_events.codec import encode
+from mixtac_sim.world.trial import simulate_trial
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mixtac_alignment.clock_fit import ClockFit
+    from mixtac_sim.world.trial import Trial
+
+pytestmark = pytest.mark.dds
+SECONDS = 8.0
+PACKET_US = 20_000
+
+
+@pytest.fixture
+def node_under_test(
+    request: pytest.FixtureRequest, ros_domain: dict[str, str]
+) -> Iterator[subprocess.Popen[str]]:
+    """Run the node with parameters; ended by its pid."""
+    command = [sys.executable, '-m', 'mixtac_alignment.alignment_node', *request.param]
+    started = subprocess.Popen(command, env=ros_domain, text=True, stderr=subprocess.PIPE)
+    yield started
+    started.terminate()
+    _, errors = started.communicate(timeout=20)
+    assert started.returncode == 0, errors
+
+
+@pytest.fixture
+def peer(ros_domain: dict[str, str]) -> Iterator[Peer]:
+    """Yield the test's own end of the topics."""
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=int(ros_domain['ROS_DOMAIN_ID']))
+    made = Peer(context)
+    yield made
+    made.node.destroy_node()
+    context.try_shutdown()
+
+
+PAUSES_S = (0.012, 0.05, 0.2)
+"""Between packets, longer after each refusal: a busy machine loses best-effort messages."""
+
+
+class Peer:
+    """Publishes what camera and reference sensor would, and asks for the fit."""
+
+    def __init__(self, context: Any) -> None:
+        from event_camera_msgs.msg import EventPacket
+        from geometry_msgs.msg import WrenchStamped
+        from rclpy.executors import SingleThreadedExecutor
+        from sensor_msgs.msg import Image, TimeReference
+        from std_srvs.srv import Trigger
+
+        from mixtac_msgs.msg import ClockFit, ExternalEdge, FrameExposure
+        from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED
+
+        self.node = rclpy.create_node('peer', context=context, namespace='mixtac')
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+        self.fits: list[Any] = []
+        self._trigger = Trigger
+        self._publishers = {
+            name: (kind, self.node.create_publisher(kind, name, qos))
+            for name, kind, qos in (
+                ('events', EventPacket, QOS_EVENTS),
+                ('image_raw', Image, QOS_FORCE),
+                ('image_exposure', FrameExposure, QOS_FORCE),
+                ('/ft_sensor/wrench', WrenchStamped, QOS_FORCE),
+                ('external_edges', ExternalEdge, QOS_FORCE),
+                ('reference_edges', TimeReference, QOS_FORCE),
+            )
+        }
+        self._client = self.node.create_client(Trigger, 'alignment/fit')
+        self.node.create_subscription(ClockFit, 'clock_fit', self.fits.append, QOS_LATCHED)
+
+    def ready(self) -> bool:
+        deadline = time.monotonic() + 60.0
+        while time.monotonic() < deadline:
+            self.executor.spin_once(timeout_sec=0.1)
+            counts = [one.get_subscription_count() for _, one in self._publishers.values()]
+            if min(counts) and self._client.service_is_ready():
+                time.sleep(0.5)  # the other side may not have matched yet
+                return True
+        return False
+
+    def send(self, topic: str, **fields: Any) -> None:
+        kind, publisher = self._publishers[topic]
+        message = kind()
+        for name, value in fields.items():
+            owner, _, leaf = name.rpartition('__')
+            target = message
+            for part in owner.split('__') if owner else ():
+                target = getattr(target, part)
+            setattr(target, leaf, value)
+        publisher.publish(message)
+
+    def fit(self) -> tuple[Any, ClockFit | None]:
+        self.fits.clear()
+        future = self._client.call_async(self._trigger.Request())
+        self.executor.spin_until_future_complete(future, timeout_sec=120.0)
+        answer = future.result()
+        deadline = time.monotonic() + 60.0
+        while answer.success and not self.fits and time.monotonic() < deadline:
+            self.executor.spin_once(timeout_sec=0.1)
+        if not self.fits:
+            return answer, None
+        message = self.fits[-1]
+        names = message.get_fields_and_field_types()
+        return answer, from_fields({name: getattr(message, name) for name in names})
+
+    def play(self, trial: Trial, pause_s: float) -> None:
+        """Publish a trial."""
+        at_frame = at_force = 0
+        cuts = np.arange(0, round(1e6 * SECONDS), PACKET_US)
+        for number, start in enumerate(cuts):
+            end = int(start) + PACKET_US
+            a, b = np.searchsorted(trial.events.t, (start, end))
+            self._packet(number, trial.events[slice(int(a), int(b))], end)
+            while at_frame < len(trial.frames) and trial.exposure_end_us[at_frame] < end:
+                self._frame(trial, at_frame)
+                at_frame += 1
+            until = len(trial.reference_t_us) * (number + 1) // len(cuts)
+            for k in range(at_force, until):
+                stamp = stamp_of(int(trial.reference_t_us[k]) + OFFSET_US)
+                force = float(trial.reference_wrench[k, 2])
+                self.send('/ft_sensor/wrench', header__stamp=stamp, wrench__force__z=force)
+            at_force = until
+            time.sleep(pause_s)
+
+    def _packet(self, number: int, events: Any, until: int) -> None:
+        packet = encode(events, complete_until=until)
+        kind, publisher = self._publishers['events']
+        message = kind(
+            width=346, height=260, seq=number, time_base=packet.time_base, encoding=packet.encoding
+        )
+        message.events.frombytes(packet.payload)
+        publisher.publish(message)
+
+    def _frame(self, trial: Trial, k: int) -> None:
+        start, end = int(trial.exposure_start_us[k]), int(trial.exposure_end_us[k])
+        stamp = stamp_of((start + end) // 2)
+        kind, publisher = self._publishers['image_raw']
+        image = kind(height=260, width=346, encoding='mono16', step=692)
+        image.header.stamp = stamp
+        image.data.frombytes((trial.frames[k] << 6).astype('<u2').tobytes())
+        publisher.publish(image)
+        self.send(
+            'image_exposure',
+            header__stamp=stamp,
+            exposure_start=stamp_of(start),
+            exposure_end=stamp_of(end),
+        )
+
+
+OFFSET_US = 20_000_000
+"""Keeps the reference clock's stamps positive."""
+
+
+def stamp_of(t_us: int) -> Any:
+    """Return a time [us] as a stamp."""
+    from builtin_interfaces.msg import Time
+
+    return Time(sec=t_us // 1_000_000, nanosec=t_us % 1_000_000 * 1000)
+
+
+@pytest.mark.parametrize('node_under_test', [()], indirect=True)
+def test_a_trial_with_frames_is_refined(node_under_test: subprocess.Popen[str], peer: Peer) -> None:
+    trial = simulate_trial(300_000, 300_101, 'oscillation', SECONDS, sync=True)
+    assert peer.ready()
+    assert node_under_test.poll() is None
+    for pause_s in PAUSES_S:
+        peer.play(trial, pause_s)
+        time.sleep(0.5)
+        answer, fit = peer.fit()
+        if fit is not None and fit.method == 'refined':
+            break
+    assert answer.success, answer.message
+    assert fit is not None
+    assert fit.method == 'refined'
+    camera_us = np.array([1_000_000, 7_000_000])
+    shown_us = trial.clock[0] * camera_us + trial.clock[1] + trial.reference_delay_us + OFFSET_US
+    error_s = fit.to_reference(camera_us) - 1e-6 * shown_us
+    assert np.abs(error_s).max() < 2e-3
+    assert np.all(np.abs(error_s) < 4.0 * fit.std_at(camera_us))
+
+
+@pytest.mark.parametrize(
+    'node_under_test', [('--ros-args', '-p', 'use_edges:=true')], indirect=True
+)
+def test_edges_serve_in_place_of_taps(node_under_test: subprocess.Popen[str], peer: Peer) -> None:
+    assert peer.ready()
+    assert node_under_test.poll() is None
+    refused, _ = peer.fit()
+    assert not refused.success
+    assert 'trigger cable' in refused.message
+    for at_us in np.cumsum(np.random.default_rng(1).integers(300_000, 900_000, 20)):
+        peer.send('external_edges', header__stamp=stamp_of(int(at_us)))
+        other = stamp_of(round(float(at_us) * (1.0 + 3e-5)) + 7_000_000)
+        peer.send('reference_edges', time_ref=other)
+        time.sleep(0.01)
+    time.sleep(0.5)
+    answer, fit = peer.fit()
+    assert answer.success, answer.message
+    assert fit is not None
+    assert fit.drift_ppm == pytest.approx(30.0, abs=1.0)
+    assert float(fit.to_reference(5_000_000)) == pytest.approx(12.00015, abs=5e-6)

@@ -1,3 +1,0 @@
-# SPDX-FileCopyrightText: 2026 Mixtac maintainers
-# SPDX-License-Identifier: Apache-2.0
-"""Simulated trials as bags: the topics of the live graph, and the truth beside them."""

@@ -1,0 +1,283 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Evaluation of a recorded run against its aligned reference, in numbers and as a figure.
+
+The numbers are rates, losses, latency and error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_alignment.impulses import ImpulseSettings
+from mixtac_alignment.two_impulse import fit_two_impulses
+from mixtac_events.codec import decode
+from mixtac_events.windows import counts_per_window
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.world.profiles import make_profile
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from mixtac_alignment.clock_fit import ClockFit
+    from mixtac_recordings.bag import BagFile
+    from mixtac_sim.world.profiles import Segment
+
+
+WINDOW_NS = 2_000_000
+EDGE_US = 50_000
+"""Half a synchronising impulse: what is compared begins and ends with whole impulses."""
+IMPULSES = ImpulseSettings(max_force_gap_s=2.0)
+"""A busy computer may lose reference samples, and its clock is known to be one here."""
+
+
+@dataclass(frozen=True)
+class Streams:
+    """The streams of a recorded run.
+
+    Attributes:
+        event_t_us: Event times, camera clock [us], int64.
+        lost_packets: Event packets missing by their sequence numbers.
+        packets: Event packets recorded.
+        force_ns: Ends of the force windows, camera clock [ns], int64.
+        force_n: Estimated normal force [N].
+        reference_ns: Stamps of the reference, reference clock [ns], int64.
+        reference_n: Reference normal force [N].
+    """
+
+    event_t_us: NDArray[np.int64]
+    lost_packets: int
+    packets: int
+    force_ns: NDArray[np.int64]
+    force_n: NDArray[np.float64]
+    reference_ns: NDArray[np.int64]
+    reference_n: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Estimate against reference, on the camera clock.
+
+    Attributes:
+        fit: The clock fit that brought the reference to the camera clock.
+        start_us: Camera clock at time 0 below [us].
+        time_s: Sample times [s].
+        estimate_n: Estimated force [N].
+        reference_n: Reference force at the same times [N].
+        mae_n: Mean absolute error [N].
+        rmse_n: Root mean square error [N].
+        constant_mae_n: Error of the best constant guess (the median), for comparison [N].
+    """
+
+    fit: ClockFit
+    start_us: int
+    time_s: NDArray[np.float64]
+    estimate_n: NDArray[np.float64]
+    reference_n: NDArray[np.float64]
+    mae_n: float
+    rmse_n: float
+    constant_mae_n: float
+
+
+def read_streams(bag: BagFile, namespace: str, reference_topic: str) -> Streams:
+    """Read the streams of one sensor from a bag.
+
+    Raises:
+        BagError: A topic is missing or the bag is damaged.
+    """
+    times, packets, lost, last = [], 0, 0, None
+    for _, message in bag.messages(f'/{namespace}/events'):
+        packets += 1
+        lost += 0 if last is None else int(message.seq) - last - 1
+        last = int(message.seq)
+        decoded = decode(message.events, message.encoding, int(message.time_base))
+        times.append(decoded.events.t)
+    force_ns, force_n = bag.wrenches(f'/{namespace}/force')
+    reference_ns, reference_n = bag.wrenches(reference_topic)
+    event_t_us = np.concatenate(times) if times else np.empty(0, np.int64)
+    return Streams(event_t_us, lost, packets, force_ns, force_n, reference_ns, reference_n)
+
+
+def compare(streams: Streams) -> Comparison:
+    """Bring the reference to the camera clock by the two impulses and compare.
+
+    Samples from the first to the last impulse count, the impulses included.
+
+    Raises:
+        AlignmentError: The impulses were not found; the text says why.
+    """
+    fit = fit_two_impulses(
+        streams.event_t_us, streams.reference_ns / 1e9, streams.reference_n, IMPULSES
+    )
+    reference_us = fit.to_camera(streams.reference_ns / 1e9)
+    force_us = streams.force_ns // 1000
+    first_us, last_us = fit.anchors[0].camera_us - EDGE_US, fit.anchors[-1].camera_us + EDGE_US
+    inside = (force_us >= first_us) & (force_us <= last_us)
+    estimate = streams.force_n[inside]
+    reference = np.interp(force_us[inside], reference_us, streams.reference_n)
+    error = np.abs(estimate - reference)
+    return Comparison(
+        fit=fit,
+        start_us=first_us,
+        time_s=(force_us[inside] - first_us) / 1e6,
+        estimate_n=estimate,
+        reference_n=reference,
+        mae_n=float(error.mean()),
+        rmse_n=float(np.sqrt((error**2).mean())),
+        constant_mae_n=float(np.abs(reference - np.median(reference)).mean()),
+    )
+
+
+def lost_windows(stamps_ns: NDArray[np.int64]) -> int:
+    """Return how many 2 ms windows are missing between the first and the last stamp."""
+    if len(stamps_ns) == 0:
+        return 0
+    return int((stamps_ns[-1] - stamps_ns[0]) // WINDOW_NS) + 1 - len(stamps_ns)
+
+
+def rate_hz(arrival_ns: NDArray[np.int64]) -> float:
+    """Return the mean rate of arrivals [Hz], 0 with fewer than two."""
+    if len(arrival_ns) < 2:
+        return 0.0
+    return float((len(arrival_ns) - 1) * 1e9 / (arrival_ns[-1] - arrival_ns[0]))
+
+
+def latency_ms(
+    arrival_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64], clock_pairs: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the time from each window's end to its force at the subscriber [ms].
+
+    Args:
+        arrival_ns: Arrival of each force sample, host clock.
+        stamp_ns: End of its window, camera clock.
+        clock_pairs: (host, camera) pairs from `camera_clock`, shape (N, 2); interpolated.
+    """
+    host_minus_camera = (clock_pairs[:, 0] - clock_pairs[:, 1]).astype(np.float64)
+    offset = np.interp(stamp_ns, clock_pairs[:, 1], host_minus_camera)
+    return np.asarray((arrival_ns - stamp_ns - offset) / 1e6, np.float64)
+
+
+def event_rate(
+    streams: Streams, comparison: Comparison, width_us: int = 10_000
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return window centres [s, as in the comparison] and event rates [1/s]."""
+    end_us = comparison.start_us + int(comparison.time_s[-1] * 1e6)
+    counts = counts_per_window(streams.event_t_us, comparison.start_us, end_us, width_us)
+    centres = (np.arange(len(counts)) + 0.5) * width_us / 1e6
+    return np.asarray(centres, np.float64), np.asarray(counts * (1e6 / width_us), np.float64)
+
+
+_PRESS, _OSCILLATION, _IMPACT = 'press and hold', 'oscillation', 'impact of a dropped weight'
+_TREMOR_N = 0.05
+_MARGIN_S = 0.1
+_WAVES_S = 2.0
+_BOUNCES_S = 0.8
+
+
+def phases(seconds: float, seed: int) -> list[tuple[str, float, float]]:
+    """Return name, start and end [s, as in the comparison] of what to show of each phase.
+
+    The comparison begins at the first synchronising impulse, of which the profile knows the time.
+
+    Args:
+        seconds: Length of the scenario [s].
+        seed: Its seed.
+    """
+    profile = make_profile('demo', seed, seconds, sync=True)
+    origin = profile.sync_s[0] - EDGE_US / 1e6
+    inner = [s for s in profile.segments if profile.sync_s[0] < s.start_s]
+    inner = [s for s in inner if s.end_s < profile.sync_s[-1]]
+    spans: dict[str, tuple[float, float]] = {}
+    for segment in inner:
+        name = _name(segment)
+        start = spans.get(name, (segment.start_s - origin, 0.0))[0]
+        spans[name] = (start, segment.end_s - origin)
+    return [(name, *_shown(name, *span)) for name, span in spans.items()]
+
+
+def _name(segment: Segment) -> str:
+    if segment.mode >= Mode.DROP:
+        return _IMPACT
+    return _OSCILLATION if segment.tones and segment.tones[0].amplitude > _TREMOR_N else _PRESS
+
+
+def _shown(name: str, start: float, end: float) -> tuple[float, float]:
+    if name == _OSCILLATION:
+        middle = (start + end) / 2
+        return max(start, middle - _WAVES_S / 2), min(end, middle + _WAVES_S / 2)
+    if name == _IMPACT:
+        return start, min(end, start + _BOUNCES_S)
+    return start - _MARGIN_S, end + _MARGIN_S
+
+
+REFERENCE_COLOUR, ESTIMATE_COLOUR, EVENT_COLOUR = '#1f4e8c', '#e07b00', '#5a5a5a'
+
+
+def draw_run(
+    path: Path,
+    comparison: Comparison,
+    rate: tuple[NDArray[np.float64], NDArray[np.float64]],
+    spans: list[tuple[str, float, float]],
+    title: str,
+) -> None:
+    """Save a figure of a run.
+
+    Args:
+        path: File to write; its suffix gives the format.
+        comparison: Estimate and aligned reference.
+        rate: Times [s] and event rates [1/s], times as in `comparison`.
+        spans: Named spans (label, start s, end s) to show enlarged.
+        title: Title; says that the data are simulated where they are.
+    """
+    import matplotlib as mpl
+
+    mpl.use('Agg')
+    from matplotlib import pyplot as plt
+
+    figure = plt.figure(figsize=(11, 8), layout='constrained')
+    grid = figure.add_gridspec(4, max(1, len(spans)), height_ratios=[3, 1, 1, 3])
+    whole = figure.add_subplot(grid[0, :])
+    _force(whole, comparison, 0.0, float(comparison.time_s[-1]))
+    top = 1.3 * float(np.quantile(comparison.reference_n, 0.99))
+    whole.set_ylim(-0.15, max(1.2, top))
+    whole.legend(loc='upper right', ncols=2, frameon=False)
+    whole.set_title(title, loc='left')
+    error = figure.add_subplot(grid[1, :], sharex=whole)
+    error.plot(
+        comparison.time_s,
+        comparison.estimate_n - comparison.reference_n,
+        color=ESTIMATE_COLOUR,
+        lw=0.7,
+    )
+    error.axhline(0, color='k', lw=0.5)
+    error.set_ylabel('error [N]')
+    error.set_ylim(-0.5, 0.5)
+    events = figure.add_subplot(grid[2, :], sharex=whole)
+    events.semilogy(rate[0], np.maximum(rate[1], 1.0), color=EVENT_COLOUR, lw=0.8)
+    events.set_ylabel('events [1/s]')
+    events.set_xlabel('camera time [s]')
+    for column, (label, start, end) in enumerate(spans):
+        axes = figure.add_subplot(grid[3, column])
+        _force(axes, comparison, start, end)
+        axes.set_title(label, fontsize=10)
+        axes.set_xlabel('camera time [s]')
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _force(axes: Axes, comparison: Comparison, start: float, end: float) -> None:
+    shown = (comparison.time_s >= start) & (comparison.time_s <= end)
+    time = comparison.time_s[shown]
+    axes.plot(
+        time, comparison.reference_n[shown], color=REFERENCE_COLOUR, lw=1.4, label='reference'
+    )
+    axes.plot(time, comparison.estimate_n[shown], color=ESTIMATE_COLOUR, lw=1.0, label='estimate')
+    axes.set_ylabel('normal force [N]')
+    axes.set_xlim(start, end)
+    axes.grid(visible=True, alpha=0.25)

@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac export` and `mixtac inspect`: recordings as other files, and what they hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+
+def export(
+    recording: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3 or .aedat4.')],
+    to: Annotated[str, typer.Option(help='aedat4, csv or npz.')],
+    out: Annotated[Path, typer.Option(help='New folder for the files.')],
+) -> None:
+    """Write events, frames, inertial samples, edges and forces of a recording to other files."""
+    from mixtac_recordings.export import export_recording
+
+    console = Console()
+    columns = (TextColumn('{task.description}'), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as bars:
+        bar = bars.add_task(str(recording), total=1.0)
+        counts = export_recording(recording, to, out, lambda done: bars.update(bar, completed=done))
+    console.print(
+        f'{out}: {counts.events} events, {counts.frames} frames, {counts.samples} inertial '
+        f'samples, {counts.edges} edges'
+    )
+    if to == 'aedat4':
+        console.print('AEDAT4 has no place for forces: export those with --to csv or npz')
+    for topic, count in counts.wrenches.items():
+        console.print(f'{topic}: {count} wrenches')
+
+
+def inspect(bag: Annotated[Path, typer.Argument(help='Folder of a rosbag2 recording.')]) -> None:
+    """Say what a recording holds, decode all of its events, and count what is missing."""
+    from mixtac_recordings.summary import summarise
+
+    summary = summarise(bag)
+    table = Table(title=f'{bag}, {summary.duration_s:.1f} s', title_justify='left')
+    for heading in ('topic', 'type', 'messages', 'events', 'lost packets'):
+        table.add_column(heading, justify='left' if heading in ('topic', 'type') else 'right')
+    for topic, count in sorted(summary.counts.items()):
+        events = summary.events.get(topic)
+        table.add_row(
+            topic,
+            summary.types[topic],
+            str(count),
+            str(events.events) if events else '',
+            str(events.lost_packets) if events else '',
+        )
+    Console().print(table)

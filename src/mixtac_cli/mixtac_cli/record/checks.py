@@ -1,0 +1,187 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of disk, topics and clocks before a recording, and the tables shown before and during it."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from mixtac_cli.record.meter import TopicMeter
+
+
+OK, WARN, ERROR = 'ok', 'warning', 'error'
+REQUIRED = ('events', 'image_raw')
+LEAST_HZ = {'events': 990.0, 'image_raw': 5.0, 'force': 490.0, 'imu': 50.0}
+"""Rates below which something is wrong [Hz]: packets every ms, windows of 2 ms."""
+RESERVE_BYTES = 1 << 30
+SHORT_BYTES = 10 << 30
+EARLIEST_NS = 1_577_836_800_000_000_000
+"""2020: a host clock before it was never set."""
+MOST_CLOCK_OFFSET_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One check.
+
+    Attributes:
+        level: `ok`, `warning` or `error`.
+        name: What was checked.
+        text: What was found, and what to do.
+    """
+
+    level: str
+    name: str
+    text: str
+
+
+def check_disk(free_bytes: int, bytes_per_s: float, seconds: float) -> Finding:
+    """Check that a recording fits.
+
+    Args:
+        free_bytes: Free on the disk of the bag.
+        bytes_per_s: Rate at which messages arrive now.
+        seconds: Planned length [s]; 0 for until stopped.
+    """
+    left_s = max(0.0, free_bytes - RESERVE_BYTES) / bytes_per_s if bytes_per_s else float('inf')
+    room = f'{free_bytes / 1e9:.1f} GB free, {bytes_per_s / 1e6:.1f} MB/s'
+    if free_bytes <= RESERVE_BYTES or left_s < seconds:
+        return Finding(
+            ERROR, 'disk', f'{room}: full in {left_s:.0f} s; free some space, or record elsewhere'
+        )
+    if not seconds and free_bytes < SHORT_BYTES:
+        return Finding(WARN, 'disk', f'{room}: enough for {left_s:.0f} s')
+    return Finding(OK, 'disk', room)
+
+
+def free_bytes(path: Path) -> int:
+    """Return the free space on the disk on which a folder is, or will be made [bytes]."""
+    existing = next(each for each in (path, *path.absolute().parents) if each.exists())
+    return shutil.disk_usage(existing).free
+
+
+def check_topics(
+    meters: Sequence[TopicMeter], publishers: Mapping[str, int], seconds: float
+) -> list[Finding]:
+    """Check that what is published arrives, as often as it should.
+
+    Args:
+        meters: What arrived.
+        publishers: Publishers by name of the topic.
+        seconds: For how long it was listened [s].
+    """
+    return [
+        finding
+        for meter in meters
+        if (finding := _check_topic(meter, publishers.get(meter.topic.name, 0), seconds))
+    ]
+
+
+def _check_topic(meter: TopicMeter, publishers: int, seconds: float) -> Finding | None:
+    name, required = meter.topic.name, meter.topic.name in REQUIRED
+    if publishers == 0:
+        text = 'nobody publishes it: start the sensor, or give its --namespace'
+        return Finding(ERROR, name, text) if required else None
+    if publishers > 1 and name != '/diagnostics':
+        text = f'{publishers} publishers: two sensors share a namespace; end one of them'
+        return Finding(ERROR, name, text)
+    if meter.messages == 0:
+        text = 'it is published, and nothing arrived'
+        least = LEAST_HZ.get(name)
+        return Finding(ERROR if required else WARN, name, text) if least else None
+    rate_hz = meter.messages / seconds
+    if rate_hz < LEAST_HZ.get(name, 0.0):
+        text = f'{rate_hz:.0f} Hz, {LEAST_HZ[name]:.0f} expected at least; see /diagnostics'
+        return Finding(WARN, name, text)
+    if meter.missing:
+        text = f'{rate_hz:.0f} Hz, {meter.missing} messages missing: this computer is too busy'
+        return Finding(WARN, name, text)
+    return Finding(OK, name, f'{rate_hz:.1f} Hz')
+
+
+def check_clocks(
+    now_ns: int, stamps_ns: Mapping[str, int], *, simulated_time: bool = False
+) -> list[Finding]:
+    """Check that clocks are set and that those of one kind agree.
+
+    Args:
+        now_ns: Host clock [ns since the Unix epoch].
+        stamps_ns: Latest stamp of each topic on the camera clock, by name [ns].
+        simulated_time: Whether somebody publishes `/clock`.
+    """
+    findings = []
+    if now_ns < EARLIEST_NS:
+        findings.append(Finding(ERROR, 'host clock', 'it was never set: set it, or run NTP'))
+    if simulated_time:
+        text = '/clock is published: the stamps are those of a recording or simulator'
+        findings.append(Finding(WARN, 'host clock', text))
+    offsets_s = {name: (now_ns - stamp) / 1e9 for name, stamp in stamps_ns.items() if stamp}
+    if not offsets_s:
+        return findings
+    apart_s = max(offsets_s.values()) - min(offsets_s.values())
+    if apart_s > MOST_CLOCK_OFFSET_S:
+        early = max(offsets_s, key=lambda name: offsets_s[name])
+        late = min(offsets_s, key=lambda name: offsets_s[name])
+        text = f'{early} lies {apart_s:.1f} s behind {late}: they are not of one camera'
+        findings.append(Finding(ERROR, 'camera clock', text))
+    worst_s = max(offsets_s.values(), key=abs)
+    if abs(worst_s) > MOST_CLOCK_OFFSET_S and not simulated_time:
+        text = f'stamps are {worst_s:+.1f} s from the host: a recording, or the host clock was set'
+        findings.append(Finding(WARN, 'camera clock', text))
+    elif apart_s <= MOST_CLOCK_OFFSET_S:
+        findings.append(Finding(OK, 'camera clock', f'{1e3 * worst_s:+.0f} ms from the host'))
+    return findings
+
+
+_COLOUR = {WARN: 'yellow', ERROR: 'red'}
+
+
+def findings_table(findings: Sequence[Finding]) -> Table:
+    """Return what the checks found."""
+    table = Table(title='Before recording', title_justify='left')
+    for heading in ('', 'check', 'found'):
+        table.add_column(heading)
+    for each in findings:
+        table.add_row(each.level, each.name, each.text, style=_COLOUR.get(each.level))
+    return table
+
+
+def progress_table(
+    meters: Sequence[TopicMeter], title: str, *, dropped: int, disk_bytes: int
+) -> Table:
+    """Return the state of a recording.
+
+    Args:
+        meters: Its topics; those without messages are left out.
+        title: Where to, since when.
+        dropped: Messages that were not written.
+        disk_bytes: Space left.
+    """
+    size = sum(meter.octets for meter in meters)
+    caption = (
+        f'{size / 1e6:.1f} MB, {disk_bytes / 1e9:.1f} GB left on the disk, '
+        f'{dropped} messages not written'
+    )
+    table = Table(title=title, title_justify='left', caption=caption, caption_justify='left')
+    table.add_column('topic')
+    for heading in ('messages', 'Hz', 'MB', 'missing'):
+        table.add_column(heading, justify='right')
+    for meter in meters:
+        if meter.messages:
+            table.add_row(
+                meter.topic.name,
+                str(meter.messages),
+                f'{meter.rate_hz:.1f}',
+                f'{meter.octets / 1e6:.2f}',
+                str(meter.missing),
+                style='yellow' if meter.missing else None,
+            )
+    return table

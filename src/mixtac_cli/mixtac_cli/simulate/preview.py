@@ -1,0 +1,242 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated trial in one picture: frames, their changes, events, force curves and event rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mixtac_sim.world.effects import preset
+from mixtac_sim.world.trial import simulate_trial
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from mixtac_recordings.dataset import TrialSpec
+    from mixtac_sim.world.trial import Trial
+
+
+SMOOTHING_MS: Final = 20
+APART_S: Final = 0.15
+CONTACT_N: Final = 0.02
+EDGE_S: Final = 1.1
+"""Begin and end of a trial belong to the synchronising impulses."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A named moment.
+
+    Attributes:
+        name: What happens.
+        t_us: When [us, true time].
+    """
+
+    name: str
+    t_us: int
+
+
+def find_moments(t_us: NDArray[np.int64], force_n: NDArray[np.float64]) -> list[Moment]:
+    """Return rest, fastest rise, largest force, fastest fall and the typical force, in order.
+
+    Moments that would lie close to one that was found before are left out.
+
+    Args:
+        t_us: True time [n] [us], 1 kHz.
+        force_n: True normal force [n] [N].
+    """
+    smooth = np.convolve(force_n, np.full(SMOOTHING_MS, 1.0 / SMOOTHING_MS), 'same')
+    slope = np.gradient(smooth)
+    inside = (t_us > t_us[0] + 1e6 * EDGE_S) & (t_us < t_us[-1] - 1e6 * EDGE_S)
+    if not inside.any():
+        inside[:] = True
+    touching = smooth[inside & (smooth > CONTACT_N)]
+    typical = float(np.median(touching)) if len(touching) else 0.0
+    resting = np.flatnonzero(smooth < 1e-3)
+    candidates = [
+        ('no contact', int(resting[len(resting) // 8]) if len(resting) else 0),
+        ('largest force', _highest(force_n, inside)),
+        ('force rises', _highest(slope, inside)),
+        ('force falls', _highest(-slope, inside)),
+        ('typical force', _highest(-np.abs(smooth - typical) - 100.0 * np.abs(slope), inside)),
+    ]
+    found: list[Moment] = []
+    for name, index in candidates:
+        when = int(t_us[index])
+        if all(abs(when - other.t_us) > 1e6 * APART_S for other in found):
+            found.append(Moment(name, when))
+    return sorted(found, key=lambda moment: moment.t_us)
+
+
+def _highest(values: NDArray[np.float64], inside: NDArray[np.bool_]) -> int:
+    return int(np.argmax(np.where(inside, values, -np.inf)))
+
+
+WINDOW_US: Final = 30_000
+"""Events around a moment that are shown [us]."""
+RATE_BIN_US: Final = 10_000
+ON_COLOUR, OFF_COLOUR = '#d1495b', '#2e6fbb'
+TRUE_COLOUR, REFERENCE_COLOUR, MOMENT_COLOUR = '#1b1b1b', '#e9a23b', '#9a9a9a'
+HEIGHT, WIDTH = 260, 346
+
+
+def draw_preview(spec: TrialSpec, path: Path) -> None:
+    """Simulate a trial and draw it.
+
+    Args:
+        spec: The trial.
+        path: File to write; its suffix gives the format.
+
+    Raises:
+        SimulationError: The trial cannot be simulated.
+    """
+    trial = simulate_trial(
+        spec.device_seed,
+        spec.trial_seed,
+        spec.profile,
+        spec.seconds,
+        sync=True,
+        preset=preset(spec.preset),
+    )
+    title = (
+        f'Simulated trial: {spec.profile}, {spec.preset}, {spec.seconds:g} s, '
+        f'sensor {spec.device_seed}, day {spec.trial_seed}'
+    )
+    draw_trial(trial, title, path)
+
+
+def draw_trial(trial: Trial, title: str, path: Path) -> None:
+    """Draw a trial.
+
+    Args:
+        trial: The trial.
+        title: Title; says that the data are simulated.
+        path: File to write; its suffix gives the format.
+    """
+    import matplotlib as mpl
+
+    mpl.use('Agg')
+    from matplotlib import pyplot as plt
+
+    truth_us, force = trial.truth['t_us'].astype(np.int64), trial.truth['fz'].astype(np.float64)
+    moments = find_moments(truth_us, force)
+    figure = plt.figure(figsize=(14, 11.5), layout='constrained')
+    grid = figure.add_gridspec(5, len(moments), height_ratios=[1, 1, 1, 1.05, 0.75])
+    figure.suptitle(title, x=0.01, ha='left', fontsize=13)
+    _draw_moments(
+        [
+            [figure.add_subplot(grid[row, column]) for column in range(len(moments))]
+            for row in range(3)
+        ],
+        trial,
+        moments,
+    )
+    curves = figure.add_subplot(grid[3, :])
+    _draw_forces(curves, trial, moments)
+    _draw_rates(figure.add_subplot(grid[4, :], sharex=curves), trial, moments)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
+def _draw_moments(axes: list[list[Axes]], trial: Trial, moments: list[Moment]) -> None:
+    middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
+    nearest = [int(np.abs(middle - moment.t_us).argmin()) for moment in moments]
+    names = [moment.name for moment in moments]
+    rest = nearest[names.index('no contact')] if 'no contact' in names else 0
+    white = float(np.percentile(trial.frames[rest], 99.7))
+    still = trial.frames[rest].astype(np.float64)
+    for column, (moment, frame) in enumerate(zip(moments, nearest, strict=True)):
+        image = trial.frames[frame]
+        axes[0][column].imshow(image, cmap='gray', vmin=0, vmax=white)
+        change = image - still
+        axes[1][column].imshow(change, cmap='RdBu_r', vmin=-0.5 * white, vmax=0.5 * white)
+        picture, count = event_picture(trial, moment.t_us)
+        axes[2][column].imshow(picture)
+        force = np.interp(moment.t_us, trial.truth['t_us'], trial.truth['fz'])
+        axes[0][column].set_title(
+            f'{moment.name}\n{1e-6 * moment.t_us:.2f} s, {force:.2f} N', fontsize=10
+        )
+        axes[2][column].set_xlabel(f'{count} events', fontsize=9)
+        for row in range(3):
+            axes[row][column].set_xticks([])
+            axes[row][column].set_yticks([])
+    axes[0][0].set_ylabel('frame')
+    axes[1][0].set_ylabel('frame less the one at rest')
+    axes[2][0].set_ylabel(f'events of {WINDOW_US // 1000} ms\n(ON red, OFF blue)')
+
+
+def event_picture(trial: Trial, centre_us: int) -> tuple[NDArray[np.float64], int]:
+    """Return the events around a moment as a picture [260, 346, 3] and their number.
+
+    The more events of a polarity a pixel had, the stronger its colour.
+    """
+    edges = (centre_us - WINDOW_US // 2, centre_us + WINDOW_US // 2)
+    first, last = np.searchsorted(trial.events.t, edges)
+    events = trial.events[int(first) : int(last)]
+    picture = np.ones((HEIGHT, WIDTH, 3))
+    for polarity, colour in ((True, ON_COLOUR), (False, OFF_COLOUR)):
+        counts = np.zeros((HEIGHT, WIDTH))
+        chosen = events.polarity == polarity
+        np.add.at(counts, (events.y[chosen], events.x[chosen]), 1.0)
+        # Single pixels would be lost where the picture is shown smaller than it is.
+        counts[1:, 1:] = np.maximum(counts[1:, 1:], 0.6 * counts[:-1, :-1])
+        strength = 1.0 - 0.2**counts
+        tint = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+        picture *= 1.0 - strength[:, :, None] * (1.0 - tint)
+    return picture, int(last - first)
+
+
+def _draw_forces(axes: Axes, trial: Trial, moments: list[Moment]) -> None:
+    a, b = trial.clock
+    reference_s = 1e-6 * (trial.reference_t_us - b) / a
+    axes.plot(
+        reference_s,
+        trial.reference_wrench[:, 2],
+        color=REFERENCE_COLOUR,
+        lw=1.0,
+        label='reference sensor (true clock map)',
+    )
+    axes.plot(
+        1e-6 * trial.truth['t_us'], trial.truth['fz'], color=TRUE_COLOUR, lw=0.9, label='true'
+    )
+    depth = axes.twinx()
+    depth.plot(
+        1e-6 * trial.truth['t_us'], trial.truth['depth_mm'], color='#5a9367', lw=0.8, label='dent'
+    )
+    depth.set_ylabel('dent [mm]', color='#5a9367')
+    depth.set_ylim(bottom=0.0)
+    axes.set_ylabel('normal force [N]')
+    axes.set_xlim(0.0, trial.profile.duration_s)
+    axes.grid(visible=True, alpha=0.25)
+    axes.legend(loc='upper left', ncols=2, frameon=False, fontsize=9)
+    axes.margins(y=0.18)
+    _mark(axes, trial, moments)
+
+
+def _draw_rates(axes: Axes, trial: Trial, moments: list[Moment]) -> None:
+    edges = np.arange(0, round(1e6 * trial.profile.duration_s) + RATE_BIN_US, RATE_BIN_US)
+    times = 1e-6 * (edges[:-1] + RATE_BIN_US // 2)
+    for polarity, colour, label in ((True, ON_COLOUR, 'ON'), (False, OFF_COLOUR, 'OFF')):
+        counts, _ = np.histogram(trial.events.t[trial.events.polarity == polarity], edges)
+        axes.semilogy(
+            times, np.maximum(counts, 1) * 1e6 / RATE_BIN_US, color=colour, lw=0.8, label=label
+        )
+    axes.set_ylabel('events [1/s]')
+    axes.set_xlabel('time [s]')
+    axes.grid(visible=True, alpha=0.25)
+    axes.legend(loc='upper left', ncols=2, frameon=False, fontsize=9)
+    _mark(axes, trial, moments)
+
+
+def _mark(axes: Axes, trial: Trial, moments: list[Moment]) -> None:
+    for moment in moments:
+        axes.axvline(1e-6 * moment.t_us, color=MOMENT_COLOUR, lw=1.0, ls='--', zorder=0)
+    for centre_s in trial.profile.sync_s:
+        axes.axvspan(centre_s - 0.05, centre_s + 0.05, color='#cfe8cf', zorder=0)

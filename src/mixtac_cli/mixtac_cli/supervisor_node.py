@@ -1,0 +1,117 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Supervises slip control on the simulated grasp: heartbeat, enabling, blows, a line per blow.
+
+All times are on the node's clock, which is the simulation's where `use_sim_time` is set.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from geometry_msgs.msg import PointStamped
+from rclpy.node import Node
+from std_msgs.msg import Empty
+from std_srvs.srv import SetBool, Trigger
+
+from mixtac_cli.parameters import SupervisorParameters
+from mixtac_msgs.msg import SlipState
+from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, declare, run
+
+HEARTBEAT_PERIOD_S = 0.1
+ASK_EVERY_S = 1.0
+STEADY_S = 1.5
+"""Slip control is enabled so long before a blow: its settling time is over [s]."""
+REARM_S = 3.0
+"""So long after a blow slip control is enabled anew, with an advance of zero [s]."""
+
+
+class Supervisor(Node):  # type: ignore[misc]
+    """Keeps slip control of a simulation enabled, strikes the object and says what happens.
+
+    For simulations only: on a real arm a person or a cell controller decides what is enabled.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('supervisor', namespace='mixtac')
+        self._settings = declare(self, SupervisorParameters, self._apply)
+        self._state, self._seen, self._stopped = SlipState.DISABLED, False, False
+        self._place_mm = self._start_mm = self._advance_mm = 0.0
+        self._asked_s = self._enabled_s = self._struck_s = 0.0
+        self._open = False
+        self._heartbeat = self.create_publisher(Empty, 'slip_control/heartbeat', QOS_SENSOR)
+        self._enable = self.create_client(SetBool, 'slip_control/enable')
+        self._reset = self.create_client(Trigger, 'slip_control/reset')
+        self._knock = self.create_client(Trigger, 'virtual_grasp/knock')
+        self._put_back = self.create_client(Trigger, 'virtual_grasp/put_back')
+        self.create_subscription(SlipState, 'slip', self._on_slip, QOS_FORCE)
+        self.create_subscription(PointStamped, 'truth/object', self._on_place, QOS_FORCE)
+        self.create_timer(HEARTBEAT_PERIOD_S, self._beat)
+
+    def _apply(self, settings: SupervisorParameters) -> None:
+        self._settings = settings
+
+    def _now_s(self) -> float:
+        return float(self.get_clock().now().nanoseconds * 1e-9)
+
+    def _on_place(self, message: PointStamped) -> None:
+        self._place_mm = -1e3 * message.point.z
+
+    def _on_slip(self, message: SlipState) -> None:
+        if message.state == SlipState.ENABLED != self._state:
+            self._enabled_s = self._now_s()
+        self._state = message.state
+        self._seen |= message.slipping
+        self._stopped |= message.state == SlipState.STOPPED
+        self._advance_mm = max(self._advance_mm, 1e3 * message.total_advance)
+
+    def _beat(self) -> None:
+        self._heartbeat.publish(Empty())
+        now_s, every = self._now_s(), self._settings.knock_every
+        if self._open:
+            if now_s - self._struck_s > REARM_S:
+                self._report()
+        elif self._state == SlipState.ENABLED:
+            steady = now_s - self._enabled_s > STEADY_S
+            if every > 0.0 and steady and now_s - self._struck_s > every:
+                self._strike(now_s)
+        elif now_s - self._asked_s > ASK_EVERY_S:
+            self._asked_s = now_s
+            if self._state == SlipState.STOPPED:
+                self._reset.call_async(Trigger.Request())
+            elif self._state == SlipState.DISABLED:
+                self._enable.call_async(SetBool.Request(data=True))
+
+    def _strike(self, now_s: float) -> None:
+        """Ask for a blow; it counts once the simulation has confirmed it."""
+        if now_s - self._asked_s < ASK_EVERY_S:
+            return
+        self._asked_s, self._start_mm = now_s, self._place_mm
+        self._seen, self._stopped, self._advance_mm = False, False, 0.0
+        self._knock.call_async(Trigger.Request()).add_done_callback(self._on_struck)
+
+    def _on_struck(self, _response: object) -> None:
+        self._struck_s, self._open = self._now_s(), True
+
+    def _report(self) -> None:
+        """Say what became of the last blow and begin anew."""
+        self._open = False
+        moved = self._place_mm - self._start_mm
+        text = f'blow {"seen" if self._seen else "not seen"}: the object moved {moved:.2f} mm'
+        if self._stopped:
+            text += ', slip control stopped'
+        self.get_logger().info(f'{text}, the arm {self._advance_mm:.2f} mm (simulated)')
+        # What it says until it has heard of this is old news.
+        self._state, self._asked_s = SlipState.DISABLED, self._now_s()
+        disabled = self._enable.call_async(SetBool.Request(data=False))
+        # With the force of the start again, so that blows can be compared.
+        disabled.add_done_callback(lambda _: self._put_back.call_async(Trigger.Request()))
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(Supervisor, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,148 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The page of the live view, in the terms of rerun; the only module that imports rerun."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from mixtac_cli.view.drawing import palette
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from mixtac_cli.view.buffers import Columns
+
+
+TIMELINE = 'received'
+"""Arrival at the view on the host clock: the one axis that all sensors have in common."""
+
+
+def layout(history_s: float, *, slip: bool) -> Any:  # noqa: ANN401
+    """Return the blueprint: events above frame, plots in the middle, what the nodes say right.
+
+    Args:
+        history_s: Width of the plots [s].
+        slip: With a plot of the slip detection, for graphs that run it.
+    """
+    pictures = rrb.Vertical(
+        rrb.Spatial2DView(origin='events', name='Events: blue brighter, orange darker'),
+        rrb.Spatial2DView(origin='frame', name='APS frame'),
+    )
+    plots = [
+        _plot('force', 'Normal force [N]', history_s),
+        _plot('rates', 'Rates [1/s]', history_s),
+    ]
+    if slip:
+        plots.insert(1, _plot('slip', 'Slip: events per window', history_s))
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            pictures,
+            rrb.Vertical(*plots, row_shares=[2, *[1] * (len(plots) - 1)]),
+            rrb.TextDocumentView(origin='state', name='State'),
+            column_shares=[3, 5, 3],
+        ),
+        rrb.TimePanel(state='collapsed', timeline=TIMELINE, play_state='following'),
+        collapse_panels=True,
+        auto_views=False,
+    )
+
+
+def _plot(origin: str, name: str, history_s: float) -> Any:  # noqa: ANN401
+    boundary = rrb.TimeRangeBoundary
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
+        time_ranges=rrb.VisibleTimeRange(
+            TIMELINE,
+            start=boundary.cursor_relative(seconds=-history_s),
+            end=boundary.cursor_relative(),
+        ),
+    )
+
+
+LINES = {
+    'force/estimate': ('estimate', (0, 158, 115)),
+    'force/reference': ('reference', (230, 159, 0)),
+    'slip/count': ('count', (86, 180, 233)),
+    'slip/threshold': ('threshold', (213, 94, 0)),
+    'rates/events': ('events / 1000', (86, 180, 233)),
+    'rates/packets': ('packets', (240, 228, 66)),
+    'rates/frames': ('frames', (204, 121, 167)),
+    'rates/force': ('force', (0, 158, 115)),
+    'rates/reference': ('reference', (230, 159, 0)),
+}
+"""Name in the legend and colour of each plotted line, by its path."""
+
+
+class Page:
+    """A stream of drawings to the viewer's server, or to a file.
+
+    Args:
+        history_s: Width of the plots [s].
+        url: Where the server takes data.
+        path: New .rrd file to write instead.
+    """
+
+    def __init__(self, history_s: float, url: str = '', path: Path | None = None) -> None:
+        self._history_s = history_s
+        self._with_slip = False
+        self._stream = rr.RecordingStream('mixtac')
+        blueprint = layout(history_s, slip=False)
+        if path is not None:
+            self._stream.save(path, default_blueprint=blueprint)
+        else:
+            self._stream.connect_grpc(url, default_blueprint=blueprint)
+        classes = [rr.AnnotationInfo(level, color=each) for level, each in palette().items()]
+        self._stream.log('events', rr.AnnotationContext(classes), static=True)
+        for entity, (name, colour) in LINES.items():
+            line = rr.SeriesLines(colors=[colour], names=[name], widths=[1.5])
+            self._stream.log(entity, line, static=True)
+
+    def at(self, time_ns: int) -> None:
+        """Set when the next pictures and texts are [ns, host clock]."""
+        self._stream.set_time(TIMELINE, timestamp=time_ns * 1e-9)
+
+    def events(self, levels: NDArray[np.uint8]) -> None:
+        """Show a picture of events, levels of `event_picture` [height, width]."""
+        # Not compressed: browsers unpack late, and show nothing until they have.
+        self._stream.log('events', rr.SegmentationImage(levels, opacity=1.0))
+
+    def frame(self, pixels: NDArray[np.uint8]) -> None:
+        """Show a frame, grey [height, width] or RGB [height, width, 3]."""
+        self._stream.log('frame', rr.Image(pixels))
+
+    def text(self, entity: str, markdown: str) -> None:
+        """Show a text."""
+        self._stream.log(entity, rr.TextDocument(markdown, media_type='text/markdown'))
+
+    def curve(self, entity: str, columns: Columns) -> None:
+        """Append samples to a plotted line.
+
+        Args:
+            entity: One of `LINES`.
+            columns: Times [ns, host clock] and values.
+        """
+        times, values = columns
+        if not len(times):
+            return
+        index = rr.TimeColumn(TIMELINE, timestamp=times.view('datetime64[ns]'))
+        self._stream.send_columns(entity, [index], rr.Scalars.columns(scalars=values))
+
+    def show_slip(self) -> None:
+        """Make room for the slip detection; once is enough."""
+        if not self._with_slip:
+            self._with_slip = True
+            self._stream.send_blueprint(layout(self._history_s, slip=True))
+
+    def close(self) -> None:
+        """Send what is left."""
+        self._stream.flush(timeout_sec=2.0)
+        self._stream.disconnect()

@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What a recorder counts as missing."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from mixtac_cli.record.meter import TopicMeter
+from mixtac_cli.record.summary import RecordingSummary
+from mixtac_node.topics import TOPICS, topic
+
+
+def stamped(stamp_ns: int) -> bytes:
+    return b'\0\1\0\0' + struct.pack('<iI', *divmod(stamp_ns, 10**9)) + bytes(8)
+
+
+def test_packets_missing_by_number_are_counted(packet):
+    meter = TopicMeter(topic('events'), even=False)
+    for received, seq in enumerate([5, 6, 9, 10, 0, 1]):
+        meter.add(10**9 + received, packet(seq, 'camera', 'libcaer_cmp', 1, 0, big=False))
+    assert (meter.messages, meter.missing, meter.backwards) == (6, 2, 1)
+
+
+def test_frames_missing_by_their_stamps_are_counted():
+    meter = TopicMeter(topic('image_raw'), even=True)
+    numbers = [n for n in range(60) if n not in {30, 40, 41}]
+    for n in numbers:
+        meter.add(n, stamped(10**9 + n * 25_000_000 + (n % 3) * 10_000))
+    assert (meter.messages, meter.missing, meter.backwards) == (57, 3, 0)
+
+
+def test_a_slower_rate_is_learned_and_not_counted_for_ever():
+    meter = TopicMeter(topic('image_raw'), even=True)
+    stamps = [n * 25_000_000 for n in range(33)]
+    stamps += [stamps[-1] + (n + 1) * 100_000_000 for n in range(200)]
+    for stamp in stamps:
+        meter.add(stamp, stamped(10**9 + stamp))
+    assert 0 < meter.missing <= 3 * 17
+
+
+def test_a_restart_counts_from_zero():
+    meter = TopicMeter(topic('force'), even=True)
+    for n in range(20):
+        meter.add(1 + n, stamped(10**9 + n * 2_000_000))
+    meter.restart()
+    meter.add(100, stamped(10**9 + 20 * 2_000_000))
+    assert (meter.messages, meter.missing, meter.first_ns) == (1, 0, 100)
+
+
+def test_rate_is_that_of_the_arrivals():
+    meter = TopicMeter(topic('force'), even=True)
+    for n in range(11):
+        meter.add(10**9 + n * 2_000_000, stamped(10**9 + n * 2_000_000))
+    assert meter.rate_hz == pytest.approx(500.0)
+
+
+def test_every_topic_says_whether_it_has_a_header():
+    pytest.importorskip('rclpy', reason='needs ROS 2')
+    from mixtac_node.topics import message_class
+
+    for each in TOPICS:
+        fields = list(message_class(each.type_name).get_fields_and_field_types())
+        assert each.has_header == (fields[0] == 'header'), each.name
+
+
+def test_the_verdict_names_what_was_lost(packet):
+    meter = TopicMeter(topic('events'), even=False)
+    assert RecordingSummary.of([meter], 1.0, 0, simulated=True, serial='').verdict() == (
+        'nothing was lost'
+    )
+    for seq in (0, 4):
+        meter.add(1, packet(seq, 'camera', 'libcaer_cmp', 1, 0, big=False))
+    summary = RecordingSummary.of([meter], 1.0, 7, simulated=True, serial='S1')
+    assert summary.missing == 3
+    assert '3 of events' in summary.verdict()
+    assert '7 ' in summary.verdict()

@@ -1,0 +1,213 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac calibrate`: from a bag of frames to a camera_info file, and what is said on the way."""
+
+from __future__ import annotations
+
+import json
+import sys
+from io import StringIO
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from rich.console import Console
+from typer.testing import CliRunner
+
+sys.path.insert(0, str(Path(__file__).parents[2] / 'mixtac_driver/test/calibration'))
+
+from board_camera import HEIGHT, WIDE, WIDTH, BoardCamera, good_poses
+
+from mixtac_cli.calibrate.command import CalibrateOptions, calibrate, run_calibration
+from mixtac_cli.calibrate.session import bag_images, grey_image
+from mixtac_driver.calibration.camera_info import read_camera_info
+from mixtac_driver.calibration.lens import CalibrationError, Refusal, RefusedError
+from mixtac_recordings.bag import typestore
+from mixtac_recordings.bag_writer import BagWriter
+from mixtac_recordings.recording import BagError
+
+TOPIC = '/mixtac/image_raw'
+PERIOD_NS = 200_000_000
+
+
+def image_message(types, image, stamp_ns, encoding='mono16'):
+    header = types['std_msgs/msg/Header'](
+        stamp=types['builtin_interfaces/msg/Time'](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9),
+        frame_id='camera',
+    )
+    return types['sensor_msgs/msg/Image'](
+        header=header,
+        height=image.shape[0],
+        width=image.shape[1],
+        encoding=encoding,
+        is_bigendian=False,
+        step=image.strides[0],
+        data=np.frombuffer(image.tobytes(), np.uint8),
+    )
+
+
+def write_bag(path, images, topic=TOPIC):
+    store = typestore()
+    writer = BagWriter(path)
+    connection = writer.add_topic(topic, 'sensor_msgs/msg/Image', reliable=False, latched=False)
+    for index, image in enumerate(images):
+        stamp = 10**9 + index * PERIOD_NS
+        message = image_message(store.types, image, stamp)
+        data = store.serialize_cdr(message, 'sensor_msgs/msg/Image')
+        writer.write(connection, stamp, bytes(data))
+    writer.close()
+    return path
+
+
+@pytest.fixture(scope='module')
+def frames():
+    camera, rng = BoardCamera('equidistant', oversampling=3), np.random.default_rng(3)
+    empty = np.clip(rng.normal(400, 4, (HEIGHT, WIDTH)), 0, 1023).astype(np.uint16) << 6
+    return [empty, *(camera.image(*each, rng) for each in good_poses('equidistant', 18, 21, 8))]
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory, frames):
+    return write_bag(tmp_path_factory.mktemp('bags') / 'board', frames)
+
+
+def run_cli(*arguments):
+    app = typer.Typer()
+    app.command()(calibrate)
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
+def test_a_bag_gives_a_camera_file_pictures_and_a_figure(tmp_path, bag):
+    result = run_cli(
+        *(bag, '--board', '9x6', '--square', '0.004', '--out', tmp_path / 'camera.yaml'),
+        *('--figure', tmp_path / 'calibration.png', '--views', tmp_path / 'views'),
+        *('--json', tmp_path / 'result.json'),
+    )
+    assert result.exit_code == 0, result.output
+    calibration = read_camera_info(tmp_path / 'camera.yaml')
+    fx, fy, cx, cy, _ = WIDE['equidistant']
+    assert calibration.model == 'equidistant'
+    assert calibration.camera_matrix[0, 0] == pytest.approx(fx, rel=0.01)
+    assert calibration.camera_matrix[1, 1] == pytest.approx(fy, rel=0.01)
+    assert calibration.camera_matrix[0, 2] == pytest.approx(cx, abs=0.5)
+    assert calibration.camera_matrix[1, 2] == pytest.approx(cy, abs=0.5)
+    summary = json.loads((tmp_path / 'result.json').read_text())
+    assert summary['reprojection_error_px']['rms'] < 0.3
+    assert summary['images'] == 19
+    assert summary['boards'] >= 13
+    pictures = sorted((tmp_path / 'views').iterdir())
+    assert len(pictures) >= summary['views'] > 8
+    assert cv2.imread(str(pictures[0])).shape == (3 * HEIGHT, 3 * WIDTH, 3)
+    figure = cv2.imread(str(tmp_path / 'calibration.png'))
+    assert figure.shape[0] > 600
+    assert figure.std() > 10
+    assert 'reprojection error' in result.output
+    assert 'board found in' in result.output
+
+
+def test_without_out_it_goes_where_the_driver_looks(tmp_path, bag, monkeypatch):
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))
+    options = CalibrateOptions(bag=bag, name='fingertip', alpha=0.5)
+    solution = run_calibration(Console(file=StringIO()), options)
+    saved = read_camera_info(tmp_path / 'camera_info' / 'fingertip.yaml')
+    np.testing.assert_array_equal(saved.projection, solution.calibration.projection)
+
+
+def test_few_views_are_refused_and_nothing_is_written(tmp_path, frames):
+    bag = write_bag(tmp_path / 'few', frames[:5])
+    options = CalibrateOptions(bag=bag, out=tmp_path / 'camera.yaml', views=tmp_path / 'views')
+    with pytest.raises(RefusedError) as caught:
+        run_calibration(Console(file=StringIO()), options)
+    assert caught.value.reason is Refusal.TOO_FEW_VIEWS
+    assert not (tmp_path / 'camera.yaml').exists()
+    assert (tmp_path / 'views').is_dir()
+
+
+@pytest.mark.parametrize(
+    ('change', 'said'),
+    [
+        ({'board': '9by6'}, 'COLUMNSxROWS'),
+        ({'square_m': 0.0}, 'square'),
+        ({'model': 'fisheye'}, 'use plumb_bob'),
+        ({'name': 'a/b'}, 'camera_name'),
+    ],
+)
+def test_wrong_options_are_named_before_anything_is_read(change, said):
+    options = CalibrateOptions(bag=Path('no such bag'), **change)
+    with pytest.raises(CalibrationError, match=said):
+        run_calibration(Console(file=StringIO()), options)
+
+
+def test_a_topic_that_is_not_there_or_no_image_is_named(tmp_path, bag):
+    with pytest.raises(BagError, match='has no topic /other'):
+        list(bag_images(bag, '/other', 0.0))
+    with pytest.raises(BagError, match='no bag at'):
+        list(bag_images(tmp_path / 'none', TOPIC, 0.0))
+
+
+@pytest.mark.parametrize(('rate', 'count'), [(0.0, 19), (5.0, 19), (2.5, 10), (1.0, 4)])
+def test_a_recording_is_thinned_out(bag, rate, count):
+    labels = [label for label, _ in bag_images(bag, TOPIC, rate)]
+    assert len(labels) == count
+    assert labels[0] == '1.000'
+
+
+def raw(encoding, pixels, **change):
+    fields = {
+        'encoding': encoding,
+        'height': pixels.shape[0],
+        'width': pixels.shape[1],
+        'step': pixels.strides[0],
+        'is_bigendian': False,
+        'data': pixels.tobytes(),
+    }
+    return SimpleNamespace(**{**fields, **change})
+
+
+GREY16 = np.arange(60, dtype=np.uint16).reshape(6, 10) * 1000
+
+
+def test_grey_images_come_through_as_they_are():
+    np.testing.assert_array_equal(grey_image(raw('mono16', GREY16)), GREY16)
+    small = (GREY16 >> 8).astype(np.uint8)
+    np.testing.assert_array_equal(grey_image(raw('mono8', small)), small)
+
+
+def test_big_endian_and_padded_rows_are_read():
+    swapped = raw('mono16', GREY16.byteswap(), is_bigendian=True)
+    np.testing.assert_array_equal(grey_image(swapped), GREY16)
+    padded = np.zeros((6, 13), np.uint16)
+    padded[:, :10] = GREY16
+    np.testing.assert_array_equal(grey_image(raw('mono16', padded, width=10)), GREY16)
+
+
+@pytest.mark.parametrize(
+    'encoding', ['bayer_rggb16', 'bayer_grbg16', 'bayer_gbrg16', 'bayer_bggr16']
+)
+def test_a_grey_scene_through_a_mosaic_stays_grey(encoding):
+    flat = np.full((20, 30), 30_000, np.uint16)
+    np.testing.assert_allclose(grey_image(raw(encoding, flat)), flat, atol=2)
+
+
+@pytest.mark.parametrize('order', ['rgb8', 'bgr8'])
+def test_colour_is_weighed_by_channel(order):
+    colour = np.zeros((4, 5, 3), np.uint8)
+    colour[..., order.index('g')] = 200
+    np.testing.assert_allclose(grey_image(raw(order, colour)), 0.587 * 200, atol=1)
+
+
+@pytest.mark.parametrize(
+    ('encoding', 'change'),
+    [
+        ('yuv422', {}),
+        ('mono16', {'data': b'\0' * 10}),
+        ('mono16', {'step': 5}),
+        ('mono8', {'width': 0}),
+    ],
+)
+def test_images_that_are_damaged_or_unknown_are_refused(encoding, change):
+    with pytest.raises(BagError):
+        grey_image(raw(encoding, GREY16, **change))

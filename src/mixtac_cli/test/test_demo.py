@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The demo as a user runs it: processes, middleware, summary, figure and bag."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+
+from rosbags.highlevel import AnyReader
+
+from mixtac_node.topics import TOPICS, topic
+from mixtac_recordings.bag import typestore
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SECONDS = 14.0
+
+
+@pytest.fixture(scope='module')
+def run(module_ros_domain, tmp_path_factory) -> Path:
+    """Run a short demo on the default sensor, which no model was trained on; return its folder."""
+    out = tmp_path_factory.mktemp('demo') / 'run'
+    command = [sys.executable, '-m', 'mixtac_cli', 'demo', '--seconds', str(SECONDS)]
+    command += ['--seed', '77', '--out', str(out)]
+    command += ['--json', str(out.parent / 'summary.json')]
+    result = subprocess.run(
+        command, env=module_ros_domain, capture_output=True, text=True, timeout=170, check=False
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert '\x1b[' not in result.stdout, 'control codes although there is no terminal'
+    return out
+
+
+@pytest.mark.dds
+def test_the_summary_has_its_figures(run: Path):
+    report = json.loads((run.parent / 'summary.json').read_text())
+    assert report == json.loads((run / 'demo.json').read_text())
+    assert {'force_hz', 'mae_n', 'latency_ms', 'lost'} <= set(report)
+    assert set(report['latency_ms']) == {'p50', 'p99'}
+    assert report['mae_n'] < 0.10
+    assert report['mae_n'] < report['constant_mae_n']
+    assert abs(report['clock_drift_ppm']) < 500
+    assert report['event_rate_mev_s'] > 0
+
+
+@pytest.mark.dds
+def test_the_figure_is_a_picture(run: Path):
+    assert (run / 'demo.png').read_bytes().startswith(b'\x89PNG')
+
+
+@pytest.mark.dds
+def test_the_bag_opens_in_another_reader_with_all_topics(run: Path):
+    with AnyReader([run / 'bag'], default_typestore=typestore()) as reader:
+        types = {c.topic: c.msgtype for c in reader.connections}
+        assert types == {t.resolved('mixtac'): t.type_name for t in TOPICS}
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    assert counts[topic('force').resolved('mixtac')] > 500 * (SECONDS - 2)
+    assert counts[topic('events').resolved('mixtac')] > 900 * (SECONDS - 2)
+    assert counts[topic('image_raw').resolved('mixtac')] > 20 * (SECONDS - 2)
+
+
+@pytest.mark.dds
+def test_force_stamps_are_those_of_the_event_clock(run: Path):
+    with AnyReader([run / 'bag'], default_typestore=typestore()) as reader:
+        chosen = [c for c in reader.connections if c.topic in ('/mixtac/force', '/mixtac/events')]
+        stamps, bases = [], []
+        for connection, _, data in reader.messages(chosen):
+            message = reader.deserialize(data, connection.msgtype)
+            if connection.topic == '/mixtac/force':
+                stamps.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+            else:
+                bases.append(message.time_base)
+    assert all(stamp % 2_000_000 == 0 for stamp in stamps)
+    assert bases == sorted(bases)
+    assert bases[0] - 10**9 < stamps[0] < stamps[-1] < bases[-1] + 10**9

@@ -1,0 +1,147 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac doctor`: what it prints, writes and returns."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from mixtac_cli import doctor
+from mixtac_cli import doctor as doctor_checks
+from mixtac_driver.doctor.computer import Finding, Level, ok
+from mixtac_driver.errors import UnknownDeviceError
+from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.server import UsbServer
+
+WARNING = Finding('disk', Level.WARN, '1 GB free', 'use another disk', {'free [GB]': math.nan})
+ERROR = Finding('libusb', Level.ERROR, 'libusb is missing', 'install [it]')
+
+
+def run_with(monkeypatch, tmp_path, *findings):
+    """Run the command as if it had found this; return exit status, output and JSON."""
+    sections = [('one', [ok('kernel', 'Linux', realtime=False)]), ('two', list(findings))]
+    monkeypatch.setattr(doctor, 'examine', lambda *_, **__: iter(sections))
+    app, path = typer.Typer(), tmp_path / 'new' / 'doctor.json'
+    app.command()(doctor.doctor)
+    result = CliRunner().invoke(app, ['--json', str(path)])
+    return result.exit_code, result.output, json.loads(path.read_text())
+
+
+def test_all_is_well(monkeypatch, tmp_path):
+    status, output, content = run_with(monkeypatch, tmp_path)
+    assert status == 0
+    assert output.splitlines()[-1] == 'all is well'
+    assert (content['device'], content['level']) == ('davis346', 'ok')
+    assert content['findings'][0]['values'] == {'realtime': False}
+
+
+def test_a_warning_is_no_failure(monkeypatch, tmp_path):
+    status, output, content = run_with(monkeypatch, tmp_path, WARNING)
+    assert status == 0
+    assert output.splitlines()[-1] == 'first: disk: use another disk'
+    assert content['level'] == 'warn'
+    # JSON has no NaN.
+    assert content['findings'][1]['values'] == {'free [GB]': None}
+
+
+def test_an_error_is_a_failure_and_comes_first(monkeypatch, tmp_path):
+    status, output, content = run_with(monkeypatch, tmp_path, WARNING, ERROR)
+    assert status == 1
+    assert output.splitlines()[-1] == 'first: libusb: install [it]' == content['verdict']
+
+
+def test_without_a_camera_the_virtual_one_is_named(monkeypatch, tmp_path):
+    monkeypatch.setattr(doctor_checks, 'check_model', lambda: ok('model', 'left out'))
+    (tmp_path / 'sys/bus/usb/devices').mkdir(parents=True)
+    report = doctor.Report('davis346')
+    report.sections += doctor.examine('davis346', 1.0, root=tmp_path)
+    assert [name for name, _ in report.sections] == ['software', 'camera', 'computer']
+    errors = [f for f in report.findings if f.level is Level.ERROR and f.name != 'ROS 2']
+    assert [f.name for f in errors] == ['camera on the USB']
+    assert '--device virtual' in errors[0].remedy
+
+
+def test_an_unknown_device_is_refused_before_anything():
+    with pytest.raises(UnknownDeviceError, match='known are'):
+        next(doctor.examine('davis640', 1.0))
+
+
+def test_a_virtual_sensor_that_runs_is_used(tmp_path):
+    path = str(tmp_path / 'camera.sock')
+    server = UsbServer(VirtualDavis346('V0000007'), path)
+    try:
+        with doctor_checks.virtual_camera(f'virtual:{path}') as (backend, finding):
+            assert backend is not None
+            assert finding.level is Level.OK
+    finally:
+        server.close()
+
+
+def test_a_named_virtual_sensor_that_does_not_run_is_an_error(tmp_path):
+    with doctor_checks.virtual_camera(f'virtual:{tmp_path}/none.sock') as (backend, finding):
+        assert backend is None
+        assert (finding.level, 'virtual_sensor_node' in finding.remedy) == (Level.ERROR, True)
+
+
+def test_a_sensor_of_its_own_is_measured(monkeypatch, tmp_path):
+    # Where nobody serves a virtual sensor.
+    monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path))
+    ((first, (present,)), (second, measured)) = doctor._virtual_camera('virtual', 1.0, '')
+    assert (first, present.level, second) == ('camera', Level.OK, 'measured')
+    names = [f.name for f in measured]
+    assert names[:4] == ['identity', 'events', 'frames', 'inertial samples']
+    found = {f.name: f.values for f in measured}
+    assert found['frames']['frames [1/s]'] == pytest.approx(25, abs=3)
+    assert found['inertial samples']['inertial samples [1/s]'] == pytest.approx(1000, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ('domain', 'level'),
+    [
+        (None, Level.OK),
+        ('', Level.OK),
+        ('0', Level.OK),
+        ('101', Level.OK),
+        ('102', Level.WARN),
+        ('seven', Level.ERROR),
+    ],
+)
+def test_ros_domain(domain, level):
+    finding = doctor_checks.check_domain({} if domain is None else {'ROS_DOMAIN_ID': domain})
+    assert finding.level is level
+    assert ('export ROS_DOMAIN_ID' in finding.remedy) == (level > Level.OK)
+
+
+def test_ros_is_named():
+    pytest.importorskip('rclpy', reason='needs ROS 2')
+    finding = doctor_checks.check_ros(os.environ)[0]
+    assert finding.level is Level.OK
+    assert str(finding.values['rmw']).startswith('rmw_')
+
+
+def test_ros_that_cannot_be_imported(monkeypatch):
+    monkeypatch.setattr(doctor_checks, 'PROBE', 'import no_such_module_at_all')
+    finding = doctor_checks.check_ros(os.environ)[0]
+    assert finding.level is Level.ERROR
+    assert 'no_such_module_at_all' in finding.found
+    assert sys.executable not in finding.remedy
+
+
+def test_the_model_is_loaded(monkeypatch, tmp_path):
+    assert doctor_checks.check_model().level is Level.OK
+    monkeypatch.setattr('mixtac_fger.weights.DEFAULT_MODEL', f'{tmp_path}/none.safetensors')
+    finding = doctor_checks.check_model()
+    assert (finding.level, bool(finding.remedy)) == (Level.ERROR, True)
+
+
+def test_the_virtual_sensor_is_looked_for(monkeypatch):
+    assert doctor_checks.check_virtual_sensor().level is Level.OK
+    monkeypatch.setattr(doctor_checks, 'VIRTUAL', 'none')
+    assert doctor_checks.check_virtual_sensor().level is Level.WARN

@@ -1,0 +1,261 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Every command that the README and the docs show exists, with the options it is shown with."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+import yaml
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+
+from mixtac_cli import main as cli
+from mixtac_lab import commands as bench
+from mixtac_node.topics import SERVICES, TOPICS
+from mixtac_slip_control.parameters import SlipControlParameters
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGES = [
+    *(ROOT / name for name in ('README.md', 'CONTRIBUTING.md', 'models/README.md')),
+    *sorted((ROOT / 'docs').glob('*.md')),
+]
+FENCE = re.compile(r'^( *)```(?:bash|sh|shell|console)\n(.*?)^\1```', re.DOTALL | re.MULTILINE)
+SYSTEM = {
+    '.',
+    'apt-get',
+    'cd',
+    'chrt',
+    'colcon',
+    'cp',
+    'curl',
+    'dask',
+    'docker',
+    'echo',
+    'export',
+    'git',
+    'ls',
+    'lsusb',
+    'mkdir',
+    'nvidia-smi',
+    'pip',
+    'plotjuggler',
+    'pytest',
+    'python',
+    'python3',
+    'rosdep',
+    'rsync',
+    'ruff',
+    'rviz2',
+    'sleep',
+    'source',
+    'ssh',
+    'sudo',
+    'torchrun',
+}
+"""Programs that are not ours; what they are given is not looked into, but for docker's files."""
+TOPIC_NAMES = {each.resolved('mixtac') for each in TOPICS}
+SUBSCRIBED = {
+    f'/mixtac/{SlipControlParameters().heartbeat_topic.replace("~", "slip_control")}': (
+        'std_msgs/msg/Empty'
+    )
+}
+"""What our nodes listen to and others publish, with its type."""
+SERVICE_TYPES = {f'/mixtac/{each.name}': each.type_name for each in SERVICES}
+
+
+def commands() -> list[tuple[str, str]]:
+    """Return (page, command) of every line of every shell block."""
+    found = []
+    for page in PAGES:
+        for _, block in FENCE.findall(page.read_text()):
+            for line in block.replace('\\\n', ' ').splitlines():
+                text = re.sub(r'(^|\s)#.*', '', line).strip().removeprefix('$ ')
+                parts = re.split(r'\s(?:&&|\||&)(?:\s|$)', text)
+                found += [(page.name, part.strip()) for part in parts if part.strip()]
+    return found
+
+
+COMMANDS = commands()
+
+
+def of(*starts: str) -> list:
+    chosen = dict.fromkeys(each for each in COMMANDS if words_of(each[1])[0] in starts)
+    return [pytest.param(text, id=f'{page}: {text}'[:90]) for page, text in chosen]
+
+
+def words_of(text: str) -> list[str]:
+    words = shlex.split(text)
+    while words and re.match(r'^[A-Z_]+=', words[0]):
+        words = words[1:]
+    return words or ['export']
+
+
+@pytest.fixture(scope='module')
+def root():
+    """Return the command line with everything mounted, as `main` mounts it."""
+    for mount in (name for name in dir(cli) if name.startswith('_mount_')):
+        getattr(cli, mount)()
+    bench.mount()
+    return typer.main.get_command(cli.app)
+
+
+def check_mixtac(root, words: list[str]) -> None:
+    """Walk down to the command and parse its options; values of numbers and choices as well."""
+    command, name, rest = root, 'mixtac', list(words)
+    while hasattr(command, 'commands') and rest and not rest[0].startswith('-'):
+        name = rest.pop(0)
+        assert name in command.commands, f'no command {name}'
+        command = command.commands[name]
+    context = command.context_class(command, info_name=name)
+    values, _, _ = command.make_parser(context).parse_args(rest)
+    for parameter in command.params:
+        # Files need not exist here; numbers have to be numbers within their limits.
+        if parameter.name in values and parameter.bare_type() in {'int', 'float'}:
+            parameter.process_value(context, values[parameter.name])
+
+
+@pytest.mark.parametrize('text', of('./mixtac', 'mixtac'))
+def test_mixtac_takes_it(root, text):
+    check_mixtac(root, [each for each in words_of(text)[1:] if each != '...'])
+
+
+def test_a_wrong_option_would_be_found(root):
+    with pytest.raises(Exception, match='--fly'):
+        check_mixtac(root, ['up', '--fly'])
+    with pytest.raises(Exception, match='number'):
+        check_mixtac(root, ['up', '--seconds', 'banana'])
+    with pytest.raises(AssertionError, match='levitate'):
+        check_mixtac(root, ['levitate'])
+
+
+@pytest.mark.parametrize('text', of('make'))
+def test_the_makefile_has_it(text):
+    targets = re.findall(r'^(\w+):', (ROOT / 'Makefile').read_text(), re.MULTILINE)
+    for word in words_of(text)[1:]:
+        assert '=' in word or word in targets
+
+
+def check_launch(words: list[str]) -> None:
+    package, file, *arguments = words
+    assert package == 'mixtac_bringup'
+    text = (ROOT / 'launch' / file).read_text()
+    known = re.findall(r"DeclareLaunchArgument\(\s*'(\w+)'", text)
+    for argument in arguments:
+        name, found, _ = argument.partition(':=')
+        assert name in known if found else argument in {'-s', '--show-args'}
+
+
+def check_run(words: list[str]) -> None:
+    package, executable, *_ = words
+    if not package.startswith('mixtac'):
+        return
+    text = (ROOT / 'src' / package / 'setup.py').read_text()
+    assert f"'{executable} = " in text
+
+
+def check_topic(words: list[str]) -> None:
+    verb, *rest = words
+    assert verb in {'echo', 'hz', 'bw', 'info', 'list', 'delay', 'pub'}
+    if verb == 'pub':
+        name, kind = [each for each in rest if '/' in each][:2]
+        assert SUBSCRIBED[name] == kind
+        return
+    assert all(each in TOPIC_NAMES for each in rest if each.startswith('/'))
+
+
+def check_bag(words: list[str]) -> None:
+    assert words[0] in {'record', 'info', 'play'}
+    if words[0] == 'record':
+        assert all(each in TOPIC_NAMES for each in words if each.startswith('/'))
+
+
+def check_service(words: list[str]) -> None:
+    verb, name, kind, *_ = words
+    assert verb == 'call'
+    assert SERVICE_TYPES.get(name) == kind
+
+
+def check_param(words: list[str]) -> None:
+    verb, node, name, *_ = words
+    assert verb in {'set', 'get', 'describe'}
+    file = ROOT / 'config' / f'{node.rpartition("/")[2]}.yaml'
+    (parameters,) = yaml.safe_load(file.read_text()).values()
+    assert name in parameters['ros__parameters']
+
+
+def check_lifecycle(words: list[str]) -> None:
+    assert words[0] in {'set', 'get', 'nodes'}
+
+
+@pytest.mark.parametrize('text', of('ros2'))
+def test_ros2_finds_what_it_is_asked_for(text):
+    _, verb, *rest = words_of(text)
+    checks = {
+        'launch': check_launch,
+        'run': check_run,
+        'topic': check_topic,
+        'bag': check_bag,
+        'service': check_service,
+        'param': check_param,
+        'lifecycle': check_lifecycle,
+    }
+    checks[verb](rest)
+
+
+@pytest.mark.parametrize('text', of('docker'))
+def test_docker_is_given_files_and_profiles_that_exist(text):
+    words = words_of(text)
+    for option, value in itertools.pairwise(words):
+        if option == '-f':
+            assert (ROOT / value).is_file()
+        if option == '--profile':
+            services = yaml.safe_load((ROOT / 'docker' / 'compose.yaml').read_text())['services']
+            assert value in {each for one in services.values() for each in one['profiles']}
+
+
+def test_every_other_command_is_a_known_program():
+    ours = {'./mixtac', 'mixtac', 'make', 'ros2'}
+    unknown = {words_of(text)[0] for _, text in COMMANDS} - ours - SYSTEM
+    assert sorted(unknown) == []
+
+
+@pytest.mark.parametrize('text', of('cp', 'sudo', 'source', '.'))
+def test_files_of_the_repository_exist(text):
+    for word in words_of(text)[1:]:
+        if re.match(r'^(src|tools|docker|config|launch)/', word):
+            assert (ROOT / word).exists(), word
+
+
+def test_links_between_the_pages_lead_somewhere():
+    for page in [*PAGES, ROOT / 'QUALITY_DECLARATION.md']:
+        for target in re.findall(r'\]\(([^)#:]+)(?:#[^)]*)?\)', page.read_text()):
+            assert (page.parent / target).exists(), f'{page.name} links to {target}'
+
+
+def test_anchors_of_links_are_headings():
+    for page in PAGES:
+        for target, anchor in re.findall(r'\]\(([^)#:]*)#([^)]+)\)', page.read_text()):
+            text = (page.parent / target if target else page).read_text()
+            slugs = {
+                re.sub(r'[^\w -]', '', each.lower()).replace(' ', '-')
+                for each in re.findall(r'^#+ (.*)$', text, re.MULTILINE)
+            }
+            assert anchor in slugs, f'{page.name} links to #{anchor}'
+
+
+def test_the_shown_help_pages_are_printed(capsys):
+    shown = {
+        tuple(words_of(text)[1:])
+        for _, text in COMMANDS
+        if text.startswith('./mixtac') and '--help' in text
+    }
+    assert shown
+    for words in shown:
+        assert cli.main(list(words)) == 0
+        assert 'Usage' in capsys.readouterr().out

@@ -1,0 +1,311 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Lens distortion models and the calibration of one camera as in `sensor_msgs/CameraInfo`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_driver.errors import DriverError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class CalibrationError(DriverError):
+    """A calibration that is missing, damaged, or of another camera."""
+
+
+class Refusal(Enum):
+    """Why views give no calibration; the value says it in words."""
+
+    TOO_FEW_VIEWS = 'too few views'
+    TOO_ALIKE = 'views too alike'
+    POOR_COVERAGE = 'views do not cover the image'
+    NO_FIT = 'no fit'
+    LARGE_RESIDUAL = 'large reprojection error'
+    IMPLAUSIBLE = 'implausible camera'
+
+
+class RefusedError(CalibrationError):
+    """Views from which no calibration can be trusted.
+
+    Args:
+        reason: Which demand they fail.
+        detail: The value found, and the remedy.
+
+    Attributes:
+        reason: Which demand they fail.
+    """
+
+    def __init__(self, reason: Refusal, detail: str) -> None:
+        super().__init__(f'{reason.value}: {detail}')
+        self.reason = reason
+
+
+EQUIDISTANT = 'equidistant'
+MODELS = {'plumb_bob': 5, 'rational_polynomial': 8, EQUIDISTANT: 4}
+"""Number of coefficients by model."""
+MAX_ANGLE_RAD = np.deg2rad(85.0)
+"""Largest angle off the axis; a plane cannot show 90 degrees."""
+_STEPS = 4000
+_NEWTON_STEPS = 8
+_TOLERANCE = 1e-8
+
+
+def distort(
+    model: str, coefficients: NDArray[np.float64], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return where the lens shows ideal points.
+
+    Args:
+        model: One of MODELS.
+        coefficients: Of that model.
+        points: Ideal pinhole points x/z, y/z [n, 2].
+
+    Returns:
+        Distorted points [n, 2], NaN beyond the angle at which the model folds back.
+    """
+    radius = np.hypot(points[:, 0], points[:, 1])
+    inside = np.where(radius <= fold_radius(model, coefficients), 1.0, np.nan)[:, None]
+    if model == EQUIDISTANT:
+        return points * inside * _angle_gain(coefficients, radius)[:, None]
+    return inside * _brown(coefficients, points)[0]
+
+
+def undistort(
+    model: str, coefficients: NDArray[np.float64], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the ideal points that the lens shows at given points.
+
+    Args:
+        model: One of MODELS.
+        coefficients: Of that model.
+        points: Distorted points on the normalised plane [n, 2].
+
+    Returns:
+        Ideal pinhole points [n, 2], NaN where there is none.
+    """
+    bent = np.hypot(points[:, 0], points[:, 1])
+    radii = np.linspace(0.0, fold_radius(model, coefficients), _STEPS)
+    guess = np.interp(bent, _radial(model, coefficients, radii), radii, right=np.nan)
+    ideal = points * (guess / np.maximum(bent, 1e-12))[:, None]
+    for _ in range(_NEWTON_STEPS):
+        shown, jacobian = _forward(model, coefficients, ideal)
+        ideal = ideal - _solve(jacobian, shown - points)
+    error = np.abs(_forward(model, coefficients, ideal)[0] - points).max(axis=1, initial=0.0)
+    with np.errstate(invalid='ignore'):
+        good = (error < _TOLERANCE) & (np.hypot(ideal[:, 0], ideal[:, 1]) <= 1.001 * radii[-1])
+    return np.where(good[:, None], ideal, np.nan)
+
+
+def fold_radius(model: str, coefficients: NDArray[np.float64]) -> float:
+    """Return the ideal radius up to which a larger radius is shown further out."""
+    angles = np.linspace(0.0, MAX_ANGLE_RAD, _STEPS)
+    shown = _radial(model, coefficients, np.tan(angles))
+    rising = np.diff(shown) > 0.0
+    last = len(angles) - 1 if rising.all() else int(np.argmin(rising))
+    return float(np.tan(angles[last]))
+
+
+def _radial(
+    model: str, coefficients: NDArray[np.float64], radius: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    if model == EQUIDISTANT:
+        return radius * _angle_gain(coefficients, radius)
+    return radius * _radial_gain(coefficients, radius**2)[0]
+
+
+def _angle_gain(
+    coefficients: NDArray[np.float64], radius: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    angle = np.arctan(radius)
+    square = angle**2
+    k1, k2, k3, k4 = coefficients
+    shown = angle * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
+    return np.where(radius > 1e-9, shown / np.maximum(radius, 1e-9), 1.0)
+
+
+def _radial_gain(
+    coefficients: NDArray[np.float64], square: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return Brown's radial factor and its derivative by the squared radius."""
+    k1, k2, _, _, k3, k4, k5, k6 = np.pad(coefficients, (0, 8 - len(coefficients)))
+    above = 1.0 + square * (k1 + square * (k2 + square * k3))
+    below = 1.0 + square * (k4 + square * (k5 + square * k6))
+    slope_above = k1 + square * (2.0 * k2 + 3.0 * square * k3)
+    slope_below = k4 + square * (2.0 * k5 + 3.0 * square * k6)
+    return above / below, (slope_above * below - above * slope_below) / below**2
+
+
+def _brown(
+    coefficients: NDArray[np.float64], points: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return distorted points [n, 2] and their derivatives by the ideal ones [n, 2, 2]."""
+    p1, p2 = coefficients[2:4]
+    x, y = points[:, 0], points[:, 1]
+    square = x * x + y * y
+    gain, slope = _radial_gain(coefficients, square)
+    shown = np.stack(
+        [
+            x * gain + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
+            y * gain + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
+        ],
+        axis=1,
+    )
+    cross = 2.0 * slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+    jacobian = np.empty((len(x), 2, 2))
+    jacobian[:, 0, 0] = gain + 2.0 * slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+    jacobian[:, 0, 1] = jacobian[:, 1, 0] = cross
+    jacobian[:, 1, 1] = gain + 2.0 * slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+    return shown, jacobian
+
+
+def _forward(
+    model: str, coefficients: NDArray[np.float64], points: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    if model != EQUIDISTANT:
+        return _brown(coefficients, points)
+    radius = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
+    gain = _angle_gain(coefficients, radius)
+    square = np.arctan(radius) ** 2
+    k1, k2, k3, k4 = coefficients
+    slope = 1.0 + square * (
+        3.0 * k1 + square * (5.0 * k2 + square * (7.0 * k3 + 9.0 * square * k4))
+    )
+    # d(gain)/d(radius), over radius, times the outer product of the point with itself.
+    bend = (slope / (1.0 + radius**2) - gain) / radius**2
+    jacobian = bend[:, None, None] * points[:, :, None] * points[:, None, :]
+    jacobian[:, 0, 0] += gain
+    jacobian[:, 1, 1] += gain
+    return points * gain[:, None], jacobian
+
+
+def _solve(jacobian: NDArray[np.float64], error: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the solutions of n linear systems of two unknowns; NaN stays NaN."""
+    a, b, c, d = (jacobian[:, i, j] for i in (0, 1) for j in (0, 1))
+    scale = 1.0 / np.where(np.abs(a * d - b * c) > 1e-12, a * d - b * c, np.nan)
+    return np.stack(
+        [scale * (d * error[:, 0] - b * error[:, 1]), scale * (a * error[:, 1] - c * error[:, 0])],
+        axis=1,
+    )
+
+
+_ROTATION_TOLERANCE = 1e-3
+"""Files carry as few as five digits."""
+_EXACT = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraCalibration:
+    """The lens and geometry of one camera, and the camera that rectified images seem to come from.
+
+    Attributes:
+        name: Name of the camera.
+        width: Columns of the full image.
+        height: Rows of the full image.
+        model: Distortion model, one of `distortion.MODELS`.
+        distortion: Coefficients of the model [n].
+        camera_matrix: K [3, 3], focal lengths and principal point [px].
+        rectification: R [3, 3], rotation from the camera to the rectified camera.
+        projection: P [3, 4], the rectified camera [px].
+
+    Raises:
+        CalibrationError: Values that describe no camera.
+    """
+
+    name: str
+    width: int
+    height: int
+    model: str
+    distortion: NDArray[np.float64]
+    camera_matrix: NDArray[np.float64]
+    rectification: NDArray[np.float64]
+    projection: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Refuse values that describe no camera."""
+        self._check_model()
+        _check_camera('camera_matrix', self.camera_matrix)
+        _check_camera('projection_matrix', self.projection)
+        turned = self.rectification @ self.rectification.T - np.eye(3)
+        if np.abs(turned).max() > _ROTATION_TOLERANCE or np.linalg.det(self.rectification) < 0.0:
+            raise CalibrationError(
+                f'rectification_matrix {self.rectification.ravel().tolist()} is no rotation: '
+                'give the identity for a single camera'
+            )
+
+    def _check_model(self) -> None:
+        if self.width <= 0 or self.height <= 0:
+            raise CalibrationError(
+                f'image size {self.width}x{self.height}: give the columns and rows of the camera'
+            )
+        if self.model not in MODELS:
+            raise CalibrationError(
+                f'distortion_model {self.model!r} is unknown: use {", ".join(MODELS)}'
+            )
+        if self.distortion.shape != (MODELS[self.model],):
+            raise CalibrationError(
+                f'distortion_coefficients: {self.distortion.size} given, '
+                f'{self.model} has {MODELS[self.model]}'
+            )
+        for field in ('distortion', 'camera_matrix', 'rectification', 'projection'):
+            if not np.isfinite(getattr(self, field)).all():
+                raise CalibrationError(f'{field} holds a number that is not finite: calibrate anew')
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Return columns and rows."""
+        return self.width, self.height
+
+    def undistort(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the rectified pixels of raw pixels [n, 2], NaN where there is none."""
+        focal, centre = _focal(self.camera_matrix)
+        ideal = undistort(self.model, self.distortion, (points - centre) / focal)
+        rays = _turned(ideal, self.rectification)
+        return rays @ self.projection[:2, :2].T + self.projection[:2, 2]
+
+    def distort(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the raw pixels of rectified pixels [n, 2], NaN where there is none."""
+        focal, centre = _focal(self.projection)
+        ideal = _turned((points - centre) / focal, self.rectification.T)
+        focal, centre = _focal(self.camera_matrix)
+        return distort(self.model, self.distortion, ideal) * focal + centre
+
+    def rectified(self) -> CameraCalibration:
+        """Return the camera that rectified images seem to come from: no distortion, K from P."""
+        return replace(
+            self,
+            distortion=np.zeros_like(self.distortion) if self.model != EQUIDISTANT else np.zeros(5),
+            # Zeros of the equidistant model are a lens of its own; zeros of Brown's are none.
+            model=self.model if self.model != EQUIDISTANT else 'plumb_bob',
+            camera_matrix=self.projection[:, :3].copy(),
+            rectification=np.eye(3),
+        )
+
+
+def _focal(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return np.array([matrix[0, 0], matrix[1, 1]]), matrix[:2, 2]
+
+
+def _turned(points: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    rays = points @ rotation[:, :2].T + rotation[:, 2]
+    with np.errstate(invalid='ignore', divide='ignore'):
+        ahead = np.where(rays[:, 2:] > 0.0, rays[:, 2:], np.nan)
+        return np.asarray(rays[:, :2] / ahead)
+
+
+def _check_camera(field: str, matrix: NDArray[np.float64]) -> None:
+    fx, fy = float(matrix[0, 0]), float(matrix[1, 1])
+    if fx <= 0.0 or fy <= 0.0:
+        raise CalibrationError(f'{field}: focal lengths {fx:g}, {fy:g} px must be positive')
+    if abs(matrix[0, 1]) > _EXACT or abs(matrix[1, 0]) > _EXACT:
+        raise CalibrationError(f'{field}: skew {matrix[0, 1]:g} is not supported: calibrate anew')
+    last = np.zeros(matrix.shape[1])
+    last[2] = 1.0
+    if np.abs(matrix[2] - last).max() > _EXACT:
+        raise CalibrationError(f'{field}: last row {matrix[2].tolist()} must be {last.tolist()}')

@@ -1,0 +1,327 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The calibration that a node serves: `camera_info`, undistorted frames and events, saving."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numba import njit
+
+from mixtac_driver.calibration.camera_info import read_camera_info, resolve, write_camera_info
+from mixtac_driver.calibration.lens import CalibrationError, CameraCalibration
+from mixtac_events.arrays import Events
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mixtac_driver.calibration.image_undistortion import ImageUndistortion
+    from mixtac_driver.parameters import CalibrationParameters
+
+    Image = NDArray[np.uint8 | np.uint16]
+
+
+_NOWHERE = -1
+_ROW = 65536
+_OUTSIDE_PX = -1e6
+
+
+class EventUndistortion:
+    """Events at the nearest pixel of the rectified camera.
+
+    Rectification spreads the middle of a wide-angle image and crops its rim: some rectified pixels
+    never have an event, and raw pixels whose rectified place lies outside the image lose theirs.
+
+    Args:
+        calibration: The camera; its R and P say what to rectify to.
+
+    Attributes:
+        table: `int32` [height, width], rectified place of each raw pixel as row * 65536 + column,
+            -1 where it is outside the image.
+    """
+
+    def __init__(self, calibration: CameraCalibration) -> None:
+        width, height = self._size = calibration.size
+        rows, columns = np.mgrid[0:height, 0:width].astype(np.float64)
+        ideal = calibration.undistort(np.stack([columns.ravel(), rows.ravel()], axis=1))
+        near = np.floor(np.nan_to_num(ideal, nan=_OUTSIDE_PX) + 0.5).clip(_OUTSIDE_PX, -_OUTSIDE_PX)
+        inside = ((near >= 0.0) & (near < (width, height))).all(axis=1)
+        places = (near[:, 1] * _ROW + near[:, 0]).astype(np.int64).astype(np.int32)
+        self.table = np.where(inside, places, np.int32(_NOWHERE)).reshape(height, width)
+        self.undistort(Events.empty())  # compile before the first events are waiting
+
+    @property
+    def kept(self) -> float:
+        """Return the share of raw pixels that have a place in the rectified image."""
+        return float((self.table >= 0).mean())
+
+    def undistort(self, events: Events) -> Events:
+        """Return the events that fall inside the rectified image, in the same order.
+
+        Args:
+            events: Raw events; the clock of their times does not matter.
+
+        Returns:
+            Events in new arrays; as many are missing as lie outside.
+        """
+        n = len(events)
+        t, x, y, polarity = (
+            np.empty(n, np.int64),
+            np.empty(n, np.uint16),
+            np.empty(n, np.uint16),
+            np.empty(n, np.bool_),
+        )
+        kept = _compact(
+            self.table, events.t, events.x, events.y, events.polarity, t, x, y, polarity
+        )
+        return Events(t[:kept], x[:kept], y[:kept], polarity[:kept])
+
+    def locate(
+        self, x: NDArray[np.uint16], y: NDArray[np.uint16]
+    ) -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.bool_]]:
+        """Return rectified columns, rows and validity of raw pixels; invalid ones are (0, 0).
+
+        Args:
+            x: Columns [n].
+            y: Rows [n].
+        """
+        new_x, new_y = np.empty_like(x), np.empty_like(y)
+        valid = np.empty(len(x), np.bool_)
+        _locate(self.table, x, y, new_x, new_y, valid)
+        return new_x, new_y, valid
+
+
+@njit(cache=True, nogil=True)
+def _compact(
+    table: NDArray[np.int32],
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    polarity: NDArray[np.bool_],
+    new_t: NDArray[np.int64],
+    new_x: NDArray[np.uint16],
+    new_y: NDArray[np.uint16],
+    new_polarity: NDArray[np.bool_],
+) -> int:
+    """Write the events that have a place; return how many."""
+    height, width = table.shape
+    kept = 0
+    for i in range(len(t)):
+        if x[i] >= width or y[i] >= height:
+            continue
+        place = table[y[i], x[i]]
+        if place < 0:
+            continue
+        new_t[kept] = t[i]
+        new_x[kept] = place & 0xFFFF
+        new_y[kept] = place >> 16
+        new_polarity[kept] = polarity[i]
+        kept += 1
+    return kept
+
+
+@njit(cache=True, nogil=True)
+def _locate(
+    table: NDArray[np.int32],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    new_x: NDArray[np.uint16],
+    new_y: NDArray[np.uint16],
+    valid: NDArray[np.bool_],
+) -> None:
+    """Look up each pixel."""
+    height, width = table.shape
+    for i in range(len(x)):
+        place = -1
+        if x[i] < width and y[i] < height:
+            place = table[y[i], x[i]]
+        valid[i] = place >= 0
+        new_x[i] = place & 0xFFFF if place >= 0 else 0
+        new_y[i] = place >> 16 if place >= 0 else 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tables:
+    """One calibration with the tables made from it; replaced as a whole, also between threads."""
+
+    calibration: CameraCalibration
+    frames: ImageUndistortion | None
+    events: EventUndistortion | None
+
+
+class CalibratedCamera:
+    """The calibration that a node serves; there may be none yet.
+
+    Frames and events may be undistorted in one thread while another saves a new calibration.
+
+    Args:
+        parameters: Where the calibration is, and what it is used for.
+        size: Columns and rows of the camera.
+
+    Attributes:
+        path: File of the calibration, whether or not it exists.
+
+    Raises:
+        CalibrationError: The file is damaged or of a camera of another size, or there is none and
+            undistortion is asked for.
+    """
+
+    def __init__(self, parameters: CalibrationParameters, size: tuple[int, int]) -> None:
+        self._parameters = parameters
+        self._size = size
+        self._tables: _Tables | None = None
+        self.path: Path = resolve(parameters.camerainfo_url, parameters.camera_name)
+        if self.path.exists():
+            self._use(read_camera_info(self.path))
+        elif parameters.undistort_frames or parameters.undistort_events:
+            raise CalibrationError(
+                f'undistortion needs a calibration and {self.path} does not exist: write it with '
+                '`mixtac calibrate`, or set camerainfo_url'
+            )
+
+    @property
+    def calibration(self) -> CameraCalibration | None:
+        """Return the calibration, or None."""
+        tables = self._tables
+        return tables.calibration if tables else None
+
+    def describe(self) -> str:
+        """Return one line for the log: which calibration is used, or that there is none."""
+        calibration = self.calibration
+        if calibration is None:
+            return f'not calibrated: no {self.path}; write it with `mixtac calibrate`'
+        name = calibration.name
+        other = '' if name == self._parameters.camera_name else f', which names the camera {name!r}'
+        return f'calibration {self.path}{other}'
+
+    def camera_info_fields(self, *, rectified: bool = False) -> dict[str, Any]:
+        """Return the fields of `sensor_msgs/CameraInfo` by name; without calibration none.
+
+        Args:
+            rectified: For undistorted topics: no distortion, K from P.
+        """
+        calibration = self.calibration
+        if calibration is None:
+            return {}
+        if rectified:
+            calibration = calibration.rectified()
+        return {
+            'width': calibration.width,
+            'height': calibration.height,
+            'distortion_model': calibration.model,
+            'd': calibration.distortion.tolist(),
+            'k': calibration.camera_matrix.ravel().tolist(),
+            'r': calibration.rectification.ravel().tolist(),
+            'p': calibration.projection.ravel().tolist(),
+        }
+
+    def events(self, events: Events) -> Events:
+        """Return the events at undistorted pixels; those outside the rectified image are left out.
+
+        Args:
+            events: Raw events on any clock.
+
+        Raises:
+            CalibrationError: The parameter `undistort_events` is off.
+        """
+        tables = self._tables
+        if tables is None or tables.events is None:
+            raise CalibrationError('events are not undistorted: set undistort_events')
+        return tables.events.undistort(events)
+
+    def image(
+        self, image: Image, encoding: str = 'mono16', x: int = 0, y: int = 0
+    ) -> tuple[Image, str]:
+        """Return the undistorted frame of the camera's full size, and its encoding.
+
+        A Bayer mosaic is interpolated to `bgr8` or `bgr16` first.
+
+        Args:
+            image: `uint8` or `uint16` [height, width].
+            encoding: ROS encoding of the image.
+            x: Column of the image's first column in the full image.
+            y: Row of its first row.
+
+        Raises:
+            CalibrationError: The parameter `undistort_frames` is off, or the image does not fit
+                or is an unknown mosaic.
+        """
+        tables = self._tables
+        if tables is None or tables.frames is None:
+            raise CalibrationError('frames are not undistorted: set undistort_frames')
+        from mixtac_driver.calibration.image_undistortion import without_mosaic
+
+        image, encoding = without_mosaic(image, encoding)
+        return tables.frames.undistort(image, x, y), encoding
+
+    def save(
+        self,
+        *,
+        width: int,
+        height: int,
+        distortion_model: str,
+        d: Sequence[float],
+        k: Sequence[float],
+        r: Sequence[float],
+        p: Sequence[float],
+    ) -> Path:
+        """Check a calibration, write it to its file and use it from now on.
+
+        Args:
+            width: Columns of the full image.
+            height: Rows of the full image.
+            distortion_model: One of `distortion.MODELS`.
+            d: Coefficients.
+            k: K, 9 numbers row by row.
+            r: R, 9 numbers.
+            p: P, 12 numbers.
+
+        Returns:
+            The file.
+
+        Raises:
+            CalibrationError: It describes no camera, or another one, or cannot be written.
+        """
+        calibration = CameraCalibration(
+            name=self._parameters.camera_name,
+            width=width,
+            height=height,
+            model=distortion_model,
+            distortion=np.array(d, np.float64),
+            camera_matrix=np.array(k, np.float64).reshape(3, 3),
+            rectification=np.array(r, np.float64).reshape(3, 3),
+            projection=np.array(p, np.float64).reshape(3, 4),
+        )
+        self._check_size(calibration)
+        write_camera_info(self.path, calibration)
+        self._use(calibration)
+        return self.path
+
+    def _use(self, calibration: CameraCalibration) -> None:
+        self._check_size(calibration)
+        wanted = self._parameters
+        self._tables = _Tables(
+            calibration,
+            _image_undistortion(calibration) if wanted.undistort_frames else None,
+            EventUndistortion(calibration) if wanted.undistort_events else None,
+        )
+
+    def _check_size(self, calibration: CameraCalibration) -> None:
+        if calibration.size != self._size:
+            raise CalibrationError(
+                f'calibration for {calibration.width}x{calibration.height} px, this camera has '
+                f'{self._size[0]}x{self._size[1]}: calibrate this one, or name its file in '
+                'camerainfo_url'
+            )
+
+
+def _image_undistortion(calibration: CameraCalibration) -> ImageUndistortion:
+    # OpenCV takes 0.1 s to load; a driver that only serves camera_info starts without it.
+    from mixtac_driver.calibration.image_undistortion import ImageUndistortion
+
+    return ImageUndistortion(calibration)

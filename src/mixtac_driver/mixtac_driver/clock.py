@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Origin of the camera clock in host time, followed over clock resets, with a check for time jumps."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mixtac_driver.errors import StreamError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Host time at which the camera's clock read zero.
+
+    Attributes:
+        host_ns: Host time [ns since the Unix epoch], a multiple of 1000.
+        uncertainty_ns: Greatest error of it [ns].
+    """
+
+    host_ns: int
+    uncertainty_ns: int
+
+    @property
+    def us(self) -> int:
+        """Host time [us since the Unix epoch]; add it to camera times to publish them."""
+        return self.host_ns // 1000
+
+
+JUMP_US = 1_000_000
+"""How far ahead [us] is too far; what was measured of real cameras is 100 us per second at most."""
+
+
+class JumpGuard:
+    """Compares time in the stream with the time of its arrival.
+
+    Data can arrive late, but never before they happened. The least lateness is therefore a floor
+    which only the difference in rate of the two clocks moves, slowly; data below it carry a time
+    that was damaged, as one wrong time wrap does for all that follows.
+    """
+
+    def __init__(self) -> None:
+        self._floor_us = 0.0
+
+    def restart(self, uncertainty_us: float) -> None:
+        """Begin again after a reset of the camera's clock.
+
+        Args:
+            uncertainty_us: How far off [us] the host time of that reset may be.
+        """
+        self._floor_us = -uncertainty_us
+
+    def check(self, time_us: int, arrival_us: int) -> None:
+        """Look at a stretch of the stream.
+
+        Args:
+            time_us: Time it reached [us, epoch-based camera clock].
+            arrival_us: Host time of its arrival [us since the Unix epoch].
+
+        Raises:
+            StreamError: The time is damaged.
+        """
+        late_us = arrival_us - time_us
+        if late_us < self._floor_us - JUMP_US:
+            ahead_s = (self._floor_us - late_us) / 1e6
+            raise StreamError(
+                f'the camera clock jumped {ahead_s:.1f} s ahead: damaged data, or the host clock '
+                'was set back; starting the camera anew'
+            )
+        self._floor_us = min(self._floor_us, late_us)
+
+
+CONFIRMATION_NS = 1_000_000_000
+"""A reset that was asked for shows in the stream within this time."""
+
+
+class ClockEpochs:
+    """Follows the resets of a camera's clock and keeps published time from going back.
+
+    The first reset that arrives after it was asked for is the one whose host time was measured.
+    Others come from the synchronisation cable or from the camera itself: the host time of those
+    is estimated from their arrival.
+
+    Args:
+        asked: Host time of the reset that was asked for.
+        delay_us: Time that data may wait in the camera [us]: the error of an estimated origin.
+        latest_us: Time published before, by an earlier stream [us, epoch-based camera clock].
+
+    Attributes:
+        unasked: Resets that came without being asked for.
+        latest_us: Latest time handed out [us, epoch-based camera clock].
+    """
+
+    def __init__(self, asked: Origin, delay_us: int, latest_us: int = 0) -> None:
+        self.unasked = 0
+        self.latest_us = latest_us
+        self._origin = asked
+        self._delay_us = delay_us
+        self._confirmed = False
+        self._guard = JumpGuard()
+        self._resets = 0
+        self._pending: Origin | None = None
+        self._asking = threading.Lock()
+
+    @property
+    def origin(self) -> Origin | None:
+        """Host time at which the camera's clock read zero; None before a reset was seen."""
+        return self._origin if self._confirmed else None
+
+    def ask(self, reset: Callable[[], Origin]) -> None:
+        """Reset the clock once more, from any thread.
+
+        The thread that follows the stream waits where it sees a reset before its host time is
+        known.
+
+        Args:
+            reset: Resets the clock and returns when that was.
+
+        Raises:
+            UsbError: As `reset` raises it.
+        """
+        with self._asking:
+            self._pending = reset()
+
+    def follow(self, resets: int, time_us: int, arrival_ns: int) -> Origin | None:
+        """Return the origin for a stretch of the stream, or None while it has none.
+
+        Args:
+            resets: Resets seen in the stream before the stretch.
+            time_us: Time the stretch reached [us on the camera clock since its reset].
+            arrival_ns: Host time of arrival [ns since the Unix epoch].
+
+        Raises:
+            StreamError: The time is ahead of its arrival: the data were damaged.
+        """
+        if resets != self._resets:
+            self._resets = resets
+            self._reset(time_us, arrival_ns)
+        if not self._confirmed:
+            return None
+        self._guard.check(time_us + self._origin.us, arrival_ns // 1000)
+        self.latest_us = max(self.latest_us, time_us + self._origin.us)
+        return self._origin
+
+    def _reset(self, time_us: int, arrival_ns: int) -> None:
+        if not self._confirmed:
+            earliest_ns = self._origin.host_ns - self._origin.uncertainty_ns
+            self._confirmed = arrival_ns >= earliest_ns
+            self._measured(self._origin, time_us, arrival_ns)
+            return
+        asked = self._asked_before(arrival_ns)
+        if asked is not None:
+            self._measured(asked, time_us, arrival_ns)
+            return
+        self.unasked += 1
+        self._set(arrival_ns // 1000 - time_us, self._delay_us)
+
+    def _asked_before(self, arrival_ns: int) -> Origin | None:
+        with self._asking:
+            asked = self._pending
+            if asked is None:
+                return None
+            late_ns = arrival_ns - (asked.host_ns - asked.uncertainty_ns)
+            if late_ns < 0:
+                # What arrived was on its way already; the one asked for is yet to come.
+                return None
+            self._pending = None
+            return asked if late_ns <= CONFIRMATION_NS else None
+
+    def _measured(self, asked: Origin, time_us: int, arrival_ns: int) -> None:
+        # What the camera saw after the reset arrived after it happened: that bounds the reset.
+        first_ns = asked.host_ns - asked.uncertainty_ns
+        last_ns = min(asked.host_ns + asked.uncertainty_ns, arrival_ns - 1000 * time_us)
+        if last_ns < first_ns:
+            self._set(asked.us, asked.uncertainty_ns / 1000)
+            return
+        middle_us = (first_ns + last_ns + 1000) // 2000
+        self._set(middle_us, (last_ns - first_ns) / 2000)
+
+    def _set(self, wanted_us: int, uncertainty_us: float) -> None:
+        # A camera whose clock is fast has published times that the host has yet to reach.
+        late_us = max(self.latest_us + 1 - wanted_us, 0)
+        uncertainty_ns = round((uncertainty_us + late_us) * 1000)
+        self._origin = Origin((wanted_us + late_us) * 1000, uncertainty_ns)
+        self._guard.restart(uncertainty_us + late_us)

@@ -1,0 +1,237 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Findings about cameras on the USB bus: presence, speed, firmware, power management, permissions.
+
+Reads what the kernel lists and needs no permission for the camera itself. Source of the file names:
+kernel documentation, ABI/testing/sysfs-bus-usb.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mixtac_driver.davis346.identity import check_firmware
+from mixtac_driver.doctor import computer as software
+from mixtac_driver.doctor.computer import Finding, Level, ok, read_text
+from mixtac_driver.errors import UnsupportedCameraError
+from mixtac_driver.usb.device import PRODUCT, VENDOR
+
+if TYPE_CHECKING:
+    from mixtac_driver.doctor.computer import HostFiles
+
+
+DEVICES = '/sys/bus/usb/devices'
+USB3_MBIT = 5000
+USB2_MBIT = 480
+NO_CAMERA = 'plug the camera in and look whether its lamp is on; without one, use --device virtual'
+SLOW = 'use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub in between'
+
+
+@dataclass(frozen=True, slots=True)
+class AttachedCamera:
+    """A DAVIS346 that is plugged in.
+
+    Attributes:
+        port: Bus and port, as in `2-1.3`.
+        node: Its device node, as in `/dev/bus/usb/002/005`.
+        speed_mbit: Speed that was agreed on [Mb/s], None where the kernel does not tell.
+        release: Device release number (`bcdDevice`): the firmware.
+        serial: Serial number, empty where the kernel does not tell.
+        power: Power management: `on` or `auto`, empty where the kernel does not tell.
+    """
+
+    port: str
+    node: str
+    speed_mbit: float | None
+    release: int
+    serial: str
+    power: str
+
+
+def attached_cameras(files: HostFiles) -> list[AttachedCamera]:
+    """Return every DAVIS346 on the USB, by port."""
+    try:
+        entries = sorted(files.path(DEVICES).iterdir())
+    except OSError:
+        return []
+    found = [_camera(entry) for entry in entries]
+    return [camera for camera in found if camera is not None]
+
+
+def _camera(entry: Path) -> AttachedCamera | None:
+    def text(name: str) -> str:
+        return read_text(entry / name) or ''
+
+    try:
+        if (int(text('idVendor'), 16), int(text('idProduct'), 16)) != (VENDOR, PRODUCT):
+            return None
+        node = f'/dev/bus/usb/{int(text("busnum")):03d}/{int(text("devnum")):03d}'
+        release = int(text('bcdDevice'), 16)
+    except ValueError:  # a hub, an interface, or a device that is just going away
+        return None
+    speed = text('speed')
+    return AttachedCamera(
+        port=entry.name,
+        node=node,
+        speed_mbit=float(speed) if speed.replace('.', '', 1).isdigit() else None,
+        release=release,
+        serial=text('serial'),
+        power=text('power/control'),
+    )
+
+
+def check_presence(files: HostFiles, cameras: list[AttachedCamera], serial: str) -> Finding:
+    """Say which cameras are attached, and whether the wanted one is among them."""
+    name = 'camera on the USB'
+    if not files.path(DEVICES).is_dir():
+        found = f'{DEVICES} is missing: this machine or container has no USB'
+        remedy = 'in a container, pass /sys and /dev/bus/usb in; else use --device virtual'
+        return Finding(name, Level.ERROR, found, remedy)
+    if not cameras:
+        found = f'no DAVIS346 (USB {VENDOR:04x}:{PRODUCT:04x}) is attached'
+        return Finding(name, Level.ERROR, found, NO_CAMERA)
+    listed = ', '.join(f'{c.serial or "no serial number"} at {c.port}' for c in cameras)
+    if serial and all(camera.serial != serial for camera in cameras):
+        remedy = 'correct --serial, or plug that camera in'
+        return Finding(name, Level.ERROR, f'{serial} is not attached; there is {listed}', remedy)
+    if len(cameras) > 1 and not serial:
+        remedy = 'choose one with --serial'
+        return Finding(name, Level.ERROR, f'{len(cameras)} are attached: {listed}', remedy)
+    return ok(name, listed, cameras=len(cameras))
+
+
+def check_speed(camera: AttachedCamera) -> Finding:
+    """Say whether the port is fast enough for the camera at its busiest."""
+    name, speed = 'USB speed', camera.speed_mbit
+    if speed is None:
+        return ok(name, 'the kernel does not tell')
+    values = {'speed [Mb/s]': speed}
+    if speed >= USB3_MBIT:
+        return Finding(name, Level.OK, f'{speed:g} Mb/s', values=values)
+    if speed < USB2_MBIT:
+        return Finding(name, Level.ERROR, f'{speed:g} Mb/s, USB 1', SLOW, values)
+    found = f'{speed:g} Mb/s, USB 2: too slow for a busy scene with frames; events will be lost'
+    return Finding(name, Level.WARN, found, SLOW, values)
+
+
+def check_release(camera: AttachedCamera) -> Finding:
+    """Say whether the firmware is one that the driver speaks to."""
+    try:
+        major, minor = check_firmware(camera.release)
+    except UnsupportedCameraError as error:
+        found, _, remedy = str(error).partition('; ')
+        return Finding('camera firmware', Level.ERROR, found, remedy)
+    return ok('camera firmware', f'{major}.{minor}')
+
+
+def check_power(camera: AttachedCamera) -> Finding:
+    """Say whether the kernel may put the camera to sleep; it does not while a program has it."""
+    name = 'USB power management'
+    if camera.power == 'auto':
+        return ok(name, 'may sleep while no program has it open', control=camera.power)
+    return ok(name, 'never sleeps' if camera.power == 'on' else 'the kernel does not tell')
+
+
+RULE = '65-mixtac.rules'
+RULES_FOLDERS = ('/etc/udev/rules.d', '/usr/lib/udev/rules.d', '/lib/udev/rules.d')
+
+
+def rule_file() -> Path:
+    """Return the udev rule that comes with this package."""
+    beside = Path(__file__).resolve().parents[2] / 'udev' / RULE
+    if beside.exists():
+        return beside
+    try:
+        from ament_index_python.packages import get_package_share_directory
+
+        return Path(get_package_share_directory('mixtac_driver')) / RULE
+    except (ImportError, LookupError):
+        return beside
+
+
+def installation() -> str:
+    """Return the commands that install the udev rule."""
+    return (
+        f'sudo cp {rule_file()} /etc/udev/rules.d/ && sudo udevadm control --reload && '
+        'sudo udevadm trigger --subsystem-match=usb'
+    )
+
+
+def check_permission(files: HostFiles, camera: AttachedCamera) -> Finding:
+    """Say whether the device node may be opened, and which rule to install where not."""
+    name = 'permission'
+    if not files.path(camera.node).exists():
+        remedy = 'in a container, pass it in: docker run --device=/dev/bus/usb'
+        return Finding(name, Level.ERROR, f'{camera.node} is missing', remedy)
+    if files.may_use(camera.node):
+        return ok(name, f'{camera.node} may be opened')
+    installed = any(files.path(f'{folder}/{RULE}').exists() for folder in RULES_FOLDERS)
+    found = f'{camera.node} may not be opened'
+    if installed:
+        found += f', although the udev rule {RULE} is installed'
+        remedy = (
+            'plug the camera in again; over ssh, join the group plugdev as well: '
+            'sudo usermod -aG plugdev "$USER", then log in again'
+        )
+        return Finding(name, Level.ERROR, found, remedy)
+    return Finding(name, Level.ERROR, found, f'{installation()}, then plug the camera in again')
+
+
+def check_holders(files: HostFiles, camera: AttachedCamera) -> Finding:
+    """Say which other programs have the camera open, as far as this user may look."""
+    name = 'used by others'
+    holders = _holders(files, camera.node)
+    if not holders:
+        return ok(name, 'no program of this user has it open')
+    listed = ', '.join(f'{program} (process {pid})' for pid, program in holders)
+    return Finding(
+        name,
+        Level.WARN,
+        f'{listed} has it open',
+        'end that program first; two cannot use one camera',
+        {'process': holders[0][0]},
+    )
+
+
+def _holders(files: HostFiles, node: str) -> list[tuple[int, str]]:
+    found = []
+    for folder in files.path('/proc').glob('[0-9]*'):
+        pid = int(folder.name)
+        if pid != os.getpid() and _has_open(folder / 'fd', node):
+            found.append((pid, read_text(folder / 'comm') or 'a program'))
+    return sorted(found)
+
+
+def _has_open(descriptors: Path, node: str) -> bool:
+    try:
+        return any(str(link.readlink()) == node for link in descriptors.iterdir())
+    except OSError:  # it ended meanwhile, or belongs to another user
+        return False
+
+
+def check_attached(files: HostFiles, serial: str = '') -> list[Finding]:
+    """Return what the system says of the cameras that are plugged in.
+
+    Args:
+        files: Files of the operating system.
+        serial: Serial number of the wanted camera; empty takes the only one.
+    """
+    cameras = attached_cameras(files)
+    findings = [
+        software.check_libusb(),
+        software.check_usb_memory(files),
+        check_presence(files, cameras, serial),
+    ]
+    for camera in cameras:
+        if serial in {'', camera.serial}:
+            findings += [
+                check_speed(camera),
+                check_release(camera),
+                check_power(camera),
+                check_permission(files, camera),
+                check_holders(files, camera),
+            ]
+    return findings

@@ -1,0 +1,344 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Publishers of the driver: events, frames, inertial samples, edges, clock, undistorted topics."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING, Any
+
+from event_camera_msgs.msg import EventPacket
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, Imu, Temperature
+from sensor_msgs.srv import SetCameraInfo
+
+from mixtac_driver.calibration.lens import CalibrationError
+from mixtac_driver.calibration.undistortion import CalibratedCamera
+from mixtac_driver.node.status import DriverMeters
+from mixtac_events.errors import MixtacError
+from mixtac_events.packetizer import Packetizer
+from mixtac_msgs.msg import ExternalEdge, FrameExposure
+from mixtac_node.base_node import QOS_EVENTS, QOS_SENSOR
+from mixtac_node.stamps import us_to_stamp
+from mixtac_recordings import messages
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mixtac_driver.camera import CameraBatch
+    from mixtac_driver.davis346.identity import Identity
+    from mixtac_driver.parameters import DeviceParameters, DriverParameters
+    from mixtac_events.arrays import Events
+    from mixtac_events.readings import Edges, Frame, InertialSamples
+
+
+class EventPublisher:
+    """Cuts events into packets and publishes them on a topic. For one thread.
+
+    Args:
+        node: An rclpy node.
+        p: Encoding, size and frame of the packets.
+        meters: Where packets are counted.
+        topic: Where they go.
+    """
+
+    def __init__(
+        self,
+        node: Any,  # noqa: ANN401
+        p: DeviceParameters,
+        meters: DriverMeters,
+        topic: str = 'events',
+    ) -> None:
+        self._p, self._meters = p, meters
+        self._publisher = node.create_publisher(EventPacket, topic, QOS_EVENTS)
+        self._sequence = 0
+        self._packetizer: Packetizer | None = None
+
+    @property
+    def wanted(self) -> bool:
+        """True while somebody listens."""
+        return bool(self._publisher.get_subscription_count())
+
+    def restart(self) -> None:
+        """Forget what was not published: another stream begins."""
+        self._packetizer = None
+
+    def publish(
+        self, events: Events, time_us: int, arrival_ns: int, shift_us: int, size: tuple[int, int]
+    ) -> None:
+        """Take events and publish the packets that they complete.
+
+        Args:
+            events: Events [us on the camera clock since its reset].
+            time_us: Time that the stream has reached [us, epoch-based camera clock].
+            arrival_ns: Host time of their arrival [ns since the Unix epoch].
+            shift_us: What leads from the clock of the events to the epoch-based one [us].
+            size: Width and height of the event array.
+        """
+        if self._packetizer is None:
+            period_us = round(self._p.event_message_time_threshold * 1e6)
+            most_bytes = self._p.event_message_size_threshold
+            self._packetizer = Packetizer(self._p.encoding, period_us, most_bytes)
+        for packet in self._packetizer.push(events, time_us, arrival_ns, shift_us):
+            self._publisher.publish(
+                messages.event_packet(packet, self._sequence, size, self._p.camera_frame_id)
+            )
+            self._sequence += 1
+            self._meters.packets.add()
+            self._meters.ages_s.add((time.time_ns() - packet.arrival_ns) / 1e9)
+
+
+class FramePublisher:
+    """Publishes frames on `image_raw`, `camera_info` and `image_exposure`.
+
+    Args:
+        node: An rclpy node.
+        frame_id: Frame of the camera.
+        complete: Adds the calibration to camera information.
+    """
+
+    def __init__(
+        self,
+        node: Any,  # noqa: ANN401
+        frame_id: str,
+        complete: Callable[[CameraInfo], CameraInfo],
+    ) -> None:
+        self._frame_id = frame_id
+        self._complete = complete
+        self._image = node.create_publisher(Image, 'image_raw', QOS_SENSOR)
+        self._info = node.create_publisher(CameraInfo, 'camera_info', QOS_SENSOR)
+        self._exposure = node.create_publisher(FrameExposure, 'image_exposure', QOS_SENSOR)
+
+    def publish(self, frame: Frame, origin_us: int, identity: Identity) -> None:
+        """Publish a frame where somebody listens.
+
+        Args:
+            frame: The frame.
+            origin_us: Origin of the camera's clock [us since the Unix epoch].
+            identity: The camera.
+        """
+        image_wanted, info_wanted, exposure_wanted = (
+            publisher.get_subscription_count() > 0
+            for publisher in (self._image, self._info, self._exposure)
+        )
+        if image_wanted:
+            color_filter = identity.features.color_filter
+            image = messages.image(frame, origin_us, color_filter, self._frame_id)
+            self._image.publish(image)
+        elif info_wanted or exposure_wanted:
+            image = messages.image_header(frame, origin_us, self._frame_id)
+        if info_wanted:
+            size = (identity.geometry.width, identity.geometry.height)
+            self._info.publish(self._complete(messages.camera_info(frame, size, image)))
+        if exposure_wanted:
+            self._exposure.publish(messages.frame_exposure(frame, origin_us, image))
+
+
+TEMPERATURE_PERIOD_US = 100_000
+
+
+class InertialPublisher:
+    """Publishes samples on `imu` and, ten times a second, on `temperature`.
+
+    Args:
+        node: An rclpy node.
+        frame_id: Frame of the unit.
+    """
+
+    def __init__(self, node: Any, frame_id: str) -> None:  # noqa: ANN401
+        self._frame_id = frame_id
+        self._imu = node.create_publisher(Imu, 'imu', QOS_SENSOR)
+        self._temperature = node.create_publisher(Temperature, 'temperature', QOS_SENSOR)
+        self._temperature_due_us = 0
+
+    def publish(self, samples: InertialSamples, origin_us: int) -> None:
+        """Publish samples where somebody listens.
+
+        Args:
+            samples: At least one sample.
+            origin_us: Origin of the camera's clock [us since the Unix epoch].
+        """
+        if self._imu.get_subscription_count():
+            for index in range(len(samples.t)):
+                self._imu.publish(messages.imu(samples, index, origin_us, self._frame_id))
+        self._publish_temperature(float(samples.temperature[-1]), int(samples.t[-1]) + origin_us)
+
+    def _publish_temperature(self, celsius: float, time_us: int) -> None:
+        if time_us < self._temperature_due_us or math.isnan(celsius):
+            return
+        self._temperature_due_us = time_us + TEMPERATURE_PERIOD_US
+        if self._temperature.get_subscription_count():
+            self._temperature.publish(messages.temperature(celsius, time_us, self._frame_id))
+
+
+MOST_PER_SECOND = 2000.0
+"""More than that would delay events."""
+BURST = 500.0
+QUEUE_DEPTH = 1000
+"""Reliable: edges are few, and each may be somebody's trigger."""
+
+
+class EdgePublisher:
+    """Publishes edges on `external_edges`, up to MOST_PER_SECOND; counts the others as dropped.
+
+    Args:
+        node: An rclpy node.
+        frame_id: Frame of the camera.
+        meters: Where edges are counted.
+    """
+
+    def __init__(self, node: Any, frame_id: str, meters: DriverMeters) -> None:  # noqa: ANN401
+        self._frame_id, self._meters = frame_id, meters
+        self._publisher = node.create_publisher(ExternalEdge, 'external_edges', QUEUE_DEPTH)
+        self._sequence = 0
+        self._allowed = BURST
+        self._allowed_at_s = time.monotonic()
+
+    def publish(self, edges: Edges, origin_us: int) -> None:
+        """Publish edges where somebody listens.
+
+        Args:
+            edges: The edges.
+            origin_us: Origin of the camera's clock [us since the Unix epoch].
+        """
+        count, first = len(edges.t), self._sequence
+        self._sequence += count
+        self._meters.edges.add(count)
+        if not count or not self._publisher.get_subscription_count():
+            return
+        published = min(count, self._budget())
+        self._allowed -= published
+        self._meters.edges_dropped += count - published
+        for index in range(published):
+            time_us = int(edges.t[index]) + origin_us
+            kind = int(edges.kind[index])
+            self._publisher.publish(
+                messages.external_edge(kind, time_us, first + index, self._frame_id)
+            )
+
+    def _budget(self) -> int:
+        now_s = time.monotonic()
+        gained = (now_s - self._allowed_at_s) * MOST_PER_SECOND
+        self._allowed_at_s = now_s
+        self._allowed = min(self._allowed + gained, BURST)
+        return int(self._allowed)
+
+
+PERIOD_US = 1000
+
+
+class ClockPublisher:
+    """Publishes the time that a recording has reached. For one thread.
+
+    Args:
+        node: An rclpy node.
+    """
+
+    def __init__(self, node: Any) -> None:  # noqa: ANN401
+        # Default QoS: subscribers with use_sim_time are best effort, others may want all.
+        self._publisher = node.create_publisher(Clock, '/clock', 10)
+        self._due_us = 0
+
+    def publish(self, batch: CameraBatch) -> None:
+        """Publish the time of a batch [epoch-based camera clock], once per millisecond at most."""
+        time_us = batch.time_us
+        # A seek back moves published time on, so that it never runs backwards.
+        if time_us >= self._due_us:
+            self._due_us = time_us + PERIOD_US
+            self._publisher.publish(Clock(clock=us_to_stamp(time_us)))
+
+
+class RectifiedPublisher:
+    """Serves a calibration: on `camera_info`, by `~/set_camera_info`, and applied.
+
+    `image_rect` and `events_rect` exist where the parameters ask for them. They go with the same
+    `camera_info` as the raw topics, whose P is that of the undistorted pixels (REP 104).
+
+    Args:
+        node: An rclpy node.
+        p: Where the calibration is and what it is used for.
+    """
+
+    def __init__(self, node: Any, p: DriverParameters) -> None:  # noqa: ANN401
+        self._logger = node.get_logger()
+        self._p = p
+        self._camera: CalibratedCamera | None = None
+        # Its packets are not those that diagnostics count.
+        self._events = (
+            EventPublisher(node, p, DriverMeters(), 'events_rect') if p.undistort_events else None
+        )
+        self._image = (
+            node.create_publisher(Image, 'image_rect', QOS_SENSOR) if p.undistort_frames else None
+        )
+        node.create_service(SetCameraInfo, '~/set_camera_info', self._save)
+
+    def use(self, size: tuple[int, int]) -> None:
+        """Load the calibration of a camera, once its size is known.
+
+        Args:
+            size: Columns and rows.
+
+        Raises:
+            CalibrationError: It is damaged or of another camera, or is missing and needed.
+        """
+        if self._camera is None:
+            self._camera = CalibratedCamera(self._p, size)
+            self._logger.info(self._camera.describe())
+
+    def restart(self) -> None:
+        """Forget what was not published: another stream begins."""
+        if self._events is not None:
+            self._events.restart()
+
+    def complete(self, info: CameraInfo) -> CameraInfo:
+        """Write the calibration, if there is one, into camera information."""
+        if self._camera is not None:
+            for name, value in self._camera.camera_info_fields().items():
+                setattr(info, name, value)
+        return info
+
+    def publish_events(
+        self, events: Events, time_us: int, arrival_ns: int, shift_us: int, size: tuple[int, int]
+    ) -> None:
+        """Publish events at their undistorted pixels; arguments as in `EventPublisher.publish`."""
+        if self._events is None or self._camera is None:
+            return
+        if not self._events.wanted:
+            self._events.restart()
+            return
+        moved = self._camera.events(events)
+        self._events.publish(moved, time_us, arrival_ns, shift_us, size)
+
+    def publish_frame(self, frame: Frame, origin_us: int, identity: Identity) -> None:
+        """Publish a frame without distortion, in the size of the whole array."""
+        if self._image is None or self._camera is None:
+            return
+        if not self._image.get_subscription_count():
+            return
+        color_filter, frame_id = identity.features.color_filter, self._p.camera_frame_id
+        encoding = messages.image_encoding(color_filter, frame.x, frame.y)
+        pixels, encoding = self._camera.image(
+            messages.left_aligned(frame.image), encoding, frame.x, frame.y
+        )
+        message = messages.image_header(frame, origin_us, frame_id)
+        self._image.publish(messages.filled(message, pixels, encoding))
+
+    def _save(self, request: Any, response: Any) -> Any:  # noqa: ANN401
+        info = request.camera_info
+        try:
+            if self._camera is None:
+                raise CalibrationError('no camera was opened yet: attach it and try again')
+            path = self._camera.save(
+                width=info.width,
+                height=info.height,
+                distortion_model=info.distortion_model,
+                d=info.d,
+                k=info.k,
+                r=info.r,
+                p=info.p,
+            )
+            response.success, response.status_message = True, f'wrote {path}'
+        except MixtacError as error:
+            response.success, response.status_message = False, str(error)
+        return response

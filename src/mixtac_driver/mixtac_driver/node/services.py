@@ -1,0 +1,194 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Services of the driver: a single frame, the camera's clock to zero, hot pixels.
+
+They run in the executor's thread and wait there for the thread that decodes, for a bounded time.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from std_srvs.srv import Trigger
+
+from mixtac_driver.errors import StreamError
+from mixtac_driver.pixels import PixelCounter, PixelMask, check_path, hot_pixels, save_mask
+from mixtac_events.errors import MixtacError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mixtac_driver.node.settings import DriverSettings
+    from mixtac_driver.source import Source
+    from mixtac_events.arrays import Events
+    from mixtac_events.readings import Frame
+
+
+MARGIN_S = 1.0
+"""What a frame or a count may take longer than it should."""
+REPORT_PERIOD_S = 1.0
+LISTED_PIXELS = 20
+
+
+class NextFrame:
+    """Waits for a frame.
+
+    Args:
+        after_us: Frames whose exposure began before do not count [us, epoch-based camera clock].
+
+    Attributes:
+        done: Set when it is there.
+        stamp_us: Middle of its exposure [us, epoch-based camera clock].
+    """
+
+    def __init__(self, after_us: int) -> None:
+        self.done = threading.Event()
+        self.stamp_us = 0
+        self._after_us = after_us
+
+    def add(self, frame: Frame, origin_us: int) -> None:
+        """Look at a frame."""
+        if not self.done.is_set() and frame.exposure_start_us + origin_us >= self._after_us:
+            self.stamp_us = frame.middle_us + origin_us
+            self.done.set()
+
+
+class DriverServices:
+    """Offers `~/snapshot`, `~/reset_timestamps` and `~/find_hot_pixels` (std_srvs/Trigger).
+
+    Args:
+        node: An rclpy node.
+        camera: The camera.
+        settings: What it was told.
+        meanwhile: Called once a second while a service waits.
+    """
+
+    def __init__(
+        self,
+        node: Any,  # noqa: ANN401
+        camera: Source,
+        settings: DriverSettings,
+        meanwhile: Callable[[], None],
+    ) -> None:
+        self._camera, self._settings, self._meanwhile = camera, settings, meanwhile
+        self._counter: PixelCounter | None = None
+        self._next_frame: NextFrame | None = None
+        self._time_us = 0
+        node.create_service(Trigger, '~/snapshot', _answer(self.snapshot))
+        node.create_service(Trigger, '~/reset_timestamps', _answer(self.reset_timestamps))
+        node.create_service(Trigger, '~/find_hot_pixels', _answer(self.find_hot_pixels))
+
+    def watch_events(self, events: Events, time_us: int) -> None:
+        """Look at events, in the thread that decodes.
+
+        Args:
+            events: Events, none of them masked on the host yet.
+            time_us: Time that the stream has reached [us, epoch-based camera clock].
+        """
+        self._time_us = time_us
+        counter = self._counter
+        if counter is not None:
+            counter.add(events, time_us)
+
+    def watch_frame(self, frame: Frame, origin_us: int) -> None:
+        """Look at a frame, in the thread that decodes."""
+        next_frame = self._next_frame
+        if next_frame is not None:
+            next_frame.add(frame, origin_us)
+
+    def snapshot(self) -> str:
+        """Take one frame, or wait for the next where frames are taken all the time.
+
+        Raises:
+            DriverError: There is no stream, or no frame came.
+        """
+        p = self._settings.parameters
+        self._next_frame = next_frame = NextFrame(self._time_us)
+        try:
+            self._camera.control.request_frame()
+            exposure_us = self._camera.control.configuration.aps_exposure_us
+            self._wait(next_frame.done, (2 * exposure_us + p.aps_frame_interval) / 1e6, 'frame')
+        finally:
+            self._next_frame = None
+        return f'frame of {next_frame.stamp_us / 1e6:.6f} s on the camera clock'
+
+    def reset_timestamps(self) -> str:
+        """Set the camera's clock to zero; published time goes on.
+
+        Raises:
+            DriverError: There is no stream, or the request failed.
+        """
+        self._camera.reset_timestamps()
+        return 'the camera clock reads zero; published time goes on'
+
+    def find_hot_pixels(self) -> str:
+        """Count events and mask the pixels that fire without cause, and those of the mask's file.
+
+        Pixels that were found before and are quiet now are not masked any more.
+
+        Raises:
+            DriverError: There is no stream, or a request failed; the mask is as before.
+        """
+        p, before = self._settings.parameters, self._settings.mask
+        if p.hot_pixels_file:
+            check_path(p.hot_pixels_file)
+        # Pixels that the camera masks cannot be counted.
+        self._settings.use_mask(before, self._camera.apply, in_camera=False)
+        try:
+            counter = self._count(p.hot_pixels_duration)
+            found = hot_pixels(
+                counter.counts,
+                p.hot_pixels_duration,
+                p.hot_pixels_minimum_rate,
+                p.hot_pixels_factor,
+            )
+            mask = self._settings.file_mask.with_pixels(found)
+        except MixtacError:
+            self._settings.use_mask(before, self._camera.apply)
+            raise
+        self._settings.use_mask(mask, self._camera.apply)
+        if p.hot_pixels_file:
+            save_mask(mask, p.hot_pixels_file)
+        return _found(found, mask)
+
+    def _count(self, duration_s: float) -> PixelCounter:
+        self._counter = counter = PixelCounter(round(duration_s * 1e6))
+        try:
+            self._wait(counter.done, duration_s, 'end of the count')
+        finally:
+            self._counter = None
+        return counter
+
+    def _wait(self, done: threading.Event, seconds: float, what: str) -> None:
+        deadline_s = time.monotonic() + seconds + MARGIN_S
+        while not done.wait(min(REPORT_PERIOD_S, max(deadline_s - time.monotonic(), 0.0))):
+            if time.monotonic() >= deadline_s:
+                raise StreamError(
+                    f'no {what} within {seconds + MARGIN_S:.1f} s: see /diagnostics for the '
+                    'state of the camera'
+                )
+            self._meanwhile()
+
+
+def _found(found: list[tuple[int, int]], mask: PixelMask) -> str:
+    listed = ', '.join(str(pixel) for pixel in found[:LISTED_PIXELS])
+    more = ', ...' if len(found) > LISTED_PIXELS else ''
+    return (
+        f'{len(found)} hot pixels{": " if found else ""}{listed}{more}; {len(mask.pixels)} '
+        f'masked, {len(mask.in_camera)} of them by the camera'
+    )
+
+
+def _answer(action: Callable[[], str]) -> Callable[[Any, Any], Any]:
+    def callback(_request: Any, response: Any) -> Any:  # noqa: ANN401
+        try:
+            response.message = action()
+            response.success = True
+        except MixtacError as error:
+            response.message = str(error)
+            response.success = False
+        return response
+
+    return callback

@@ -1,0 +1,264 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Pixel masks: dropping events of unwanted pixels, and finding hot pixels.
+
+The camera has eight single-pixel filters: they take the noisiest pixels, whose events then use no
+bandwidth. Further pixels are dropped on the host, with one table look-up per event.
+
+A hot pixel fires all the time while its neighbours do not. A pixel counts as hot if it fires often,
+and many times as often as the fourth noisiest of the 24 pixels around it: flickering edges and
+lights make more than three neighbours fire, even where they are one pixel thin, and up to four hot
+pixels may be adjacent.
+"""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numba import njit
+
+from mixtac_driver.davis346.model import HEIGHT, PIXEL_FILTERS, WIDTH
+from mixtac_driver.errors import ConfigurationError
+from mixtac_events.arrays import Events
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+
+IN_CAMERA, ON_HOST = 255, 128
+"""Grey values in the image of a mask."""
+Pixel = tuple[int, int]
+
+
+class PixelMask:
+    """Masked pixels, the noisiest first. One thread at a time calls `keep`.
+
+    Args:
+        pixels: (column, row) of each.
+
+    Attributes:
+        pixels: All masked pixels.
+        dropped: Events dropped so far.
+
+    Raises:
+        ConfigurationError: A pixel is outside the array.
+    """
+
+    def __init__(self, pixels: Iterable[Pixel] = ()) -> None:
+        self.pixels: tuple[Pixel, ...] = tuple(dict.fromkeys(pixels))
+        self.dropped = 0
+        self._masked = np.zeros((HEIGHT, WIDTH), np.bool_)
+        for column, row in self.pixels:
+            if not (0 <= column < WIDTH and 0 <= row < HEIGHT):
+                raise ConfigurationError(
+                    f'masked pixel ({column}, {row}): give columns below {WIDTH} and rows below '
+                    f'{HEIGHT}'
+                )
+            self._masked[row, column] = True
+        self._kept: tuple[NDArray[Any], ...] = ()
+
+    @property
+    def in_camera(self) -> tuple[Pixel, ...]:
+        """Pixels for the camera's own filters."""
+        return self.pixels[:PIXEL_FILTERS]
+
+    def with_pixels(self, pixels: Sequence[Pixel]) -> PixelMask:
+        """Return a mask of these pixels, as the noisiest, and of those masked already."""
+        return PixelMask([*pixels, *self.pixels])
+
+    def keep(self, events: Events) -> Events:
+        """Return the events of pixels that are not masked; valid until the next call.
+
+        Args:
+            events: Events with any clock.
+        """
+        if not self.pixels or not len(events):
+            return events
+        if not self._kept or len(self._kept[0]) < len(events):
+            self._kept = _buffers(len(events))
+        t, x, y, polarity = self._kept
+        n = _keep(self._masked, events.t, events.x, events.y, events.polarity, t, x, y, polarity)
+        self.dropped += len(events) - n
+        return Events(t[:n], x[:n], y[:n], polarity[:n])
+
+    def image(self) -> NDArray[np.uint8]:
+        """Return the mask as an image, `uint8` [260, 346]: IN_CAMERA, ON_HOST, else black."""
+        image = np.where(self._masked, ON_HOST, 0).astype(np.uint8)
+        for column, row in self.in_camera:
+            image[row, column] = IN_CAMERA
+        return image
+
+
+def mask_of_image(image: NDArray[np.uint8]) -> PixelMask:
+    """Return the mask that an image shows: what is not black, the brightest first.
+
+    Args:
+        image: `uint8` [260, 346].
+
+    Raises:
+        ConfigurationError: It has another shape or depth.
+    """
+    if image.shape != (HEIGHT, WIDTH) or image.dtype != np.uint8:
+        raise ConfigurationError(
+            f'pixel mask of shape {image.shape}, {image.dtype}: give a grey image of '
+            f'{WIDTH} x {HEIGHT} pixels with 8 bits'
+        )
+    rows, columns = np.nonzero(image)
+    order = np.argsort(-image[rows, columns].astype(int), kind='stable')
+    pairs = zip(columns[order].tolist(), rows[order].tolist(), strict=True)
+    return PixelMask(pairs)
+
+
+def load_mask(path: str) -> PixelMask:
+    """Return the mask in a PNG file; an empty path is an empty mask.
+
+    Raises:
+        ConfigurationError: The file cannot be read or is no such image.
+    """
+    if not path:
+        return PixelMask()
+    # Slow to import, and few need it.
+    import cv2
+
+    image: Any = cv2.imread(path, cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ConfigurationError(f'pixel mask {path!r} cannot be read: give a grey PNG image')
+    return mask_of_image(image)
+
+
+def check_path(path: str) -> None:
+    """Refuse a path that `save_mask` cannot write to.
+
+    Raises:
+        ConfigurationError: As said.
+    """
+    if not path.endswith('.png') or not Path(path).resolve().parent.is_dir():
+        raise ConfigurationError(
+            f'pixel mask {path!r} cannot be written: give a path that ends with .png in a folder '
+            'that exists'
+        )
+
+
+def save_mask(mask: PixelMask, path: str) -> None:
+    """Write a mask to a PNG file.
+
+    Raises:
+        ConfigurationError: The file cannot be written.
+    """
+    check_path(path)
+    import cv2
+
+    if not cv2.imwrite(path, mask.image()):
+        raise ConfigurationError(f'pixel mask {path!r} cannot be written: check its permissions')
+
+
+def warm_up() -> None:
+    """Compile, or load what was compiled, before data wait."""
+    one = np.zeros(1, np.uint16)
+    PixelMask([(0, 0)]).keep(Events(np.zeros(1, np.int64), one, one, np.zeros(1, np.bool_)))
+
+
+def _buffers(n: int) -> tuple[NDArray[Any], ...]:
+    return (
+        np.empty(n, np.int64),
+        np.empty(n, np.uint16),
+        np.empty(n, np.uint16),
+        np.empty(n, np.bool_),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _keep(
+    masked: NDArray[np.bool_],
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    polarity: NDArray[np.bool_],
+    kept_t: NDArray[np.int64],
+    kept_x: NDArray[np.uint16],
+    kept_y: NDArray[np.uint16],
+    kept_polarity: NDArray[np.bool_],
+) -> int:
+    rows, columns = masked.shape
+    n = 0
+    for i in range(len(t)):
+        # Written always and counted only if kept: no branch that noise could mispredict.
+        kept_t[n] = t[i]
+        kept_x[n] = x[i]
+        kept_y[n] = y[i]
+        kept_polarity[n] = polarity[i]
+        n += not (y[i] < rows and x[i] < columns and masked[y[i], x[i]])
+    return n
+
+
+AROUND = np.ones((5, 5), np.bool_)
+AROUND[2, 2] = False
+RANK = -4
+FEWEST_EVENTS = 10
+"""Fewer than this may be chance where most pixels have none."""
+SIGMAS = 5.0
+"""Counts scatter by their square root; a pixel is this many of it above its surroundings."""
+
+
+class PixelCounter:
+    """Counts events per pixel over a stretch of camera time.
+
+    Args:
+        duration_us: Length of the stretch [us].
+
+    Attributes:
+        counts: `int64` [260, 346], events so far.
+        done: Set when the stretch is over.
+    """
+
+    def __init__(self, duration_us: int) -> None:
+        self.counts = np.zeros((HEIGHT, WIDTH), np.int64)
+        self.done = threading.Event()
+        self._duration_us = duration_us
+        self._end_us: int | None = None
+
+    def add(self, events: Events, time_us: int) -> None:
+        """Count events.
+
+        Args:
+            events: Events on the camera clock [us].
+            time_us: Time that the stream has reached [us, camera clock].
+        """
+        if self.done.is_set():
+            return
+        if self._end_us is None:
+            # Those before may have passed filters that have just been changed.
+            self._end_us = time_us + self._duration_us
+            return
+        flat = events.y.astype(np.int64) * WIDTH + events.x
+        self.counts += np.bincount(flat, minlength=WIDTH * HEIGHT).reshape(HEIGHT, WIDTH)
+        if time_us >= self._end_us:
+            self.done.set()
+
+
+def hot_pixels(
+    counts: NDArray[np.int64], duration_s: float, minimum_rate_hz: float, factor: float
+) -> list[Pixel]:
+    """Return the hot pixels as (column, row), the noisiest first.
+
+    Args:
+        counts: `int64` [rows, columns], events per pixel.
+        duration_s: Time over which they were counted [s].
+        minimum_rate_hz: Pixels with fewer events per second are not hot [1/s].
+        factor: Pixels with fewer events than so many times the fourth noisiest around them are
+            not hot.
+    """
+    # Slow to import, and the driver starts without it.
+    from scipy.ndimage import rank_filter
+
+    around = rank_filter(counts.astype(np.float64), RANK, footprint=AROUND, mode='mirror')
+    limit = np.maximum(factor * around, around + SIGMAS * np.sqrt(around))
+    fewest = max(minimum_rate_hz * duration_s, FEWEST_EVENTS)
+    rows, columns = np.nonzero((counts > limit) & (counts >= fewest))
+    order = np.argsort(-counts[rows, columns], kind='stable')
+    return list(zip(columns[order].tolist(), rows[order].tolist(), strict=True))

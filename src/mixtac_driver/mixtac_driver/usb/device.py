@@ -1,0 +1,364 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Find, open and claim a camera on the USB bus.
+
+The device string `davis346` is a real camera, reached through libusb. Any other name is looked up,
+by the part before the colon, among the entry points of the group `mixtac.usb_backends`: callables
+that take the device string and return a pyusb backend.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import threading
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any
+
+import usb.core
+import usb.util
+from usb.core import USBError
+
+from mixtac_driver.errors import InUseError, NoCameraError, UnknownDeviceError, UsbError
+from mixtac_driver.usb.libusb import LibusbPort
+from mixtac_driver.usb.protocol import Protocol, usb_failure
+from mixtac_events.errors import MixtacError
+
+if TYPE_CHECKING:
+    from array import array
+    from types import TracebackType
+
+
+GROUP = 'mixtac.usb_backends'
+REAL = 'davis346'
+VENDOR, PRODUCT = 0x152A, 0x841A
+
+
+def is_real(device: str) -> bool:
+    """Return whether a device string names a real camera."""
+    return device == REAL
+
+
+def known_devices() -> list[str]:
+    """Return the names that `open_backend` knows."""
+    return [REAL, *sorted({point.name for point in entry_points(group=GROUP)} - {REAL})]
+
+
+def check_device(device: str) -> None:
+    """Refuse a device string that names nothing known.
+
+    Raises:
+        UnknownDeviceError: As said; lists the known names.
+    """
+    if not is_real(device) and device.partition(':')[0] not in known_devices()[1:]:
+        raise UnknownDeviceError(
+            f'device {device!r} is unknown; known are {", ".join(known_devices())}'
+        )
+
+
+def open_backend(device: str) -> Any:  # noqa: ANN401
+    """Return the pyusb backend (`usb.backend.IBackend`) behind a device string.
+
+    Raises:
+        UnknownDeviceError: Nothing of that name is known.
+        UsbError: libusb is not installed.
+    """
+    check_device(device)
+    if is_real(device):
+        return _libusb()
+    name = device.partition(':')[0]
+    (point, *_) = entry_points(group=GROUP, name=name)
+    return point.load()(device)
+
+
+def _libusb() -> Any:  # noqa: ANN401
+    if importlib.util.find_spec('libusb_package') is not None:
+        import libusb_package
+
+        backend = libusb_package.get_libusb1_backend()
+    else:
+        from usb.backend import libusb1
+
+        backend = libusb1.get_backend()
+    if backend is None:
+        raise UsbError('libusb is missing: install libusb-1.0-0, or "pip install libusb-package"')
+    return backend
+
+
+def attached_cameras(
+    device: str,
+    backend: Any = None,  # noqa: ANN401
+) -> frozenset[tuple[int, int]]:
+    """Return bus and address of every camera that is attached, without opening any.
+
+    Plugging a camera in again gives it another address. No camera is returned where none can be
+    looked for.
+
+    Args:
+        device: Device string.
+        backend: A pyusb backend to use instead of the one that `device` names.
+    """
+    try:
+        found = _all_cameras(open_backend(device) if backend is None else backend)
+    except MixtacError:
+        return frozenset()
+    return frozenset((int(camera.bus or 0), int(camera.address or 0)) for camera in found)
+
+
+def find_camera(
+    backend: Any,  # noqa: ANN401
+    device: str,
+    serial: str = '',
+    preferred: str = '',
+) -> tuple[Any, str]:
+    """Return the wanted camera as a `usb.core.Device`, and its serial number.
+
+    Args:
+        backend: A pyusb backend.
+        device: Device string, for messages.
+        serial: Serial number of the wanted camera; empty takes the only one there is.
+        preferred: Serial number of the one to take where `serial` is empty and there are several.
+
+    Raises:
+        NoCameraError: There is none, none with that number, or several and no number was given.
+        UsbError: A camera may not be opened, and the wanted one is not among the others.
+    """
+    found = _all_cameras(backend)
+    if not found:
+        raise NoCameraError(_none_found(device))
+    chosen = None
+    try:
+        chosen, number = _choose(found, serial, preferred)
+        return chosen, number
+    finally:
+        for camera in found:
+            if camera is not chosen:
+                with contextlib.suppress(USBError):
+                    usb.util.dispose_resources(camera)
+
+
+def _all_cameras(backend: Any) -> list[Any]:  # noqa: ANN401
+    try:
+        return list(
+            usb.core.find(find_all=True, idVendor=VENDOR, idProduct=PRODUCT, backend=backend)
+        )
+    except USBError as error:
+        raise usb_failure(error, 'looking for cameras') from error
+
+
+def _choose(found: list[Any], serial: str, preferred: str) -> tuple[Any, str]:
+    by_serial: dict[str, Any] = {}
+    failure = None
+    for camera in found:
+        try:
+            by_serial[_serial_of(camera)] = camera
+        except UsbError as error:
+            # Another program may hold this one, and the wanted one may be free.
+            failure = error
+    wanted = serial or preferred
+    if wanted in by_serial:
+        return by_serial[wanted], wanted
+    if failure is not None:
+        raise failure
+    listed = ', '.join(by_serial)
+    if serial:
+        raise NoCameraError(f'no camera has the serial number {serial!r}; attached: {listed}')
+    if len(found) > 1:
+        raise NoCameraError(f'{len(found)} cameras are attached ({listed}): choose one by serial')
+    ((number, camera),) = by_serial.items()
+    return camera, number
+
+
+def _none_found(device: str) -> str:
+    if is_real(device):
+        return (
+            f'no DAVIS346 (USB {VENDOR:04x}:{PRODUCT:04x}) is attached: plug one in, '
+            'or use device:=virtual for the virtual sensor'
+        )
+    return f'no camera is behind device {device!r}: start what serves it'
+
+
+def _serial_of(camera: Any) -> str:  # noqa: ANN401
+    try:
+        camera.get_active_configuration()
+    except USBError as error:
+        # An unconfigured camera gives no error number, and can still tell its serial number.
+        if error.errno is not None:
+            raise usb_failure(error, 'opening the camera') from error
+    try:
+        return str(camera.serial_number or '')
+    except USBError as error:
+        raise usb_failure(error, 'reading the serial number') from error
+    except ValueError:
+        return ''
+
+
+class ReadsInProgress:
+    """A context manager for every read, from any thread."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._ended = threading.Condition()
+
+    def __enter__(self) -> None:
+        """Note that a read begins."""
+        with self._ended:
+            self._count += 1
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Note that it ended."""
+        with self._ended:
+            self._count -= 1
+            self._ended.notify_all()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until there are none.
+
+        Args:
+            seconds: Longest time to wait [s].
+
+        Returns:
+            Whether there are none.
+        """
+        with self._ended:
+            return self._ended.wait_for(lambda: not self._count, seconds)
+
+
+DATA_ENDPOINT = 0x82
+DEBUG_ENDPOINT = 0x81
+CONFIGURATION = 1
+INTERFACE = 0
+LAST_READ_S = 0.3
+"""How long a read may take to end by itself; reads of this driver wait 0.1 s for data."""
+STUCK_READ_S = 1.0
+"""How long it may take after the port was reset."""
+_abandoned: list[Any] = []
+"""Devices with a read that never returned: closing them could crash the process."""
+
+
+class Connection:
+    """Opens a camera; close it when done.
+
+    Args:
+        device: Device string (see `mixtac_driver.usb.device`).
+        serial: Serial number, or empty for the only camera.
+        preferred: Serial number of the camera to take where several are attached and `serial` is
+            empty.
+        backend: A pyusb backend to use instead of the one that `device` names.
+
+    Attributes:
+        serial: Serial number of the camera.
+        protocol: Register access.
+
+    Raises:
+        UnknownDeviceError: Nothing is known by that device string.
+        NoCameraError: No such camera is attached.
+        UsbError: It cannot be opened.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        serial: str = '',
+        backend: Any = None,  # noqa: ANN401
+        preferred: str = '',
+    ) -> None:
+        self._backend = open_backend(device) if backend is None else backend
+        self._device, self.serial = find_camera(self._backend, device, serial, preferred)
+        self._reads = ReadsInProgress()
+        self.protocol = Protocol(self._device)
+        try:
+            self._claim()
+        except USBError as error:
+            self.close()
+            failure = usb_failure(error, 'claiming the camera')
+            if _abandoned and isinstance(failure, InUseError):
+                failure = InUseError(
+                    'a read of the camera never returned and still holds it; restart the driver'
+                )
+            raise failure from error
+
+    @property
+    def bcd_device(self) -> int:
+        """Release number from the device descriptor: the firmware version."""
+        return int(self._device.bcdDevice)
+
+    def clear_halt(self) -> None:
+        """Set the data endpoint going.
+
+        Raises:
+            UsbError: The request failed.
+        """
+        try:
+            self._device.clear_halt(DATA_ENDPOINT)
+        except USBError as error:
+            raise usb_failure(error, 'clearing the data endpoint') from error
+
+    def check(self) -> None:
+        """Make sure that the camera still answers requests, whoever made them.
+
+        Raises:
+            NoAnswerError: It did not, lately; whether it obeyed is not known, so open it again.
+        """
+        if self.protocol.failure is not None:
+            raise self.protocol.failure
+
+    def libusb_port(self) -> LibusbPort | None:
+        """Return the camera as libusb knows it, or None where another backend serves it."""
+        return LibusbPort.of(self._device)
+
+    def read_data(self, buffer: array[int], timeout_ms: int) -> int:
+        """Read from the data endpoint into a buffer; return the number of bytes.
+
+        Raises:
+            usb.core.USBError: As pyusb raises it; a time-out is a USBTimeoutError.
+        """
+        with self._reads:
+            return int(self._device.read(DATA_ENDPOINT, buffer, timeout_ms))
+
+    def read_debug(self, buffer: array[int], timeout_ms: int) -> int:
+        """Read from the debug endpoint into a buffer; return the number of bytes.
+
+        Raises:
+            usb.core.USBError: As pyusb raises it; a time-out is a USBTimeoutError.
+            ValueError: The camera has no such endpoint.
+        """
+        with self._reads:
+            return int(self._device.read(DEBUG_ENDPOINT, buffer, timeout_ms))
+
+    def close(self) -> None:
+        """Give the camera back; harmless when it is gone.
+
+        A read that does not return is ended by a reset of the port. Where not even that ends it,
+        the camera stays claimed until the process ends, because its handle is in use.
+        """
+        if not self._reads.wait(LAST_READ_S) and not self._end_reads():
+            _abandoned.append(self._device)
+            return
+        with contextlib.suppress(USBError):
+            usb.util.dispose_resources(self._device)
+
+    def _end_reads(self) -> bool:
+        with contextlib.suppress(USBError, NotImplementedError):
+            # Not Device.reset: it closes the handle, which the read still uses.
+            context = self._device._ctx  # noqa: SLF001
+            context.backend.reset_device(context.handle)
+        return self._reads.wait(STUCK_READ_S)
+
+    def _claim(self) -> None:
+        if self._active_configuration() != CONFIGURATION:
+            self._device.set_configuration(CONFIGURATION)
+        usb.util.claim_interface(self._device, INTERFACE)
+
+    def _active_configuration(self) -> int:
+        try:
+            return int(self._device.get_active_configuration().bConfigurationValue)
+        except USBError as error:
+            if error.errno is not None:
+                raise
+            return 0

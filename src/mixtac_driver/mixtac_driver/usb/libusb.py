@@ -1,0 +1,346 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Asynchronous reads through libusb: many wait at the endpoint at once.
+
+pyusb knows libusb's structures but waits for one transfer at a time
+(https://libusb.sourceforge.io/api-1.0/group__libusb__asyncio.html). The camera's own buffer holds
+only a few milliseconds of data at full rate, and a Python process can be busy for longer. Reads
+that wait are filled by the kernel meanwhile: 128 of 64 KiB hold 8 MiB, more than 100 ms of the
+sensor's highest rate of about 65 MB/s. There is no reader thread: the consumer collects what has
+arrived whenever it asks, because waking a thread for every transfer would cost more than the
+transfer itself.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from usb.backend import libusb1
+from usb.core import USBError
+
+from mixtac_driver.errors import StreamError, UsbError
+from mixtac_driver.usb.protocol import usb_failure
+from mixtac_driver.usb.transport import MOST_STALLS, TransferQueue
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mixtac_driver.usb.transport import Transfer, TransportCounters
+
+
+BULK = 2
+COMPLETED, FAILED, TIMED_OUT, CANCELLED, STALLED, NO_DEVICE, OVERFLOW = range(7)
+"""Status of a finished transfer (enum libusb_transfer_status)."""
+_ERRNO = {
+    FAILED: errno.EIO,
+    TIMED_OUT: errno.ETIMEDOUT,
+    CANCELLED: errno.ECANCELED,
+    STALLED: errno.EPIPE,
+    NO_DEVICE: errno.ENODEV,
+    OVERFLOW: errno.EOVERFLOW,
+}
+_INTERRUPTED = -10
+_abandoned: list[Any] = []
+"""Transfers that the kernel never gave back: freeing their memory would let it write anywhere."""
+
+
+class _Time(ctypes.Structure):
+    _fields_ = (('seconds', ctypes.c_long), ('microseconds', ctypes.c_long))
+
+
+class LibusbPort:
+    """An open camera as libusb knows it.
+
+    Args:
+        lib: The library.
+        context: Its context.
+        handle: The handle of the device.
+    """
+
+    def __init__(self, lib: Any, context: Any, handle: Any) -> None:  # noqa: ANN401
+        self.lib, self.context, self.handle = lib, context, handle
+
+    @classmethod
+    def of(cls, device: Any) -> LibusbPort | None:  # noqa: ANN401
+        """Return the port of an open `usb.core.Device`, or None if it is not one of libusb's."""
+        backend = getattr(device, 'backend', None)
+        if not isinstance(backend, libusb1._LibUSB):  # noqa: SLF001  (pyusb has no public way)
+            return None
+        device._ctx.managed_open()  # noqa: SLF001
+        return cls(backend.lib, backend.ctx, device._ctx.handle.handle)  # noqa: SLF001
+
+    def handle_events(self, timeout_s: float) -> None:
+        """Wait for transfers to finish and call their callbacks.
+
+        Args:
+            timeout_s: Longest time to wait [s].
+
+        Raises:
+            usb.core.USBError: libusb failed.
+        """
+        time = _Time(int(timeout_s), int(timeout_s % 1 * 1e6))
+        code = self.lib.libusb_handle_events_timeout(self.context, ctypes.byref(time))
+        if code not in (0, _INTERRUPTED):
+            raise usb_error(code)
+
+
+class BulkTransfer:
+    """One transfer that can be submitted again and again.
+
+    Args:
+        port: The camera.
+        endpoint: Address of a bulk endpoint that sends to the host.
+        size: Bytes to ask for.
+        on_done: Called in `LibusbPort.handle_events` when it finished, however it did.
+    """
+
+    def __init__(
+        self,
+        port: LibusbPort,
+        endpoint: int,
+        size: int,
+        on_done: Callable[[BulkTransfer], None],
+    ) -> None:
+        self._lib = port.lib
+        self._buffer = (ctypes.c_ubyte * size)()
+        self._address = ctypes.addressof(self._buffer)
+        self._pointer = port.lib.libusb_alloc_transfer(0)
+        if not self._pointer:
+            raise USBError('no memory for a transfer', -11, errno.ENOMEM)
+        # Kept here, because libusb does not: ctypes frees a callback nobody refers to.
+        self._callback = libusb1._libusb_transfer_cb_fn_p(lambda _pointer: on_done(self))  # noqa: SLF001
+        self._fields = fields = self._pointer.contents
+        fields.dev_handle = port.handle
+        fields.endpoint = endpoint
+        fields.type = BULK
+        fields.timeout = 0
+        fields.length = size
+        fields.buffer = self._address
+        fields.callback = self._callback
+        self.size = size
+
+    @property
+    def status(self) -> int:
+        """How it finished."""
+        return int(self._fields.status)
+
+    @property
+    def data(self) -> bytes:
+        """What it brought, copied."""
+        return ctypes.string_at(self._address, self._fields.actual_length)
+
+    def submit(self) -> None:
+        """Let it wait at the endpoint.
+
+        Raises:
+            usb.core.USBError: It was not accepted.
+        """
+        code = self._lib.libusb_submit_transfer(self._pointer)
+        if code:
+            raise usb_error(code)
+
+    def cancel(self) -> None:
+        """Ask for it back; it finishes as cancelled unless it finishes otherwise before."""
+        self._lib.libusb_cancel_transfer(self._pointer)
+
+    def free(self) -> None:
+        """Give its memory back; it must not be waiting."""
+        self._lib.libusb_free_transfer(self._pointer)
+
+    def abandon(self) -> None:
+        """Keep its memory for ever, because the kernel may still write to it."""
+        _abandoned.append(self)
+
+
+def usb_error(code: int) -> USBError:
+    """Return pyusb's error for a libusb error code."""
+    number = libusb1._libusb_errno.get(code)  # noqa: SLF001
+    return USBError(f'libusb error {code}', code, number)
+
+
+def transfer_error(status: int) -> USBError:
+    """Return pyusb's error for the status of a transfer that brought nothing."""
+    number = _ERRNO.get(status, errno.EIO)
+    return USBError(f'transfer ended with status {status}', None, number)
+
+
+LONGEST_WAIT_S = 0.05
+ROOM_EVERY_S = 0.005
+DRAIN_TIMEOUT_S = 2.0
+
+
+class AsynchronousReader:
+    """Keeps reads waiting at the endpoint until stopped or until the camera goes away.
+
+    Has the interface of `mixtac_driver.usb.transport.BulkReader`. `get` is for one thread; `stop` may
+    be called from another. libusb may call back in any thread that makes a request of it.
+
+    Args:
+        port: The camera, open and claimed.
+        endpoint: Address of the data endpoint.
+        clear_halt: Sets a stalled endpoint going again.
+        transfers: How many reads wait at once.
+        transfer_size: Bytes asked for per read.
+        queue_size: Bytes that may wait for the consumer besides.
+        now_ns: Host clock [ns since the Unix epoch].
+    """
+
+    def __init__(
+        self,
+        port: LibusbPort,
+        endpoint: int,
+        clear_halt: Callable[[], None],
+        *,
+        transfers: int = 128,
+        transfer_size: int = 65536,
+        queue_size: int = 32 << 20,
+        now_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._port, self._clear_halt = port, clear_halt
+        self._endpoint = endpoint
+        self._count, self._transfer_size = transfers, transfer_size
+        self._queue = TransferQueue(queue_size)
+        self._now_ns = now_ns
+        self._stopping = threading.Event()
+        self._transfers: list[BulkTransfer] = []
+        self._waiting: set[BulkTransfer] = set()
+        self._failure: USBError | None = None
+        self._stalls = self._stalls_in_a_row = 0
+        self._looked_s = 0.0
+
+    @property
+    def counters(self) -> TransportCounters:
+        """What the reader did so far."""
+        return self._queue.counters(stalls=self._stalls)
+
+    def start(self) -> None:
+        """Let the reads wait at the endpoint.
+
+        Raises:
+            UsbError: The kernel does not accept them.
+        """
+        try:
+            for _ in range(self._count):
+                self._transfers.append(
+                    BulkTransfer(self._port, self._endpoint, self._transfer_size, self._on_done)
+                )
+            self._submit_all()
+        except USBError as error:
+            self.stop()
+            if error.errno == errno.ENOMEM:
+                raise UsbError(self._too_large()) from error
+            raise usb_failure(error, 'queueing reads') from error
+
+    def stop(self) -> None:
+        """End reading and take the reads back; what has arrived can still be got.
+
+        Raises:
+            StreamError: The kernel does not give the reads back.
+        """
+        self._stopping.set()
+        try:
+            self._call_back()
+        except USBError as error:
+            self._failure = self._failure or error
+        transfers, self._transfers = self._transfers, []
+        for transfer in transfers:
+            if transfer in self._waiting:
+                transfer.abandon()
+            else:
+                transfer.free()
+        if self._waiting:
+            raise StreamError(
+                f'{len(self._waiting)} USB reads were not given back within {DRAIN_TIMEOUT_S} s'
+            )
+
+    def get(self, timeout_s: float) -> Transfer | None:
+        """Return the next transfer, or None when none came in time or reading was stopped.
+
+        Args:
+            timeout_s: Longest time to wait [s]; it may come back empty before.
+
+        Raises:
+            UsbError: Reading ended because of it, and all that came before it was taken.
+        """
+        if not self._stopping.is_set() and self._failure is None:
+            self._look(timeout_s)
+        transfer = self._queue.pop()
+        if transfer is None and self._failure is not None and not self._stopping.is_set():
+            self._recover(self._failure)
+        return transfer
+
+    def _too_large(self) -> str:
+        return (
+            f'the kernel has no room for {self._count} USB reads of {self._transfer_size} bytes: '
+            'lower usb_transfers, or raise /sys/module/usbcore/parameters/usbfs_memory_mb'
+        )
+
+    def _look(self, timeout_s: float) -> None:
+        """Wait for reads that have finished; with a backlog, only make room in the kernel."""
+        now_s = time.monotonic()
+        if len(self._queue):
+            if now_s < self._looked_s + ROOM_EVERY_S:
+                return
+            timeout_s = 0.0
+        self._looked_s = now_s
+        try:
+            self._port.handle_events(min(timeout_s, LONGEST_WAIT_S))
+        except USBError as error:
+            self._failure = error
+
+    def _on_done(self, transfer: BulkTransfer) -> None:
+        self._waiting.discard(transfer)
+        status, data = transfer.status, transfer.data
+        if status == COMPLETED:
+            self._submit_again(transfer)
+        elif status != CANCELLED and self._failure is None:
+            self._failure = transfer_error(status)
+        # A read that failed or was called back may have brought something before.
+        if data:
+            self._stalls_in_a_row = 0
+            self._queue.put(data, self._now_ns(), short_packet=len(data) < transfer.size)
+
+    def _submit_again(self, transfer: BulkTransfer) -> None:
+        if self._stopping.is_set() or self._failure is not None:
+            return
+        try:
+            transfer.submit()
+            self._waiting.add(transfer)
+        except USBError as error:
+            self._failure = error
+
+    def _submit_all(self) -> None:
+        for transfer in self._transfers:
+            transfer.submit()
+            self._waiting.add(transfer)
+
+    def _recover(self, error: USBError) -> None:
+        """Set a stalled endpoint going again.
+
+        Raises:
+            UsbError: It was another failure, or there are too many stalls in a row.
+        """
+        self._stalls += 1
+        self._stalls_in_a_row += 1
+        stalled = error.errno == transfer_error(STALLED).errno
+        if not stalled or self._stalls_in_a_row > MOST_STALLS:
+            raise usb_failure(error, 'reading data') from error
+        try:
+            self._call_back()
+            self._clear_halt()
+            self._failure = None
+            self._submit_all()
+        except USBError as failure:
+            raise usb_failure(failure, 'reading data') from failure
+
+    def _call_back(self) -> None:
+        """Cancel the reads that wait and take them back."""
+        deadline_s = time.monotonic() + DRAIN_TIMEOUT_S
+        for transfer in list(self._waiting):
+            transfer.cancel()
+        while self._waiting and time.monotonic() < deadline_s:
+            self._port.handle_events(LONGEST_WAIT_S)

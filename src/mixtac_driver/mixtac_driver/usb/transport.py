@@ -1,0 +1,346 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Synchronous readers of the data and debug endpoints, and the bounded queue of transfers.
+
+`BulkReader` reads one transfer after the other and serves the pyusb backends that have no
+asynchronous transfers; a camera on USB is read by `mixtac_driver.usb.libusb.AsynchronousReader`.
+When the consumer is too slow, `TransferQueue` drops and counts the newest transfers and keeps the
+camera time that passed in them as a `Gap`.
+
+The USB controller of the camera sends messages on its debug endpoint:
+
+| byte | meaning |
+|---|---|
+| 0 | 0: a message |
+| 1 | code, 0 for no fault |
+| 2 .. 5 | time, u32, little-endian, in units of the controller |
+| 6 .. | text, ASCII, up to 58 bytes |
+"""
+
+from __future__ import annotations
+
+import errno
+import threading
+import time
+from array import array
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numba import njit
+from usb.core import USBError, USBTimeoutError
+
+from mixtac_driver.errors import UsbError
+from mixtac_driver.usb.protocol import usb_failure
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Octets = bytes | bytearray | memoryview | array[int] | NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Data that were lost between two transfers.
+
+    Attributes:
+        size: Bytes lost.
+        wraps: Wraps of the 15-bit time among them, since the last reset among them.
+        resets: Resets of the clock among them.
+    """
+
+    size: int = 0
+    wraps: int = 0
+    resets: int = 0
+
+    def __add__(self, later: Gap) -> Gap:
+        """Return this gap and the one after it as one."""
+        wraps = later.wraps if later.resets else self.wraps + later.wraps
+        return Gap(self.size + later.size, wraps, self.resets + later.resets)
+
+
+@njit(cache=True, nogil=True)
+def _count(words: Any) -> tuple[int, int]:  # noqa: ANN401
+    wraps = resets = 0
+    for word in words:
+        if word >> 12 == 7:
+            wraps += word & 0xFFF
+        elif word == 1:
+            resets += 1
+            wraps = 0
+    return wraps, resets
+
+
+def gap_of(data: Octets) -> Gap:
+    """Return the gap that throwing these bytes away leaves."""
+    octets = np.frombuffer(data, np.uint8)
+    wraps, resets = _count(octets[: len(octets) // 2 * 2].view('<u2'))
+    return Gap(len(octets), int(wraps), int(resets))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transfer:
+    """What one read brought.
+
+    Attributes:
+        data: Bytes.
+        arrival_ns: Host time of arrival [ns since the Unix epoch].
+        short_packet: True where the camera ended the transfer before the buffer was full.
+        gap: What was thrown away between the transfer before and this one.
+    """
+
+    data: bytes
+    arrival_ns: int
+    short_packet: bool
+    gap: Gap
+
+
+@dataclass(frozen=True, slots=True)
+class TransportCounters:
+    """What the reader did so far.
+
+    Attributes:
+        transfers: Reads that brought data.
+        size: Bytes they brought.
+        timeouts: Reads that brought none; normal for a camera that is not running.
+        stalls: Times the endpoint had to be set going again.
+        dropped_transfers: Transfers thrown away because the queue was full.
+        dropped_size: Bytes thrown away.
+        queued_size: Bytes in the queue now.
+        most_queued_size: Greatest number of bytes in the queue.
+    """
+
+    transfers: int = 0
+    size: int = 0
+    timeouts: int = 0
+    stalls: int = 0
+    dropped_transfers: int = 0
+    dropped_size: int = 0
+    queued_size: int = 0
+    most_queued_size: int = 0
+
+
+class TransferQueue:
+    """Transfers in order.
+
+    When the consumer is too slow the newest transfers are thrown away and counted; the time that
+    passed in them is kept (see `Transfer.gap`).
+
+    Args:
+        limit: Bytes that may wait for the consumer.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._waiting: deque[Transfer] = deque()
+        self._gap = Gap()
+        self._transfers = self._size = 0
+        self._dropped_transfers = self._dropped_size = 0
+        # One for the thread that puts, one for the thread that pops: they may be different.
+        self._size_in = self._size_out = self._most_queued_size = 0
+
+    def __len__(self) -> int:
+        """Return how many transfers wait."""
+        return len(self._waiting)
+
+    def counters(self, *, timeouts: int = 0, stalls: int = 0) -> TransportCounters:
+        """Return the counters of the queue together with those of its reader."""
+        return TransportCounters(
+            transfers=self._transfers,
+            size=self._size,
+            timeouts=timeouts,
+            stalls=stalls,
+            dropped_transfers=self._dropped_transfers,
+            dropped_size=self._dropped_size,
+            queued_size=self._size_in - self._size_out,
+            most_queued_size=self._most_queued_size,
+        )
+
+    def put(self, data: bytes, arrival_ns: int, *, short_packet: bool) -> None:
+        """Append a transfer, or throw it away if there is no room.
+
+        Args:
+            data: Bytes, at least one.
+            arrival_ns: Host time of arrival [ns since the Unix epoch].
+            short_packet: Whether the camera ended it before the buffer was full.
+        """
+        self._transfers += 1
+        self._size += len(data)
+        queued_size = self._size_in - self._size_out + len(data)
+        if queued_size > self._limit:
+            self._dropped_transfers += 1
+            self._dropped_size += len(data)
+            self._gap += gap_of(data)
+            return
+        self._waiting.append(Transfer(data, arrival_ns, short_packet, self._gap))
+        self._gap = Gap()
+        self._size_in += len(data)
+        self._most_queued_size = max(self._most_queued_size, queued_size)
+
+    def pop(self) -> Transfer | None:
+        """Return the oldest transfer, or None if there is none."""
+        if not self._waiting:
+            return None
+        transfer = self._waiting.popleft()
+        self._size_out += len(transfer.data)
+        return transfer
+
+
+LONGEST_READ_S = 0.1
+"""Longest read: so late `stop` is noticed in another thread."""
+MOST_STALLS = 5
+"""Stalls in a row after which clearing them is given up."""
+
+
+class BulkReader:
+    """Reads whenever it is asked for data.
+
+    Args:
+        read: Reads into a buffer within a time [ms] and returns the number of bytes; raises as
+            pyusb does.
+        clear_halt: Sets a stalled endpoint going again.
+        transfer_size: Bytes asked for per read.
+        now_ns: Host clock [ns since the Unix epoch].
+    """
+
+    def __init__(
+        self,
+        read: Callable[[array[int], int], int],
+        clear_halt: Callable[[], None],
+        *,
+        transfer_size: int = 65536,
+        now_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._read = read
+        self._clear_halt = clear_halt
+        self._buffer = array('B', bytes(transfer_size))
+        self._queue = TransferQueue(transfer_size)
+        self._now_ns = now_ns
+        self._stopping = threading.Event()
+        self._timeouts = self._stalls = self._stalls_in_a_row = 0
+
+    @property
+    def counters(self) -> TransportCounters:
+        """What the reader did so far."""
+        return self._queue.counters(timeouts=self._timeouts, stalls=self._stalls)
+
+    def start(self) -> None:
+        """Do nothing: reading begins with the first `get`."""
+
+    def stop(self) -> None:
+        """Let no further read begin; one that another thread waits in ends at its time-out."""
+        self._stopping.set()
+
+    def get(self, timeout_s: float) -> Transfer | None:
+        """Return the next transfer, or None when none came in time or reading was stopped.
+
+        Args:
+            timeout_s: Longest time to wait [s]; it may come back empty before.
+
+        Raises:
+            UsbError: Reading failed, or the camera is gone.
+        """
+        if self._stopping.is_set():
+            return None
+        try:
+            count = self._read(self._buffer, max(round(min(timeout_s, LONGEST_READ_S) * 1000), 1))
+        except USBTimeoutError:
+            count = 0
+        except USBError as error:
+            self._recover(error)
+            return None
+        except OSError as error:
+            raise UsbError(f'reading data: {error}') from error
+        if not count:
+            self._timeouts += 1
+            return None
+        self._stalls_in_a_row = 0
+        data = bytes(memoryview(self._buffer)[:count])
+        self._queue.put(data, self._now_ns(), short_packet=count < len(self._buffer))
+        return self._queue.pop()
+
+    def _recover(self, error: USBError) -> None:
+        self._stalls += 1
+        self._stalls_in_a_row += 1
+        if error.errno != errno.EPIPE or self._stalls_in_a_row > MOST_STALLS:
+            raise usb_failure(error, 'reading data') from error
+        self._clear_halt()
+
+
+MESSAGE_SIZE = 64
+HEADER_SIZE = 6
+DEBUG_READ_TIMEOUT_MS = 100
+DEBUG_STOP_TIMEOUT_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class DebugMessage:
+    """One message.
+
+    Attributes:
+        code: 0 where nothing is wrong.
+        time: Time of the message on the controller's clock, in its own units.
+        text: What it says.
+    """
+
+    code: int
+    time: int
+    text: str
+
+
+def decode_message(data: bytes) -> DebugMessage | None:
+    """Return the message that a transfer of the debug endpoint holds, or None if none."""
+    if not HEADER_SIZE < len(data) <= MESSAGE_SIZE or data[0] != 0:
+        return None
+    text = data[HEADER_SIZE:].split(b'\0')[0].decode('ascii', 'replace')
+    return DebugMessage(data[1], int.from_bytes(data[2:6], 'little'), text)
+
+
+class DebugReader:
+    """Reads the debug endpoint in a thread of its own, until stopped or until that fails.
+
+    It is harmless where there is no such endpoint, and when the camera goes away: the reader of
+    the data endpoint sees that too, and reports it.
+
+    Args:
+        read: Reads into a buffer within a time [ms] and returns the number of bytes; raises as
+            pyusb does.
+        on_message: Called in the thread with each message.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[array[int], int], int],
+        on_message: Callable[[DebugMessage], None],
+    ) -> None:
+        self._read = read
+        self._on_message = on_message
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='davis-debug', daemon=True)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End reading; returns when the thread has ended."""
+        self._stopping.set()
+        if self._thread.ident is not None:
+            self._thread.join(DEBUG_STOP_TIMEOUT_S)
+
+    def _run(self) -> None:
+        buffer = array('B', bytes(MESSAGE_SIZE))
+        while not self._stopping.is_set():
+            try:
+                count = self._read(buffer, DEBUG_READ_TIMEOUT_MS)
+            except USBTimeoutError:
+                continue
+            except (USBError, OSError, ValueError, NotImplementedError):
+                # pyusb: a ValueError is an endpoint that the descriptors do not name.
+                return
+            message = decode_message(buffer[:count].tobytes())
+            if message is not None:
+                self._on_message(message)

@@ -1,0 +1,204 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Cutting the events into packets on a fixed grid of camera time, so that time always progresses.
+
+A packet is closed as soon as the stream is known to have passed the end of its cell of the grid;
+it then says so, which lets consumers close their own windows at once. Where nothing happened, an
+empty packet says that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_events.arrays import Events
+from mixtac_events.codec import encode
+
+if TYPE_CHECKING:
+    from mixtac_events.packets import EncodedPacket
+
+
+class PendingEvents:
+    """A list of events that grows at the end and shrinks at the front.
+
+    Args:
+        capacity: Events to make room for at first.
+    """
+
+    def __init__(self, capacity: int = 4096) -> None:
+        self._count = 0
+        self._allocate(capacity)
+
+    def __len__(self) -> int:
+        """Return how many events wait."""
+        return self._count
+
+    @property
+    def events(self) -> Events:
+        """The events that wait: views, good until the next call of `append` or `drop`."""
+        return self._arrays[: self._count]
+
+    def append(self, events: Events, shift_us: int) -> None:
+        """Copy events to the end.
+
+        Args:
+            events: Events.
+            shift_us: What to add to their times [us].
+        """
+        count = len(events)
+        if not count:
+            return
+        if self._count + count > len(self._arrays):
+            waiting = self.events
+            self._allocate(2 * (self._count + count))
+            self._copy(waiting, 0)
+        start = self._count
+        self._copy(events, start)
+        self._arrays.t[start : start + count] += shift_us
+        self._count = start + count
+
+    def drop(self, count: int) -> None:
+        """Forget the first events."""
+        rest = self._arrays[count : self._count]
+        self._count -= count
+        # Overlapping copies are safe in NumPy.
+        self._copy(rest, 0)
+
+    def _allocate(self, capacity: int) -> None:
+        self._arrays = Events(
+            np.empty(capacity, np.int64),
+            np.empty(capacity, np.uint16),
+            np.empty(capacity, np.uint16),
+            np.empty(capacity, np.bool_),
+        )
+
+    def _copy(self, events: Events, start: int) -> None:
+        end = start + len(events)
+        self._arrays.t[start:end] = events.t
+        self._arrays.x[start:end] = events.x
+        self._arrays.y[start:end] = events.y
+        self._arrays.polarity[start:end] = events.polarity
+
+
+MOST_BYTES_PER_EVENT = 8
+"""Either encoding: a time in two words, a column and a row; or 64 bits."""
+LONGEST_ANNOUNCEMENT_US = 1 << 23
+"""Times in `libcaer_cmp` are relative to the first event and end after 2^24 us."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Packet:
+    """One encoded packet.
+
+    Attributes:
+        encoded: Encoding, time base and payload.
+        arrival_ns: Host time at which the first transfer in it arrived [ns since the Unix epoch].
+        events: Number of events.
+        start_us: Camera time of the first event; of the end of silence in an empty packet.
+        complete_until_us: Camera time before which no further event will follow.
+    """
+
+    encoded: EncodedPacket
+    arrival_ns: int
+    events: int
+    start_us: int
+    complete_until_us: int
+
+
+class Packetizer:
+    """Cuts a stream of events into packets.
+
+    Args:
+        encoding: One of `mixtac_events.codec.ENCODINGS`.
+        period_us: Grid of camera time [us] and longest time that events of a packet span.
+        most_bytes: Longest payload [bytes].
+    """
+
+    def __init__(self, encoding: str, period_us: int, most_bytes: int) -> None:
+        self._encoding = encoding
+        self._period_us = period_us
+        self._most_events = max(most_bytes // MOST_BYTES_PER_EVENT, 1)
+        self._pending = PendingEvents()
+        self._pending_arrival_ns = 0
+        self._complete_us: int | None = None
+
+    def push(
+        self, events: Events, time_us: int, arrival_ns: int, shift_us: int = 0
+    ) -> list[Packet]:
+        """Take events and return the packets that they close.
+
+        Args:
+            events: Events on the camera clock [us], in order; not before those already taken.
+            time_us: Camera time that the stream has reached; later events are not before it.
+            arrival_ns: Host time of their arrival.
+            shift_us: What to add to the times of the events, but not to `time_us` [us].
+        """
+        held = len(self._pending)
+        if not held:
+            self._pending_arrival_ns = arrival_ns
+        self._pending.append(events, shift_us)
+        closed_us = time_us // self._period_us * self._period_us
+        if self._complete_us is None:
+            self._complete_us = min(closed_us, self._first_us(closed_us))
+        if closed_us <= self._complete_us and len(self._pending) < self._most_events:
+            return []
+        packets = self._cut(self._pending.events, held, closed_us, arrival_ns)
+        taken = sum(packet.events for packet in packets)
+        if taken:
+            self._pending.drop(taken)
+        if taken >= held:
+            self._pending_arrival_ns = arrival_ns
+        if closed_us > self._complete_us:
+            packets.append(self._packet(Events.empty(), closed_us, arrival_ns))
+        return packets
+
+    def _first_us(self, otherwise: int) -> int:
+        return int(self._pending.events.t[0]) if len(self._pending) else otherwise
+
+    def _cut(self, events: Events, held: int, closed_us: int, arrival_ns: int) -> list[Packet]:
+        ready = int(np.searchsorted(events.t, closed_us))
+        packets = []
+        for start, end in self._cells(events, ready):
+            for first in range(start, end, self._most_events):
+                last = min(first + self._most_events, end)
+                arrival = self._pending_arrival_ns if first < held else arrival_ns
+                until = self._complete_after(events, last, ready, closed_us)
+                packets.append(self._packet(events[first:last], until, arrival))
+        # The open cell is cut by size only.
+        first = ready
+        while len(events) - first >= self._most_events:
+            last = first + self._most_events
+            arrival = self._pending_arrival_ns if first < held else arrival_ns
+            packets.append(self._packet(events[first:last], int(events.t[last - 1]), arrival))
+            first = last
+        return packets
+
+    def _cells(self, events: Events, ready: int) -> list[tuple[int, int]]:
+        """Return the range of events of each cell that is closed and not empty."""
+        if not ready:
+            return []
+        if int(events.t[0]) // self._period_us == int(events.t[ready - 1]) // self._period_us:
+            return [(0, ready)]
+        cells = events.t[:ready] // self._period_us
+        starts = [0, *(np.flatnonzero(np.diff(cells)) + 1).tolist(), ready]
+        return list(pairwise(starts))
+
+    def _complete_after(self, events: Events, last: int, ready: int, closed_us: int) -> int:
+        """Return the grid time up to which nothing follows the event before `last`."""
+        latest = int(events.t[last - 1])
+        if last < ready:
+            following = int(events.t[last])
+            closed_us = max(following // self._period_us * self._period_us, latest)
+        return min(closed_us, latest + LONGEST_ANNOUNCEMENT_US)
+
+    def _packet(self, events: Events, until_us: int, arrival_ns: int) -> Packet:
+        encoded = encode(events, self._encoding, complete_until=until_us)
+        start_us = int(events.t[0]) if len(events) else until_us
+        # Of all packets with events, only those in libcaer_cmp carry how far they reach.
+        silent = len(events) and self._encoding != 'libcaer_cmp'
+        self._complete_us = int(events.t[-1]) if silent else until_us
+        return Packet(encoded, arrival_ns, len(events), start_us, self._complete_us)

@@ -1,0 +1,335 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The recurrent path and the uncertainty head, compiled: what runs 500 times a second.
+
+Memory is fixed; nothing is allocated per window. The torch network of `mixtac_learning.network` is
+the reference that this is tested against.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+from numba import njit
+
+from mixtac_fger.config import CELL_FEATURES, HIGHEST_LOG_DEVIATION, LOWEST_LOG_DEVIATION
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_learning.network import DeviationHead, FgerNetwork
+
+    F32 = NDArray[np.float32]
+
+
+class StepWeights(NamedTuple):
+    """Weights of the recurrent path, float32, matrices as [inputs, outputs]."""
+
+    event_scale: F32
+    event_hidden: F32
+    event_hidden_bias: F32
+    event_output: F32
+    event_output_bias: F32
+    gates_event: F32
+    gates_bias: F32
+    gates_force: F32
+    gates_hidden: F32
+    increment_hidden: F32
+    increment_hidden_bias: F32
+    increment_output: F32
+    increment_output_bias: F32
+
+
+class CorrectionWeights(NamedTuple):
+    """Weights of MLP_corr, float32, matrices as [inputs, outputs]."""
+
+    hidden: F32
+    hidden_bias: F32
+    output: F32
+    output_bias: F32
+
+
+class StepState(NamedTuple):
+    """State and scratch memory of the recurrent path, float32.
+
+    Attributes:
+        hidden: LSTM output h.
+        cell: LSTM cell C.
+        force: Present estimate [N], one element.
+        scaled: Scratch for the scaled event features.
+        event_hidden: Scratch.
+        event_output: Scratch.
+        gates: Scratch.
+        increment_hidden: Scratch.
+    """
+
+    hidden: F32
+    cell: F32
+    force: F32
+    scaled: F32
+    event_hidden: F32
+    event_output: F32
+    gates: F32
+    increment_hidden: F32
+
+
+def step_weights(network: FgerNetwork) -> StepWeights:
+    """Return copies of the recurrent path's weights in the layout of the compiled step."""
+    event = network.event
+    increment = cast('Any', network.increment)
+    return StepWeights(
+        event_scale=_array(event.scale),
+        event_hidden=_array(event.hidden.weight.T),
+        event_hidden_bias=_array(event.hidden.bias),
+        event_output=_array(event.output.weight.T),
+        event_output_bias=_array(event.output.bias),
+        gates_event=_array(network.gates_event.weight.T),
+        gates_bias=_array(network.gates_event.bias),
+        gates_force=_array(network.gates_force.weight[:, 0]),
+        gates_hidden=_array(network.gates_hidden.weight.T),
+        increment_hidden=_array(increment[0].weight.T),
+        increment_hidden_bias=_array(increment[0].bias),
+        increment_output=_array(increment[2].weight[0]),
+        increment_output_bias=_array(increment[2].bias),
+    )
+
+
+def correction_weights(network: FgerNetwork) -> CorrectionWeights:
+    """Return copies of MLP_corr's weights in the layout of the compiled step."""
+    hidden, _, output = cast('Any', network.correction)
+    return CorrectionWeights(
+        _array(hidden.weight.T), _array(hidden.bias), _array(output.weight[0]), _array(output.bias)
+    )
+
+
+def _array(tensor: Any) -> F32:  # noqa: ANN401
+    return np.array(tensor.detach().numpy(), np.float32, order='C')
+
+
+def step_state(weights: StepWeights) -> StepState:
+    """Return a state at zero with its scratch memory."""
+    lstm = weights.gates_hidden.shape[0]
+    sizes = (
+        lstm,
+        lstm,
+        1,
+        weights.event_hidden.shape[0],
+        weights.event_hidden.shape[1],
+        weights.event_output.shape[1],
+        4 * lstm,
+        weights.increment_hidden.shape[1],
+    )
+    return StepState(*(np.zeros(size, np.float32) for size in sizes))
+
+
+@njit(cache=True, nogil=True, fastmath={'contract'})
+def _accumulate(inputs: F32, matrix: F32, out: F32) -> None:
+    """Add inputs @ matrix to `out`; a zero input costs nothing."""
+    for row in range(inputs.shape[0]):
+        value = inputs[row]
+        if value != 0.0:
+            for column in range(out.shape[0]):
+                out[column] += value * matrix[row, column]
+
+
+@njit(cache=True, nogil=True)
+def _relu(values: F32) -> None:
+    for index in range(values.shape[0]):
+        values[index] = max(values[index], np.float32(0.0))
+
+
+@njit(cache=True, nogil=True)
+def _sigmoid(value: np.float32) -> Any:  # noqa: ANN401
+    return np.float32(1.0) / (np.float32(1.0) + np.exp(-value))
+
+
+@njit(cache=True, nogil=True)
+def advance(features: F32, weights: StepWeights, state: StepState) -> None:
+    """Update hidden, cell and force by one window.
+
+    Args:
+        features: Grid features, float32 [grid rows, grid columns, 4].
+        weights: Weights of the recurrent path.
+        state: Changed in place.
+    """
+    flat = features.reshape(-1)
+    kinds = weights.event_scale.shape[0]
+    for index in range(flat.shape[0]):
+        state.scaled[index] = flat[index] / weights.event_scale[index % kinds]
+    state.event_hidden[:] = weights.event_hidden_bias
+    _accumulate(state.scaled, weights.event_hidden, state.event_hidden)
+    _relu(state.event_hidden)
+    state.event_output[:] = weights.event_output_bias
+    _accumulate(state.event_hidden, weights.event_output, state.event_output)
+    _relu(state.event_output)
+    gates = state.gates
+    gates[:] = weights.gates_bias
+    _accumulate(state.event_output, weights.gates_event, gates)
+    for index in range(gates.shape[0]):
+        gates[index] += state.force[0] * weights.gates_force[index]
+    _accumulate(state.hidden, weights.gates_hidden, gates)
+    size = state.hidden.shape[0]
+    for index in range(size):
+        keep_in, keep_old = _sigmoid(gates[index]), _sigmoid(gates[size + index])
+        fresh, keep_out = np.tanh(gates[2 * size + index]), _sigmoid(gates[3 * size + index])
+        state.cell[index] = keep_old * state.cell[index] + keep_in * fresh
+        state.hidden[index] = keep_out * np.tanh(state.cell[index])
+    state.increment_hidden[:] = weights.increment_hidden_bias
+    _accumulate(state.hidden, weights.increment_hidden[:size], state.increment_hidden)
+    if weights.increment_hidden.shape[0] > size:
+        _accumulate(state.event_output, weights.increment_hidden[size:], state.increment_hidden)
+    _relu(state.increment_hidden)
+    total = weights.increment_output_bias[0]
+    for index in range(state.increment_hidden.shape[0]):
+        total += state.increment_hidden[index] * weights.increment_output[index]
+    state.force[0] += total
+
+
+@njit(cache=True, nogil=True)
+def correction(force: float, frame_feature: F32, weights: CorrectionWeights) -> Any:  # noqa: ANN401
+    """Return MLP_corr of an estimate [N] and a frame feature: the correction [N]."""
+    total = weights.output_bias[0]
+    for column in range(weights.hidden.shape[1]):
+        value = weights.hidden_bias[column] + np.float32(force) * weights.hidden[0, column]
+        for row in range(frame_feature.shape[0]):
+            value += frame_feature[row] * weights.hidden[row + 1, column]
+        total += max(value, np.float32(0.0)) * weights.output[column]
+    return total
+
+
+class DeviationWeights(NamedTuple):
+    """Weights of the head, float32.
+
+    Attributes:
+        hidden: [lstm_size + 1, width]; the last row belongs to the force.
+        hidden_bias: [width].
+        output: [width].
+        output_bias: One element.
+        scale: One element.
+        middle: Scratch, [width].
+    """
+
+    hidden: F32
+    hidden_bias: F32
+    output: F32
+    output_bias: F32
+    scale: F32
+    middle: F32
+
+
+def deviation_weights(head: DeviationHead) -> DeviationWeights:
+    """Return copies of the head's weights in the layout of the compiled step."""
+    return DeviationWeights(
+        _array(head.hidden.weight.T),
+        _array(head.hidden.bias),
+        _array(head.output.weight[0]),
+        _array(head.output.bias),
+        _array(head.scale),
+        np.zeros(head.hidden.out_features, np.float32),
+    )
+
+
+@njit(cache=True, nogil=True)
+def deviation(state: F32, force: float, weights: DeviationWeights) -> Any:  # noqa: ANN401
+    """Return the standard deviation [N] of a force.
+
+    Args:
+        state: Recurrent state h after the window, [lstm_size].
+        force: Force at its end [N].
+        weights: Of the head.
+    """
+    size = state.shape[0]
+    middle = weights.middle
+    for column in range(middle.shape[0]):
+        middle[column] = (
+            weights.hidden_bias[column] + np.float32(force) * weights.hidden[-1, column]
+        )
+    for row in range(size):
+        for column in range(middle.shape[0]):
+            middle[column] += state[row] * weights.hidden[row, column]
+    total = weights.output_bias[0]
+    for column in range(middle.shape[0]):
+        total += max(middle[column], np.float32(0.0)) * weights.output[column]
+    bounded = min(max(total, np.float32(LOWEST_LOG_DEVIATION)), np.float32(HIGHEST_LOG_DEVIATION))
+    return weights.scale[0] * np.exp(bounded)
+
+
+SETTLE_WINDOWS = 100
+"""Windows after which the recurrent state has settled at a force."""
+
+
+class RecurrentPath:
+    """State of the recurrent path: LSTM, force estimate and the estimates of the recent past.
+
+    Args:
+        network: Weights are copied out of it.
+    """
+
+    def __init__(self, network: FgerNetwork) -> None:
+        self._config = config = network.config
+        self._event_shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
+        self._weights = step_weights(network)
+        self._correction = correction_weights(network)
+        head = network.deviation
+        self._deviation = None if head is None else deviation_weights(head)
+        self._state = step_state(self._weights)
+        self._history = np.zeros(network.config.history_windows, np.float32)
+        self._newest = 0
+
+    @property
+    def force(self) -> float:
+        """Present estimate [N]."""
+        return float(self._state.force[0])
+
+    @property
+    def deviation(self) -> float | None:
+        """Standard deviation of the present estimate [N]; None of a model that has none."""
+        if self._deviation is None:
+            return None
+        return float(deviation(self._state.hidden, self._state.force[0], self._deviation))
+
+    def clear(self) -> None:
+        """Forget everything: no force, no memory."""
+        for part in self._state:
+            part[:] = 0.0
+        self._history[:] = 0.0
+
+    def start_at(self, force: float) -> None:
+        """Begin at a known force [N], with a memory of having been there without events.
+
+        A memory of nothing belongs to no force: with it the next increments would be wrong.
+        """
+        self.clear()
+        still = np.zeros(self._event_shape, np.float32)
+        for _ in range(SETTLE_WINDOWS):
+            self._state.force[0] = force
+            advance(still, self._weights, self._state)
+        self._state.force[0] = force
+        self._history[:] = force
+
+    def correct(self, frame_feature: F32, lag: int) -> None:
+        """Correct the estimate and its past by a frame.
+
+        Args:
+            frame_feature: f_frame of the frame.
+            lag: Windows between the last estimate and the centre of the exposure.
+        """
+        size = len(self._history)
+        if self._config.correction_point != 'exposure_centre':
+            lag = 0
+        then = self._history[(self._newest - min(max(lag, 0), size - 1)) % size]
+        change = correction(then, frame_feature, self._correction)
+        self._history += np.float32(change)
+        self._state.force[0] += change
+
+    def step(self, features: F32) -> float:
+        """Advance by one window and return the force [N] at its end.
+
+        Args:
+            features: Grid features, float32 [grid rows, grid columns, 4].
+        """
+        advance(features, self._weights, self._state)
+        self._newest = (self._newest + 1) % len(self._history)
+        self._history[self._newest] = self._state.force[0]
+        return float(self._state.force[0])

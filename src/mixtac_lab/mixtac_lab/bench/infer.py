@@ -1,0 +1,302 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Cost of an estimate, in time and in operations, on a simulated trial in real time."""
+
+from __future__ import annotations
+
+import json as json_format
+import sys
+import time
+from array import array
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Optional
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from mixtac_events.arrays import Events
+from mixtac_events.codec import DAVIS346_HEIGHT, DAVIS346_WIDTH, encode
+from mixtac_fger.live_feed import LiveFeed
+from mixtac_fger.streaming import ForceEstimator
+from mixtac_recordings.dataset import TrialSpec
+from mixtac_sim.world.trial import TrialStream
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_fger.weights import LoadedModel
+
+
+PACKET_US: Final = 1000
+"""The driver's default."""
+EPOCH_US: Final = 1_000_000
+"""Camera time at the start of the trial; times in packets are not negative."""
+DEVICE_SEED: Final = 910_000
+TRIAL_SEED: Final = 911_000
+
+
+@dataclass(slots=True)
+class PacketFields:
+    """The fields of `event_camera_msgs/EventPacket` that the estimator reads."""
+
+    seq: int
+    time_base: int
+    encoding: str
+    events: array[int]
+    width: int = DAVIS346_WIDTH
+    height: int = DAVIS346_HEIGHT
+    is_bigendian: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """A frame as it becomes available.
+
+    Attributes:
+        ready_us: Camera time at which its readout ends.
+        mid_us: Centre of its exposure, camera clock [us].
+        image: Intensity, uint16 [260, 346].
+    """
+
+    ready_us: int
+    mid_us: int
+    image: NDArray[np.uint16]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A trial as the driver would publish it.
+
+    Attributes:
+        ends_us: Camera time up to which each packet is complete [us].
+        packets: One per millisecond.
+        frames: In the order in which they become available.
+        events: Number of events.
+    """
+
+    ends_us: list[int]
+    packets: list[PacketFields]
+    frames: list[Frame]
+    events: int
+
+
+def make_scene(seconds: float, preset: str, profile: str = 'dynamic') -> Scene:
+    """Simulate a trial and cut it into packets.
+
+    Args:
+        seconds: Length [s].
+        preset: How hard the virtual sensor is.
+        profile: Force profile.
+    """
+    spec = TrialSpec('infer', profile, seconds, DEVICE_SEED, TRIAL_SEED, preset, 'test')
+    scene = Scene([], [], [], 0)
+    count = 0
+    for stretch in TrialStream(spec).stretches():
+        events = stretch.sensor.events
+        count += len(events)
+        _cut(scene, events, stretch.start_us, stretch.end_us)
+        scene.frames.extend(
+            Frame(
+                frame.frame_end_us + EPOCH_US,
+                (frame.exposure_start_us + frame.exposure_end_us) // 2 + EPOCH_US,
+                frame.intensity,
+            )
+            for frame in stretch.sensor.frames
+        )
+    return Scene(scene.ends_us, scene.packets, scene.frames, count)
+
+
+def _cut(scene: Scene, events: Events, start_us: int, end_us: int) -> None:
+    times = np.arange(start_us, end_us + 1, PACKET_US)
+    cuts = np.searchsorted(events.t, times)
+    for first, last, until in zip(cuts[:-1], cuts[1:], times[1:], strict=True):
+        part = events[int(first) : int(last)]
+        moved = Events(part.t + EPOCH_US, part.x, part.y, part.polarity)
+        complete_us = int(until) + EPOCH_US
+        packet = encode(moved, complete_until=complete_us)
+        scene.ends_us.append(complete_us)
+        scene.packets.append(
+            PacketFields(
+                seq=len(scene.packets),
+                time_base=packet.time_base,
+                encoding=packet.encoding,
+                events=array('B', packet.payload.tobytes()),
+            )
+        )
+
+
+CONTACT_THRESHOLD_N: Final = 0.15
+DEADLINE_S: Final = 0.002
+"""A force that comes later than the end of the next window is late."""
+
+
+@dataclass(frozen=True, slots=True)
+class PacedRun:
+    """A run in real time, frames in the background as in the node.
+
+    Attributes:
+        step_ms: Time of each call that closed a window, decoding of the packet included [ms].
+        window_cpu_ms: Processor time of the thread of the windows per window, decoding of all its
+            packets included [ms]; other processes hardly change it.
+        forces: Forces that came out.
+        late: Forces that came out more than 2 ms after their packet was handed over or due.
+        frames_dropped: Frames replaced by a newer one before they were encoded.
+        cpu: Processor time over real time, all threads.
+    """
+
+    step_ms: list[float]
+    window_cpu_ms: float
+    forces: int
+    late: int
+    frames_dropped: int
+    cpu: float
+
+
+def run_paced(model: LoadedModel, scene: Scene) -> PacedRun:
+    """Hand over every packet and frame when the camera would.
+
+    Args:
+        model: Network with its weights, warmed up.
+        scene: What to hand over.
+    """
+    feed = LiveFeed(model, CONTACT_THRESHOLD_N)
+    steps: list[float] = []
+    frames, late, count, thread_s = deque(scene.frames), 0, 0, 0.0
+    cpu_s, start_s = time.process_time(), time.perf_counter()
+    origin_us = scene.ends_us[0]
+    for end_us, packet in zip(scene.ends_us, scene.packets, strict=True):
+        while frames and frames[0].ready_us <= end_us:
+            _hand_over(feed, frames.popleft())
+        due_s = start_s + 1e-6 * (end_us - origin_us)
+        time.sleep(max(due_s - time.perf_counter(), 0.0))
+        called_s, before_s = time.perf_counter(), time.thread_time()
+        forces = feed.packet(packet)
+        done_s = time.perf_counter()
+        thread_s += time.thread_time() - before_s
+        if forces:
+            count += len(forces)
+            steps.append(1e3 * (done_s - called_s))
+            late += done_s - due_s > DEADLINE_S
+    cpu = (time.process_time() - cpu_s) / (time.perf_counter() - start_s)
+    dropped = feed.status().estimator.frames_dropped
+    feed.close()
+    windows = max(len(scene.packets) * PACKET_US // model.config.window_us, 1)
+    return PacedRun(steps, 1e3 * thread_s / windows, count, late, dropped, cpu)
+
+
+def frame_times_ms(model: LoadedModel, scene: Scene) -> list[float]:
+    """Return the time of each frame step of one thread, from image to correction-ready [ms]."""
+    estimator = ForceEstimator(model)
+    times = []
+    for frame in scene.frames:
+        start_s = time.perf_counter()
+        estimator.push_frame(frame.image, frame.mid_us)
+        times.append(1e3 * (time.perf_counter() - start_s))
+    estimator.close()
+    return times[model.config.reference_frames :]
+
+
+def quantiles(values: list[float]) -> dict[str, float]:
+    """Return the median and the 99th percentile."""
+    p50, p99 = np.quantile(values, (0.5, 0.99))
+    return {'p50': float(p50), 'p99': float(p99)}
+
+
+@dataclass(slots=True)
+class _ImageFields:
+    """The fields of `sensor_msgs/Image` that the estimator reads."""
+
+    height: int
+    width: int
+    encoding: str
+    is_bigendian: int
+    step: int
+    data: array[int]
+
+
+def _hand_over(feed: LiveFeed, frame: Frame) -> None:
+    height, width = frame.image.shape
+    data = array('B', frame.image.tobytes())
+    big_endian = int(sys.byteorder == 'big')
+    feed.image(_ImageFields(height, width, 'mono16', big_endian, 2 * width, data), frame.mid_us)
+
+
+OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
+
+
+def infer(
+    model: Annotated[Optional[str], typer.Option(help='Weight file or name.')] = None,  # noqa: UP045
+    seconds: Annotated[float, typer.Option(min=3, max=600, help='Length of the run.')] = 20.0,
+    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = 'paper_like',
+    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+) -> None:
+    """Measure the estimator on one thread: a simulated trial in real time, frames beside it."""
+    console = Console()
+    with console.status(f'simulating {seconds:g} s, then running them in real time'):
+        report = measure(model, seconds, preset)
+    _print(console, report)
+    if json is not None:
+        json.parent.mkdir(parents=True, exist_ok=True)
+        json.write_text(json_format.dumps(report, indent=2) + '\n', encoding='utf8')
+
+
+def measure(model_name: str | None, seconds: float, preset: str) -> dict[str, Any]:
+    """Return the figures as JSON-ready values.
+
+    Args:
+        model_name: Weight file or name of a model; None for the shipped one.
+        seconds: Length of the simulated trial [s].
+        preset: How hard the virtual sensor is.
+
+    Raises:
+        ModelError: There is no such model.
+    """
+    # These compile; the command line starts without them.
+    from mixtac_fger.streaming import warm_up
+    from mixtac_fger.weights import DEFAULT_MODEL, find_model, load_model
+    from mixtac_learning.network import count_parameters, operations_per_cycle
+
+    model = load_model(find_model(model_name or DEFAULT_MODEL))
+    scene = make_scene(seconds, preset)
+    warm_up(model)
+    frames_ms = frame_times_ms(model, scene)
+    paced = run_paced(model, scene)
+    return {
+        'step_ms': quantiles(paced.step_ms),
+        'frame_ms': quantiles(frames_ms),
+        'flops_per_cycle': operations_per_cycle(model.network),
+        'parameters': count_parameters(model.network),
+        'windows': paced.forces,
+        'events_per_s': scene.events / seconds,
+        **_live_figures(paced),
+    }
+
+
+def _live_figures(paced: PacedRun) -> dict[str, Any]:
+    return {
+        'window_cpu_ms': paced.window_cpu_ms,
+        'late': paced.late,
+        'frames_dropped': paced.frames_dropped,
+        'cpu': paced.cpu,
+    }
+
+
+def _print(console: Console, report: dict[str, Any]) -> None:
+    table = Table(title='One estimate, simulated trial in real time')
+    table.add_column('figure')
+    table.add_column('p50', justify='right')
+    table.add_column('p99', justify='right')
+    for name, key in (('window step, packet decoded [ms]', 'step_ms'), ('frame [ms]', 'frame_ms')):
+        table.add_row(name, *(f'{report[key][part]:.3f}' for part in ('p50', 'p99')))
+    console.print(table)
+    console.print(
+        f'{report["parameters"]:,} parameters, {report["flops_per_cycle"] / 1e6:.1f} MFLOP per'
+        f' 40 ms; {report["windows"]} forces, {report["late"]} of them later than 2 ms,'
+        f' {report["frames_dropped"]} frames skipped, {100 * report["cpu"]:.0f} % of a core at'
+        f' {report["events_per_s"] / 1e6:.2f} Mev/s; {1e3 * report["window_cpu_ms"]:.0f} us of'
+        ' processor time per window'
+    )

@@ -1,0 +1,208 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A virtual camera that sends knocks, served in its own process; see `pattern_camera`.
+
+The stream is one scene per knock, one after the other, simulated and encoded once. Before each
+knock the object is held as at the start, because skin that a slip has sheared hardly moves in the
+next one. No event and no frame belongs to two scenes. The origin of the clock is reported on the
+monotonic clock of the host, which all processes of a machine share.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import threading
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_events.arrays import Events
+from mixtac_lab.bench.programs.pattern_camera import wake_in_time
+from mixtac_sim.grasp.slip_scene import SlipScene
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.usb.pattern import STEP_US as WORD_STEP_US
+from mixtac_sim.usb.pattern import WRAP_US, Pattern, PatternCamera
+from mixtac_sim.usb.registers import HEIGHT, WIDTH
+from mixtac_sim.usb.server import UsbServer
+from mixtac_sim.usb.words import Blocks, ReadoutSettings, WordEncoder, frame_blocks
+from mixtac_sim.world.effects import preset
+
+if TYPE_CHECKING:
+    from mixtac_sim.pixels.aps import ApsFrame
+
+
+QUIET_S = 2.0
+"""Rest at the beginning of each period, for the background to be learned [s]."""
+SPACING_S = 1.3
+"""Length of the scene of one knock [s]: slip control is enabled anew between knocks."""
+BEFORE_S = 0.3
+"""Rest before a knock in its scene [s], in which frames of the scene arrive."""
+SPREAD_S = 0.25
+"""Knocks come so much later at most [s], so that they fall on no grid."""
+SLIP_S = 0.01
+"""How long the object slips after a knock [s]."""
+RISE_S = 5e-4
+"""Time in which a knock brings the object to its speed [s]."""
+FRAME_TIMES = ('frame_start_us', 'exposure_start_us', 'exposure_end_us', 'frame_end_us')
+BLOCK_STEPS = 8
+NEAR_US = 128 * WORD_STEP_US
+SETTINGS = ReadoutSettings(
+    region=(0, 0, WIDTH - 1, HEIGHT - 1),
+    exposure_cycles=120_960,
+    global_shutter=True,
+    orientation=4,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlipPattern:
+    """The stream and the truth.
+
+    Attributes:
+        pattern: What the camera sends.
+        onsets_us: Begin of each knock from the start of a period [us].
+        speeds_mm_s: Its speed [mm/s].
+    """
+
+    pattern: Pattern
+    onsets_us: list[int]
+    speeds_mm_s: list[float]
+
+
+def make_slip_pattern(
+    seconds: float,
+    seed: int,
+    speeds_mm_s: tuple[float, float] = (30.0, 100.0),
+    preset_name: str = 'paper_like',
+    quiet_s: float = QUIET_S,
+) -> SlipPattern:
+    """Simulate knocks on one sensor and encode what its camera sends.
+
+    Args:
+        seconds: Length of a period, rounded to the camera's time wraps [s].
+        seed: Draws the sensor, the day, the times and speeds.
+        speeds_mm_s: Range of the speeds.
+        preset_name: How hard the sensor is.
+        quiet_s: Rest at the beginning [s].
+    """
+    wraps = max(round(1e6 * seconds / WRAP_US), 1)
+    period_us = wraps * WRAP_US
+    rng = np.random.default_rng([seed, 11])
+    count = max(round((1e-6 * period_us - quiet_s) / SPACING_S), 1)
+    starts = [0, *(_on_grid(quiet_s + SPACING_S * k) for k in range(1, count)), period_us]
+    events, frames, onsets, speeds = [], [], [], []
+    for k in range(count):
+        rest_s = (quiet_s if k == 0 else 0.0) + BEFORE_S
+        onset = _on_grid(rest_s + rng.uniform(0.0, SPREAD_S))
+        speed = float(rng.uniform(*speeds_mm_s))
+        part = _scene(seed, preset_name, starts[k + 1] - starts[k], onset, speed)
+        events.append(_shifted(part[0], starts[k]))
+        frames += [_later(frame, starts[k]) for frame in part[1]]
+        onsets.append(starts[k] + onset)
+        speeds.append(speed)
+    pattern = _encode(Events.concatenate(events), frames, period_us)
+    return SlipPattern(pattern, onsets, speeds)
+
+
+def _on_grid(time_s: float) -> int:
+    """Return the nearest step of the simulation [us]."""
+    return int(STEP_US * round(1e6 * time_s / STEP_US))
+
+
+def _scene(
+    seed: int, preset_name: str, length_us: int, onset_us: int, speed_mm_s: float
+) -> tuple[Events, list[ApsFrame]]:
+    """Return events and whole frames of one knock, from the begin of its scene."""
+    t_us = (np.arange(length_us // STEP_US) + 1) * STEP_US
+    since = 1e-6 * (t_us - onset_us)
+    shape = np.minimum(since / RISE_S, (SLIP_S - since) / RISE_S)
+    scene = SlipScene(seed, seed, preset(preset_name))
+    profile = speed_mm_s * np.clip(shape, 0.0, 1.0)
+    blocks = list(scene.play(profile, block_steps=BLOCK_STEPS))
+    events = Events.concatenate([block.events for block in blocks])
+    frames = [frame for block in blocks for frame in block.frames]
+    events = events[: int(np.searchsorted(events.t, length_us))]
+    return events, [frame for frame in frames if frame.frame_end_us < length_us]
+
+
+def _shifted(events: Events, by_us: int) -> Events:
+    return Events(events.t + by_us, events.x, events.y, events.polarity)
+
+
+def _later(frame: ApsFrame, by_us: int) -> ApsFrame:
+    times = {name: getattr(frame, name) + by_us for name in FRAME_TIMES}
+    return replace(frame, **times)
+
+
+def _encode(events: Events, frames: list[ApsFrame], period_us: int) -> Pattern:
+    """Return the words of a period; frames that would not end in it are left out."""
+    whole = [f for f in frames if f.frame_end_us < period_us]
+    parts = []
+    for frame in whole:
+        ends = (frame.exposure_start_us, frame.exposure_end_us, frame.frame_end_us)
+        times = np.array((frame.frame_start_us, *ends), np.int64)
+        parts.append(frame_blocks(frame, times, SETTINGS))
+    waiting = Blocks.merge(parts)
+    encoder = WordEncoder(inverted=True)
+    words = []
+    # Time 0 belongs to the wrap word of the period before.
+    kept = events[int(np.searchsorted(events.t, 1)) :]
+    near = Blocks.merge([])
+    for start in range(0, period_us, WORD_STEP_US):
+        until = start + WORD_STEP_US
+        if start % NEAR_US == 0:
+            # A split copies what remains: from a few milliseconds it costs little.
+            near, waiting = waiting.split(start + NEAR_US)
+        due, near = near.split(until)
+        first, last = np.searchsorted(kept.t, (start, until))
+        words.append(encoder.encode(kept[int(first) : int(last)], due, until).copy())
+    ends_at = np.cumsum([len(part) for part in words], dtype=np.int64)
+    return Pattern(np.concatenate(words), ends_at, kept, len(whole), 0)
+
+
+POLL_S = 0.02
+
+
+def _say(**values: object) -> None:
+    print(json.dumps(values), flush=True)
+
+
+def main() -> None:
+    """Serve until SIGTERM."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--socket', required=True)
+    parser.add_argument('--seconds', type=float, default=12.0, help='length of a period')
+    parser.add_argument('--seed', type=int, default=0)
+    parser.add_argument('--slowest', type=float, default=30.0, help='mm/s')
+    parser.add_argument('--fastest', type=float, default=100.0, help='mm/s')
+    options = parser.parse_args()
+    wake_in_time()
+    stopping = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stopping.set())
+    signal.signal(signal.SIGINT, lambda *_: stopping.set())
+    slips = make_slip_pattern(options.seconds, options.seed, (options.slowest, options.fastest))
+    camera = PatternCamera('SLIP0001', slips.pattern)
+    # The camera counts true time from its construction on the host's monotonic clock, without skew.
+    zero_ns = time.monotonic_ns() - camera.true_time_us() * 1000
+    server = UsbServer(camera, options.socket)
+    _say(
+        ready=True,
+        period_us=slips.pattern.period_us,
+        onsets_us=slips.onsets_us,
+        speeds_mm_s=slips.speeds_mm_s,
+    )
+    origin_us = camera.clock_origin_us
+    while not stopping.wait(POLL_S):
+        if camera.clock_origin_us != origin_us:
+            origin_us = camera.clock_origin_us
+            _say(origin_ns=zero_ns + origin_us * 1000)
+    server.close()
+    _say(periods_lost=camera.player.periods_lost)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,441 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Random faults on a running driver: how often and how fast it recovers, and what it leaks.
+
+Camera object and supervisor are those of the driver node; the camera is virtual, behind a socket.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import json as json_module
+import random
+import tempfile
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Optional
+
+import numpy as np
+import psutil
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from mixtac_driver.camera import Davis346, StreamSettings
+from mixtac_driver.davis346.settings import Configuration
+from mixtac_driver.davis346.writes import register_writes
+from mixtac_driver.supervisor import State, Supervisor
+from mixtac_events.arrays import Events
+from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.faults import Fault, FaultKind
+from mixtac_sim.usb.server import UsbServer
+from mixtac_sim.usb.words import ImuReading
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from random import Random
+    from types import TracebackType
+
+    from mixtac_driver.camera import CameraBatch
+
+    Outage = Callable[[VirtualDavis346, Random], float]
+
+
+SHORTEST_S, LONGEST_S = 0.05, 1.0
+_SEEDS = 1 << 32
+
+
+def _lasting(kind: FaultKind) -> Outage:
+    """Something goes wrong on the running camera for a while."""
+
+    def outage(device: VirtualDavis346, rng: Random) -> float:
+        seconds = rng.uniform(SHORTEST_S, LONGEST_S)
+        device.inject(Fault(kind, seconds=seconds, seed=rng.randrange(_SEEDS)))
+        return time.monotonic() + seconds
+
+    return outage
+
+
+def _at_once(kind: FaultKind, largest: int) -> Outage:
+    """Something goes wrong once, and the camera is well again at once."""
+
+    def outage(device: VirtualDavis346, rng: Random) -> float:
+        size, seed = rng.randint(1, largest), rng.randrange(_SEEDS)
+        device.inject(Fault(kind, count=1, size=size, seed=seed))
+        return time.monotonic()
+
+    return outage
+
+
+def _ill_after_plugging(kind: FaultKind) -> Outage:
+    """The camera is plugged in again, but something is wrong with it for a while."""
+
+    def outage(device: VirtualDavis346, rng: Random) -> float:
+        device.unplug()
+        time.sleep(rng.uniform(SHORTEST_S, LONGEST_S))
+        device.plug_in()
+        seconds, delay = rng.uniform(SHORTEST_S, LONGEST_S), rng.uniform(0.01, 0.1)
+        device.inject(Fault(kind, seconds=seconds, delay=delay, seed=rng.randrange(_SEEDS)))
+        return time.monotonic() + seconds
+
+    return outage
+
+
+def _replaced(device: VirtualDavis346, rng: Random) -> float:
+    seconds = rng.uniform(SHORTEST_S, LONGEST_S)
+    serial = f'V{rng.randrange(10**7):07d}'
+    device.inject(Fault(FaultKind.UNPLUG, seconds=seconds, serial=serial))
+    return time.monotonic() + seconds
+
+
+def _held_by_another(device: VirtualDavis346, rng: Random) -> float:
+    device.unplug()
+    time.sleep(rng.uniform(SHORTEST_S, LONGEST_S))
+    device.plug_in()
+    device.claim('another program')
+    time.sleep(rng.uniform(SHORTEST_S, LONGEST_S))
+    device.release('another program')
+    return time.monotonic()
+
+
+OUTAGES: dict[str, Outage] = {
+    'unplugged': _lasting(FaultKind.UNPLUG),
+    'replaced by another': _replaced,
+    'held by another program': _held_by_another,
+    'data endpoint stalls once': _at_once(FaultKind.STALL_DATA, 1),
+    'data endpoint stalls for long': _lasting(FaultKind.STALL_DATA),
+    'requests stall': _ill_after_plugging(FaultKind.STALL_CONTROL),
+    'requests time out': _ill_after_plugging(FaultKind.TIMEOUT_CONTROL),
+    'requests answered late': _ill_after_plugging(FaultKind.DELAY_CONTROL),
+    'registers read as garbage': _ill_after_plugging(FaultKind.GARBAGE_REGISTERS),
+    'short and odd reads': _lasting(FaultKind.SHORT_READS),
+    'bytes lost': _at_once(FaultKind.DROP_BYTES, 1 << 16),
+    'garbage in the data': _at_once(FaultKind.GARBAGE_WORDS, 1 << 13),
+    'silent for a while': _lasting(FaultKind.FREEZE),
+    'silent until restarted': _at_once(FaultKind.FREEZE, 1),
+    'reads hang': _lasting(FaultKind.HANG_READS),
+    'babble': _at_once(FaultKind.BABBLE, 1),
+    'bus error': _at_once(FaultKind.READ_ERROR, 1),
+    'clock reset by the cable': _at_once(FaultKind.CLOCK_RESET, 1),
+}
+"""By name: does something to a camera and returns when it is well again [s, monotonic clock].
+
+They may take as long as the outage. A camera that is silent until restarted counts as well from
+the beginning: that the driver has to notice it is part of the recovery.
+"""
+SERIAL = 'V0000346'
+PERIOD_S = 0.002
+EVENTS_PER_S = 50_000
+READING_INTERVAL_US = 1000
+WIDTH, HEIGHT = 346, 260
+
+
+class RecoveryScene:
+    """Feeds the camera from a thread: 50,000 events and 1,000 inertial samples per second.
+
+    Args:
+        path: Socket to listen on.
+        seed: Of the events.
+
+    Attributes:
+        device: The camera.
+    """
+
+    def __init__(self, path: str, seed: int) -> None:
+        self._began_ns = time.monotonic_ns()
+        self.device = VirtualDavis346(SERIAL, clock=self._now_us)
+        self._server = UsbServer(self.device, path)
+        self._rng = np.random.default_rng(seed)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='scene', daemon=True)
+
+    def __enter__(self) -> RecoveryScene:
+        """Let time run."""
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Stop time and remove the camera."""
+        self._stopping.set()
+        self._thread.join()
+        self._server.close()
+
+    def _now_us(self) -> int:
+        return (time.monotonic_ns() - self._began_ns) // 1000
+
+    def _run(self) -> None:
+        done_us = 0
+        while not self._stopping.wait(PERIOD_S):
+            until_us = self._now_us()
+            readings = self._readings(done_us, until_us)
+            self.device.submit(self._events(done_us, until_us), readings=readings)
+            self.device.advance(until_us)
+            done_us = until_us
+
+    def _events(self, start_us: int, end_us: int) -> Events:
+        rng, count = self._rng, (end_us - start_us) * EVENTS_PER_S // 1_000_000
+        return Events(
+            np.sort(rng.integers(start_us, end_us, count)),
+            rng.integers(0, WIDTH, count, np.uint16),
+            rng.integers(0, HEIGHT, count, np.uint16),
+            rng.random(count) < 0.5,
+        )
+
+    def _readings(self, start_us: int, end_us: int) -> list[ImuReading]:
+        first_us = -(-start_us // READING_INTERVAL_US) * READING_INTERVAL_US
+        times = range(first_us, end_us, READING_INTERVAL_US)
+        return [ImuReading(t, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 30.0) for t in times]
+
+
+SILENCE_S = 0.5
+STEADY_S = 0.7
+"""A stream that lasts this long without failure or gap has recovered; longer than SILENCE_S."""
+GAP_S = 0.2
+"""A pause between data that ends a stream; the camera's time alone comes every 33 ms."""
+LONGEST_RECOVERY_S = 20.0
+OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
+
+
+@dataclass(frozen=True, slots=True)
+class Resources:
+    """What the process holds.
+
+    Attributes:
+        threads: Threads.
+        descriptors: Open file descriptors.
+        memory_mib: Resident memory [MiB].
+    """
+
+    threads: int
+    descriptors: int
+    memory_mib: float
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """What followed one fault.
+
+    Attributes:
+        fault: Its name.
+        seconds: From the moment that the camera was well again to the first data of the stream
+            that lasted [s]; NaN where none came.
+        restored: Whether all settings were in the camera again.
+    """
+
+    fault: str
+    seconds: float
+    restored: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RecoveryReport:
+    """The outcome.
+
+    Attributes:
+        seed: Of the faults.
+        recoveries: One for each fault, in order.
+        went_back: Times that published time went back.
+        reconnects: Times that the driver opened the camera anew.
+        before: What the process held while streaming before the first fault.
+        after: The same after the last one.
+    """
+
+    seed: int
+    recoveries: tuple[Recovery, ...]
+    went_back: int
+    reconnects: int
+    before: Resources
+    after: Resources
+
+    @property
+    def recovered(self) -> int:
+        """Faults after which a lasting stream with all settings came back."""
+        return sum(each.restored for each in self.recoveries)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return figures for JSON; times in seconds."""
+        names = sorted({each.fault for each in self.recoveries})
+        return {
+            'faults': len(self.recoveries),
+            'recoveries': self.recovered,
+            'seed': self.seed,
+            'recovery_s': _quantiles(self.recoveries),
+            'by_fault': {
+                name: _quantiles([each for each in self.recoveries if each.fault == name])
+                for name in names
+            },
+            'time_went_back': self.went_back,
+            'reconnects': self.reconnects,
+            'before': dataclasses.asdict(self.before),
+            'after': dataclasses.asdict(self.after),
+        }
+
+
+class _Driver:
+    """A camera under a supervisor, and what came of it."""
+
+    def __init__(self, path: str) -> None:
+        self.camera = Davis346(
+            f'virtual:{path}',
+            configuration=Configuration(background_activity_filter_enabled=False),
+            stream=StreamSettings(silence_s=SILENCE_S),
+        )
+        self.supervisor = Supervisor(
+            self.camera, on_start=_nothing, on_batch=self._on_batch, on_error=_nothing
+        )
+        self.went_back = 0
+        self._time_us = 0
+        self._well_s = 0.0
+        self._failures = 0
+        self._first_s: float | None = None
+        self._latest_s = 0.0
+
+    def expect(self, well_s: float) -> None:
+        """Wait for a stream from now on; the camera is well from a time on [s, monotonic]."""
+        self._first_s, self._well_s = None, well_s
+
+    def recovery_s(self) -> float:
+        """Return the time from when the camera was well to the stream that lasts [s], or NaN."""
+        deadline_s = self._well_s + LONGEST_RECOVERY_S
+        while time.monotonic() < deadline_s:
+            first_s = self._first_s
+            now_s = time.monotonic()
+            lasted = first_s is not None and now_s - first_s > STEADY_S
+            if now_s - self._latest_s > GAP_S:
+                lasted = False
+            if first_s is not None and lasted and self._failures == self.supervisor.failures:
+                return first_s - self._well_s
+            time.sleep(0.01)
+        return float('nan')
+
+    def _on_batch(self, batch: CameraBatch) -> None:
+        self.went_back += batch.time_us < self._time_us
+        self._time_us = batch.time_us
+        now_s = time.monotonic()
+        gap, self._latest_s = now_s - self._latest_s > GAP_S, now_s
+        fresh = self._first_s is None or self._failures != self.supervisor.failures or gap
+        if fresh and now_s >= self._well_s:
+            self._failures, self._first_s = self.supervisor.failures, now_s
+
+
+def run_recovery_benchmark(
+    faults: int = 100,
+    seed: int = 0,
+    *,
+    on_fault: Callable[[Recovery], None] = lambda _recovery: None,
+) -> RecoveryReport:
+    """Do one fault after another to a streaming camera.
+
+    Args:
+        faults: How many; all kinds come equally often, in random order.
+        seed: Of their order, lengths and contents.
+        on_fault: Called after each.
+    """
+    rng = random.Random(seed)  # noqa: S311 - not for secrets
+    with tempfile.TemporaryDirectory() as folder:
+        path = f'{folder}/camera.sock'
+        with RecoveryScene(path, seed) as scene:
+            driver = _Driver(path)
+            driver.supervisor.start()
+            driver.expect(time.monotonic())
+            driver.recovery_s()
+            before = _resources()
+            recoveries = []
+            for name in _plan(faults, rng):
+                recoveries.append(_suffer(name, scene, driver, rng))
+                on_fault(recoveries[-1])
+            after = _resources()
+            driver.supervisor.stop()
+    return RecoveryReport(
+        seed, tuple(recoveries), driver.went_back, driver.supervisor.reconnects, before, after
+    )
+
+
+def recovery(
+    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+    faults: Annotated[int, typer.Option(min=1, help='How many faults.')] = 100,
+    seed: Annotated[int, typer.Option(min=0, help='Of their order and lengths.')] = 0,
+) -> None:
+    """Do random faults to a streaming virtual camera; measure how the driver recovers."""
+    console = Console()
+    with Progress(console=console, transient=True) as progress:
+        task = progress.add_task('faults', total=faults)
+        report = run_recovery_benchmark(
+            faults, seed, on_fault=lambda _recovery: progress.advance(task)
+        )
+    _print(console, report)
+    if json is not None:
+        json.write_text(json_module.dumps(report.as_dict(), indent=2) + '\n')
+
+
+def _plan(faults: int, rng: random.Random) -> Iterator[str]:
+    names: list[str] = []
+    for _ in range(faults):
+        if not names:
+            names = rng.sample(list(OUTAGES), len(OUTAGES))
+        yield names.pop()
+
+
+def _suffer(name: str, scene: RecoveryScene, driver: _Driver, rng: random.Random) -> Recovery:
+    camera = driver.camera
+    exposure_us = rng.randrange(1000, 20_000)
+    camera.apply(dataclasses.replace(camera.control.configuration, aps_exposure_us=exposure_us))
+    driver.expect(float('inf'))
+    driver.expect(OUTAGES[name](scene.device, rng))
+    seconds = driver.recovery_s()
+    lasted = seconds == seconds and driver.supervisor.state is State.STREAMING  # noqa: PLR0124
+    return Recovery(name, seconds, lasted and _is_restored(scene, camera))
+
+
+def _is_restored(scene: RecoveryScene, camera: Davis346) -> bool:
+    writes = register_writes(camera.control.configuration, camera.identity)
+    wanted = {(write.module, write.parameter): write.value for write in writes}
+    return all(scene.device.register(*address) == value for address, value in wanted.items())
+
+
+def _nothing(*_: object) -> None:
+    pass
+
+
+def _resources() -> Resources:
+    gc.collect()
+    # What was closed last may take a moment to end on the other side of the socket.
+    time.sleep(1.0)
+    process = psutil.Process()
+    memory = process.memory_info().rss / (1 << 20)
+    return Resources(process.num_threads(), process.num_fds(), round(memory, 1))
+
+
+def _quantiles(recoveries: Sequence[Recovery]) -> dict[str, float]:
+    seconds = [each.seconds for each in recoveries]
+    p50, p95, longest = np.quantile(seconds, (0.5, 0.95, 1.0)).round(3).tolist()
+    return {'count': len(seconds), 'p50': p50, 'p95': p95, 'max': longest}
+
+
+def _print(console: Console, report: RecoveryReport) -> None:
+    figures = report.as_dict()
+    table = Table(title=r'time to recover \[s]', title_justify='left')
+    for heading in ('fault', 'count', 'p50', 'p95', 'max'):
+        table.add_column(heading, justify='left' if heading == 'fault' else 'right')
+    for name, row in {**figures['by_fault'], 'all': figures['recovery_s']}.items():
+        table.add_row(name, *(f'{value:g}' for value in row.values()))
+    console.print(table)
+    console.print(
+        f'{report.recovered} of {len(report.recoveries)} recovered with all settings, '
+        f'{report.reconnects} reconnects, time went back {report.went_back} times'
+    )
+    before, after = report.before, report.after
+    console.print(
+        f'threads {before.threads} -> {after.threads}, '
+        f'file descriptors {before.descriptors} -> {after.descriptors}, '
+        f'memory {before.memory_mib:.0f} -> {after.memory_mib:.0f} MiB'
+    )

@@ -1,0 +1,304 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""How much faster than real time the virtual sensor runs, and where the time goes."""
+
+from __future__ import annotations
+
+import cProfile
+import json as json_format
+import pstats
+import statistics
+import struct
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Annotated, Any, Final, Optional
+
+import psutil
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from mixtac_sim.usb.descriptors import DATA_ENDPOINT, serial_number
+from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.faults import UsbTimeout
+from mixtac_sim.usb.registers import Aps, Dvs, Imu, Module, Mux, Usb
+from mixtac_sim.world.trial import TrialStream
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from mixtac_recordings.dataset import TrialSpec
+    from mixtac_sim.world.trial import Stretch
+
+
+STAGES: Final = {
+    'mechanics': {('touch.py', 'block'), ('bead_motion.py', 'place')},
+    'rendering': {('renderer.py', 'draw')},
+    'event pixels': {('dvs.py', 'step')},
+    'event noise': {('noise.py', 'block')},
+    'event readout': {('readout.py', 'read')},
+    'frames': {('aps.py', 'expose_before'), ('aps.py', 'expose_after'), ('aps.py', 'finish')},
+    'reference sensor': {('reference.py', 'process')},
+    'inertial unit': {('inertial_unit.py', 'readings')},
+    'USB words': {('device.py', 'submit'), ('device.py', 'advance')},
+    'USB reads': {('host_side.py', 'read_bulk')},
+    'camera messages': {('camera_messages.py', 'add')},
+    'truth messages': {('truth_messages.py', 'add')},
+    'bag': {('writer.py', 'write'), ('writer.py', 'close'), ('writer.py', 'add_connection')},
+}
+"""Functions of each stage as (file, name); none of them calls one of another stage."""
+
+
+def time_by_stage(call: Callable[[], object]) -> dict[str, float]:
+    """Run something and return the share of its time that each stage took; they add up to 1.
+
+    Args:
+        call: What to run; the profiler makes it somewhat slower.
+    """
+    profiler = cProfile.Profile()
+    profiler.runcall(call)
+    return stage_shares(pstats.Stats(profiler))
+
+
+def stage_shares(stats: pstats.Stats) -> dict[str, float]:
+    """Return the share of each stage in the profiled time, largest first, the rest as `other`."""
+    table = stats.stats  # type: ignore[attr-defined]
+    total = float(stats.total_tt)  # type: ignore[attr-defined]
+    spent = dict.fromkeys(STAGES, 0.0)
+    for (path, _, name), (_, _, _, cumulative, _) in table.items():
+        key = (PurePath(path).name, name)
+        for stage, functions in STAGES.items():
+            if key in functions:
+                spent[stage] += cumulative
+    shares = {stage: seconds / total for stage, seconds in spent.items() if seconds > 0.0}
+    shares['other'] = max(1.0 - sum(shares.values()), 0.0)
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+TICK_US: Final = 1_000
+"""The virtual sensor hands over what is due every millisecond."""
+READ_BYTES: Final = 1 << 22
+_TO_DEVICE, _WRITE_MANY = 0x40, 0xC2
+_RUN: Final = (
+    (Module.MUX, Mux.RUN_CHIP),
+    (Module.USB, Usb.RUN),
+    (Module.MUX, Mux.TIMESTAMP_RUN),
+    (Module.MUX, Mux.RUN),
+    (Module.DVS, Dvs.RUN),
+    (Module.APS, Aps.RUN),
+    (Module.IMU, Imu.RUN_ACCEL),
+    (Module.IMU, Imu.RUN_GYRO),
+    (Module.IMU, Imu.RUN_TEMPERATURE),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ChainRun:
+    """One run of the chain.
+
+    Attributes:
+        simulated_s: Simulated time [s].
+        wall_s: Time it took [s].
+        cpu_s: Processor time it took [s].
+        events: Events simulated.
+        octets: Bytes that came out of the camera.
+    """
+
+    simulated_s: float
+    wall_s: float
+    cpu_s: float
+    events: int
+    octets: int
+
+
+class Chain:
+    """Mechanics, pixels and frames of a trial, sent as USB words by the virtual camera.
+
+    Args:
+        spec: The trial.
+    """
+
+    def __init__(self, spec: TrialSpec) -> None:
+        self._trial = TrialStream(spec)
+        self._camera = running_camera(serial_number(spec.device_seed))
+
+    def run(self) -> ChainRun:
+        """Run the whole trial and take the time; only once.
+
+        Raises:
+            UsbTimeout: The camera has lost its tongue.
+        """
+        wall_s, cpu_s = time.perf_counter(), time.process_time()
+        events = octets = last_us = 0
+        for stretch in self._trial.stretches():
+            octets += self._send(stretch)
+            events += len(stretch.sensor.events)
+            last_us = stretch.end_us
+        wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
+        return ChainRun(1e-6 * last_us, wall_s, cpu_s, events, octets)
+
+    def _send(self, stretch: Stretch) -> int:
+        camera, octets = self._camera, 0
+        camera.submit(stretch.sensor.events, stretch.sensor.frames, stretch.readings)
+        for now_us in range(stretch.start_us + TICK_US, stretch.end_us + 1, TICK_US):
+            camera.advance(now_us)
+            try:
+                octets += len(camera.read_bulk(DATA_ENDPOINT, READ_BYTES, 0.0))
+            except UsbTimeout:
+                continue
+        return octets
+
+
+def running_camera(serial: str) -> VirtualDavis346:
+    """Return a virtual camera with everything on, whose clock stands at zero."""
+    camera = VirtualDavis346(serial, clock=lambda: 0)
+    settings: Sequence[tuple[int, int, int]] = [
+        *((int(module), int(param), 1) for module, param in _RUN),
+        (int(Module.USB), int(Usb.EARLY_PACKET_DELAY), 0),
+    ]
+    data = b''.join(struct.pack('>BBI', *setting) for setting in settings)
+    camera.control(_TO_DEVICE, _WRITE_MANY, len(settings), 0, data)
+    return camera
+
+
+OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
+PROFILE: Final = 'dynamic'
+ONLINE_RUNS: Final = 3
+BATCH_JOBS: Final = 2
+BATCH_TRIALS: Final = 4
+WARM_UP_S: Final = 3.0
+STAGE_S: Final = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class SimulateReport:
+    """What was measured.
+
+    Attributes:
+        online: Runs of the full chain on one core.
+        batch_s: Simulated time of the batch [s].
+        batch_wall_s: Time the batch took on two cores [s].
+        batch_cpu_s: Processor time it took over the number of processes [s].
+        online_stages: Share of each stage in the chain.
+        batch_stages: Share of each stage when a bag is written.
+    """
+
+    online: tuple[ChainRun, ...]
+    batch_s: float
+    batch_wall_s: float
+    batch_cpu_s: float
+    online_stages: dict[str, float]
+    batch_stages: dict[str, float]
+
+    @property
+    def online_factor(self) -> float:
+        """Simulated over real time of the chain, median of the runs."""
+        return statistics.median(run.simulated_s / run.wall_s for run in self.online)
+
+    @property
+    def online_cpu_factor(self) -> float:
+        """Simulated over processor time of the chain, median of the runs."""
+        return statistics.median(run.simulated_s / run.cpu_s for run in self.online)
+
+    @property
+    def batch_factor(self) -> float:
+        """Simulated over real time of the batch."""
+        return self.batch_s / self.batch_wall_s
+
+    @property
+    def batch_cpu_factor(self) -> float:
+        """Simulated over processor time of the batch per process: as if nothing else ran."""
+        return self.batch_s / self.batch_cpu_s
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report for JSON."""
+        simulated_s = sum(run.simulated_s for run in self.online)
+        return {
+            'realtime_factor': {'online': self.online_factor, 'batch': self.batch_factor},
+            'cpu_factor': {'online': self.online_cpu_factor, 'batch': self.batch_cpu_factor},
+            'events_per_s': sum(run.events for run in self.online) / simulated_s,
+            'usb_bytes_per_s': sum(run.octets for run in self.online) / simulated_s,
+            'share_of_time': {'online': self.online_stages, 'batch': self.batch_stages},
+        }
+
+
+def simulate(
+    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+    seconds: Annotated[float, typer.Option(min=5, max=600, help='Length of a trial.')] = 25.0,
+    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = 'paper_like',
+) -> None:
+    """Measure the virtual sensor: full chain with USB words on one core, bags on two."""
+    console = Console()
+    with console.status('simulating'):
+        report = measure(seconds, preset)
+    print_report(console, report, seconds, preset)
+    if json is not None:
+        json.parent.mkdir(parents=True, exist_ok=True)
+        json.write_text(json_format.dumps(report.as_dict(), indent=2) + '\n', encoding='utf8')
+
+
+def measure(seconds: float, preset: str) -> SimulateReport:
+    """Measure both ways out of the simulator.
+
+    Args:
+        seconds: Length of a trial [s].
+        preset: How hard the effects are.
+    """
+    # These compile; the command line starts without them.
+    from mixtac_sim.bags.trial_bag import write_trial
+    from mixtac_sim.world.datasets import plan_profile
+
+    specs = plan_profile(PROFILE, BATCH_TRIALS, seconds, preset=preset)
+    warm = plan_profile(PROFILE, BATCH_JOBS, WARM_UP_S, preset=preset)
+    staged = plan_profile(PROFILE, 1, min(seconds, STAGE_S), preset=preset)[0]
+    Chain(warm[0]).run()
+    online = tuple(Chain(spec).run() for spec in specs[:ONLINE_RUNS])
+    with tempfile.TemporaryDirectory(prefix='mixtac-bench-') as name:
+        folder = Path(name)
+        _batch(warm, folder / 'warm')
+        begin, busy = time.perf_counter(), processor_s()
+        _batch(specs, folder / 'bags')
+        wall_s, cpu_s = time.perf_counter() - begin, (processor_s() - busy) / BATCH_JOBS
+        chain = Chain(staged)
+        online_stages = time_by_stage(chain.run)
+        batch_stages = time_by_stage(lambda: write_trial(staged, folder / 'staged'))
+    return SimulateReport(
+        online, seconds * BATCH_TRIALS, wall_s, cpu_s, online_stages, batch_stages
+    )
+
+
+def processor_s() -> float:
+    """Return the processor time that this process and its living children have used [s]."""
+    this = psutil.Process()
+    times = [process.cpu_times() for process in (this, *this.children(recursive=True))]
+    return float(sum(each.user + each.system for each in times))
+
+
+def _batch(specs: list[TrialSpec], folder: Path) -> None:
+    from mixtac_sim.bags.generation import generate
+    from mixtac_sim.world.datasets import describe
+
+    preset = specs[0].preset
+    plan = describe(PROFILE, 0, preset, 'trial', specs)
+    generate(plan, folder, jobs=BATCH_JOBS)
+
+
+def print_report(console: Console, report: SimulateReport, seconds: float, preset: str) -> None:
+    """Print the report as tables."""
+    table = Table(title=f'{PROFILE}, {preset}, {seconds:g} s trials', title_justify='left')
+    table.add_column('what')
+    table.add_column('times real time', justify='right')
+    table.add_row('online: full chain, USB words, one core', f'{report.online_factor:.2f}')
+    table.add_row('  by processor time', f'{report.online_cpu_factor:.2f}')
+    table.add_row(f'batch: bags, {BATCH_JOBS} processes', f'{report.batch_factor:.2f}')
+    table.add_row('  by processor time', f'{report.batch_cpu_factor:.2f}')
+    console.print(table)
+    stages = Table(title='where the time goes', title_justify='left')
+    for heading in ('stage', 'online', 'batch'):
+        stages.add_column(heading, justify='left' if heading == 'stage' else 'right')
+    for name in {**report.online_stages, **report.batch_stages}:
+        shares = (report.online_stages.get(name), report.batch_stages.get(name))
+        stages.add_row(name, *('' if share is None else f'{share:.0%}' for share in shares))
+    console.print(stages)

@@ -1,0 +1,455 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""How difficult simulated trials are: what simpler estimators than FGER-Net achieve on them.
+
+A simulator in which the mean brightness or the events alone reveal the force would prove nothing
+about a network that fuses both. `difficulty` compares such estimators; `ablation` switches off
+one effect of the simulator at a time.
+
+The event integrator is a linear map from events to increments of the force, summed over time. It
+sees one image from before the first contact. Its error grows with time: this is the drift that
+frames correct.
+"""
+
+from __future__ import annotations
+
+import json as json_module
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Optional
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from mixtac_fger.weights import DEFAULT_MODEL, find_model
+from mixtac_learning.judge.estimators import stream
+from mixtac_learning.judge.metrics import fit_scale, measure
+from mixtac_learning.trials.trial import DatasetError, true_force
+from mixtac_sim.world.training_trials import calibration_plan, evaluation_plan, unseen_devices
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
+    from mixtac_fger.weights import LoadedModel
+    from mixtac_learning.judge.estimators import Run
+    from mixtac_learning.trials.trial import ForceLabel, RecordedTrial
+    from mixtac_sim.world.training_trials import TrialSpec
+    from mixtac_sim.world.trial import Trial
+
+
+WINDOW_US = 10_000
+"""Window of an increment [us]; a linear sum does not depend on it, the noise of a fit does."""
+CELL_PX = 44
+"""Side of a cell [px]: eight columns and six rows."""
+RIDGES = (0.01, 0.1, 1.0, 10.0, 100.0)
+"""Penalties to choose from, over the mean square of the fit's (standardised) features."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Increments:
+    """Events and force of one trial in windows, from the end of the image on.
+
+    Attributes:
+        t_us: Ends of the windows, camera clock [us], int64 [n].
+        features: Sums per cell of polarity times the image's log-gradient (x, y), ON and OFF
+            events, float64 [n, 4 * cells].
+        force: True force at the ends [n + 1] [N]; the first is where the integral starts.
+    """
+
+    t_us: NDArray[np.int64]
+    features: NDArray[np.float64]
+    force: NDArray[np.float64]
+
+
+def increments(trial: RecordedTrial, label: ForceLabel, reference_frames: int) -> Increments:
+    """Return the windows of a trial.
+
+    Args:
+        trial: Events and frames; only the first frames are looked at.
+        label: True force on the camera clock.
+        reference_frames: Number of frames before the first contact.
+
+    Raises:
+        DatasetError: The trial ends before its reference frames do.
+    """
+    begin = int(trial.exposure_end_us[reference_frames - 1])
+    edges = np.arange(begin, int(label.t_us[-1]) + 1, WINDOW_US)
+    if len(edges) < 3:
+        raise DatasetError(f'trial ends {edges.size * WINDOW_US} us after its reference frames')
+    image = trial.frames[:reference_frames].mean(axis=0)
+    features = _sums(trial.events, image, edges)
+    return Increments(edges[1:], features, label.at(edges).astype(np.float64))
+
+
+def _sums(
+    events: Events, image: NDArray[np.floating], edges: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the features of the windows between edges [us]."""
+    rows, columns = image.shape
+    wide, high = -(-columns // CELL_PX), -(-rows // CELL_PX)
+    inside = events[np.searchsorted(events.t, edges[0]) : np.searchsorted(events.t, edges[-1])]
+    window = (inside.t - edges[0]) // WINDOW_US
+    x, y = inside.x.astype(np.int64), inside.y.astype(np.int64)
+    place = (window * high + y // CELL_PX) * wide + x // CELL_PX
+    slope_y, slope_x = np.gradient(np.log(np.maximum(image, 1.0)))
+    sign = np.where(inside.polarity, 1.0, -1.0)
+    weights = (sign * slope_x[y, x], sign * slope_y[y, x], sign > 0.0, sign < 0.0)
+    size = (len(edges) - 1) * wide * high
+    sums = [np.bincount(place, weight, size).reshape(-1, wide * high) for weight in weights]
+    return np.concatenate(sums, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EventIntegrator:
+    """A linear map from the events of a window to the increment of the force [N].
+
+    Attributes:
+        gains: Increment per unit of each feature [4 * cells] [N].
+        offset: Increment of a window without events [N]: less what noise alone would add.
+    """
+
+    gains: NDArray[np.float64]
+    offset: float = 0.0
+
+    @classmethod
+    def fit(cls, trials: Sequence[Increments], ridge: float = RIDGES[0]) -> EventIntegrator:
+        """Return the map of least squares over training trials.
+
+        Args:
+            trials: Training trials.
+            ridge: Penalty of large gains.
+        """
+        features = np.concatenate([trial.features for trial in trials])
+        change = np.concatenate([np.diff(trial.force) for trial in trials])
+        centre, scale = features.mean(axis=0), features.std(axis=0) + 1e-9
+        even = (features - centre) / scale
+        square = even.T @ even / len(even)
+        square[np.diag_indices_from(square)] += ridge
+        gains = np.linalg.solve(square, even.T @ (change - change.mean()) / len(even)) / scale
+        return cls(gains, float(change.mean() - centre @ gains))
+
+    @classmethod
+    def choose(cls, trials: Sequence[Increments]) -> EventIntegrator:
+        """Return the map with the penalty that integrates best on training trials left out.
+
+        Args:
+            trials: Training trials, two or more; each is left out once.
+        """
+
+        def error(ridge: float) -> float:
+            quarters = [
+                judge_integrator(cls.fit([t for t in trials if t is not out], ridge), [out])[0]
+                for out in trials
+            ]
+            return float(np.mean(quarters))
+
+        return cls.fit(trials, min(RIDGES, key=error))
+
+    def changes(self, trial: Increments) -> NDArray[np.float64]:
+        """Return the increment of each window [n] [N]."""
+        return np.asarray(trial.features @ self.gains + self.offset)
+
+    def integrate(self, trial: Increments) -> NDArray[np.float64]:
+        """Return the force at the end of each window [n] [N], from the true one at the start."""
+        return np.asarray(trial.force[0] + np.cumsum(self.changes(trial)))
+
+
+def judge_integrator(
+    integrator: EventIntegrator, trials: Sequence[Increments]
+) -> tuple[NDArray[np.float64], float]:
+    """Return mean absolute errors in four quarters of each trial, and how good increments are.
+
+    Args:
+        integrator: Fitted to other trials.
+        trials: Unseen ones.
+
+    Returns:
+        Errors [trial, 4] [N], and R2 of the increments.
+    """
+    quarters, truth, found = [], [], []
+    for trial in trials:
+        error = np.abs(integrator.integrate(trial) - trial.force[1:])
+        quarters.append([part.mean() for part in np.array_split(error, 4)])
+        truth.append(np.diff(trial.force))
+        found.append(integrator.changes(trial))
+    whole, rest = np.concatenate(truth), np.concatenate(truth) - np.concatenate(found)
+    return np.array(quarters), 1.0 - float(np.sum(rest**2) / np.sum((whole - whole.mean()) ** 2))
+
+
+def summarise_integrator(quarters: NDArray[np.float64], r2: float) -> dict[str, float]:
+    """Return the figures of a report.
+
+    Args:
+        quarters: Of `judge_integrator` [trial, 4] [N].
+        r2: Of the increments.
+
+    Returns:
+        `integrator_increment_r2`; `integrator_early_mae` and `integrator_late_mae` [N] in the first
+        and last quarter with their spreads between trials (`_sd`); `integrator_growth`, the ratio
+        of the means; `integrator_growing`, the share of trials whose error grows.
+    """
+    early, late = quarters[:, 0], quarters[:, -1]
+    return {
+        'integrator_increment_r2': r2,
+        'integrator_early_mae': float(early.mean()),
+        'integrator_early_sd': float(early.std()),
+        'integrator_late_mae': float(late.mean()),
+        'integrator_late_sd': float(late.std()),
+        'integrator_growth': float(late.mean() / early.mean()),
+        'integrator_growing': float(np.mean(late > early)),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """Gains of a sensor for both estimators, each fitted to its own estimates of one press.
+
+    Attributes:
+        fused: Of the whole network.
+        frames: Of its frames-only force.
+    """
+
+    fused: float
+    frames: float
+
+    @classmethod
+    def fit(cls, press: Run) -> Scales:
+        """Return the scales that one calibration press gives.
+
+        Raises:
+            CalibrationError: It was no press.
+        """
+        fused = fit_scale(press.force, press.truth).force_scale
+        return cls(fused, fit_scale(press.frames_only, press.truth).force_scale)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """One trial, judged.
+
+    Attributes:
+        run: Estimates with all frames, scaled.
+        blind: Estimates without any frame after the reference, scaled: events alone, integrated.
+        brightness: Mean brightness of the latest frame over that of the first ones, held.
+        counts: Events per window.
+    """
+
+    run: Run
+    blind: Run
+    brightness: NDArray[np.float64]
+    counts: NDArray[np.float64]
+
+
+def judge(model: LoadedModel, trial: Trial, scales: Scales) -> Judged:
+    """Run all estimators on a trial.
+
+    Args:
+        model: Network with its weights.
+        trial: A simulated trial.
+        scales: Gains of its sensor.
+    """
+    label = true_force(trial.truth)
+    kept = model.config.reference_frames
+    run = stream(model, trial, label)
+    blind = stream(model, trial, label, frames=kept)
+    brightness = _brightness(trial, run.t_us, kept)
+    cuts = np.searchsorted(trial.events.t, [run.t_us[0] - model.config.window_us, *run.t_us])
+    both = type(run)(run.t_us, scales.fused * run.force, scales.frames * run.frames_only, run.truth)
+    return Judged(both, blind.scaled(scales.fused), brightness, np.diff(cuts).astype(np.float64))
+
+
+def _brightness(trial: RecordedTrial, t_us: NDArray[np.int64], kept: int) -> NDArray[np.float64]:
+    means = trial.frames.reshape(len(trial.frames), -1).mean(axis=1)
+    latest = np.searchsorted(trial.arrival_us, t_us, side='right') - 1
+    return np.asarray(means[np.maximum(latest, 0)] / means[:kept].mean(), np.float64)
+
+
+def summarise(judged: Sequence[Judged]) -> dict[str, float]:
+    """Return the figures over trials.
+
+    Returns:
+        `fused_mae`, `frames_only_mae` [N] and their ratio; `events_only_early_mae` and
+        `events_only_late_mae` [N], in the first and last quarter of the trials, and
+        `events_only_drift` [N/s], the slope of the absolute error; `r2_brightness` and `r2_count`,
+        what a straight line through all trials explains at best.
+    """
+    truth = np.concatenate([each.run.truth for each in judged])
+    fused = measure(truth, np.concatenate([each.run.force for each in judged])).mae
+    frames = measure(truth, np.concatenate([each.run.frames_only for each in judged])).mae
+    early, late, slope = _drift([each.blind for each in judged])
+    return {
+        'trials': len(judged),
+        'fused_mae': fused,
+        'frames_only_mae': frames,
+        'frames_only_over_fused': frames / fused,
+        'events_only_early_mae': early,
+        'events_only_late_mae': late,
+        'events_only_drift': slope,
+        'r2_brightness': explained(np.concatenate([each.brightness for each in judged]), truth),
+        'r2_count': explained(np.concatenate([each.counts for each in judged]), truth),
+    }
+
+
+def _drift(runs: Sequence[Run]) -> tuple[float, float, float]:
+    quarters, slopes = [], []
+    for run in runs:
+        error = np.abs(run.force - run.truth)
+        part = len(error) // 4
+        quarters.append((error[:part].mean(), error[-part:].mean()))
+        slopes.append(np.polyfit((run.t_us - run.t_us[0]) / 1e6, error, 1)[0])
+    early, late = np.mean(quarters, axis=0)
+    return float(early), float(late), float(np.mean(slopes))
+
+
+def explained(feature: NDArray[np.floating], truth: NDArray[np.floating]) -> float:
+    """Return R2 of the least-squares line from a feature to the truth, fitted to the same data."""
+    if np.ptp(feature) == 0.0:
+        return 0.0
+    return float(np.corrcoef(feature, truth)[0, 1] ** 2)
+
+
+OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
+Model = Annotated[str, typer.Option(help='Weight file, or name of a shipped one.')]
+Preset = Annotated[str, typer.Option(help='easy, paper_like or hard.')]
+Devices = Annotated[int, typer.Option(min=1, help='Number of unseen sensors.')]
+Seconds = Annotated[float, typer.Option(min=6, help='Length of a trial.')]
+Seed = Annotated[int, typer.Option(min=3, help='Which fresh sensors and days.')]
+LESSONS = 4
+"""Trials of a sensor that its event integrator is fitted to."""
+LESSON = 50
+"""Their trial seeds begin so far behind that of the trial that is judged."""
+Json = Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')]
+
+
+def difficulty(
+    preset: Preset = 'paper_like',
+    model: Model = DEFAULT_MODEL,
+    devices: Devices = 4,
+    seconds: Seconds = 20.0,
+    seed: Seed = 3,
+    json: Json = None,
+) -> None:
+    """Show what frames alone, events alone, brightness and event counts tell of the force."""
+    specs, presses = _plans(preset, devices, seconds, seed)
+    with Progress(transient=True) as progress:
+        total = len(specs) * (2 + LESSONS) + len(presses)
+        bar = progress.add_task('judging', total=total)
+        loaded = _load(model)
+        figures = _judge_all(loaded, specs, presses, lambda: progress.advance(bar))
+        kept = loaded.config.reference_frames
+        figures |= _integrate_all(kept, specs, lambda: progress.advance(bar))
+    table = Table(title=f'dynamic, {preset}, simulated', title_justify='left')
+    table.add_column('figure')
+    table.add_column('value', justify='right')
+    for name, value in figures.items():
+        table.add_row(name.replace('_', ' '), f'{value:.4g}')
+    Console().print(table)
+    _write(json, {'preset': preset, 'model': str(find_model(model)), **figures})
+
+
+def ablation(
+    preset: Preset = 'paper_like',
+    model: Model = DEFAULT_MODEL,
+    devices: Devices = 4,
+    seconds: Seconds = 12.0,
+    seed: Seed = 3,
+    json: Json = None,
+) -> None:
+    """Show how the error changes when one effect of the simulated sensor is switched off."""
+    from mixtac_sim.world.effects import EFFECTS
+
+    specs, presses = _plans(preset, devices, seconds, seed)
+    names = ['', *EFFECTS]
+    rows = {}
+    with Progress(transient=True) as progress:
+        bar = progress.add_task('judging', total=(len(specs) + len(presses)) * len(names))
+        loaded = _load(model)
+        for name in names:
+            dynamic, press = (
+                [replace(spec, without=name) for spec in part] for part in (specs, presses)
+            )
+            rows[name or 'all effects'] = _judge_all(
+                loaded, dynamic, press, lambda: progress.advance(bar)
+            )
+    whole = rows['all effects']['fused_mae']
+    table = Table(title=f'dynamic, {preset}, simulated: one effect off', title_justify='left')
+    for heading in ('off', 'MAE [N]', 'share of the error', 'frames only [N]'):
+        table.add_column(heading, justify='left' if heading == 'off' else 'right')
+    for name, row in rows.items():
+        share = 1.0 - row['fused_mae'] / whole
+        table.add_row(
+            name, f'{row["fused_mae"]:.4f}', f'{share:+.1%}', f'{row["frames_only_mae"]:.4f}'
+        )
+    Console().print(table)
+    _write(json, {'preset': preset, 'model': str(find_model(model)), 'rows': rows})
+
+
+def _plans(
+    preset: str, devices: int, seconds: float, seed: int
+) -> tuple[list[TrialSpec], list[TrialSpec]]:
+    seeds = unseen_devices(devices, seed)
+    specs = evaluation_plan(seeds, seconds, seed, ('dynamic',), preset)
+    return specs, calibration_plan(seeds, 8.0, seed, preset)
+
+
+def _load(model: str) -> LoadedModel:
+    from mixtac_fger.weights import load_model
+
+    return load_model(find_model(model))
+
+
+def _judge_all(
+    model: LoadedModel,
+    specs: Sequence[TrialSpec],
+    presses: Sequence[TrialSpec],
+    advance: Callable[[], None],
+) -> dict[str, float]:
+    from mixtac_learning.judge.estimators import stream
+    from mixtac_learning.trials.trial import true_force
+    from mixtac_sim.world.training_trials import simulate
+
+    scales = {}
+    for spec in presses:
+        trial = simulate(spec)
+        scales[spec.device_seed] = Scales.fit(stream(model, trial, true_force(trial.truth)))
+        advance()
+    judged = []
+    for spec in specs:
+        judged.append(judge(model, simulate(spec), scales[spec.device_seed]))
+        advance()
+    return summarise(judged)
+
+
+def _integrate_all(
+    reference_frames: int, specs: Sequence[TrialSpec], advance: Callable[[], None]
+) -> dict[str, float]:
+    """Return the figures of an event integrator of each sensor, fitted to other trials of it."""
+    import numpy as np
+
+    from mixtac_learning.trials.trial import true_force
+    from mixtac_sim.world.training_trials import simulate
+
+    def windows(spec: TrialSpec) -> Increments:
+        trial = simulate(spec)
+        advance()
+        return increments(trial, true_force(trial.truth), reference_frames)
+
+    rows, fits = [], []
+    for spec in specs:
+        days = [replace(spec, trial_seed=spec.trial_seed + LESSON + k) for k in range(LESSONS)]
+        integrator = EventIntegrator.choose([windows(day) for day in days])
+        quarters, r2 = judge_integrator(integrator, [windows(spec)])
+        rows.append(quarters)
+        fits.append(r2)
+    return summarise_integrator(np.concatenate(rows), float(np.mean(fits)))
+
+
+def _write(path: Path | None, content: dict[str, object]) -> None:
+    if path is not None:
+        path.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')

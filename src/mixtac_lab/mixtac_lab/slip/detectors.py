@@ -1,0 +1,442 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""False alarms and latency curves of the slip detectors on scenes with and without slip.
+
+Thresholds are swept, so nothing is tuned on the evaluation data: a curve shows every threshold,
+and the shipped one is a point on it. Scores are the quantities that the detectors compare with
+their thresholds, in units of the background tail learned at the start of each trial.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import starmap
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from mixtac_lab.store import Kept, digest
+from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.optics.scene import Flicker
+from mixtac_sim.world.effects import preset
+from mixtac_slip_control.detectors import (
+    DETECTORS,
+    CountDetector,
+    CountSettings,
+    FlowDetector,
+    FlowSettings,
+    SlipJudge,
+)
+from mixtac_slip_control.errors import SlipControlError
+from mixtac_slip_control.features import GuideMaker, SlipFeatures
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from mixtac_sim.grasp.slip_scene import SceneBlock
+    from mixtac_slip_control.features import SlipWindow
+    from mixtac_slip_control.parameters import SlipSettings
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoredTrial:
+    """The windows of one trial as each detector sees them, after the learning.
+
+    Attributes:
+        end_us: Ends of the windows [n], camera clock [us].
+        count: Count over its threshold [n]: above 1 the shipped detector fires.
+        flow: Flow over its threshold [n].
+    """
+
+    end_us: NDArray[np.int64]
+    count: Floats
+    flow: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectorCurve:
+    """One detector at one speed.
+
+    Attributes:
+        scale: Thresholds as multiples of the shipped one [m].
+        false_alarms_per_min: Onsets per minute without slip [m].
+        latency_ms: Median time from onset to detection [m]; infinite where most are missed.
+        latency_p99_ms: Its 99th percentile [m].
+        missed: Part of the trials without a detection [m].
+        auc: Probability that the highest score in the first windows of a slip exceeds that of as
+            many windows without slip.
+    """
+
+    scale: Floats
+    false_alarms_per_min: Floats
+    latency_ms: Floats
+    latency_p99_ms: Floats
+    missed: Floats
+    auc: float
+
+
+def score_trial(
+    windows: Sequence[SlipWindow],
+    learning: int,
+    count: CountSettings | None = None,
+    flow: FlowSettings | None = None,
+) -> ScoredTrial:
+    """Return the scores of a trial.
+
+    Args:
+        windows: All windows of the trial, the first ones at rest.
+        learning: How many of them the detectors learn from; they are not scored.
+        count: Settings of the paper's law.
+        flow: Settings of the flow detector.
+
+    Raises:
+        SlipControlError: Too few windows to learn from.
+    """
+    by_count, by_flow = CountDetector(count), FlowDetector(flow)
+    for window in windows[:learning]:
+        by_count.update(window)
+        by_flow.update(window)
+        by_count.learn(window)
+        by_flow.learn(window)
+    if not (by_count.learned and by_flow.learned):
+        raise SlipControlError(
+            f'{min(learning, len(windows))} windows do not suffice to learn the background: give '
+            'as many as the settings ask for, with frames'
+        )
+    rows = np.empty((2, len(windows) - learning))
+    for column, window in zip(rows.T, windows[learning:], strict=True):
+        by_count.update(window)
+        by_flow.update(window)
+        middle = by_count.background.median
+        column[0] = (window.count - middle) / (by_count.threshold - middle)
+        column[1] = by_flow.flow / by_flow.threshold
+    ends = np.array([window.end_us for window in windows[learning:]], np.int64)
+    return ScoredTrial(ends, rows[0], rows[1])
+
+
+def detector_curve(
+    detector: str,
+    slips: Sequence[tuple[ScoredTrial, int]],
+    quiet: Sequence[ScoredTrial],
+    scale: Floats | None = None,
+    *,
+    horizon_us: int = 50_000,
+    rest_us: int = 5_000,
+) -> DetectorCurve:
+    """Return latency against false alarms of a detector.
+
+    Args:
+        detector: `flow` or `count`.
+        slips: Trials with slip and its onset, camera clock [us].
+        quiet: Trials without slip, in which every onset of the detector is false.
+        scale: Thresholds to try, as multiples of the shipped one.
+        horizon_us: Detections later than this after the onset are misses [us].
+        rest_us: Two crossings nearer than this are one alarm [us].
+
+    Raises:
+        SlipControlError: Nothing to evaluate, or an unknown detector.
+    """
+    if detector not in ('flow', 'count') or not slips or not quiet:
+        raise SlipControlError(
+            f'detector {detector!r}, {len(slips)} trials with slip, {len(quiet)} without: give '
+            'flow or count and at least one of each'
+        )
+    scales = np.geomspace(0.02, 3.0, 60) if scale is None else scale
+    calm = [(trial.end_us, getattr(trial, detector)) for trial in quiet]
+    minutes = sum(float(end[-1] - end[0]) for end, _ in calm) / 60e6
+    alarms = [sum(_onsets(t, s > k, rest_us) for t, s in calm) / minutes for k in scales]
+    late = np.array(
+        [[_latency(trial, detector, on, k, horizon_us) for trial, on in slips] for k in scales]
+    )
+    return DetectorCurve(
+        scale=np.asarray(scales),
+        false_alarms_per_min=np.array(alarms),
+        latency_ms=np.quantile(late, 0.5, axis=1, method='higher'),
+        latency_p99_ms=np.quantile(late, 0.99, axis=1, method='higher'),
+        missed=np.mean(np.isinf(late), axis=1),
+        auc=_auc(detector, slips, calm),
+    )
+
+
+def _onsets(times: NDArray[np.int64], above: NDArray[np.bool_], rest_us: int) -> int:
+    hits = times[above]
+    return 0 if len(hits) == 0 else 1 + int(np.count_nonzero(np.diff(hits) > rest_us))
+
+
+def _latency(
+    trial: ScoredTrial, detector: str, onset_us: int, threshold: float, horizon_us: int
+) -> float:
+    """Return the time from onset to the end of the first window above [ms]."""
+    scores = getattr(trial, detector)
+    first, last = np.searchsorted(trial.end_us, (onset_us, onset_us + horizon_us), side='right')
+    found = np.flatnonzero(scores[first:last] > threshold)
+    return float(trial.end_us[first + found[0]] - onset_us) * 1e-3 if len(found) else np.inf
+
+
+def _auc(
+    detector: str,
+    slips: Sequence[tuple[ScoredTrial, int]],
+    calm: Sequence[tuple[NDArray[np.int64], Floats]],
+    span: int = 5,
+) -> float:
+    """Return the area under the curve of the highest of 5 scores (Mann and Whitney)."""
+    positive = []
+    for trial, onset in slips:
+        first = int(np.searchsorted(trial.end_us, onset, side='right'))
+        part = getattr(trial, detector)[first : first + span]
+        positive.append(float(part.max()) if len(part) else -np.inf)
+    negative = np.concatenate(
+        [s[: len(s) // span * span].reshape(-1, span).max(axis=1) for _, s in calm]
+    )
+    negative.sort()
+    below = np.searchsorted(negative, positive, side='left')
+    tied = np.searchsorted(negative, positive, side='right') - below
+    return float(np.mean((below + 0.5 * tied) / len(negative)))
+
+
+QuietName = Literal['hold', 'load', 'flicker']
+QUIET: tuple[QuietName, ...] = get_args(QuietName)
+FORCE_N = 0.7
+SWING_N = 0.3
+"""The force of a slow load change goes up and down by so much [N]."""
+SWING_HZ = (0.25, 0.5, 1.0)
+"""As often as one of these, by the scene's seed [Hz]: up to 1 N/s."""
+LOAD_RATIO = 0.6
+"""Pull over what friction holds, where nothing may slip."""
+FLICKER_HZ = 100.0
+"""A lamp at 50 Hz mains shines alike in both half waves."""
+FLICKER_DEPTHS = (0.08, 0.12, 0.15)
+"""Ripple of the light in the sensor, one of these by the scene's seed: a lamp with 30 % ripple that
+makes a quarter, 40 % or half of the light beside the sensor's own steady LED (estimates; an opaque
+skin lets far less in). From about 20 % on the pixels fire by themselves and fill the readout."""
+BLOCK_STEPS = 32
+
+
+def quiet_blocks(
+    name: QuietName, seconds: float, seed: int, preset_name: str
+) -> Iterator[SceneBlock]:
+    """Yield what a sensor sees of an object that does not slip, in blocks of 4 ms.
+
+    Args:
+        name: Steady hold, slow change of the load, or flickering lamps.
+        seconds: Length [s].
+        seed: Sensor and day.
+        preset_name: How hard the sensor is.
+    """
+    scene = SlipScene(
+        seed,
+        seed,
+        preset(preset_name),
+        force_n=FORCE_N,
+        load_ratio=LOAD_RATIO,
+        flicker=flicker_of(seed) if name == 'flicker' else None,
+    )
+    still = np.zeros(BLOCK_STEPS)
+    for block in range(round(1e6 * seconds / (BLOCK_STEPS * STEP_US))):
+        force = None
+        if name == 'load':
+            t = 1e-6 * STEP_US * (block * BLOCK_STEPS + np.arange(BLOCK_STEPS) + 1)
+            turns = SWING_HZ[seed % len(SWING_HZ)] * t
+            force = FORCE_N + SWING_N * 0.5 * (1.0 - np.cos(2.0 * np.pi * turns))
+        yield scene.advance(still, force)
+
+
+def flicker_of(seed: int) -> Flicker:
+    """Return the flicker of a scene."""
+    phase = (0.618 * seed) % 1.0
+    return Flicker(FLICKER_DEPTHS[seed % len(FLICKER_DEPTHS)], FLICKER_HZ, phase)
+
+
+def slip_blocks(
+    speed_mm_s: float, onset_s: float, seconds: float, seed: int, preset_name: str
+) -> Iterator[SceneBlock]:
+    """Yield what a sensor sees of an object that slips once, in blocks of 1 ms.
+
+    Args:
+        speed_mm_s: Speed of the slip [mm/s].
+        onset_s: When it begins [s].
+        seconds: Length [s].
+        seed: Sensor and day.
+        preset_name: How hard the sensor is.
+    """
+    scene = SlipScene(seed, seed, preset(preset_name), force_n=FORCE_N)
+    return scene.play(knock_profile(speed_mm_s, onset_s, seconds - onset_s, seconds))
+
+
+def windows_of(blocks: Iterator[SceneBlock], settings: SlipSettings) -> Iterator[SlipWindow]:
+    """Yield the windows of a scene, as the controller's core cuts them.
+
+    Args:
+        blocks: Of the scene.
+        settings: Of the controller.
+    """
+    features = SlipFeatures(settings.window_us, settings.guide)
+    guides = GuideMaker(settings.guide)
+    for block in blocks:
+        for frame in block.frames:
+            middle = (frame.exposure_start_us + frame.exposure_end_us) // 2
+            features.guide(guides.make(frame.intensity, middle))
+        yield from features.push(block.events, block.end_us)
+
+
+SPEEDS_MM_S = (10.0, 30.0, 100.0)
+LEARN_S = 1.1
+SLIP_TRIAL_S = 1.2
+QUIET_TRIAL_S = 5.0
+PIECE_S = 60.0
+"""A long quiet time is made of pieces of so long, each with a sensor and a day of its own [s]."""
+QUIET_SEED = 50_000
+"""Sensors of the quiet scenes; no threshold was chosen on them."""
+SLIP_SEED = 60_000
+
+
+@dataclass(frozen=True, slots=True)
+class Alarms:
+    """False alarms on one kind of quiet scene.
+
+    Attributes:
+        name: Kind of scene.
+        seconds: Simulated time after the background was learned [s].
+        flow: Onsets that the flow detector saw.
+        count: Onsets that the count law saw.
+        mean_count: Mean events per window.
+        saturated: Windows in which the sensor was saturated, on which an arm would stop.
+    """
+
+    name: str
+    seconds: float
+    flow: int
+    count: int
+    mean_count: float
+    saturated: int
+
+
+def count_alarms(
+    name: QuietName,
+    seconds: float,
+    settings: SlipSettings,
+    preset_name: str,
+    kept: Kept | None = None,
+) -> Alarms:
+    """Return the false alarms of both detectors with their shipped thresholds.
+
+    Args:
+        name: Kind of scene.
+        seconds: Simulated time, the learning not counted [s].
+        settings: Of the controller.
+        preset_name: How hard the sensors are.
+        kept: Holds the pieces that were measured before.
+    """
+    pieces, store = [], kept or Kept()
+    watched = digest(settings.window_us, settings.guide, settings.judge, preset_name)
+    number = max(round(seconds / PIECE_S), 1)
+    for k in range(number):
+        length = seconds / number
+        key = f'quiet {name} {QUIET_SEED + k} {length:g} s {watched}'
+        piece = store.get(key, partial(_quiet_piece, name, k, length, settings, preset_name))
+        pieces.append(Alarms(**piece))
+    return Alarms(
+        name,
+        sum(p.seconds for p in pieces),
+        sum(p.flow for p in pieces),
+        sum(p.count for p in pieces),
+        float(np.mean([p.mean_count for p in pieces])),
+        sum(p.saturated for p in pieces),
+    )
+
+
+def _quiet_piece(
+    name: QuietName, number: int, seconds: float, settings: SlipSettings, preset_name: str
+) -> dict[str, Any]:
+    """Return the alarms of one sensor on one day, for JSON."""
+    judge, was = SlipJudge(settings.judge), dict.fromkeys(DETECTORS, False)
+    alarms = dict.fromkeys(DETECTORS, 0)
+    counts = windows = saturated = 0
+    blocks = quiet_blocks(name, LEARN_S + seconds, QUIET_SEED + number, preset_name)
+    for window in windows_of(blocks, settings):
+        judge.update(window, 0.0)
+        says = {'flow': judge.flow.slipping, 'count': judge.count.slipping}
+        if window.end_us > 1e6 * LEARN_S:
+            for each in DETECTORS:
+                alarms[each] += says[each] and not was[each]
+            counts, windows = counts + window.count, windows + 1
+            saturated += window.count >= settings.safety.saturation_count
+        was = says
+    mean = counts / max(windows, 1)
+    return asdict(Alarms(name, seconds, alarms['flow'], alarms['count'], mean, saturated))
+
+
+def curves(
+    trials: int,
+    settings: SlipSettings,
+    preset_name: str,
+    progress: Callable[[Sequence[int]], Sequence[int]] = lambda numbers: numbers,
+) -> dict[str, Any]:
+    """Return latency against false alarms of both detectors, by speed, for JSON.
+
+    Args:
+        trials: Slips per speed.
+        settings: Of the controller.
+        preset_name: How hard the sensors are.
+        progress: Wraps the numbers of the trials.
+    """
+    quiet = list(
+        starmap(
+            lambda k, name: _scored_quiet(name, k, settings, preset_name),
+            [(k, name) for k in range(max(trials // 5, 1)) for name in QUIET],
+        )
+    )
+    result: dict[str, Any] = {}
+    for speed in SPEEDS_MM_S:
+        slips = []
+        for k in progress(range(trials)):
+            # Windows lie on whole milliseconds; onsets lie anywhere between them.
+            onset_s = LEARN_S + 1e-3 * (20.0 + k / trials)
+            blocks = slip_blocks(speed, onset_s, SLIP_TRIAL_S, SLIP_SEED + k, preset_name)
+            scored = _scored(list(windows_of(blocks, settings)), settings)
+            slips.append((scored, round(1e6 * onset_s)))
+        result[f'{speed:g}_mm_s'] = {each: _curve(each, slips, quiet) for each in DETECTORS}
+    return result
+
+
+def _scored_quiet(
+    name: QuietName, number: int, settings: SlipSettings, preset_name: str
+) -> ScoredTrial:
+    blocks = quiet_blocks(name, LEARN_S + QUIET_TRIAL_S, QUIET_SEED + 100 + number, preset_name)
+    return _scored(list(windows_of(blocks, settings)), settings)
+
+
+def _scored(windows: list[Any], settings: SlipSettings) -> ScoredTrial:
+    learning = round(1e6 * LEARN_S / settings.window_us)
+    return score_trial(windows, learning, settings.judge.count, settings.judge.flow)
+
+
+def _curve(
+    detector: str, slips: list[tuple[ScoredTrial, int]], quiet: list[ScoredTrial]
+) -> dict[str, Any]:
+    curve = detector_curve(detector, slips, quiet)
+    shipped = int(np.argmin(np.abs(np.log(curve.scale))))
+    return {
+        'auc': round(curve.auc, 4),
+        'shipped': {
+            'latency_p50_ms': _number(curve.latency_ms[shipped]),
+            'latency_p99_ms': _number(curve.latency_p99_ms[shipped]),
+            'false_alarms_per_min': round(float(curve.false_alarms_per_min[shipped]), 3),
+            'missed': round(float(curve.missed[shipped]), 4),
+        },
+        'scale': [round(float(v), 4) for v in curve.scale],
+        'false_alarms_per_min': [round(float(v), 3) for v in curve.false_alarms_per_min],
+        'latency_ms': [_number(v) for v in curve.latency_ms],
+        'missed': [round(float(v), 4) for v in curve.missed],
+    }
+
+
+def _number(value: float) -> float | None:
+    """Return a latency for JSON, None for never."""
+    return round(float(value), 3) if np.isfinite(value) else None

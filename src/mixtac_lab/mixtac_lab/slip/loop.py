@@ -1,0 +1,374 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Grasp, sensor, slip controller, trajectories and arm in lock-step, 1 ms at a time.
+
+Faster than real time and reproducible. `Transport` holds the delays that the real chain adds
+between the parts; `mixtac bench slip` measures them over DDS. `best_arrest` gives the lower bound
+that no controller can beat: the same grasp and the same knock with the best motion of the arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from mixtac_sim.arm.controller import JointTrajectoryController
+from mixtac_sim.arm.fr3 import READY, violations
+from mixtac_sim.arm.plant import FingertipAdvance, Tracking
+from mixtac_sim.grids import STEP_US
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.arm.planner import AdvancePlanner
+from mixtac_slip_control.controller import SlipController
+from mixtac_slip_control.features import GuideMaker
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
+    from mixtac_sim.arm.plant import MujocoArm
+    from mixtac_sim.grasp.grasp import Grasp, GraspBlock
+    from mixtac_sim.pixels.aps import ApsFrame
+    from mixtac_slip_control.arm.planner import StreamSettings
+    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
+    from mixtac_slip_control.controller import SlipStep
+    from mixtac_slip_control.parameters import SlipSettings
+
+    Floats = NDArray[np.float64]
+
+
+GRID_S = 1e-6 * STEP_US
+AFTER_S = 0.3
+"""How long is waited for the object to stop [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmReach:
+    """What the arm can do along the contact normal.
+
+    Attributes:
+        acceleration: [m/s2].
+        jerk: [m/s3].
+        lag_s: Time constant of its tracking [s].
+        max_force_n: Force at which the advance must end [N].
+    """
+
+    acceleration: float
+    jerk: float
+    lag_s: float
+    max_force_n: float
+
+
+@dataclass(frozen=True, slots=True)
+class Arrest:
+    """How an object came to rest.
+
+    Attributes:
+        slip_mm: How far it moved from the blow on [mm].
+        arrest_ms: Until it stood still [ms]; NaN if it did not.
+    """
+
+    slip_mm: float
+    arrest_ms: float
+
+    @property
+    def held(self) -> bool:
+        """Whether it stood still in the end, no more than 5 mm lower."""
+        return bool(np.isfinite(self.arrest_ms)) and self.slip_mm <= HELD_MM
+
+
+HELD_MM = 5.0
+"""Farther down an object counts as lost [mm]: the fingertip's contact is 12 mm wide."""
+STILL_S = 0.02
+"""How long it must stand still [s]."""
+
+
+def arrest_of(
+    t_us: NDArray[np.int64],
+    object_mm: NDArray[np.float64],
+    speed_mm_s: NDArray[np.float64],
+    onset_us: float,
+) -> Arrest:
+    """Return how an object came to rest after a blow.
+
+    Args:
+        t_us: Times [n] [us].
+        object_mm: Its place [n] [mm].
+        speed_mm_s: Its speed [n] [mm/s].
+        onset_us: When the blow began [us].
+    """
+    first = int(np.searchsorted(t_us, onset_us))
+    slip = float(object_mm[-1] - object_mm[max(first - 1, 0)])
+    moving = np.flatnonzero(speed_mm_s != 0.0)
+    last = int(moving[-1]) if len(moving) else first
+    stopped = t_us[-1] - t_us[last] >= 1e6 * STILL_S
+    return Arrest(slip, 1e-3 * float(t_us[last] - onset_us) if stopped else float('nan'))
+
+
+def best_arrest(grasp: Grasp, reach: ArmReach, delay_s: float) -> Arrest:
+    """Return the arrest by the fastest motion to the force limit, begun after a delay.
+
+    Args:
+        grasp: A fresh one without a camera.
+        reach: The arm.
+        delay_s: From the onset of the blow to the begin of the commanded motion [s].
+    """
+    knock = round(grasp.setup.knock_s / GRID_S)
+    count = knock + round(AFTER_S / GRID_S)
+    distance = (reach.max_force_n - grasp.grasp_n) / grasp.stiffness_n_per_mm
+    way = np.zeros(count)
+    begin = knock + round(delay_s / GRID_S)
+    way[begin:] = fastest_way(max(distance, 0.0), reach, count - begin)
+    block = grasp.advance(way)
+    return arrest_of(block.t_us, block.object_mm, block.speed_mm_s, 1e6 * grasp.setup.knock_s)
+
+
+def fastest_way(distance_mm: float, reach: ArmReach, count: int) -> NDArray[np.float64]:
+    """Return the fastest rest-to-rest motion within acceleration and jerk, lagged [count] [mm].
+
+    Full acceleration, then full braking, each with ramps of the jerk's time: that is the
+    convolution of a bang-bang motion with a window of that time. Sampled every 125 us.
+    """
+    t = (np.arange(count) + 1) * GRID_S
+    half_s = np.sqrt(1e-3 * distance_mm / reach.acceleration)
+    rising = 0.5e3 * reach.acceleration * t**2
+    falling = distance_mm - 0.5e3 * reach.acceleration * np.maximum(2.0 * half_s - t, 0.0) ** 2
+    way = np.where(t < half_s, rising, falling)
+    width = max(round(reach.acceleration / reach.jerk / GRID_S), 1)
+    smooth = np.convolve(np.append(np.zeros(width - 1), way), np.full(width, 1.0 / width), 'valid')
+    if reach.lag_s <= 0.0:
+        return np.asarray(smooth)
+    keep, place = np.exp(-GRID_S / reach.lag_s), 0.0
+    for k, wanted in enumerate(smooth):
+        place = wanted + keep * (place - wanted)
+        smooth[k] = place
+    return np.asarray(smooth)
+
+
+CYCLE_S = 1e-3
+STEPS = 8
+"""Grid steps of the grasp per cycle."""
+EPOCH_S = 100.0
+"""Controller time at the start: a stamp of zero would mean something else."""
+SIDEWAYS = (0.0, 1.0, 0.0)
+"""Contact normal in the base frame: at the ready pose the arm is fastest that way."""
+FORCE_EVERY = 2
+"""Cycles per estimate of the force: 500 Hz."""
+FORCE_NOISE_N = 0.03
+"""Standard deviation of an estimate of the force [N]."""
+FRAME_DELAY_S = 4e-3
+"""From the end of a frame's readout to its guide [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Transport:
+    """Delays between the parts [s].
+
+    Attributes:
+        events_s: From the end of a window to the controller: USB, driver and DDS.
+        command_s: From the controller's answer to the trajectory at the arm.
+        force_s: Age of an estimate of the force.
+    """
+
+    events_s: float = 0.7e-3
+    command_s: float = 0.8e-3
+    force_s: float = 3e-3
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSetup:
+    """The arm and how it is driven.
+
+    Attributes:
+        tracking: How it follows its commands.
+        normal: Of the contact, in the base frame.
+        stream: How advances are streamed; the planner's own settings if None.
+        plant: What follows the commands: a lag of each joint, or the arm in MuJoCo with servos of
+            that lag, pressing a gel of the contact's stiffness.
+    """
+
+    tracking: Tracking = field(default_factory=Tracking)
+    normal: tuple[float, float, float] = SIDEWAYS
+    stream: StreamSettings | None = None
+    plant: Literal['lag', 'mujoco'] = 'lag'
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopRecord:
+    """A whole run; times are true time [us] since the start.
+
+    Attributes:
+        t_us: On the grid of 125 us [n].
+        object_mm: Place of the object, downwards [n] [mm].
+        speed_mm_s: Its speed [n] [mm/s].
+        normal_n: Normal force [n] [N].
+        advance_mm: Place of the fingertip [n] [mm].
+        answered_us: When each window was answered [m].
+        steps: What the controller said of each window [m].
+        published_us: When trajectories were published [p].
+        rejected: Trajectories that the arm's controller rejected.
+        violations: Samples of the commanded motion that broke a limit.
+        q: Commanded joint positions, one per cycle [c, 7] [rad].
+        stopped: Why the interlock stopped the arm; empty if it did not.
+        events: Of each cycle [c].
+    """
+
+    t_us: NDArray[np.int64]
+    object_mm: Floats
+    speed_mm_s: Floats
+    normal_n: Floats
+    advance_mm: Floats
+    answered_us: Floats
+    steps: list[SlipStep]
+    published_us: Floats
+    rejected: int
+    violations: int
+    q: Floats
+    stopped: str
+    events: list[Events]
+
+
+class ClosedLoop:
+    """One run of the loop.
+
+    Args:
+        grasp: The grasp, with a camera.
+        settings: Of the slip controller; None leaves the loop open.
+        arm: The arm.
+        transport: Delays.
+        seed: Of the noise of the force estimates.
+    """
+
+    def __init__(
+        self,
+        grasp: Grasp,
+        settings: SlipSettings | None,
+        arm: ArmSetup | None = None,
+        transport: Transport | None = None,
+        seed: int = 0,
+    ) -> None:
+        setup = arm or ArmSetup()
+        self._grasp = grasp
+        self._transport = transport or Transport()
+        self._arm = JointTrajectoryController(1.0 / CYCLE_S)
+        self._arm.reset(READY, EPOCH_S)
+        planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), setup.stream)
+        self._controller = None
+        if settings is not None:
+            self._controller = SlipController(settings, planner, setup.normal)
+            self._guides = GuideMaker(settings.guide)
+        self._tip = _tip(setup, grasp)
+        self._rng = np.random.default_rng(seed)
+        self._under_way: list[tuple[float, PlannedTrajectory]] = []
+        self._frames: list[ApsFrame] = []
+        self._cycle, self._rejected, self._stopped = 0, 0, ''
+        self._blocks: list[GraspBlock] = []
+        self._ways: list[Floats] = []
+        self._commands: list[Floats] = []
+        self._answered: list[float] = []
+        self._steps: list[SlipStep] = []
+        self._published: list[float] = []
+
+    def run(self, seconds: float, enable_s: float) -> LoopRecord:
+        """Run to a time and return everything that happened.
+
+        Args:
+            seconds: Length [s].
+            enable_s: When the controller is enabled [s]; it must have learned its background.
+
+        Raises:
+            SlipControlError: The controller cannot be enabled.
+        """
+        enabled = False
+        while self._cycle * CYCLE_S < seconds - 1e-9:
+            self._step()
+            if not enabled and self._controller and self._cycle * CYCLE_S >= enable_s - 1e-9:
+                self._controller.enable(self._now_s)
+                enabled = True
+        return self._record()
+
+    @property
+    def _now_s(self) -> float:
+        """Return when the news of the last cycle reach the controller [s]."""
+        return EPOCH_S + self._cycle * CYCLE_S + self._transport.events_s
+
+    def _step(self) -> None:
+        """Go on by one cycle."""
+        now_s = EPOCH_S + self._cycle * CYCLE_S
+        due = [item for item in self._under_way if item[0] <= now_s]
+        self._under_way = self._under_way[len(due) :]
+        for arrival_s, trajectory in due:
+            self._rejected += self._arm.accept(trajectory, arrival_s) is not None
+        command = self._arm.sample(now_s)[0]
+        way = self._tip.follow(command, STEPS)
+        block = self._grasp.advance(way)
+        self._cycle += 1
+        self._blocks.append(block)
+        self._ways.append(way)
+        self._commands.append(command)
+        if self._controller is not None:
+            self._tell(block, self._controller)
+            self._ask(block, self._controller)
+
+    def _tell(self, block: GraspBlock, controller: SlipController) -> None:
+        """Hand the slower inputs to the controller."""
+        now_s, now_us = self._now_s, 1e6 * self._cycle * CYCLE_S
+        controller.on_heartbeat(now_s)
+        controller.on_joint_state(self._tip.q.tolist(), now_s)
+        if self._cycle % FORCE_EVERY == 0:
+            past = max(len(self._blocks) - 1 - round(self._transport.force_s / CYCLE_S), 0)
+            force = float(self._blocks[past].normal_n[-1]) + self._rng.normal(0.0, FORCE_NOISE_N)
+            controller.on_force(force, int(self._blocks[past].t_us[-1]), now_s)
+        self._frames += block.frames
+        while self._frames and self._frames[0].frame_end_us + 1e6 * FRAME_DELAY_S <= now_us:
+            frame = self._frames.pop(0)
+            middle = (frame.exposure_start_us + frame.exposure_end_us) // 2
+            controller.guide(self._guides.make(frame.intensity, middle))
+
+    def _ask(self, block: GraspBlock, controller: SlipController) -> None:
+        """Hand over the events and send what the controller asks for."""
+        now_s = self._now_s
+        assert block.events is not None  # noqa: S101  (a loop has a camera)
+        steps = controller.on_events(block.events, int(block.t_us[-1]), now_s)
+        now_us = 1e6 * (now_s - EPOCH_S)
+        self._answered += [now_us] * len(steps)
+        self._steps += steps
+        planned = controller.plan(now_s)
+        if planned is None and controller.interlock.reason and not self._stopped:
+            self._stopped = controller.interlock.reason
+            planned = controller.braking(now_s)
+        if planned is not None:
+            self._under_way.append((now_s + self._transport.command_s, planned))
+            self._published.append(now_us)
+
+    def _record(self) -> LoopRecord:
+        blocks = self._blocks
+        q = np.stack(self._commands)
+        return LoopRecord(
+            t_us=np.concatenate([b.t_us for b in blocks]),
+            object_mm=np.concatenate([b.object_mm for b in blocks]),
+            speed_mm_s=np.concatenate([b.speed_mm_s for b in blocks]),
+            normal_n=np.concatenate([b.normal_n for b in blocks]),
+            advance_mm=np.concatenate(self._ways),
+            answered_us=np.array(self._answered),
+            steps=self._steps,
+            published_us=np.array(self._published),
+            rejected=self._rejected,
+            violations=violations(q, CYCLE_S),
+            q=q,
+            stopped=self._stopped,
+            events=[b.events for b in blocks if b.events is not None],
+        )
+
+
+def _tip(setup: ArmSetup, grasp: Grasp) -> FingertipAdvance | MujocoArm:
+    """Return what follows the commands."""
+    normal, tracking = np.array(setup.normal), setup.tracking
+    if setup.plant == 'lag':
+        return FingertipAdvance(READY, normal, tracking, CYCLE_S)
+    from mixtac_sim.arm.plant import MujocoArm
+
+    contact = {'n_per_mm': grasp.stiffness_n_per_mm, 'preload_n': grasp.grasp_n}
+    return MujocoArm(READY, normal, tracking.lag_s, CYCLE_S, **contact)

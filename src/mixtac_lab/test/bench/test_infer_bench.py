@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark of the estimator: what it feeds is what the driver would publish."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixtac_events.codec import decode_message
+from mixtac_fger.streaming import warm_up
+from mixtac_fger.weights import DEFAULT_MODEL, LoadedModel, find_model, load_model
+from mixtac_lab.bench.infer import (
+    DEVICE_SEED,
+    EPOCH_US,
+    TRIAL_SEED,
+    Scene,
+    frame_times_ms,
+    make_scene,
+    run_paced,
+)
+from mixtac_recordings.dataset import TrialSpec
+from mixtac_sim.world.trial import TrialStream
+
+SECONDS = 3.0
+
+
+@pytest.fixture(scope='module')
+def scene() -> Scene:
+    return make_scene(SECONDS, 'easy')
+
+
+@pytest.fixture(scope='module')
+def model() -> LoadedModel:
+    model = load_model(find_model(DEFAULT_MODEL))
+    warm_up(model)
+    return model
+
+
+def test_packets_carry_every_event_of_the_trial(scene: Scene) -> None:
+    spec = TrialSpec('other', 'dynamic', SECONDS, DEVICE_SEED, TRIAL_SEED, 'easy', 'test')
+    wanted = np.concatenate([part.sensor.events.t for part in TrialStream(spec).stretches()])
+    found = np.concatenate([decode_message(packet).events.t for packet in scene.packets])
+    assert np.array_equal(found - EPOCH_US, wanted)
+    assert scene.events == len(wanted) > 0
+
+
+def test_packets_say_how_far_they_reach(scene: Scene) -> None:
+    ends = [decode_message(packet).complete_until for packet in scene.packets]
+    assert ends == scene.ends_us
+    assert set(np.diff(ends)) == {1000}
+
+
+def test_paced_run_gives_a_force_per_window(scene: Scene, model: LoadedModel) -> None:
+    run = run_paced(model, scene)
+    first_frame_us = scene.frames[model.config.reference_frames - 1].ready_us - EPOCH_US
+    possible = (SECONDS * 1e6 - first_frame_us) / model.config.window_us
+    # The frame thread of a busy machine may take its time for the first frame.
+    assert 0 < len(run.step_ms) <= run.forces <= possible
+    assert 0 <= run.late <= len(run.step_ms)
+
+
+def test_frame_times_leave_out_the_reference(scene: Scene, model: LoadedModel) -> None:
+    times = frame_times_ms(model, scene)
+    assert len(times) == len(scene.frames) - model.config.reference_frames

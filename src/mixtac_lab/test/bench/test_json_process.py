@@ -1,0 +1,44 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A process of a benchmark says its lines, and ends with the benchmark however that is ended."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+
+import psutil
+import pytest
+
+from mixtac_lab.bench.harness import JsonProcess
+from mixtac_node.process import GraphError
+
+SAYS = 'import json, time; print(json.dumps({"ready": 1}), flush=True); time.sleep(60)'
+
+
+def test_it_says_its_lines_and_what_is_missing_is_named():
+    with JsonProcess('speaker', [sys.executable, '-c', SAYS], {}) as process:
+        assert process.expect('ready', 60.0) == {'ready': 1}
+        with pytest.raises(GraphError, match=r"speaker said nothing of 'more'.*still runs"):
+            process.expect('more', 0.2)
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGKILL])
+def test_it_ends_with_its_parent(number: int):
+    if shutil.which('setpriv') is None:
+        pytest.skip('needs setpriv (util-linux)')
+    script = (
+        'import sys, time\n'
+        'from mixtac_lab.bench.harness import JsonProcess\n'
+        f'process = JsonProcess("child", [sys.executable, "-c", {SAYS!r}], None)\n'
+        'process.expect("ready", 60.0); print("ready", flush=True); time.sleep(60)\n'
+    )
+    parent = subprocess.Popen([sys.executable, '-c', script], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    assert parent.stdout.readline() == 'ready\n'
+    (child,) = psutil.Process(parent.pid).children()
+    parent.send_signal(number)
+    parent.wait(30)
+    child.wait(30)

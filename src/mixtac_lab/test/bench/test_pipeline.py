@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The pipeline benchmark really runs its three processes and counts what arrives."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+
+from mixtac_lab.bench import pipeline as pipeline_report
+from mixtac_lab.bench.harness import JsonProcess
+from mixtac_lab.bench.pipeline import Load, PipelineRun, run_pipeline
+from mixtac_node.process import GraphError
+
+
+@pytest.mark.dds
+def test_a_short_run_measures_ages_and_loses_nothing(
+    ros_domain: dict[str, str], monkeypatch: pytest.MonkeyPatch
+):
+    for name, value in ros_domain.items():
+        monkeypatch.setenv(name, value)
+    told: list[float] = []
+    load = Load(200_000, per_row=2.0, frame_interval_us=50_000, reading_interval_us=2000)
+    run = run_pipeline(load, 3.0, progress=told.append)
+    figures = run.as_dict()
+    assert run.clean, figures
+    assert figures['events'] > 200_000
+    assert 0.0 < figures['age_p50_ms'] <= figures['age_p99_ms'] <= figures['age_max_ms']
+    assert abs(figures['origin_error_us']) < 5000
+    assert figures['driver_cpu'] > 0.0
+    assert told == sorted(told)
+    json.dumps(figures)
+
+
+def run_of(rate: float, *, lost: int = 0, stalls: int = 0) -> PipelineRun:
+    figures = {
+        'age_p50_ms': 0.9,
+        'age_p99_ms': 1.9,
+        'events_lost': lost,
+        'packets_lost': 0,
+        'periods': 9,
+    }
+    return PipelineRun(Load(rate), 10.0, figures, stalls, 0.5, 0.2)
+
+
+def test_the_largest_rate_is_the_last_one_without_any_loss(monkeypatch: pytest.MonkeyPatch):
+    outcomes = {5e6: {}, 12e6: {}, 20e6: {'stalls': 1}, 30e6: {'lost': 4}}
+
+    def fake(load: Load, _seconds: float, progress: object = None) -> PipelineRun:
+        return run_of(load.rate, **outcomes.get(load.rate, {}))
+
+    monkeypatch.setattr(pipeline_report, 'run_pipeline', fake)
+    report = pipeline_report.measure(1.0, 1.0, lambda _name, _length: lambda _done: None)
+    assert [run.load.rate for run in report.ladder] == [5e6, 12e6, 20e6]
+    assert report.max_rate_mev_s == 12.0
+    assert report.as_dict()['age_ms'] == {'p50': 0.9, 'p99': 1.9}
+
+
+def test_a_process_that_says_nothing_is_named(ros_domain: dict[str, str]):
+    command = [sys.executable, '-c', 'raise SystemExit(4)']
+    with (
+        JsonProcess('camera', command, ros_domain) as process,
+        pytest.raises(GraphError, match=r"camera said nothing of 'ready'.*status 4"),
+    ):
+        process.expect('ready', 20.0)

@@ -1,0 +1,70 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A few random faults on a streaming virtual camera; the full run is `mixtac bench recovery`."""
+
+from __future__ import annotations
+
+import json
+import random
+
+import pytest
+
+from mixtac_lab.bench import recovery
+from mixtac_lab.bench import recovery as recovery_faults
+
+KINDS = (
+    'unplugged',
+    'data endpoint stalls for long',
+    'requests time out',
+    'registers read as garbage',
+    'short and odd reads',
+    'garbage in the data',
+    'silent until restarted',
+    'bus error',
+)
+
+
+@pytest.fixture
+def short_faults(monkeypatch):
+    monkeypatch.setattr(recovery_faults, 'LONGEST_S', 0.2)
+    monkeypatch.setattr(
+        recovery, 'OUTAGES', {name: recovery_faults.OUTAGES[name] for name in KINDS}
+    )
+
+
+def test_driver_recovers_from_every_fault_and_leaks_nothing(short_faults):
+    report = recovery.run_recovery_benchmark(faults=len(KINDS), seed=1)
+    assert sorted(each.fault for each in report.recoveries) == sorted(KINDS)
+    assert report.recovered == len(KINDS), report.recoveries
+    assert report.went_back == 0
+    # A camera that vanished, one that failed on the bus, one that fell silent, and so on.
+    assert report.reconnects >= 4
+    assert report.after.threads <= report.before.threads
+    assert report.after.descriptors <= report.before.descriptors
+
+
+def test_plan_brings_all_kinds_equally_often():
+    plan = list(recovery._plan(3 * len(recovery.OUTAGES), random.Random(3)))
+    assert all(plan.count(name) == 3 for name in recovery.OUTAGES)
+
+
+def test_report_is_written_and_printed(monkeypatch, tmp_path, capsys):
+    resources = recovery.Resources(8, 11, 170.0)
+    report = recovery.RecoveryReport(
+        seed=0,
+        recoveries=tuple(
+            recovery.Recovery('unplugged', seconds, restored=True) for seconds in (0.2, 0.4, 0.3)
+        ),
+        went_back=0,
+        reconnects=3,
+        before=resources,
+        after=resources,
+    )
+    monkeypatch.setattr(recovery, 'run_recovery_benchmark', lambda *_args, **_kwargs: report)
+    recovery.recovery(json=tmp_path / 'report.json')
+    written = json.loads((tmp_path / 'report.json').read_text())
+    assert written['recoveries'] == 3
+    assert written['recovery_s'] == {'count': 3, 'p50': 0.3, 'p95': 0.39, 'max': 0.4}
+    printed = capsys.readouterr().out
+    assert '3 of 3 recovered' in printed
+    assert 'unplugged' in printed

@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Experiments from training to report, as small as they can be."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from mixtac_lab import store as pieces
+from mixtac_lab.commands import Request, run_experiments
+from mixtac_lab.experiments import sizes
+from mixtac_lab.experiments.sizes import QUICK
+from mixtac_recordings.recording import BagError
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+TINY = replace(
+    QUICK,
+    trials=1,
+    seconds=3.0,
+    tests={'dynamic': (1, 3.0), 'static': (1, 3.0), 'long_term': (1, 3.0), 'impact': (1, 3.5)},
+    our_training={'frame_epochs': 1, 'recurrent_epochs': 1, 'joint_epochs': 1},
+    tones_hz=(70.0,),
+    fast_tones_hz=(),
+)
+
+
+def carried_out(folder, *names, **options):
+    console = Console(file=io.StringIO(), width=120)
+    request = Request(names, True, folder / 'rows.json', folder, None, 1, 1)
+    outcomes = run_experiments(console, replace(request, **options))
+    return {each.name: each for each in outcomes}, console.file.getvalue()
+
+
+@pytest.fixture(scope='module')
+def finished(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sizes, 'QUICK', TINY)
+        folder = tmp_path_factory.mktemp('run')
+        outcomes, text = carried_out(folder, 'fusion', 'vibration')
+        yield folder, outcomes, text
+
+
+def test_report_says_what_was_measured_on_what(finished):
+    folder, outcomes, text = finished
+    html = (folder / 'report.html').read_text(encoding='utf-8')
+    rows = json.loads((folder / 'rows.json').read_text(encoding='utf-8'))['rows']
+    assert {row['experiment'] for row in rows} == {'fusion', 'vibration'}
+    assert all(row['simulated'] for row in rows)
+    assert all(row['ours']['count'] == 1 for row in rows)
+    maes = [row for row in rows if row['name'].endswith(': MAE') and row['paper']]
+    assert sorted(row['paper'] for row in maes) == [0.04, 0.04, 0.1]
+    assert all(path.stat().st_size > 5000 for o in outcomes.values() for path in o.figures.values())
+    assert html.count('data:image/png;base64,') == 2
+    for word in ('paper_like', 'trial seeds from', 'Different from the paper', 'data seeds'):
+        assert word in html
+    assert 'feature-level fusion' in text
+
+
+def test_flow_finds_the_tone_and_the_pressed_count_its_double(finished):
+    rows = {row.name: row.ours.mean for row in finished[1]['vibration'].rows}
+    assert rows['pressed, 100 um, flow, 1 ms bins, 70 to 70 Hz: share of tones'] == 1.0
+    assert rows['pressed, 100 um, number of events, 2 ms bins, 70 to 70 Hz: share of tones'] == 0.0
+
+
+def test_a_second_run_computes_nothing(finished, monkeypatch):
+    folder, first, _ = finished
+    monkeypatch.setattr(sizes, 'QUICK', TINY)
+
+    def refuse(piece, _folder):
+        raise AssertionError(piece)
+
+    monkeypatch.setattr(pieces, '_carry_out_one', refuse)
+    again, _ = carried_out(folder, 'fusion', 'vibration')
+    assert [row.as_dict() for row in again['fusion'].rows] == [
+        row.as_dict() for row in first['fusion'].rows
+    ]
+
+
+def test_what_the_bags_do_not_hold_is_named_and_the_rest_goes_on(tmp_path):
+    outcomes, text = carried_out(tmp_path, 'vibration', 'impact', 'slip', bags=tmp_path)
+    assert 'name it after it' in outcomes['vibration'].skipped
+    assert 'impact holds no bags' in outcomes['impact'].skipped
+    assert text.count('not carried out') == 3
+    with pytest.raises(BagError, match='impact holds no bags'):
+        carried_out(tmp_path, 'impact', bags=tmp_path)
+
+
+def test_slip_is_not_replayed_from_bags(tmp_path):
+    outcomes, text = carried_out(tmp_path, 'slip', bags=tmp_path)
+    assert 'cannot be replayed' in outcomes['slip'].skipped
+    assert 'cannot be replayed' in text

@@ -1,0 +1,41 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The whole loop in lock-step: a knocked box is held, and falls without control."""
+
+from dataclasses import replace
+
+import pytest
+
+from mixtac_lab.slip.loop import ClosedLoop
+from mixtac_lab.slip.trials import ENABLE_S, KNOCK_S, TrialPlan, run_trial, shipped_settings
+from mixtac_slip_control.errors import SlipControlError
+
+PLAN = TrialPlan('box', 3, knock_mm_s=40.0, stiffness_n_per_mm=5.0, preset='easy')
+
+
+def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None:
+    result, record = run_trial(PLAN)
+    assert result.held
+    assert not result.open_held
+    assert result.false_alarms == 0
+    assert result.limit_violations == 0
+    assert result.rejected == 0
+    assert 0.0 < result.detection_ms <= 3.0
+    assert result.publish_ms >= result.detection_ms
+    # No controller beats the floor, and the chain's floor lies above it.
+    assert result.floor_mm < result.chain_mm
+    assert result.floor_mm < result.slip_mm
+    assert result.floor_ms < result.arrest_ms
+    # The probe pressed a little and was over when the blow came; what followed is the answer.
+    assert 1e-3 < record.advance_mm[record.t_us < 1e6 * KNOCK_S].max() < 0.051
+    assert result.knock_share == pytest.approx(1.0, abs=0.02)
+    assert record.advance_mm[-1] > 5e-3
+    assert result.peak_n < PLAN.settings.safety.max_force
+    assert result.stopped == ''
+
+
+def test_enabling_before_the_background_is_known_is_refused() -> None:
+    loop = ClosedLoop(replace(PLAN).grasp(camera=True), shipped_settings())
+    with pytest.raises(SlipControlError, match='not learned'):
+        loop.run(0.2, 0.1)
+    assert ENABLE_S > 0.1

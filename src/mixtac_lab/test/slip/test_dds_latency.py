@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What counts as an answer to a knock, on made-up arrivals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixtac_lab.bench.slip import HORIZON_NS, _match
+
+MS = 1_000_000
+ORIGIN = 5_000_000 * MS
+SCENE = {
+    'period_us': 4_000_000,
+    'onsets_us': [1_000_000, 2_000_000, 3_000_000],
+    'speeds_mm_s': [30.0, 60.0, 90.0],
+}
+SECOND = 1000 * MS
+
+
+def match(slips, sent, spans, span=(ORIGIN, ORIGIN + 4 * SECOND)):
+    noted = {
+        'slips_ns': sorted(slips),
+        'trajectories_ns': sorted(sent),
+        'enabled_spans_ns': spans,
+        'windows': 4000,
+        'stops': 0,
+    }
+    return _match(SCENE, noted, ORIGIN, span, 0, {})
+
+
+def test_each_knock_is_matched_with_what_follows_it() -> None:
+    slips = [ORIGIN + SECOND + 2 * MS, ORIGIN + 2 * SECOND + 3 * MS]
+    sent = [ORIGIN + SECOND + 5 * MS, ORIGIN + SECOND + 7 * MS]
+    found = match(slips, sent, [(ORIGIN, ORIGIN + int(2.5 * SECOND))])
+    assert found.speeds_mm_s == [30.0, 60.0, 90.0]
+    assert found.detection_ms[:2] == pytest.approx([2.0, 3.0])
+    assert np.isnan(found.detection_ms[2])
+    assert found.publish_ms[0] == pytest.approx(5.0)
+    # The second was not answered; before the third, slip control was not enabled.
+    assert np.isnan(found.publish_ms[1])
+    assert len(found.publish_ms) == 2
+    assert (found.not_ready, found.missed_detections, found.missed_answers) == (1, 1, 1)
+    assert found.false_alarms == 0
+
+
+def test_an_arm_in_motion_answers_nothing_and_a_slip_without_a_knock_is_an_alarm() -> None:
+    always = [(ORIGIN, ORIGIN + 4 * SECOND)]
+    sent = [ORIGIN + SECOND - 20 * MS, ORIGIN + SECOND + MS]
+    found = match([ORIGIN + SECOND // 2], sent, always)
+    assert found.false_alarms == 1
+    assert found.not_ready == 1
+    assert len(found.publish_ms) == 2
+
+
+def test_an_answer_beyond_the_horizon_is_none_and_periods_repeat() -> None:
+    late = ORIGIN + SECOND + HORIZON_NS + 1
+    next_period = ORIGIN + 5 * SECOND + 4 * MS
+    found = match([late, next_period], [], [], (ORIGIN, ORIGIN + 6 * SECOND))
+    assert found.speeds_mm_s == [30.0, 60.0, 90.0, 30.0, 60.0]
+    assert np.isnan(found.detection_ms[0])
+    assert found.detection_ms[3] == pytest.approx(4.0)
+    assert found.false_alarms == 1

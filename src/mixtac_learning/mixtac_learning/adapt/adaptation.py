@@ -1,0 +1,380 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Adapting a model to a sensor: leave it unchanged, apply one gain, or tune its last layers.
+
+Each way is fitted to all presses but some and judged on those, in turn. The smallest error wins, and
+a larger change has to win by a margin. The winner is then fitted to all presses.
+"""
+
+from __future__ import annotations
+
+import copy
+import json as json_module
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from rich.console import Console
+from torch import Tensor, nn
+
+from mixtac_fger.estimator import SERIAL_KEY
+from mixtac_fger.weights import ModelCard, load_model, save_model
+from mixtac_learning.adapt.presses import folds, gather_presses, parse_load
+from mixtac_learning.judge.metrics import SMALLEST_FORCE_N, CalibrationError, fit_scale
+from mixtac_learning.train.batches import MemoryGroups, stack
+from mixtac_learning.train.config import TrainingSettings
+from mixtac_learning.train.loop import LoopSettings, TrainingLoop
+from mixtac_learning.train.stages import (
+    GainedNetwork,
+    SequenceStage,
+    calibrate_deviation,
+    collect,
+    joined,
+)
+from mixtac_learning.train.trainer import estimate
+from mixtac_learning.trials.bags import bag_sources
+from mixtac_learning.weights import write_model_card
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mixtac_learning.adapt.presses import Material
+    from mixtac_learning.network import FgerNetwork
+    from mixtac_learning.train.batches import Sequences
+    from mixtac_learning.train.stages import Errors
+    from mixtac_learning.trials.bags import BagSource
+    from mixtac_learning.trials.samples import Sample
+
+    Say = Callable[[str], None]
+
+
+@torch.no_grad()
+def with_gain(network: FgerNetwork, gain: float) -> FgerNetwork:
+    """Return a network whose forces are `gain` times those of `network`, deviations as well.
+
+    Everything that makes a force is multiplied, everything that reads one is divided, so that the
+    recurrent state runs through the same values as before.
+
+    Args:
+        network: Not changed.
+        gain: Above 0.
+
+    Raises:
+        CalibrationError: The gain is no such number.
+    """
+    if not 0.0 < gain < float('inf'):
+        raise CalibrationError(f'a gain of {gain} is impossible: check the known forces')
+    scaled = copy.deepcopy(network)
+    for layer in (scaled.increment[2], scaled.correction[2], scaled.frame.head):
+        _multiply(layer, gain)
+    scaled.gates_force.weight /= gain
+    first = scaled.correction.get_parameter('0.weight')
+    first[:, 0] /= gain
+    if scaled.deviation is not None:
+        scaled.deviation.hidden.weight[:, -1] /= gain
+        scaled.deviation.scale *= gain
+    return scaled
+
+
+def _multiply(layer: nn.Module, gain: float) -> None:
+    for parameter in layer.parameters():
+        parameter.mul_(gain)
+
+
+SETTINGS = TrainingSettings(
+    recurrent_epochs=8, recurrent_rate=1e-3, weight_decay=0.0, mirror=False, force_weight=2.0
+)
+"""Few updates at a low rate."""
+PULL = 0.01
+"""Weight of the sum of squared changes of the weights in the loss [N]."""
+
+
+@dataclass(eq=False)
+class LastLayers(SequenceStage):
+    """Trains the layers that end in a force: MLP_df and MLP_corr."""
+
+    start: list[Tensor] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Keep where the weights start."""
+        self.start = [parameter.detach().clone() for parameter in self.parameters()]
+
+    @property
+    def name(self) -> str:
+        """Of the stage."""
+        return 'last layers'
+
+    def begin(self) -> None:
+        """Begin with the weights as they are."""
+
+    def parameters(self) -> list[nn.Parameter]:
+        """Return what is trained."""
+        network = self.model.network
+        return [*network.increment.parameters(), *network.correction.parameters()]
+
+    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
+        """Yield the losses of one epoch, each with the pull towards the start."""
+        for loss in super().losses(random):
+            pairs = zip(self.parameters(), self.start, strict=True)
+            change = torch.stack([(now - then).square().sum() for now, then in pairs]).sum()
+            yield loss + PULL * change
+
+
+def tuned(network: FgerNetwork, data: Sequences, seed: int = 0) -> FgerNetwork:
+    """Return a copy of a network with its last layers fitted to presses.
+
+    Args:
+        network: Not changed.
+        data: Presses side by side, all of one sensor.
+        seed: Of the borders between updates.
+
+    Raises:
+        TrainingError: The loss is no number any more.
+    """
+    model = GainedNetwork(network.config, 1)
+    model.network = copy.deepcopy(network)
+    loop = TrainingLoop(model, LoopSettings(seed, SETTINGS.weight_decay))
+    loop.run([LastLayers(model, MemoryGroups(data), SETTINGS)])
+    return model.network.eval()
+
+
+WAYS = ('unchanged', 'gain', 'last_layers')
+"""From the least change to the largest."""
+FOLDS = 3
+LEAST_WIN = 0.97
+"""A larger change must bring the held-out error below this part of the smaller one's."""
+LEAST_WIN_N = 1e-3
+"""And by this much [N]."""
+SHORTEST_PRESSED_S = 2.0
+"""Known forces above `SMALLEST_FORCE_N` that are needed [s]."""
+GAINS = (0.2, 5.0)
+"""Limits of a gain that a gel can explain (estimate)."""
+LEAST_CORRELATION = 0.7
+"""Of estimate and known force: below it they do not belong together (estimate)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adapted:
+    """A model for a new sensor.
+
+    Attributes:
+        network: In evaluation mode.
+        way: One of `WAYS`.
+        gain: Fitted to all presses; 1 for `unchanged`.
+        held_out_mae: Error on held-out presses, per way [N].
+        presses: Number of presses.
+        pressed_s: Known forces above `SMALLEST_FORCE_N` [s].
+    """
+
+    network: FgerNetwork
+    way: str
+    gain: float
+    held_out_mae: dict[str, float]
+    presses: int
+    pressed_s: float
+
+
+def adapt(
+    network: FgerNetwork, presses: Sequence[Sample], say: Say = lambda _text: None
+) -> Adapted:
+    """Adapt a network to the sensor that made the presses.
+
+    Args:
+        network: Not changed.
+        presses: At least two; forces are nan where they are not known.
+        say: Called with what is done now.
+
+    Raises:
+        CalibrationError: The presses are too few, too short, too weak, or do not belong to what
+            the model sees.
+    """
+    groups = folds(presses, FOLDS)
+    pressed_s = _check(network, presses)
+    errors: dict[str, list[Errors]] = {way: [] for way in WAYS}
+    for number, held in enumerate(groups):
+        fitted_to = [each for index, each in enumerate(presses) if index not in held]
+        judged_on = MemoryGroups(side_by_side([presses[index] for index in held]))
+        for way in WAYS:
+            say(f'{way}, part {number + 1} of {len(groups)}')
+            candidate, _ = _fitted(network, way, fitted_to)
+            errors[way].append(collect(candidate, judged_on))
+    mae = {way: float(torch.cat([e.error for e in errors[way]]).abs().mean()) for way in WAYS}
+    way = choose(mae)
+    say(f'{way}, all presses')
+    final, gain = _fitted(network, way, presses)
+    if final.deviation is not None:
+        # Presses were held out: errors on what was fitted to are too small.
+        calibrate_deviation(final, joined(errors[way]))
+    return Adapted(final, way, gain, mae, len(presses), pressed_s)
+
+
+def choose(mae: dict[str, float]) -> str:
+    """Return the way that wins: each larger change must earn its keep."""
+    best = WAYS[0]
+    for way in WAYS[1:]:
+        if mae[way] < min(LEAST_WIN * mae[best], mae[best] - LEAST_WIN_N):
+            best = way
+    return best
+
+
+def side_by_side(presses: Sequence[Sample]) -> Sequences:
+    """Return presses as sequences of one sensor; windows of unknown force do not count."""
+    sequences = stack(presses, [0] * len(presses))
+    known = torch.isfinite(sequences.force)
+    force = torch.where(known, sequences.force, 0.0)
+    return replace(sequences, force=force, valid=sequences.valid & known)
+
+
+def _fitted(network: FgerNetwork, way: str, presses: Sequence[Sample]) -> tuple[FgerNetwork, float]:
+    """Return a copy fitted in one of `WAYS`, and its gain."""
+    if way == 'unchanged':
+        return with_gain(network, 1.0), 1.0
+    known, seen = _forces(network, presses)
+    gain = fit_scale(seen, known).force_scale
+    scaled = with_gain(network, gain)
+    return (scaled if way == 'gain' else tuned(scaled, side_by_side(presses))), gain
+
+
+def _forces(
+    network: FgerNetwork, presses: Sequence[Sample]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return known forces and estimates of all windows where the force is known [N]."""
+    sequences = side_by_side(presses)
+    force, _ = estimate(network, sequences)
+    valid = sequences.valid
+    return (
+        sequences.force[valid].numpy().astype(np.float64),
+        force[valid].numpy().astype(np.float64),
+    )
+
+
+def _check(network: FgerNetwork, presses: Sequence[Sample]) -> float:
+    """Return for how long a force is known; refuse what cannot be fitted to."""
+    known, seen = _forces(network, presses)
+    pressed_s = np.count_nonzero(known > SMALLEST_FORCE_N) * network.config.window_us / 1e6
+    if pressed_s < SHORTEST_PRESSED_S:
+        raise CalibrationError(
+            f'{pressed_s:.1f} s of known forces above {SMALLEST_FORCE_N} N: press for at least'
+            f' {SHORTEST_PRESSED_S} s'
+        )
+    together = float(np.corrcoef(known, seen)[0, 1])
+    if not together > LEAST_CORRELATION and np.ptp(known) > SMALLEST_FORCE_N:
+        raise CalibrationError(
+            f'known force and estimate have a correlation of {together:.2f}: check the axis and the'
+            ' sign of the reference, and its clock with `mixtac align`'
+        )
+    gain = fit_scale(seen, known).force_scale
+    if not GAINS[0] < gain < GAINS[1]:
+        raise CalibrationError(
+            f'the known forces are {gain:.2f} times the estimates: no gel explains that; check the'
+            ' unit of the reference'
+        )
+    return pressed_s
+
+
+@dataclass(frozen=True, slots=True)
+class AdaptRequest:
+    """What to adapt by what.
+
+    Attributes:
+        bags: Recordings of one sensor, or folders of them.
+        model: Weight file to start from.
+        out: Weight file to write.
+        loads: Known loads, texts like `0.5:3.0-6.0`; empty for the reference in the bags.
+        reference: Topic of the reference force.
+        json: File for the figures; None for none.
+        serial: Serial number of the sensor's camera: the node refuses the file with another one.
+            Empty where any camera will do.
+    """
+
+    bags: Sequence[Path]
+    model: Path
+    out: Path
+    loads: Sequence[str] = ()
+    reference: str = '/ft_sensor/wrench'
+    json: Path | None = None
+    serial: str = ''
+
+
+def run_adaptation(request: AdaptRequest) -> None:
+    """Adapt a model, write weight file and card, print what was chosen and why.
+
+    Raises:
+        CalibrationError: The presses do not allow it; the text says why.
+        MixtacError: A bag or the model cannot be used.
+    """
+    torch.set_num_threads(1)
+    console = Console()
+    model = load_model(request.model)
+    loads = [parse_load(text) for text in request.loads]
+    sources = _sources(request)
+    console.print(f'reading {len(sources)} recordings')
+    trials = (each.load_camera() if loads else each.load() for each in sources)
+    material = gather_presses(model.network, trials, loads)
+    with console.status('adapting') as status:
+        adapted = adapt(model.network, material.presses, status.update)
+    figures = adaptation_figures(adapted, material)
+    training = model.card.training | {
+        'adapted': {'from': request.model.name, 'bags': [each.name for each in sources]} | figures
+    }
+    if request.serial:
+        training[SERIAL_KEY] = request.serial
+    card = ModelCard(training, {'adaptation': figures})
+    save_model(request.out, adapted.network, card)
+    write_model_card(request.out.with_suffix('.md'), request.out.name, card)
+    _report(console, adapted, material)
+    console.print(f'wrote {request.out}')
+    if request.json is not None:
+        content = {'model': str(request.model), 'out': str(request.out)} | figures
+        request.json.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')
+
+
+def _sources(request: AdaptRequest) -> list[BagSource]:
+    """Return the recordings to adapt by; test trials of a data set are not among them.
+
+    Raises:
+        CalibrationError: There are none, or of several sensors, or too many for known loads.
+    """
+    found = [each for bag in request.bags for each in bag_sources(bag, request.reference)]
+    sources = [each for each in found if each.origin.get('split', 'train') != 'test']
+    if not sources:
+        raise CalibrationError(
+            f'all of {len(found)} recordings are test trials of a data set: a model that was'
+            ' adapted by them could not be judged; give others'
+        )
+    origins = [each.origin for each in sources]
+    sensors = {str(origin.get('device_seed', origin.get('sensor', ''))) for origin in origins}
+    if len(sensors) > 1:
+        raise CalibrationError(
+            f'the recordings are of {len(sensors)} sensors: give those of one, as each has a gel'
+            ' of its own'
+        )
+    if request.loads and len(sources) != 1:
+        raise CalibrationError(
+            f'known loads belong to one recording, but there are {len(sources)}: give one bag'
+        )
+    return sources
+
+
+def adaptation_figures(adapted: Adapted, material: Material) -> dict[str, Any]:
+    """Return what was chosen and why, JSON-ready; forces in N, times in s."""
+    held_out = {f'held_out_mae_{way}': round(v, 4) for way, v in adapted.held_out_mae.items()}
+    return {
+        'chosen': adapted.way,
+        'gain': round(adapted.gain, 4),
+        'presses': adapted.presses,
+        'pressed_s': round(adapted.pressed_s, 1),
+        'recorded_s': round(material.used_s, 1),
+    } | held_out
+
+
+def _report(console: Console, adapted: Adapted, material: Material) -> None:
+    if material.left_out_s > 0.0:
+        console.print(f'left out {material.left_out_s:.0f} s beyond the first minute')
+    errors = ', '.join(f'{way} {mae:.3f} N' for way, mae in adapted.held_out_mae.items())
+    console.print(f'{adapted.presses} presses; error on held-out presses: {errors}')
+    console.print(f'chosen: {adapted.way}, gain {adapted.gain:.3f}')

@@ -1,0 +1,149 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The commands `train`, `evaluate` and `adapt`; torch is imported only when one of them runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, List, Optional  # noqa: UP035
+
+import typer
+
+from mixtac_fger.weights import DEFAULT_MODEL, find_model
+from mixtac_learning.train.config import (
+    DataConfig,
+    RunConfig,
+    SimulatedData,
+    find_run_config,
+    read_run_config,
+    with_overrides,
+)
+from mixtac_sim.world.training_trials import DEFAULT_PRESET
+
+# typer evaluates these under Python 3.10.
+OptionalPath = Optional[Path]  # noqa: UP045
+OptionalPaths = Optional[List[Path]]  # noqa: UP006, UP045
+OptionalStr = Optional[str]  # noqa: UP045
+OptionalInt = Optional[int]  # noqa: UP045
+
+
+def train(
+    config: Annotated[
+        OptionalStr,
+        typer.Argument(help='YAML file, or ours, fger_paper, frames, events, fusion, smoke.'),
+    ] = None,
+    out: Annotated[OptionalPath, typer.Option(help='Weight file to write.')] = None,
+    seed: Annotated[OptionalInt, typer.Option(min=0, help='Of data, weights and order.')] = None,
+    trials: Annotated[int, typer.Option(min=1, help='Simulated trials to train on.')] = 96,
+    gels: Annotated[int, typer.Option(min=1, help='Different sensors among them.')] = 96,
+    seconds: Annotated[float, typer.Option(min=4, help='Length of a trial.')] = 8.0,
+    epochs: Annotated[
+        int, typer.Option(min=1, help='Epochs of the recurrent stage; the others in proportion.')
+    ] = 60,
+    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = DEFAULT_PRESET,
+    jobs: Annotated[int, typer.Option(min=1, help='Processes that simulate.')] = 2,
+    data: Annotated[OptionalPath, typer.Option(help='Where samples are kept.')] = None,
+    folder: Annotated[
+        OptionalPath,
+        typer.Option(help='Folder of checkpoint and curves; a run that was cut off goes on there.'),
+    ] = None,
+    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+) -> None:
+    """Train a network as a YAML file says; without one, FGER-Net on many virtual sensors.
+
+    Beside a file only --out, --seed, --jobs, --data, --folder and --json count.
+    Under torchrun the processes share the work.
+    """
+    from mixtac_learning.train.run import run_training
+
+    if config is None:
+        chosen = _flags(trials, gels, seconds, epochs, preset, seed or 0)
+    else:
+        chosen = read_run_config(find_run_config(config))
+    run_training(with_overrides(chosen, out, seed, data), folder, jobs, json)
+
+
+def _flags(
+    trials: int, gels: int, seconds: float, epochs: int, preset: str, seed: int
+) -> RunConfig:
+    """Return the run that the options describe; nothing is held out."""
+    return RunConfig(
+        training={
+            'seed': seed,
+            'frame_epochs': -(-epochs // 2),
+            'recurrent_epochs': epochs,
+            'joint_epochs': epochs // 6,
+            'force_weight': 10.0,
+            'blow_every': 8,
+        },
+        data=DataConfig(
+            simulated=SimulatedData(preset, min(gels, trials), trials, seconds, (), seed),
+            checked=0.0,
+        ),
+    )
+
+
+def evaluate(
+    bags: Annotated[
+        OptionalPaths, typer.Argument(help='Bags or folders of bags; none for simulated trials.')
+    ] = None,
+    model: Annotated[str, typer.Option(help='Weight file, or name of a shipped one.')] = (
+        DEFAULT_MODEL
+    ),
+    seed: Annotated[int, typer.Option(min=2, help='Which fresh sensors and days.')] = 2,
+    gels: Annotated[int, typer.Option(min=1, help='Number of sensors.')] = 3,
+    seconds: Annotated[float, typer.Option(min=4, help='Length of a trial.')] = 10.0,
+    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = DEFAULT_PRESET,
+    reference: Annotated[
+        str, typer.Option(help='Topic of the reference force in bags.')
+    ] = '/ft_sensor/wrench',
+    figures: Annotated[OptionalPath, typer.Option(help='Draw trials to this picture.')] = None,
+    robustness: Annotated[
+        bool, typer.Option('--robustness', help='With lost frames, packets and gaps as well.')
+    ] = False,
+    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+) -> None:
+    """Judge a model on bags, or on simulated trials of sensors that no training has used."""
+    from mixtac_learning.judge.evaluation import (
+        Simulated,
+        Wanted,
+        evaluate_bags,
+        evaluate_simulated,
+    )
+
+    path, wanted = find_model(model), Wanted(figures, json, robustness)
+    if bags:
+        evaluate_bags(path, bags, reference, wanted)
+    else:
+        evaluate_simulated(path, Simulated(gels, seconds, seed, preset), wanted)
+
+
+OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
+Paths = List[Path]  # noqa: UP006
+
+
+def adapt(
+    bags: Annotated[Paths, typer.Argument(help='Recordings of presses with the new sensor.')],
+    out: Annotated[Path, typer.Option(help='Weight file to write.')],
+    model: Annotated[str, typer.Option(help='Weight file, or name of a shipped one.')] = (
+        DEFAULT_MODEL
+    ),
+    load: Annotated[
+        OptionalStrings,
+        typer.Option(
+            help='A known load instead of a reference sensor, such as 0.5:3.0-6.0: newtons, and'
+            ' seconds since the recording began; may be given more than once.'
+        ),
+    ] = None,
+    reference: Annotated[
+        str, typer.Option(help='Topic of the reference force in the bags.')
+    ] = '/ft_sensor/wrench',
+    serial: Annotated[
+        str, typer.Option(help="Serial number of the sensor's camera; the node refuses others.")
+    ] = '',
+    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+) -> None:
+    """Calibrate a model to another sensor by at most a minute of presses with known forces."""
+    from mixtac_learning.adapt.adaptation import AdaptRequest, run_adaptation
+
+    run_adaptation(AdaptRequest(bags, find_model(model), out, load or (), reference, json, serial))

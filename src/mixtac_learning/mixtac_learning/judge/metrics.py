@@ -1,0 +1,191 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Error figures of force estimates, and the calibration of a sensor's stiffness.
+
+Images show deformation, and force is stiffness times deformation: two gels of different stiffness
+look the same under forces in the ratio of their stiffnesses. The network assumes the usual gel; one
+press with a known force gives the ratio, and nothing else has to be learned again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_events.errors import MixtacError
+from mixtac_learning.trials.trial import DatasetError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class CalibrationError(MixtacError):
+    """A measurement that a sensor cannot be calibrated with."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metrics:
+    """Errors of an estimate against the truth.
+
+    Attributes:
+        samples: Number of samples.
+        mae: Mean absolute error [N].
+        rmse: Root mean square error [N].
+        r2: Coefficient of determination; nan where the truth does not vary.
+        constant_mae: Mean absolute error of the truth's median: what no sensor at all achieves [N].
+        peak_truth: Largest true force [N].
+        peak_estimate: Largest estimated force [N].
+    """
+
+    samples: int
+    mae: float
+    rmse: float
+    r2: float
+    constant_mae: float
+    peak_truth: float
+    peak_estimate: float
+
+    def to_dict(self) -> dict[str, float]:
+        """Return the figures by name, rounded to 0.1 mN, without those that do not exist."""
+        values = asdict(self)
+        return {name: round(value, 4) for name, value in values.items() if np.isfinite(value)}
+
+
+def measure(truth: NDArray[np.floating], estimate: NDArray[np.floating]) -> Metrics:
+    """Compare an estimate with the truth.
+
+    Args:
+        truth: True force [N], 1-d.
+        estimate: Estimated force [N] at the same times.
+
+    Raises:
+        DatasetError: The arrays are empty or differ in shape.
+    """
+    if truth.shape != estimate.shape or not truth.size:
+        shapes = f'{truth.shape} and {estimate.shape}'
+        raise DatasetError(
+            f'truth and estimate have shapes {shapes}: give two equal, non-empty ones'
+        )
+    truth, estimate = truth.astype(np.float64), estimate.astype(np.float64)
+    error = estimate - truth
+    spread = float(np.sum((truth - truth.mean()) ** 2))
+    return Metrics(
+        samples=truth.size,
+        mae=float(np.mean(np.abs(error))),
+        rmse=float(np.sqrt(np.mean(error**2))),
+        r2=1.0 - float(np.sum(error**2)) / spread if spread > 0.0 else float('nan'),
+        constant_mae=float(np.mean(np.abs(truth - np.median(truth)))),
+        peak_truth=float(truth.max()),
+        peak_estimate=float(estimate.max()),
+    )
+
+
+SMALLEST_FORCE_N = 0.1
+"""A calibration needs forces beyond this."""
+FEWEST_SAMPLES = 50
+"""Samples of such forces that a calibration needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """The scale of a sensor.
+
+    Attributes:
+        force_scale: True force over estimate: parameter `force_scale` of the node.
+        samples: Samples that it was fitted to.
+        mae_before: Mean absolute error of these samples without it [N].
+        mae_after: The same with it [N].
+    """
+
+    force_scale: float
+    samples: int
+    mae_before: float
+    mae_after: float
+
+
+def fit_scale(estimate: NDArray[np.floating], truth: NDArray[np.floating]) -> Calibration:
+    """Fit the scale of a sensor: the median ratio, weighted with the force.
+
+    Args:
+        estimate: Estimates with a scale of 1 [N], 1-d.
+        truth: Known force at the same times [N]: a weight at rest, or an aligned reference sensor.
+
+    Raises:
+        CalibrationError: Too few samples above `SMALLEST_FORCE_N`, in truth and estimate.
+    """
+    pressed = (truth > SMALLEST_FORCE_N) & (estimate > 0.1 * SMALLEST_FORCE_N)
+    count = int(np.count_nonzero(pressed))
+    if count < FEWEST_SAMPLES:
+        raise CalibrationError(
+            f'{count} samples above {SMALLEST_FORCE_N} N: press until there are {FEWEST_SAMPLES}'
+        )
+    known, seen = truth[pressed], estimate[pressed]
+    ratios = known / seen
+    order = np.argsort(ratios)
+    weight = np.cumsum(seen[order])
+    scale = float(ratios[order][np.searchsorted(weight, 0.5 * weight[-1])])
+    before, after = (float(np.mean(np.abs(g * seen - known))) for g in (1.0, scale))
+    return Calibration(scale, count, before, after)
+
+
+FRAME_LIMIT_S = 0.08
+"""Two frame intervals at 25 Hz: what is faster than this, frames alone cannot follow."""
+ROLLING_S = 0.5
+"""Window of the rolling error (paper, section IV-B)."""
+PEAK_TOLERANCE_S = 0.01
+"""A peak may be estimated this much early or late."""
+
+
+def fast_part(values: NDArray[np.float64], interval_s: float) -> NDArray[np.float64]:
+    """Return values without their moving average over `FRAME_LIMIT_S`.
+
+    Args:
+        values: Evenly sampled, [T].
+        interval_s: Between samples [s].
+    """
+    return values - moving_mean(values, max(round(FRAME_LIMIT_S / interval_s), 1))
+
+
+def moving_mean(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    """Return the centred mean over `width` samples, of fewer at the ends, [T]."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    index = np.arange(len(values))
+    low = np.maximum(index - width // 2, 0)
+    high = np.minimum(index - width // 2 + width, len(values))
+    return np.asarray((total[high] - total[low]) / (high - low))
+
+
+def fast_error(
+    known: NDArray[np.float64], estimate: NDArray[np.float64], interval_s: float
+) -> tuple[float, float]:
+    """Return the mean absolute error of the fast part, and the same of no estimate [N]."""
+    fast = fast_part(known, interval_s)
+    error = fast_part(estimate, interval_s) - fast
+    return float(np.abs(error).mean()), float(np.abs(fast).mean())
+
+
+def peak_error(
+    known: NDArray[np.float64], estimate: NDArray[np.float64], interval_s: float
+) -> float:
+    """Return |estimated - known| / known of the largest known force.
+
+    The estimate is the largest one within `PEAK_TOLERANCE_S` of it. nan where nothing is pressed.
+    """
+    at = int(np.argmax(known))
+    if known[at] <= 0.0:
+        return float('nan')
+    reach = round(PEAK_TOLERANCE_S / interval_s)
+    near = estimate[max(at - reach, 0) : at + reach + 1]
+    return float(abs(near.max() - known[at]) / known[at])
+
+
+def rolling_errors(
+    known: NDArray[np.float64], estimate: NDArray[np.float64], interval_s: float
+) -> NDArray[np.float64]:
+    """Return the mean absolute error in consecutive windows of `ROLLING_S` [N]."""
+    size = max(round(ROLLING_S / interval_s), 1)
+    error = np.abs(estimate - known)
+    count = max(len(error) // size, 1)
+    return np.array([part.mean() for part in np.array_split(error, count)])

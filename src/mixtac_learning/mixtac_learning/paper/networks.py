@@ -1,0 +1,497 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's networks in torch: FGER-Net as published, and its three baselines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import max_pool2d
+
+if TYPE_CHECKING:
+    from mixtac_learning.paper.config import PaperConfig
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SegmentBatch:
+    """B stretches of T windows with the frames that arrive in them.
+
+    Attributes:
+        points: Events of all windows, [E, 4]; see `PointEncoder`.
+        packet: Window of each event, t * B + b, int64 [E].
+        frames: Intensities of the frames, [N, 1, rows, columns].
+        event_frames: ln(1 + count) of ON and OFF events between each frame and the one before, [N,
+            2, rows, columns]; empty unless the model reads them.
+        slots: Frame that arrives in each window, -1 for none, int64 [T, B].
+        before: Frame that is the latest before the first window, -1 for none, int64 [B].
+        force: Label at the end of each window [N], [T, B].
+        frame_force: Mean label over each exposure [N], [N].
+        start: Label before the first window [N], [B].
+    """
+
+    points: Tensor
+    packet: Tensor
+    frames: Tensor
+    event_frames: Tensor
+    slots: Tensor
+    before: Tensor
+    force: Tensor
+    frame_force: Tensor
+    start: Tensor
+
+    def to(self, device: torch.device) -> SegmentBatch:
+        """Return the batch on a device."""
+        return SegmentBatch(*(getattr(self, name).to(device) for name in self.__slots__))
+
+
+class PaperState(NamedTuple):
+    """What is carried from stretch to stretch.
+
+    Attributes:
+        hidden: LSTM output [B, lstm_size].
+        cell: LSTM cell [B, lstm_size].
+        force: Estimate [B] in N.
+        feature: Feature of the latest frame [B, channels].
+        seen: Whether there is one, bool [B].
+    """
+
+    hidden: Tensor
+    cell: Tensor
+    force: Tensor
+    feature: Tensor
+    seen: Tensor
+
+    def detached(self) -> PaperState:
+        """Return the state without its gradient."""
+        return PaperState(*(part.detach() for part in self))
+
+
+POINT_SIZE = 4
+"""Numbers per event: x, y, time in the packet, polarity; each within -1 .. 1."""
+
+
+class ResidualBlock(nn.Module):
+    """Two 3 x 3 convolutions with a bypass (He et al. 2016).
+
+    Args:
+        channels: Of input and output.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
+        self.first_norm = nn.BatchNorm2d(channels)
+        self.second = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
+        self.second_norm = nn.BatchNorm2d(channels)
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Return maps of the same shape, [N, channels, rows, columns]."""
+        inner = torch.relu(self.first_norm(self.first(maps)))
+        return torch.relu(maps + self.second_norm(self.second(inner)))
+
+
+class FrameBackbone(nn.Module):
+    """Phi_f: stem and first stage of a residual network, then the average over the image.
+
+    Args:
+        config: Shapes.
+    """
+
+    def __init__(self, config: PaperConfig) -> None:
+        super().__init__()
+        self.mean: Tensor
+        self.deviation: Tensor
+        self.register_buffer('mean', torch.zeros(1))
+        self.register_buffer('deviation', torch.ones(1))
+        channels = config.channels
+        self.stem = nn.Sequential(
+            nn.Conv2d(1, channels, 7, stride=2, padding=3, bias=False),
+            nn.BatchNorm2d(channels),
+            nn.ReLU(),
+            nn.MaxPool2d(3, stride=2, padding=1),
+        )
+        self.stage = nn.Sequential(*(ResidualBlock(channels) for _ in range(config.blocks)))
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """Return f_frame [N, channels] of intensities [N, 1, rows, columns]."""
+        maps = self.stage(self.stem((frames - self.mean) / self.deviation))
+        return torch.Tensor(maps.mean((2, 3)))
+
+
+class PointEncoder(nn.Module):
+    """Phi_e: a perceptron on every event, then the maximum over each packet.
+
+    Args:
+        config: Shapes.
+    """
+
+    def __init__(self, config: PaperConfig) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        width = POINT_SIZE
+        for size in config.event_widths:
+            layers += [nn.Linear(width, size), nn.ReLU()]
+            width = size
+        self.layers = nn.Sequential(*layers)
+        self.size = width
+
+    def forward(self, points: Tensor, packet: Tensor, packets: int) -> Tensor:
+        """Return f_e [packets, size]; zeros for an empty packet.
+
+        Args:
+            points: All events of all packets, [E, 4].
+            packet: Which packet each belongs to, int64 [E].
+            packets: How many packets.
+        """
+        features = self.layers(points)
+        empty = features.new_zeros(packets, self.size)
+        # After a rectifier nothing is below zero, so that zeros leave the maximum as it is.
+        index = packet[:, None].expand(-1, self.size)
+        pooled = empty.scatter_reduce(0, index, features, 'amax', include_self=True)
+        return torch.Tensor(pooled)
+
+
+def perceptron(inputs: int, hidden: int) -> nn.Sequential:
+    """Return a perceptron with one hidden layer and one output."""
+    return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, 1))
+
+
+class SparseBlock(nn.Module):
+    """A convolution whose output exists only where its input does, then a step to half the size.
+
+    The convolution is of the submanifold kind (Graham et al. 2018): a pixel without events stays
+    empty, whatever its neighbours hold. It is computed on the dense grid with a mask, which gives
+    the same numbers as a list of pixels would. The mean and variance of the normalisation are
+    those of the pixels that exist.
+
+    Args:
+        inputs: Channels of the input.
+        outputs: Channels of the output.
+    """
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.convolution = nn.Conv2d(inputs, outputs, 3, padding=1, bias=False)
+        self.norm = nn.BatchNorm1d(outputs)
+
+    def forward(self, maps: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Return maps and mask at half the size.
+
+        Args:
+            maps: [N, inputs, rows, columns], zero where the mask is.
+            mask: bool [N, 1, rows, columns].
+        """
+        dense = self.convolution(maps)
+        active = mask[:, 0]
+        values = dense.permute(0, 2, 3, 1)[active]
+        if len(values) > 1 or not self.training:
+            values = self.norm(values)
+        values = torch.relu(values)
+        out = torch.zeros_like(dense).permute(0, 2, 3, 1).contiguous()
+        out[active] = values.to(out.dtype)
+        # Values are at least zero, so that empty pixels do not win the maximum.
+        pooled = max_pool2d(out.permute(0, 3, 1, 2), 2, ceil_mode=True)
+        return pooled, max_pool2d(mask.to(dense.dtype), 2, ceil_mode=True) > 0
+
+
+class SparseBackbone(nn.Module):
+    """Sparse blocks, then the mean over the pixels that are left.
+
+    Args:
+        inputs: Channels of the event frames.
+        channels: Channels after each block.
+    """
+
+    def __init__(self, inputs: int, channels: tuple[int, ...]) -> None:
+        super().__init__()
+        widths = (inputs, *channels)
+        self.blocks = nn.ModuleList(SparseBlock(a, b) for a, b in pairwise(widths))
+
+    def forward(self, event_frames: Tensor) -> Tensor:
+        """Return features [N, channels] of event frames [N, inputs, rows, columns]."""
+        maps, mask = event_frames, event_frames.abs().amax(1, keepdim=True) > 0
+        for block in self.blocks:
+            maps, mask = block(maps, mask)
+        count = mask.sum((2, 3)).clamp(min=1)
+        return torch.Tensor(maps.sum((2, 3)) / count)
+
+
+class EventRecurrence(nn.Module):
+    """Lines 4 to 9 of Algorithm 1: events to increments of the force.
+
+    Args:
+        config: Shapes.
+    """
+
+    def __init__(self, config: PaperConfig) -> None:
+        super().__init__()
+        self.encoder = PointEncoder(config)
+        self.lstm = nn.LSTMCell(self.encoder.size + 1, config.lstm_size)
+        self.increment = perceptron(config.lstm_size, config.increment_size)
+
+    def features(self, batch: SegmentBatch) -> Tensor:
+        """Return f_e of all windows, [T, B, size]."""
+        windows, sequences = batch.slots.shape
+        encoded = self.encoder(batch.points, batch.packet, windows * sequences)
+        return torch.Tensor(encoded.view(windows, sequences, -1))
+
+    def step(self, features: Tensor, state: PaperState) -> PaperState:
+        """Return the state after one window with features [B, size]."""
+        inputs = torch.cat([features, state.force[:, None]], 1)
+        hidden, cell = self.lstm(inputs, (state.hidden, state.cell))
+        force = state.force + self.increment(hidden)[:, 0]
+        return state._replace(hidden=hidden, cell=cell, force=force)
+
+
+class EventsOnly(nn.Module):
+    """The recurrence alone: no frame reaches it, neither as input nor through a gradient.
+
+    Args:
+        config: Shapes.
+    """
+
+    def __init__(self, config: PaperConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.recurrence = EventRecurrence(config)
+
+    def initial_state(self, sequences: int) -> PaperState:
+        """Return the state before any event: no force."""
+        return _initial_state(self.config, self.recurrence.lstm.weight_ih, sequences)
+
+    def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
+        """Return the force [N] at the end of each window, [T, B], and the state after the last."""
+        forces = []
+        for features in self.recurrence.features(batch):
+            state = self.recurrence.step(features, state)
+            forces.append(state.force)
+        return torch.stack(forces), state
+
+
+class FgerPaper(nn.Module):
+    """FGER-Net.
+
+    The estimate that is carried on is corrected once per cycle, by the frame whose arrival ends
+    it. In inference `PaperConfig.correction` applies to what is given out: with `continuous` every
+    window's estimate is corrected by the latest frame. That correction is not carried on: fed back
+    500 times a second it is unstable, as training has seen it 25 times a second.
+
+    Args:
+        config: Shapes.
+    """
+
+    def __init__(self, config: PaperConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.frame = FrameBackbone(config)
+        self.recurrence = EventRecurrence(config)
+        self.correction = perceptron(1 + config.channels, config.correction_size)
+
+    def initial_state(self, sequences: int) -> PaperState:
+        """Return the state before any event: no force."""
+        return _initial_state(self.config, self.recurrence.lstm.weight_ih, sequences)
+
+    def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
+        """Return the force [N] at the end of each window, [T, B], and the state after the last."""
+        continuous = not self.training and self.config.correction == 'continuous'
+        frames = self.frame(batch.frames)
+        state = recall(state, frames, batch)
+        arrivals = (batch.slots >= 0).any(1).tolist()
+        forces = []
+        for features, slots, arrives in zip(
+            self.recurrence.features(batch), batch.slots, arrivals, strict=True
+        ):
+            state = self.recurrence.step(features, state)
+            fresh = slots >= 0
+            if arrives:
+                state = _see(state, frames, slots)
+                force = torch.where(fresh, state.force + self._correct(state), state.force)
+                state = state._replace(force=force)
+            given = state.force
+            if continuous:
+                given = torch.where(state.seen & ~fresh, given + self._correct(state), given)
+            forces.append(given)
+        return torch.stack(forces), state
+
+    def _correct(self, state: PaperState) -> Tensor:
+        fusion = torch.cat([state.force[:, None], state.feature], 1)
+        return torch.Tensor(self.correction(fusion)[:, 0])
+
+
+def _initial_state(config: PaperConfig, like: Tensor, sequences: int) -> PaperState:
+    zeros = like.new_zeros(sequences, config.lstm_size)
+    feature = like.new_zeros(sequences, config.channels)
+    seen = torch.zeros(sequences, dtype=torch.bool, device=like.device)
+    return PaperState(zeros, zeros.clone(), like.new_zeros(sequences), feature, seen)
+
+
+def _see(state: PaperState, frames: Tensor, slots: Tensor) -> PaperState:
+    fresh = slots >= 0
+    feature = torch.where(fresh[:, None], frames[slots.clamp(min=0)], state.feature)
+    return state._replace(feature=feature, seen=state.seen | fresh)
+
+
+def recall(state: PaperState, frames: Tensor, batch: SegmentBatch) -> PaperState:
+    """Return the state with the frame that was the latest before the stretch, where there is."""
+    if not len(frames):
+        return state
+    return _see(state, frames, batch.before)
+
+
+class FrameModel(nn.Module):
+    """A network with one force per frame, held until the next.
+
+    Args:
+        config: Shapes.
+    """
+
+    def __init__(self, config: PaperConfig) -> None:
+        super().__init__()
+        self.config = config
+
+    def initial_state(self, sequences: int) -> PaperState:
+        """Return the state before the first frame: no force."""
+        device = next(self.parameters()).device
+        none = torch.zeros(sequences, 0, device=device)
+        seen = torch.zeros(sequences, dtype=torch.bool, device=device)
+        return PaperState(none, none, torch.zeros(sequences, device=device), none, seen)
+
+    def frame_force(self, batch: SegmentBatch) -> Tensor:
+        """Return the force [N] of each frame, [N]."""
+        raise NotImplementedError
+
+    def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
+        """Return the force [N] at the end of each window, [T, B], and the state after the last."""
+        own = self.frame_force(batch) if len(batch.frames) else batch.force.new_zeros(1)
+        known = torch.where(batch.before >= 0, own[batch.before.clamp(min=0)], state.force)
+        forces = []
+        for slots in batch.slots:
+            known = torch.where(slots >= 0, own[slots.clamp(min=0)], known)
+            forces.append(known)
+        return torch.stack(forces), state._replace(force=known)
+
+
+class FramesOnly(FrameModel):
+    """The frame feature fed directly into a regression head.
+
+    Args:
+        config: Shapes.
+    """
+
+    def __init__(self, config: PaperConfig) -> None:
+        super().__init__(config)
+        self.frame = FrameBackbone(config)
+        self.head = perceptron(config.channels, config.correction_size)
+
+    def frame_force(self, batch: SegmentBatch) -> Tensor:
+        """Return the force [N] of each frame, [N]."""
+        return torch.Tensor(self.head(self.frame(batch.frames))[:, 0])
+
+
+class FeatureFusion(FrameModel):
+    """Two convolutional networks side by side, their features concatenated, a perceptron on top.
+
+    Args:
+        config: Shapes.
+    """
+
+    def __init__(self, config: PaperConfig) -> None:
+        super().__init__(config)
+        self.frame = FrameBackbone(config)
+        self.events = SparseBackbone(2, config.sparse_channels)
+        inputs = config.channels + config.sparse_channels[-1]
+        self.head = perceptron(inputs, config.correction_size)
+
+    def frame_force(self, batch: SegmentBatch) -> Tensor:
+        """Return the force [N] of each frame, [N]."""
+        features = [self.frame(batch.frames), self.events(batch.event_frames)]
+        return torch.Tensor(self.head(torch.cat(features, 1))[:, 0])
+
+
+PaperNetwork = FgerPaper | EventsOnly | FrameModel
+CYCLE_US = 40_000
+"""From frame to frame at the paper's 25 Hz."""
+_CLASSES: dict[str, type[FgerPaper | EventsOnly | FramesOnly | FeatureFusion]] = {
+    'fger': FgerPaper,
+    'events': EventsOnly,
+    'frames': FramesOnly,
+    'fusion': FeatureFusion,
+}
+
+
+def build(config: PaperConfig) -> PaperNetwork:
+    """Return a network with fresh weights."""
+    return _CLASSES[config.model](config)
+
+
+def one_cycle(config: PaperConfig) -> SegmentBatch:
+    """Return one cycle at full load: a frame, and packets with the most events that are read."""
+    windows, rows, columns = CYCLE_US // config.window_us, *config.frame_shape
+    slots = torch.full((windows, 1), -1)
+    slots[-1] = 0
+    return SegmentBatch(
+        points=torch.rand(windows * config.events_per_packet, 4),
+        packet=torch.arange(windows).repeat_interleave(config.events_per_packet),
+        frames=torch.rand(1, 1, rows, columns),
+        event_frames=torch.rand(1, 2, rows, columns),
+        slots=slots,
+        before=torch.tensor([-1]),
+        force=torch.zeros(windows, 1),
+        frame_force=torch.zeros(1),
+        start=torch.zeros(1),
+    )
+
+
+def operations_per_cycle(config: PaperConfig) -> int:
+    """Return floating-point operations (2 per multiply-add) of one cycle at full load.
+
+    Counted by hand from the shapes, without normalisation, activations and pooling. Sparse
+    convolutions count as if every pixel held events.
+    """
+    total = 0
+    if config.model != 'events':
+        total += _backbone(config)
+    if config.model in {'fger', 'events'}:
+        total += _recurrence(config)
+    heads = {
+        'fger': 1 + config.channels,
+        'frames': config.channels,
+        'fusion': config.channels + config.sparse_channels[-1],
+        'events': -1,
+    }
+    total += config.correction_size * (heads[config.model] + 1)
+    if config.model == 'fusion':
+        total += _sparse(config)
+    return 2 * total
+
+
+def _backbone(config: PaperConfig) -> int:
+    rows, columns = (_half(size) for size in config.frame_shape)
+    stem = 49 * config.channels * rows * columns
+    stage = 2 * config.blocks * 9 * config.channels**2 * _half(rows) * _half(columns)
+    return stem + stage
+
+
+def _recurrence(config: PaperConfig) -> int:
+    widths = (4, *config.event_widths)
+    point = sum(a * b for a, b in pairwise(widths))
+    lstm = 4 * config.lstm_size * (widths[-1] + 1 + config.lstm_size)
+    increment = config.increment_size * (config.lstm_size + 1)
+    return CYCLE_US // config.window_us * (point * config.events_per_packet + lstm + increment)
+
+
+def _sparse(config: PaperConfig) -> int:
+    (rows, columns), widths = config.frame_shape, (2, *config.sparse_channels)
+    total = 0
+    for a, b in pairwise(widths):
+        total += 9 * a * b * rows * columns
+        rows, columns = _half(rows), _half(columns)
+    return total
+
+
+def _half(size: int) -> int:
+    return (size + 1) // 2

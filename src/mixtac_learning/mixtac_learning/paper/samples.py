@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Training samples of the paper's networks, as memory-mapped arrays on disk."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mixtac_events.frames import bin_mean
+from mixtac_learning.trials.trial import DatasetError, frame_arrivals, window_ends
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
+    from mixtac_learning.paper.config import PaperConfig
+    from mixtac_learning.trials.trial import TrialArrays
+
+
+def packet_points(
+    config: PaperConfig, events: Events, ends: NDArray[np.int64]
+) -> tuple[NDArray[np.float16], NDArray[np.int64]]:
+    """Return the normalised events of consecutive packets.
+
+    A packet of more than `PaperConfig.events_per_packet` events is thinned out evenly in time
+    order.
+
+    Args:
+        config: Shapes.
+        events: Sorted events, camera clock [us].
+        ends: End of each packet [us], `window_us` apart, int64 [T].
+
+    Returns:
+        Points float16 [E, 4]: x and y from -1 to 1 across the sensor, time from 0 to 1 within the
+        packet, polarity -1 or 1; and where each packet begins among them, int64 [T + 1].
+    """
+    cuts = np.searchsorted(events.t, [ends[0] - config.window_us, *ends])
+    counts = np.diff(cuts)
+    kept = np.minimum(counts, config.events_per_packet)
+    starts = np.concatenate([[0], np.cumsum(kept)]).astype(np.int64)
+    packet = np.repeat(np.arange(len(ends)), kept)
+    rank = np.arange(starts[-1]) - starts[packet]
+    index = cuts[packet] + rank * counts[packet] // np.maximum(kept[packet], 1)
+    points = np.empty((len(index), 4), np.float16)
+    points[:, 0] = 2.0 * events.x[index] / (config.width - 1) - 1.0
+    points[:, 1] = 2.0 * events.y[index] / (config.height - 1) - 1.0
+    points[:, 2] = (events.t[index] - (ends[packet] - config.window_us)) / config.window_us
+    points[:, 3] = np.where(events.polarity[index], 1.0, -1.0)
+    return points, starts
+
+
+def event_counts(
+    config: PaperConfig, events: Events, borders: NDArray[np.int64]
+) -> NDArray[np.uint8]:
+    """Return the events between consecutive times as pictures.
+
+    Args:
+        config: Shapes.
+        events: Sorted events, camera clock [us].
+        borders: Times [us], increasing, int64 [N + 1].
+
+    Returns:
+        Number of ON and of OFF events per pixel of `PaperConfig.frame_shape`, at most 255, uint8
+        [N, 2, rows, columns].
+    """
+    rows, columns = config.frame_shape
+    out = np.zeros((len(borders) - 1, 2, rows, columns), np.uint8)
+    cuts = np.searchsorted(events.t, borders)
+    for index, (start, stop) in enumerate(pairwise(cuts)):
+        y = events.y[start:stop].astype(np.int64) // config.scale
+        x = events.x[start:stop].astype(np.int64) // config.scale
+        inside = (y < rows) & (x < columns)
+        channel = np.where(events.polarity[start:stop], 0, 1)
+        cell = ((channel * rows + y) * columns + x)[inside]
+        counts = np.bincount(cell, minlength=2 * rows * columns)
+        out[index] = np.minimum(counts, 255).reshape(2, rows, columns)
+    return out
+
+
+_SEEN = ('width', 'height', 'scale', 'window_us', 'events_per_packet')
+"""Fields of the configuration that change what a sample holds."""
+FULL_SCALE = 1023.0
+"""Of the camera's converter [DN]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PaperSample:
+    """One trial; T windows, N frames, arrays mapped from disk.
+
+    Attributes:
+        window_end_us: Camera clock [us], int64 [T].
+        points: Events, float16 [E, 4]; see `packet_points`.
+        starts: Where each window's events begin, int64 [T + 1].
+        frames: Intensities of 0 to 1, float16 [N, rows, columns].
+        counts: Events since the frame before, uint8 [N, 2, rows, columns].
+        slots: Frame that arrives in each window, -1 for none, int64 [T].
+        force: Label at the end of each window [N], float32 [T].
+        frame_force: Mean label over each exposure [N], float32 [N].
+        origin: Where it came from.
+    """
+
+    window_end_us: NDArray[np.int64]
+    points: NDArray[np.float16]
+    starts: NDArray[np.int64]
+    frames: NDArray[np.float16]
+    counts: NDArray[np.uint8]
+    slots: NDArray[np.int64]
+    force: NDArray[np.float32]
+    frame_force: NDArray[np.float32]
+    origin: dict[str, Any]
+
+
+_ARRAYS = PaperSample.__slots__[:-1]
+
+
+@dataclass(frozen=True, slots=True)
+class PaperRecipe:
+    """How the paper's networks want their samples.
+
+    Attributes:
+        config: Shapes.
+        label: Which force to learn, one of `mixtac_learning.trials.trial.LABELS`.
+    """
+
+    config: PaperConfig
+    label: str = 'best'
+
+    @property
+    def suffix(self) -> str:
+        """Samples are folders."""
+        return '.paper'
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return what changes a sample."""
+        fields = self.config.to_dict()
+        return {'kind': 'paper 1', 'label': self.label} | {name: fields[name] for name in _SEEN}
+
+    def write(self, trial: TrialArrays, path: Path) -> None:
+        """Prepare a trial and write it as a folder, whole or not at all.
+
+        Raises:
+            DatasetError: As `make_paper_sample`.
+        """
+        sample = make_paper_sample(self.config, trial, self.label)
+        partial = path.with_name(path.name + '.partial')
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        for name in _ARRAYS:
+            np.save(partial / f'{name}.npy', getattr(sample, name), allow_pickle=False)
+        (partial / 'origin.json').write_text(json.dumps(sample.origin), encoding='utf-8')
+        partial.replace(path)
+
+
+def load_paper_sample(path: Path) -> PaperSample:
+    """Map a sample.
+
+    Raises:
+        DatasetError: The folder is missing or damaged.
+    """
+    try:
+        arrays = {name: np.load(path / f'{name}.npy', mmap_mode='r') for name in _ARRAYS}
+        origin = json.loads((path / 'origin.json').read_text(encoding='utf-8'))
+    except (OSError, ValueError) as error:
+        raise DatasetError(f'sample {path} cannot be read ({error}): remove it') from error
+    return PaperSample(**arrays, origin=origin)
+
+
+def make_paper_sample(
+    config: PaperConfig, trial: TrialArrays, label_kind: str = 'best'
+) -> PaperSample:
+    """Return a trial as the networks see it, from the arrival of its first frame on.
+
+    Args:
+        config: Shapes.
+        trial: Events, frames, forces.
+        label_kind: Which force.
+
+    Raises:
+        DatasetError: The trial has no such force, no frames, frames of another size, or ends
+            before its first frame arrives.
+    """
+    label = trial.label(label_kind)
+    shape = trial.frames.shape[1:]
+    if len(trial.frames) < 2 or shape != (config.height, config.width):
+        raise DatasetError(
+            f'trial {trial.origin.get("name")} has {len(trial.frames)} frames of {shape}: at least'
+            f' 2 of {config.height} rows and {config.width} columns are needed'
+        )
+    ends = window_ends(trial, label, config.window_us, int(trial.arrival_us[0]))
+    slots = frame_arrivals(trial.arrival_us, ends)
+    points, starts = packet_points(config, trial.events, ends)
+    arrival = trial.arrival_us
+    borders = np.concatenate([[arrival[0] - (arrival[1] - arrival[0])], arrival])
+    return PaperSample(
+        window_end_us=ends,
+        points=points,
+        starts=starts,
+        frames=_reduced(config, trial.frames),
+        counts=event_counts(config, trial.events, borders),
+        slots=slots,
+        force=label.at(ends),
+        frame_force=label.mean(trial.exposure_start_us, trial.exposure_end_us),
+        origin=trial.origin,
+    )
+
+
+def _reduced(config: PaperConfig, frames: NDArray[np.uint16]) -> NDArray[np.float16]:
+    mean = np.empty(config.frame_shape, np.float32)
+    out = np.empty((len(frames), *config.frame_shape), np.float16)
+    for index, frame in enumerate(frames):
+        bin_mean(frame, config.scale, mean)
+        out[index] = mean / FULL_SCALE
+    return out

@@ -1,0 +1,253 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A training run as a YAML file describes it: model, data, stages, learning rates."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mixtac_fger.config import ConfigError
+from mixtac_learning.paper.config import MODELS as PAPER_MODELS
+from mixtac_sim.world.training_trials import DEFAULT_PRESET
+
+if TYPE_CHECKING:
+    import torch
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingSettings:
+    """Settings of a training run; with its seed and data they fix the result.
+
+    Attributes:
+        seed: Of the initial weights and of the order and mirroring of the data.
+        frame_epochs: Epochs of the frame network alone.
+        recurrent_epochs: Epochs of the recurrent path on the frozen frame network.
+        joint_epochs: Epochs of both together.
+        deviation_epochs: Epochs of the uncertainty head on the finished network.
+        frame_batch: Frames per update.
+        chunk_windows: Windows per update of the recurrent path: gradients do not reach further.
+        frame_rate: Largest learning rate of the frame stage.
+        recurrent_rate: Largest learning rate of the recurrent stage.
+        joint_rate: Largest learning rate of the joint stage.
+        deviation_rate: Largest learning rate of the uncertainty head.
+        weight_decay: AdamW's.
+        loss_knee_n: Errors above this count linearly, below it quadratically [N].
+        gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see `Trainer`.
+        mirror: Show mirror images too.
+        force_weight: How much more an error counts per newton of force [1/N]; impacts are short.
+        blow_every: After so many updates of the recurrent path comes one on blows only, cut out of
+            the trials (`mixtac_learning.train.stages`); 0 for none.
+        group_trials: Trials in memory at a time.
+        patience: Epochs without a better validation error after which a stage ends; 0 for never.
+    """
+
+    seed: int = 0
+    frame_epochs: int = 30
+    recurrent_epochs: int = 60
+    joint_epochs: int = 10
+    deviation_epochs: int = 10
+    frame_batch: int = 128
+    chunk_windows: int = 100
+    frame_rate: float = 2e-3
+    recurrent_rate: float = 3e-3
+    joint_rate: float = 5e-4
+    deviation_rate: float = 3e-3
+    weight_decay: float = 1e-3
+    loss_knee_n: float = 0.05
+    gain_prior: float = 0.01
+    mirror: bool = True
+    force_weight: float = 0.0
+    blow_every: int = 0
+    group_trials: int = 128
+    patience: int = 0
+
+    def flips(self, random: torch.Generator) -> tuple[bool, bool]:
+        """Return whether to mirror columns and rows this time."""
+        if not self.mirror:
+            return False, False
+        import torch
+
+        columns, rows = torch.randint(0, 2, (2,), generator=random).tolist()
+        return bool(columns), bool(rows)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> TrainingSettings:
+        """Return the settings of such values; absent ones keep their defaults.
+
+        Raises:
+            ConfigError: A field is unknown.
+        """
+        known = {field.name for field in fields(cls)}
+        if odd := sorted(set(values) - known):
+            raise ConfigError(f'training has no settings {odd}; it has {sorted(known)}')
+        return cls(**values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON-ready values."""
+        return asdict(self)
+
+
+OURS = 'ours'
+MODELS = (OURS, *PAPER_MODELS)
+_REMEDY = 'see the shipped files in config/train'
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedData:
+    """Trials that are simulated for the run.
+
+    Attributes:
+        preset: How hard.
+        sensors: Different sensors.
+        trials: Trials, going round the sensors.
+        seconds: Length of each.
+        profiles: Force profiles, in turn; empty for those of `mixtac_sim.world.training_trials`.
+        seed: Another seed gives other sensors and days.
+    """
+
+    preset: str = DEFAULT_PRESET
+    sensors: int = 1
+    trials: int = 24
+    seconds: float = 8.0
+    profiles: tuple[str, ...] = ()
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DataConfig:
+    """What to train on.
+
+    Attributes:
+        simulated: Simulated trials; None for none.
+        bags: Bags, or folders of bags; of those that `dataset.yaml` describes only the training
+            split is used.
+        reference: Topic of the reference force in bags.
+        label: Which force to learn: `best`, `true` or `reference`.
+        cache: Folder of prepared samples.
+        checked: Part of the trials that is held out to validate on.
+    """
+
+    simulated: SimulatedData | None = None
+    bags: tuple[str, ...] = ()
+    reference: str = '/ft_sensor/wrench'
+    label: str = 'best'
+    cache: str = 'runs/fger_data'
+    checked: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class RunConfig:
+    """A training run.
+
+    Attributes:
+        model: One of `MODELS`.
+        out: Weight file to write.
+        network: Fields of the network's configuration that differ from its defaults.
+        training: Fields of the training settings that differ from their defaults.
+        data: What to train on.
+        device: `auto` (a GPU where there is one), `cpu`, `cuda`.
+        judged: Simulated sensors that no training used, on which the model is judged afterwards,
+            and half as many that were trained on; 0 judges nothing.
+    """
+
+    model: str = OURS
+    out: str = 'models/fger_small.safetensors'
+    network: dict[str, Any] = field(default_factory=dict)
+    training: dict[str, Any] = field(default_factory=dict)
+    data: DataConfig = field(default_factory=DataConfig)
+    device: str = 'auto'
+    judged: int = 6
+
+    def __post_init__(self) -> None:
+        """Check what can be checked without the data.
+
+        Raises:
+            ConfigError: Unknown model, or nothing to train on.
+        """
+        if self.model not in MODELS:
+            raise ConfigError(f'model {self.model!r} is unknown: choose one of {", ".join(MODELS)}')
+        if self.data.simulated is None and not self.data.bags:
+            raise ConfigError(f'nothing to train on: give data.simulated or data.bags; {_REMEDY}')
+
+    def fingerprint(self) -> str:
+        """Return a text of all that changes the result; not where it is written or computed."""
+        fields = dataclasses.asdict(self)
+        for name in ('out', 'device', 'judged'):
+            fields.pop(name)
+        fields['data'].pop('cache')
+        return json.dumps(fields, sort_keys=True)
+
+
+def read_run_config(path: Path) -> RunConfig:
+    """Read a run from a YAML file.
+
+    Raises:
+        ConfigError: The file is missing or no YAML, or a field is unknown or of another type.
+    """
+    import yaml
+
+    try:
+        values = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (OSError, yaml.YAMLError) as error:
+        text = ' '.join(str(error).split())
+        raise ConfigError(f'{path} cannot be read ({text}): {_REMEDY}') from error
+    if not isinstance(values, dict):
+        raise ConfigError(f'{path} is no map of settings: {_REMEDY}')
+    values = dict(values)
+    data = dict(values.pop('data', None) or {})
+    simulated = data.pop('simulated', None)
+    if simulated is not None:
+        data['simulated'] = _filled(SimulatedData, simulated, path)
+    run: RunConfig = _filled(RunConfig, values | {'data': _filled(DataConfig, data, path)}, path)
+    return run
+
+
+def with_overrides(
+    config: RunConfig, out: Path | None, seed: int | None, data: Path | None
+) -> RunConfig:
+    """Return a run with what the command line says in place of what the file says."""
+    if out is not None:
+        config = replace(config, out=str(out))
+    if seed is not None:
+        config = replace(config, training=config.training | {'seed': seed})
+    if data is not None:
+        config = replace(config, data=replace(config.data, cache=str(data)))
+    return config
+
+
+def find_run_config(name: str) -> Path:
+    """Return the file that `name` means: a path, or a shipped one's name without `.yaml`."""
+    path = Path(name).expanduser()
+    if path.suffix in {'.yaml', '.yml'} or path.exists():
+        return path
+    return shipped_runs() / f'{name}.yaml'
+
+
+def shipped_runs() -> Path:
+    """Return the folder of the runs that come with the package."""
+    source = Path(__file__).resolve().parents[4] / 'config' / 'train'
+    if source.is_dir():
+        return source
+    from ament_index_python.packages import get_package_share_directory
+
+    return Path(get_package_share_directory('mixtac_bringup')) / 'config' / 'train'
+
+
+def _filled(kind: type[Any], values: dict[str, Any], path: Path) -> Any:  # noqa: ANN401
+    fields = {item.name: item for item in dataclasses.fields(kind)}
+    if odd := sorted(set(values) - set(fields)):
+        raise ConfigError(f'{path} has unknown fields {odd}; known are {sorted(fields)}')
+    checked = {}
+    for name, value in values.items():
+        checked[name] = tuple(value) if isinstance(value, list) else value
+        default = getattr(kind(), name) if kind is not RunConfig else None
+        if isinstance(default, bool) or default is None:
+            continue
+        wanted = (int, float) if isinstance(default, float) else type(default)
+        if not isinstance(checked[name], wanted):
+            raise ConfigError(f'{path}: {name} = {value!r} is no {type(default).__name__}')
+    return kind(**checked)

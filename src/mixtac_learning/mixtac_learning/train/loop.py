@@ -1,0 +1,390 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The training loop: stages of epochs, learning-rate schedule, early stopping, checkpoints.
+
+A checkpoint is one safetensors file with the weights, the best weights so far, the moments of the
+optimiser and the state of the random generators; everything else is JSON in its header. It is
+replaced only when the new one is complete, so a killed run always leaves a whole file to resume
+from.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+import torch
+
+from mixtac_events.errors import MixtacError
+from mixtac_fger.weights import read_tensors, write_tensors
+from mixtac_learning.train.parallel import Processes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+    from torch import Tensor, nn
+
+    Report = Callable[[str, int, int, float, float | None], None]
+    """Called after each epoch: stage, epochs done, of how many, mean loss, validation error."""
+
+
+class TrainingError(MixtacError):
+    """A training run that cannot begin or go on."""
+
+
+SCHEDULES = ('cosine', 'constant')
+_WARM = 0.05
+_LAST = 0.02
+
+
+def schedule_factor(name: str, part: float) -> float:
+    """Return the factor of the learning rate.
+
+    Args:
+        name: `cosine`: up within the first 5 %, then down to 2 % along a cosine; `constant`.
+        part: Part of the stage that is done, 0 to 1.
+
+    Raises:
+        TrainingError: Unknown name.
+    """
+    if name == 'constant':
+        return 1.0
+    if name != 'cosine':
+        raise TrainingError(f'schedule {name!r} is unknown: choose one of {", ".join(SCHEDULES)}')
+    if part < _WARM:
+        return _LAST + (1.0 - _LAST) * part / _WARM
+    phase = min((part - _WARM) / (1.0 - _WARM), 1.0)
+    return _LAST + 0.5 * (1.0 - _LAST) * (1.0 + math.cos(math.pi * phase))
+
+
+SCHEMA = '1'
+
+
+@dataclass(slots=True)
+class Progress:
+    """How far a run is.
+
+    Attributes:
+        stage: Index of the present stage.
+        epoch: Epochs of it that are done.
+        best: Smallest validation error of the stage; None before the first.
+        since_best: Epochs since then.
+        curves: One row per epoch: stage, epoch, loss, validation error, seconds.
+    """
+
+    stage: int = 0
+    epoch: int = 0
+    best: float | None = None
+    since_best: int = 0
+    curves: list[dict[str, Any]] = field(default_factory=list)
+
+
+def save_checkpoint(
+    path: Path,
+    module: nn.Module,
+    best: dict[str, Tensor],
+    optimiser: torch.optim.Optimizer,
+    random: torch.Generator,
+    progress: Progress,
+    fingerprint: str,
+) -> None:
+    """Write a checkpoint.
+
+    Args:
+        path: File.
+        module: Its weights.
+        best: Best weights of the present stage, by name; empty for none.
+        optimiser: Its moments.
+        random: Its state.
+        progress: How far the run is.
+        fingerprint: What the run is of; see `load_checkpoint`.
+    """
+    tensors = {f'model.{name}': value for name, value in module.state_dict().items()}
+    tensors |= {f'best.{name}': value for name, value in best.items()}
+    tensors |= {'random': random.get_state(), 'global_random': torch.get_rng_state()}
+    for index, parameter in enumerate(_parameters(optimiser)):
+        for name, value in optimiser.state.get(parameter, {}).items():
+            tensors[f'optimiser.{index}.{name}'] = torch.as_tensor(value)
+    state = {name: getattr(progress, name) for name in Progress.__slots__}
+    header = {'schema': SCHEMA, 'fingerprint': fingerprint, 'progress': json.dumps(state)}
+    write_tensors(path, tensors, header)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Checkpoint:
+    """What `load_checkpoint` found.
+
+    Attributes:
+        progress: How far the run is.
+        tensors: By name, as written.
+    """
+
+    progress: Progress
+    tensors: dict[str, Tensor]
+
+    def restore_module(self, module: nn.Module) -> None:
+        """Give a module its weights back."""
+        module.load_state_dict(self._part('model.'))
+
+    def best(self) -> dict[str, Tensor]:
+        """Return the best weights of the present stage."""
+        return self._part('best.')
+
+    def restore_optimiser(self, optimiser: torch.optim.Optimizer) -> None:
+        """Give an optimiser its moments back."""
+        for index, parameter in enumerate(_parameters(optimiser)):
+            found = self._part(f'optimiser.{index}.')
+            if found:
+                optimiser.state[parameter] = {
+                    name: value if name == 'step' else value.to(parameter.device)
+                    for name, value in found.items()
+                }
+
+    def restore_random(self, random: torch.Generator) -> None:
+        """Give the random numbers their state back."""
+        random.set_state(self.tensors['random'])
+        torch.set_rng_state(self.tensors['global_random'])
+
+    def _part(self, prefix: str) -> dict[str, Tensor]:
+        cut = len(prefix)
+        return {k[cut:]: v for k, v in self.tensors.items() if k.startswith(prefix)}
+
+
+def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
+    """Read a checkpoint.
+
+    Args:
+        path: File.
+        fingerprint: Of the run that wants to go on.
+
+    Returns:
+        The checkpoint, None where there is none.
+
+    Raises:
+        TrainingError: It belongs to a run with other settings or data, or cannot be read.
+    """
+    if not path.exists():
+        return None
+    header, tensors = read_tensors(path, TrainingError, 'remove it to start over')
+    if header.get('schema') != SCHEMA or header.get('fingerprint') != fingerprint:
+        raise TrainingError(
+            f'{path} belongs to a run with other settings or other data: give another folder with'
+            ' --folder, or remove it to start over'
+        )
+    return Checkpoint(Progress(**json.loads(header['progress'])), tensors)
+
+
+def _parameters(optimiser: torch.optim.Optimizer) -> list[nn.Parameter]:
+    return [parameter for group in optimiser.param_groups for parameter in group['params']]
+
+
+class Stage(Protocol):
+    """A part of training with an optimiser of its own."""
+
+    @property
+    def name(self) -> str:
+        """Of the stage."""
+
+    @property
+    def epochs(self) -> int:
+        """Most epochs of the stage."""
+
+    @property
+    def rate(self) -> float:
+        """Largest learning rate."""
+
+    def parameters(self) -> list[nn.Parameter]:
+        """Return what is trained."""
+
+    def updates(self) -> int:
+        """Return the usual number of updates per epoch, for the schedule."""
+
+    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
+        """Yield the losses of one epoch; the update is made before the next is asked for."""
+
+    def validate(self) -> float | None:
+        """Return the error on trials that are not trained on [N]; None without such trials."""
+
+
+@runtime_checkable
+class Begins(Protocol):
+    """A stage that sets weights before its first epoch."""
+
+    def begin(self) -> None:
+        """Set them; a run that goes on within the stage does not come here again."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSettings:
+    """How stages are run.
+
+    Attributes:
+        seed: Of the order of the data; initial weights are the caller's.
+        weight_decay: AdamW's.
+        schedule: `cosine` (up within 5 %, then down) or `constant`.
+        gradient_norm: Gradients are scaled down to this norm.
+        patience: A stage ends after so many epochs without a better validation error and goes
+            back to its best weights; 0 for never.
+        autocast: bfloat16 where that is safe; on a GPU only.
+    """
+
+    seed: int = 0
+    weight_decay: float = 1e-3
+    schedule: str = 'cosine'
+    gradient_norm: float = 1.0
+    patience: int = 0
+    autocast: bool = True
+
+
+@dataclass(slots=True, eq=False)
+class TrainingLoop:
+    """Runs stages, one after the other.
+
+    Attributes:
+        module: Everything that is trained: what a checkpoint holds.
+        settings: As above.
+        checkpoint: File of the checkpoint; None for none.
+        fingerprint: What the run is of: a checkpoint of another run is refused.
+        report: Called after each epoch.
+        processes: Who takes part.
+        progress: How far the run is.
+    """
+
+    module: nn.Module
+    settings: LoopSettings
+    checkpoint: Path | None = None
+    fingerprint: str = ''
+    report: Report = lambda *_: None
+    processes: Processes = field(default_factory=Processes)
+    progress: Progress = field(default_factory=Progress)
+
+    def run(self, stages: Sequence[Stage]) -> None:
+        """Run all stages; those that a checkpoint says are done are passed over.
+
+        Raises:
+            TrainingError: The checkpoint is another run's, or the loss is no number any more.
+        """
+        found = load_checkpoint(self.checkpoint, self.fingerprint) if self.checkpoint else None
+        random = torch.Generator().manual_seed(self.settings.seed)
+        if found is not None:
+            self.progress = found.progress
+            found.restore_module(self.module)
+            found.restore_random(random)
+        for stage in stages[self.progress.stage :]:
+            self._run_stage(stage, random, found)
+            found = None
+            self.progress.stage += 1
+            self.progress.epoch, self.progress.best, self.progress.since_best = 0, None, 0
+
+    def _run_stage(self, stage: Stage, random: torch.Generator, found: Checkpoint | None) -> None:
+        if self.progress.epoch == 0 and isinstance(stage, Begins):
+            stage.begin()
+        parameters = stage.parameters()
+        rate, decay = stage.rate, self.settings.weight_decay
+        optimiser = torch.optim.AdamW(parameters, lr=rate, weight_decay=decay)
+        best: dict[str, Tensor] = {}
+        if found is not None:
+            found.restore_optimiser(optimiser)
+            best = found.best()
+        progress = self.progress
+        while progress.epoch < stage.epochs and not self._is_stuck():
+            started = time.monotonic()
+            loss = self._epoch(stage, optimiser, parameters, random)
+            error = self._validate(stage)
+            progress.epoch += 1
+            if error is not None:
+                progress.since_best += 1
+                if progress.best is None or error < progress.best:
+                    progress.best, progress.since_best = error, 0
+                    best = {k: v.detach().clone() for k, v in self.module.state_dict().items()}
+            self._note(stage, loss, error, time.monotonic() - started)
+            self._save(best, optimiser, random)
+        if best and self.settings.patience:
+            self.module.load_state_dict(best)
+
+    def _is_stuck(self) -> bool:
+        patience = self.settings.patience
+        return bool(patience) and self.progress.since_best >= patience
+
+    def _epoch(
+        self,
+        stage: Stage,
+        optimiser: torch.optim.Optimizer,
+        parameters: list[nn.Parameter],
+        random: torch.Generator,
+    ) -> float:
+        """Make the updates of one epoch and return their mean loss."""
+        self.module.train()
+        updates = max(self.processes.smallest(stage.updates()), 1)
+        total, count = 0.0, 0
+        device = parameters[0].device.type
+        autocast = self.settings.autocast and device == 'cuda'
+        losses = stage.losses(random)
+        while True:
+            factor = schedule_factor(
+                self.settings.schedule,
+                (self.progress.epoch + min(count / updates, 1.0)) / stage.epochs,
+            )
+            for group in optimiser.param_groups:
+                group['lr'] = stage.rate * factor
+            with torch.autocast(device, torch.bfloat16, enabled=autocast):
+                loss = next(losses, None)
+            if loss is None:
+                break
+            self._update(loss, optimiser, parameters)
+            total, count = total + float(loss.detach()), count + 1
+            self._check(stage, total)
+        self.processes.average_buffers(self.module)
+        return total / max(count, 1)
+
+    def _update(
+        self, loss: Tensor, optimiser: torch.optim.Optimizer, parameters: list[nn.Parameter]
+    ) -> None:
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        self.processes.average_gradients(parameters)
+        torch.nn.utils.clip_grad_norm_(parameters, self.settings.gradient_norm)
+        optimiser.step()
+
+    def _check(self, stage: Stage, total: float) -> None:
+        if total != total:  # noqa: PLR0124 - the test for no number
+            raise TrainingError(
+                f'the loss of stage {stage.name} is no number any more: lower its rate'
+            )
+
+    @torch.no_grad()
+    def _validate(self, stage: Stage) -> float | None:
+        self.module.eval()
+        error = stage.validate()
+        return None if error is None else float(self.processes.mean(torch.tensor(error)))
+
+    def _note(self, stage: Stage, loss: float, error: float | None, seconds: float) -> None:
+        progress = self.progress
+        row = {
+            'stage': stage.name,
+            'epoch': progress.epoch,
+            'loss': loss,
+            'validation': error,
+            'seconds': round(seconds, 2),
+        }
+        progress.curves.append(row)
+        self.report(stage.name, progress.epoch, stage.epochs, loss, error)
+
+    def _save(
+        self, best: dict[str, Tensor], optimiser: torch.optim.Optimizer, random: torch.Generator
+    ) -> None:
+        if self.checkpoint is not None and self.processes.leads:
+            save_checkpoint(
+                self.checkpoint,
+                self.module,
+                best,
+                optimiser,
+                random,
+                self.progress,
+                self.fingerprint,
+            )
+        self.processes.wait()

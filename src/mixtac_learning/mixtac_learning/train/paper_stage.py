@@ -1,0 +1,179 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The training stage of the paper's networks."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import smooth_l1_loss
+
+from mixtac_fger.config import ConfigError
+from mixtac_learning.paper.networks import FrameBackbone, FrameModel
+from mixtac_learning.paper.segments import assemble, cut_segments, run_samples
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mixtac_learning.paper.networks import PaperNetwork, SegmentBatch
+    from mixtac_learning.paper.samples import PaperSample
+    from mixtac_learning.train.parallel import Processes
+
+
+@dataclass(frozen=True, slots=True)
+class PaperTraining:
+    """The paper's protocol: 50 epochs, batches of 128, AdamW at 1e-4 (section III-C).
+
+    The paper does not say what a batch holds, how long its sequences are, or how the estimate
+    before a stretch is known. Here a batch holds 128 cycles (frame intervals), as stretches of
+    `cycles` for the recurrent networks, that begin at the true force plus an error: the error is
+    what the correction learns to take away. Networks without frames begin at the true force.
+
+    Attributes:
+        seed: Of weights and order.
+        epochs: Of all trials.
+        batch: Cycles per update.
+        rate: Of AdamW, constant.
+        weight_decay: AdamW's default.
+        cycles: Length of a stretch of the recurrent networks [cycles].
+        start_error_n: Standard deviation of the error of the estimate before a stretch [N].
+        loss_knee_n: Errors above count linearly, below quadratically [N].
+        patience: Epochs without a better validation error before it ends; 0 for never.
+        checked: Part of the training trials that is held out for validation, so that the test
+            trials play no role.
+    """
+
+    seed: int = 0
+    epochs: int = 50
+    batch: int = 128
+    rate: float = 1e-4
+    weight_decay: float = 1e-2
+    cycles: int = 4
+    start_error_n: float = 0.1
+    loss_knee_n: float = 0.05
+    patience: int = 0
+    checked: float = 0.1
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON-ready values."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> PaperTraining:
+        """Return the settings of such values; absent ones keep their defaults.
+
+        Raises:
+            ConfigError: A field is unknown.
+        """
+        known = {field.name for field in fields(cls)}
+        if odd := sorted(set(values) - known):
+            raise ConfigError(f'training has no settings {odd}; it has {sorted(known)}')
+        return cls(**values)
+
+
+@dataclass(eq=False)
+class PaperStage:
+    """The only stage of the training of one network.
+
+    Attributes:
+        network: It.
+        samples: Trials to train on; of these, `own` are this process's.
+        settings: The protocol.
+        processes: Who takes part.
+        own: Indices of this process's trials.
+        checked: Trials to validate on.
+        name: Of the stage.
+    """
+
+    network: PaperNetwork
+    samples: Sequence[PaperSample]
+    settings: PaperTraining
+    processes: Processes
+    own: Sequence[int]
+    checked: Sequence[PaperSample] = ()
+    name: str = 'paper'
+
+    @property
+    def epochs(self) -> int:
+        """Epochs of the stage."""
+        return self.settings.epochs
+
+    @property
+    def rate(self) -> float:
+        """Learning rate."""
+        return self.settings.rate
+
+    def parameters(self) -> list[nn.Parameter]:
+        """Return all weights."""
+        return list(self.network.parameters())
+
+    def updates(self) -> int:
+        """Return the number of updates per epoch, the same in all processes."""
+        usual = len(cut_segments(self.samples, self._windows, 0, self.own)) // self._segments
+        return max(self.processes.smallest(usual), 1)
+
+    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
+        """Yield the losses of one epoch, stretches in random order."""
+        count = self.updates()
+        shift = int(torch.randint(self._windows, (1,), generator=random))
+        segments = cut_segments(self.samples, self._windows, shift, self.own)
+        order = torch.randperm(len(segments), generator=random).tolist()
+        size = self._segments
+        # A shift can cost a stretch; the first ones of the order stand in for it.
+        order += order[: max(count * size - len(order), 0)]
+        device = next(self.network.parameters()).device
+        for update in range(count):
+            chosen = [segments[i] for i in order[update * size : (update + 1) * size]]
+            batch = assemble(self.samples, chosen, self.network.config.model).to(device)
+            yield self._loss(batch, random)
+
+    def validate(self) -> float | None:
+        """Return the mean absolute error on the trials to validate on [N]."""
+        if not self.checked:
+            return None
+        total, count = 0.0, 0
+        for sample, force in zip(
+            self.checked, run_samples(self.network, self.checked), strict=True
+        ):
+            total, count = total + float(abs(force - sample.force).sum()), count + len(force)
+        return total / count
+
+    @property
+    def _windows(self) -> int:
+        """Windows of a stretch: cycles of 20 for the recurrent networks, one for the others."""
+        cycles = 1 if isinstance(self.network, FrameModel) else self.settings.cycles
+        return cycles * (CYCLE_WINDOWS_US // self.network.config.window_us)
+
+    @property
+    def _segments(self) -> int:
+        """Stretches per update."""
+        one = isinstance(self.network, FrameModel)
+        return max(self.settings.batch // (1 if one else self.settings.cycles), 1)
+
+    def _loss(self, batch: SegmentBatch, random: torch.Generator) -> Tensor:
+        knee = self.settings.loss_knee_n
+        if isinstance(self.network, FrameModel):
+            known = batch.frame_force
+            return smooth_l1_loss(self.network.frame_force(batch), known, beta=knee)
+        state = self.network.initial_state(len(batch.start))
+        error = torch.randn(len(batch.start), generator=random).to(batch.start)
+        spread = 0.0 if self.network.config.model == 'events' else self.settings.start_error_n
+        force, _ = self.network(batch, state._replace(force=batch.start + spread * error))
+        return smooth_l1_loss(force, batch.force, beta=knee)
+
+
+CYCLE_WINDOWS_US = 40_000
+"""A cycle at the paper's 25 Hz [us]."""
+
+
+def fit_intensities(network: PaperNetwork, samples: Sequence[PaperSample]) -> None:
+    """Set the mean and spread of the frame network's input to those of the training trials."""
+    backbone = getattr(network, 'frame', None)
+    if not isinstance(backbone, FrameBackbone):
+        return
+    frames = torch.cat([torch.from_numpy(sample.frames[::10].astype('f4')) for sample in samples])
+    backbone.mean.fill_(frames.mean())
+    backbone.deviation.fill_(frames.std().clamp(min=1e-3))

@@ -1,0 +1,487 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A training run from its configuration to weight file, model card, curves and figures."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import json as json_module
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from rich.console import Console
+from rich.progress import Progress, track
+
+from mixtac_fger.config import FgerConfig
+from mixtac_fger.weights import LoadedModel, ModelCard, save_model
+from mixtac_learning.judge.estimators import (
+    PaperEstimator,
+    StreamingEstimator,
+    judge_sources,
+    sensor_scales,
+)
+from mixtac_learning.judge.report import by_profile, show_figures, show_skipped
+from mixtac_learning.paper.config import PaperConfig
+from mixtac_learning.paper.networks import build
+from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
+from mixtac_learning.train.batches import DiskGroups
+from mixtac_learning.train.config import OURS, TrainingSettings
+from mixtac_learning.train.loop import LoopSettings, TrainingError, TrainingLoop
+from mixtac_learning.train.paper_stage import PaperStage, PaperTraining, fit_intensities
+from mixtac_learning.train.parallel import Processes
+from mixtac_learning.train.trainer import Trainer
+from mixtac_learning.trials.bags import bag_sources
+from mixtac_learning.trials.samples import FgerRecipe
+from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_learning.trials.store import prepare
+from mixtac_learning.weights import save_paper_model, write_model_card
+from mixtac_sim.world import training_trials as generation
+from mixtac_sim.world.training_trials import (
+    TRAINING_PROFILES,
+    calibration_plan,
+    evaluation_plan,
+    training_plan,
+    unseen_devices,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from mixtac_learning.judge.estimators import TrialEstimator
+    from mixtac_learning.paper.networks import PaperNetwork
+    from mixtac_learning.train.config import DataConfig, RunConfig
+    from mixtac_learning.train.loop import Report
+    from mixtac_learning.trials.store import Recipe
+    from mixtac_learning.trials.trial import TrialSource
+    from mixtac_sim.world.training_trials import TrialSpec
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingData:
+    """Samples of a run.
+
+    Attributes:
+        trained: Files to train on.
+        checked: Files to validate on.
+        sources: Where the samples to train on came from.
+        skipped: Why a trial was left out, by its name.
+    """
+
+    trained: list[Path]
+    checked: list[Path]
+    sources: list[TrialSource]
+    skipped: dict[str, str]
+
+
+def training_sources(data: DataConfig) -> list[TrialSource]:
+    """Return the trials that a run may train on.
+
+    Raises:
+        DatasetError: A folder holds no bags.
+    """
+    found: list[TrialSource] = []
+    if data.simulated is not None:
+        wanted = data.simulated
+        plan = training_plan(
+            wanted.trials,
+            min(wanted.sensors, wanted.trials),
+            wanted.seconds,
+            wanted.seed,
+            wanted.preset,
+            wanted.profiles or TRAINING_PROFILES,
+        )
+        found += [SimulatedSource(spec) for spec in plan]
+    for folder in data.bags:
+        bags = bag_sources(Path(folder).expanduser(), data.reference)
+        found += [bag for bag in bags if bag.origin.get('split', 'train') == 'train']
+    return found
+
+
+def gather(
+    data: DataConfig,
+    recipe: Recipe,
+    jobs: int = 1,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> TrainingData:
+    """Prepare the samples of a run; every n-th trial is held out, never a part of one.
+
+    Args:
+        data: What to train on.
+        recipe: How the network wants its samples.
+        jobs: Processes.
+        on_progress: Called with the number of trials done and of all.
+
+    Raises:
+        DatasetError: No trial can be used.
+    """
+    sources = training_sources(data)
+    total = len(sources)
+    folder = Path(data.cache)
+    prepared = prepare(sources, recipe, folder, jobs, lambda done: on_progress(done, total))
+    every = round(1.0 / data.checked) if data.checked > 0.0 else 0
+    pairs = list(zip(prepared.paths, prepared.kept, strict=True))
+    held = [i for i in range(len(pairs)) if every and len(pairs) > 1 and i % every == every - 1]
+    trained = [pair for index, pair in enumerate(pairs) if index not in held]
+    return TrainingData(
+        [path for path, _ in trained],
+        [pairs[index][0] for index in held],
+        [sources[index] for _, index in trained],
+        prepared.skipped,
+    )
+
+
+def provenance(config: RunConfig, data: TrainingData, settings: dict[str, Any]) -> dict[str, Any]:
+    """Return what a weight file keeps of its training, JSON-ready.
+
+    Args:
+        config: The run.
+        data: Its samples.
+        settings: Its training settings, complete.
+    """
+    origins = [source.origin for source in data.sources]
+    simulated = all(origin.get('simulated') or 'trial_seed' in origin for origin in origins)
+    found: dict[str, Any] = {
+        'model': config.model,
+        'data': 'simulated (mixtac_sim)' if simulated else 'bags',
+        'label': config.data.label,
+        'trials': len(data.trained),
+        'held_out_trials': len(data.checked),
+        'skipped_trials': data.skipped,
+        'profiles': sorted({str(origin.get('profile', 'unknown')) for origin in origins}),
+        'settings': settings,
+    }
+    if config.data.simulated is not None:
+        found['simulator'] = generation.simulator_digest()
+        found['seconds'] = config.data.simulated.seconds
+        found['preset'] = config.data.simulated.preset
+    if config.data.bags:
+        found['bags'] = sorted(str(origin.get('name')) for origin in origins)
+    for key, plural in (('device_seed', 'device_seeds'), ('trial_seed', 'trial_seeds')):
+        seeds = sorted(int(origin[key]) for origin in origins if key in origin)
+        if seeds:
+            found[plural] = [seeds[0], seeds[-1]]
+    return found
+
+
+def write_curves(folder: Path, curves: Sequence[dict[str, Any]]) -> None:
+    """Write `curves.json` and `curves.png`.
+
+    Args:
+        folder: Made if need be.
+        curves: One row per epoch: stage, epoch, loss, validation, seconds.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps({'epochs': list(curves)}, indent=1)
+    (folder / 'curves.json').write_text(text + '\n', encoding='utf-8')
+    draw_curves(folder / 'curves.png', curves)
+
+
+def draw_curves(path: Path, curves: Sequence[dict[str, Any]]) -> None:
+    """Draw loss and validation error [N] over the epochs, one panel per stage."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    stages = list(dict.fromkeys(row['stage'] for row in curves)) or ['none']
+    figure = Figure(figsize=(4.0 * len(stages), 3.0), layout='constrained')
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(1, len(stages), squeeze=False)[0]
+    for panel, stage in zip(panels, stages, strict=True):
+        rows = [row for row in curves if row['stage'] == stage]
+        epochs = [row['epoch'] for row in rows]
+        panel.plot(epochs, [row['loss'] for row in rows], label='training loss')
+        known = [(row['epoch'], row['validation']) for row in rows if row['validation'] is not None]
+        if known:
+            panel.plot(*zip(*known, strict=True), label='validation MAE')
+        # The logarithm of a likelihood may be negative, and is no force.
+        forces = all(row['loss'] > 0.0 for row in rows)
+        scale, unit = ('log', 'N') if forces else ('linear', 'log likelihood, negative')
+        panel.set(title=stage, xlabel='epoch', ylabel=unit, yscale=scale)
+        panel.legend()
+    figure.savefig(path, dpi=110)
+
+
+CHECKPOINT = 'checkpoint.safetensors'
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trained:
+    """What a run gave.
+
+    Attributes:
+        network: In evaluation mode, on the CPU.
+        card: What its weight file says.
+        curves: One row per epoch.
+        skipped: Trials that were left out, with the reason.
+    """
+
+    network: Any
+    card: ModelCard
+    curves: list[dict[str, Any]]
+    skipped: dict[str, str]
+
+
+@dataclass(slots=True, eq=False)
+class Run:
+    """A training run.
+
+    Attributes:
+        config: What to train on what.
+        folder: Checkpoint and curves; None keeps nothing, so that a killed run starts over.
+        jobs: Processes that prepare samples.
+        report: Called after each epoch.
+        on_progress: Called while samples are prepared, with the number done and of all.
+        processes: Who takes part.
+    """
+
+    config: RunConfig
+    folder: Path | None = None
+    jobs: int = 1
+    report: Report = lambda *_: None
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None
+    processes: Processes = field(default_factory=Processes)
+
+    def carry_out(self) -> Trained:
+        """Train, and write curves; the weight file is the caller's (`save`).
+
+        Raises:
+            ConfigError: A setting is unknown or impossible.
+            DatasetError: No trial can be used.
+            TrainingError: The folder is another run's, or training fails.
+        """
+        started = time.monotonic()
+        run = self._ours if self.config.model == OURS else self._paper
+        network, curves, data, settings = run()
+        training = provenance(self.config, data, settings) | {
+            'minutes': round((time.monotonic() - started) / 60, 1),
+            'processes': self.processes.world,
+        }
+        if self.folder is not None and self.processes.leads:
+            write_curves(self.folder, curves)
+        return Trained(network, ModelCard(training), curves, data.skipped)
+
+    def _gather(self, recipe: FgerRecipe | PaperRecipe) -> TrainingData:
+        # One process prepares, the others find the files.
+        if self.processes.leads:
+            gather(self.config.data, recipe, self.jobs, self.on_progress)
+        self.processes.wait()
+        return gather(self.config.data, recipe)
+
+    def _ours(self) -> tuple[Any, list[dict[str, Any]], TrainingData, dict[str, Any]]:
+        config = FgerConfig.from_dict(FgerConfig().to_dict() | self.config.network)
+        settings = TrainingSettings.from_dict(self.config.training)
+        data = self._gather(FgerRecipe(config, self.config.data.label))
+        own = self.processes.share(range(len(data.trained)))
+        groups = DiskGroups(data.trained, config, settings.group_trials, own)
+        held = DiskGroups(data.checked, config, settings.group_trials) if data.checked else None
+        trainer = Trainer(
+            config,
+            settings,
+            self.report,
+            processes=self.processes,
+            device=chosen_device(self.config.device),
+            checkpoint=self._checkpoint(),
+            fingerprint=self._fingerprint(data),
+        )
+        network = trainer.run(groups, held)
+        return network, trainer.curves, data, settings.to_dict()
+
+    def _paper(self) -> tuple[Any, list[dict[str, Any]], TrainingData, dict[str, Any]]:
+        config = PaperConfig.from_dict({'model': self.config.model} | self.config.network)
+        settings = PaperTraining.from_dict(self.config.training)
+        data = self._gather(PaperRecipe(config, self.config.data.label))
+        samples = [load_paper_sample(path) for path in data.trained]
+        checked = [load_paper_sample(path) for path in data.checked]
+        torch.manual_seed(settings.seed)
+        network: PaperNetwork = build(config)
+        fit_intensities(network, samples)
+        network.to(chosen_device(self.config.device))
+        own = self.processes.share(range(len(samples)))
+        if not own:
+            raise TrainingError(f'{len(samples)} trials for {self.processes.world} processes')
+        stage = PaperStage(network, samples, settings, self.processes, own, checked)
+        loop = TrainingLoop(
+            network,
+            LoopSettings(
+                settings.seed, settings.weight_decay, 'constant', patience=settings.patience
+            ),
+            self._checkpoint(),
+            self._fingerprint(data),
+            self.report,
+            self.processes,
+        )
+        loop.run([stage])
+        return network.cpu().eval(), loop.progress.curves, data, settings.to_dict()
+
+    def _checkpoint(self) -> Path | None:
+        return None if self.folder is None else self.folder / CHECKPOINT
+
+    def _fingerprint(self, data: TrainingData) -> str:
+        """Return a digest of settings, data and number of processes."""
+        names = [path.name for path in (*data.trained, *data.checked)]
+        text = f'{self.config.fingerprint()} {names} {self.processes.world}'
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def save(path: Path, trained: Trained, metrics: dict[str, Any]) -> None:
+    """Write the weight file of a run and its model card, a text file of the same name.
+
+    Args:
+        path: File; its suffix is `.safetensors`.
+        trained: The run.
+        metrics: Figures on trials that were not trained on.
+    """
+    card = ModelCard(trained.card.training, metrics)
+    if trained.card.training['model'] == OURS:
+        save_model(path, trained.network, card)
+    else:
+        save_paper_model(path, trained.network, card)
+    write_model_card(path.with_suffix('.md'), path.name, card)
+
+
+def loaded(trained: Trained) -> LoadedModel:
+    """Return a run of our network as the model that is judged."""
+    return LoadedModel(trained.network, trained.card)
+
+
+def chosen_device(name: str) -> str:
+    """Return `cuda` or `cpu` for `auto`, and other names as they are.
+
+    Raises:
+        TrainingError: A GPU is asked for, and there is none.
+    """
+    if name == 'auto':
+        return 'cuda' if torch.cuda.is_available() else 'cpu'
+    if name.startswith('cuda') and not torch.cuda.is_available():
+        raise TrainingError(f'device {name} is asked for, but torch finds no GPU: use cpu or auto')
+    return name
+
+
+EVALUATION_SECONDS = 10.0
+_PREPARING = 'preparing'
+
+
+def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path | None) -> None:
+    """Carry out a run with a progress bar, judge the model, write it.
+
+    Args:
+        config: The run.
+        folder: Checkpoint and curves; None for one below `runs` that is named after the settings,
+            so that the same command goes on where it was cut off.
+        jobs: Processes that prepare samples.
+        json: Write the figures there as well; None for nowhere.
+
+    Raises:
+        MixtacError: As `Run.carry_out`.
+    """
+    processes = Processes.join()
+    console = Console(quiet=not processes.leads)
+    # Small networks: more threads wait for each other longer than they help.
+    torch.set_num_threads(1)
+    try:
+        trained = _train(console, config, folder or default_folder(config), jobs, processes)
+        if processes.leads:
+            _finish(console, config, trained, json)
+    finally:
+        processes.leave()
+
+
+def default_folder(config: RunConfig) -> Path:
+    """Return the folder of a run that is given none."""
+    digest = hashlib.blake2b(config.fingerprint().encode(), digest_size=4).hexdigest()
+    return Path('runs') / f'train_{config.model}_{digest}'
+
+
+def _train(
+    console: Console, config: RunConfig, folder: Path, jobs: int, processes: Processes
+) -> Trained:
+    with Progress(console=console) as progress:
+        bars: dict[str, Any] = {}
+
+        def prepared(done: int, total: int) -> None:
+            if _PREPARING not in bars:
+                bars[_PREPARING] = progress.add_task(_PREPARING, total=total)
+            progress.update(bars[_PREPARING], completed=done)
+
+        def report(stage: str, epoch: int, epochs: int, loss: float, error: float | None) -> None:
+            if stage not in bars:
+                bars[stage] = progress.add_task(stage, total=epochs)
+            checked = '' if error is None else f', validation {error:.4f} N'
+            text = f'{stage}, loss {loss:.5f} N{checked}'
+            progress.update(bars[stage], completed=epoch, description=text)
+
+        trained = Run(config, folder, jobs, report, prepared, processes).carry_out()
+    show_skipped(console, trained.skipped)
+    return trained
+
+
+def _finish(console: Console, config: RunConfig, trained: Trained, json: Path | None) -> None:
+    metrics = judge_trained(config, trained)
+    for title, figures in metrics.items():
+        show_figures(console, title.replace('_', ' '), figures)
+    out = Path(config.out)
+    save(out, trained, metrics)
+    console.print(f'wrote {out}')
+    if json is not None:
+        content = {
+            'model': str(out),
+            'run': asdict(config),
+            'training': trained.card.training,
+            'metrics': metrics,
+        }
+        json.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')
+
+
+def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:
+    """Return the figures of a model that was trained on simulated trials.
+
+    Returns:
+        Figures by profile, of fresh days of sensors that were trained on and of sensors that were
+        not; nothing for bags, whose test trials `mixtac evaluate` judges.
+    """
+    data = config.data.simulated
+    if data is None or config.judged < 1:
+        return {}
+    first = trained.card.training['device_seeds'][0]
+    count = min(data.sensors, data.trials)
+    most = -(-config.judged // 2)
+    seen = list(range(first, first + count, max(count // most, 1)))[:most]
+    estimator = estimator_of(trained)
+    return {
+        'seen_devices': judge_devices(estimator, seen, EVALUATION_SECONDS, 0, data.preset),
+        'unseen_devices': judge_devices(
+            estimator, unseen_devices(config.judged, 0), EVALUATION_SECONDS, 1, data.preset
+        ),
+    }
+
+
+def estimator_of(trained: Trained) -> TrialEstimator:
+    """Return a run's network as an estimator."""
+    if trained.card.training['model'] == OURS:
+        return StreamingEstimator(loaded(trained))
+    return PaperEstimator(trained.network)
+
+
+def judge_devices(
+    estimator: TrialEstimator, devices: list[int], seconds: float, seed: int, preset: str
+) -> dict[str, Any]:
+    """Return figures by profile on simulated sensors, raw and with one gain from one press.
+
+    Args:
+        estimator: The model.
+        devices: Seeds of the sensors.
+        seconds: Length of a trial.
+        seed: Which days.
+        preset: How hard.
+    """
+    presses = _sources(calibration_plan(devices, seconds, seed, preset), 'calibrating')
+    scales = sensor_scales(estimator, presses)
+    trials = _sources(evaluation_plan(devices, seconds, seed, preset=preset), 'judging')
+    return by_profile(judge_sources(estimator, trials).estimates, scales)
+
+
+def _sources(specs: list[TrialSpec], title: str) -> Any:  # noqa: ANN401 - rich's own type
+    return track([SimulatedSource(spec) for spec in specs], title, transient=True)

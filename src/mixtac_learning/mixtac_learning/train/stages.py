@@ -1,0 +1,545 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The stages of training FGER-Net: frame network, recurrent path, both together, uncertainty head.
+
+The uncertainty head learns from the errors of the finished network. Its likelihood is Laplacian, as
+errors have heavy tails. Its scale is fitted afterwards on held-out trials, so that one deviation to
+both sides covers as much as that of a Gaussian does. Errors within one trial are correlated: n
+trials determine the scale as n draws do, and a further trial spreads like Student's t with n degrees
+of freedom. The gains of the sensors are not used here, because the error caused by an unknown
+stiffness belongs to the uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import smooth_l1_loss
+
+from mixtac_fger.config import ModelError
+from mixtac_learning.network import FgerNetwork, FrameSlots
+from mixtac_learning.train.batches import mirror_events, mirror_frames
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mixtac_fger.config import FgerConfig
+    from mixtac_learning.network import DeviationHead
+    from mixtac_learning.train.batches import SequenceGroups, Sequences
+    from mixtac_learning.train.config import TrainingSettings
+    from mixtac_learning.train.parallel import Processes
+
+    Flip = tuple[bool, bool]
+
+
+_ENCODE_BATCH = 512
+
+
+class GainedNetwork(nn.Module):
+    """FGER-Net and one gain per sensor of the training data.
+
+    How stiff a gel is cannot be seen: force is stiffness times what is seen. So each sensor of the
+    training data has a gain, learned with the frame network and drawn towards 1, and the network
+    learns the force on a gel of usual stiffness. A new sensor's gain is 1 until it is calibrated
+    (`mixtac_learning.judge.metrics`).
+
+    Args:
+        config: Network configuration.
+        devices: Number of sensors.
+    """
+
+    def __init__(self, config: FgerConfig, devices: int) -> None:
+        super().__init__()
+        self.network = FgerNetwork(config)
+        self.log_gains = nn.Parameter(torch.zeros(devices))
+
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return self.log_gains.device
+
+    @property
+    def gains(self) -> Tensor:
+        """Gain of each sensor, by `Sequences.device`; without gradient."""
+        return self.log_gains.detach().exp()
+
+    def fit_scales(self, sequences: Sequences) -> None:
+        """Set the input scales to the spread of the data; signed inputs keep their zero."""
+        network = self.network
+        events = sequences.event_features[sequences.valid].float()
+        network.event.scale.copy_(events.flatten(0, -2).square().mean(0).sqrt().clamp(min=1e-3))
+        frames = sequences.frame_inputs.float()
+        scale = frames.square().mean((0, 2, 3)).sqrt()
+        if 'frame' in network.config.frame_channels:
+            channel = network.config.frame_channels.index('frame')
+            network.frame.mean[channel] = frames[:, channel].mean()
+            scale[channel] = frames[:, channel].std()
+        network.frame.scale.copy_(scale.clamp(min=1e-3)[:, None, None])
+
+    @torch.no_grad()
+    def encode(self, sequences: Sequences, columns: bool = False, rows: bool = False) -> Tensor:
+        """Return f_frame of all frames, [N, frame_size], optionally of their mirror images."""
+        network = self.network
+        parts = torch.split(sequences.frame_inputs, _ENCODE_BATCH)
+        flipped = (mirror_frames(part.float(), network.config, columns, rows) for part in parts)
+        return torch.cat([network.frame(part) for part in flipped])
+
+    @torch.no_grad()
+    def estimate(self, sequences: Sequences) -> tuple[Tensor, Tensor]:
+        """Run all sequences from their start, with gains of 1.
+
+        Returns:
+            Force at the end of each window [T, B] and frames-only force of each frame [N], in N.
+        """
+        features = self.encode(sequences)
+        state = self.network.initial_state(sequences.force.shape[1])
+        events = sequences.event_features.float()
+        force, _ = self.network(events, features, sequences.slots, state)
+        return force, self.network.frame.force(features)
+
+
+@dataclass(eq=False)
+class FrameStage:
+    """Trains the frame network and the gains of the sensors on single frames.
+
+    Attributes:
+        model: Network and gains.
+        groups: Trials to train on.
+        settings: Epochs, batch, rate.
+        processes: Who takes part.
+        checked: Trials to validate on; None for none.
+        name: Of the stage.
+    """
+
+    model: GainedNetwork
+    groups: SequenceGroups
+    settings: TrainingSettings
+    processes: Processes
+    checked: SequenceGroups | None = None
+    name: str = 'frames'
+
+    @property
+    def epochs(self) -> int:
+        """Epochs of the stage."""
+        return self.settings.frame_epochs
+
+    @property
+    def rate(self) -> float:
+        """Largest learning rate."""
+        return self.settings.frame_rate
+
+    def parameters(self) -> list[nn.Parameter]:
+        """Return the weights of the frame network, and the gains."""
+        return [*self.model.network.frame.parameters(), self.model.log_gains]
+
+    def updates(self) -> int:
+        """Return the number of updates per epoch, the same in all processes."""
+        return sum(self._batches(index) for index in range(len(self.groups)))
+
+    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
+        """Yield the losses of one epoch: groups in random order, frames shuffled within each."""
+        for group in torch.randperm(len(self.groups), generator=random).tolist():
+            sequences = self.groups.load(group).to(self.model.device)
+            labels = sequences.frame_force
+            device = sequences.device[sequences.frame_trial]
+            order = torch.randperm(len(labels), generator=random)
+            rows = torch.split(order, self.settings.frame_batch)[: self._batches(group)]
+            for chosen in rows:
+                flips = self.settings.flips(random)
+                frames = sequences.frame_inputs[chosen].float()
+                inputs = mirror_frames(frames, self.model.network.config, *flips)
+                force = self.model.network.frame.force(self.model.network.frame(inputs))
+                gain = self.model.log_gains[device[chosen]].exp()
+                loss = smooth_l1_loss(gain * force, labels[chosen], beta=self.settings.loss_knee_n)
+                yield loss + self.settings.gain_prior * self.model.log_gains.square().mean()
+
+    def validate(self) -> float | None:
+        """Return the mean absolute error of frames alone on the trials to validate on [N]."""
+        if self.checked is None:
+            return None
+        total, count = 0.0, 0
+        for index in range(len(self.checked)):
+            sequences = self.checked.load(index).to(self.model.device)
+            features = self.model.encode(sequences)
+            error = self.model.network.frame.force(features) - sequences.frame_force
+            total, count = total + float(error.abs().sum()), count + len(error)
+        return total / count
+
+    def _batches(self, group: int) -> int:
+        own = -(-len(self.groups.load(group).frame_force) // self.settings.frame_batch)
+        return self.processes.smallest(own)
+
+
+FOLLOWED = 0.8
+"""Part of the difference to a frame's force that is corrected at first."""
+_SMALL = 0.1
+"""Factor of the other weights that end in a force."""
+
+
+@torch.no_grad()
+def follow_frames(network: FgerNetwork) -> None:
+    """Make MLP_corr correct `FOLLOWED` of the difference to the frames-only force, in place.
+
+    Two of its hidden units become the halves of that difference above and below zero; MLP_corr
+    would have to learn from scratch what the head of the frame network knows already.
+
+    Args:
+        network: Its frame network is trained.
+    """
+    hidden, output = (network.correction.get_submodule(name) for name in ('0', '2'))
+    head = network.frame.head
+    weight = torch.cat([-torch.ones_like(head.bias), head.weight[0]])
+    for unit, sign in enumerate((1.0, -1.0)):
+        hidden.get_parameter('weight')[unit] = sign * weight
+        hidden.get_parameter('bias')[unit] = sign * head.bias[0]
+    for last in (output, network.increment.get_submodule('2')):
+        last.get_parameter('weight').mul_(_SMALL)
+        last.get_parameter('bias').zero_()
+    output.get_parameter('weight')[0, :2] = torch.tensor([FOLLOWED, -FOLLOWED])
+
+
+BLOW_N = 3.0
+"""A force beyond this is a blow [N]; presses stay below."""
+BEFORE = 30
+"""Windows before the blow: without contact, so that a stretch begins as a trial does."""
+AFTER = 70
+"""Windows from the blow on: three frames or so follow."""
+RELEASED_N = 0.05
+"""Largest force in the windows before [N]."""
+
+
+def blows(sequences: Sequences) -> Sequences | None:
+    """Return a stretch around each blow that comes out of no contact, side by side.
+
+    Args:
+        sequences: Trials.
+
+    Returns:
+        `BEFORE` + `AFTER` windows of each blow; frames are those of `sequences`. None without any.
+    """
+    starts = _starts(sequences.force, sequences.valid)
+    if not len(starts):
+        return None
+    first, trial = starts.unbind(1)
+    rows = first[None] + torch.arange(BEFORE + AFTER, device=first.device)[:, None]
+    return replace(
+        sequences,
+        event_features=sequences.event_features[rows, trial],
+        force=sequences.force[rows, trial],
+        valid=sequences.valid[rows, trial],
+        slots=FrameSlots(*(part[rows, trial] for part in sequences.slots)),
+        device=sequences.device[trial],
+    )
+
+
+def _starts(force: Tensor, valid: Tensor) -> Tensor:
+    """Return first window and trial of each stretch, int64 [N, 2]."""
+    strong = (force > BLOW_N) & valid
+    rising = strong.clone()
+    rising[1:] &= ~strong[:-1]
+    found = []
+    for window, trial in torch.nonzero(rising).tolist():
+        start = window - BEFORE
+        if start < 0 or window + AFTER > len(force):
+            continue
+        # The first windows of the blow itself rise from nothing.
+        before = force[start : window - 2, trial]
+        if float(before.abs().max()) < RELEASED_N:
+            found.append((start, trial))
+    return torch.tensor(found, dtype=torch.int64, device=force.device).reshape(-1, 2)
+
+
+@dataclass(eq=False)
+class SequenceStage:
+    """Truncated back-propagation through all sequences of a group side by side.
+
+    Attributes:
+        model: Network and gains; the gains stay as they are.
+        groups: Trials to train on.
+        settings: Epochs, stretches, rates.
+        joint: Whether the frame network learns as well.
+        checked: Trials to validate on; None for none.
+    """
+
+    model: GainedNetwork
+    groups: SequenceGroups
+    settings: TrainingSettings
+    joint: bool = False
+    checked: SequenceGroups | None = None
+    _encoded: dict[tuple[int, Flip], Tensor] = field(default_factory=dict)
+    _cut_out: dict[int, Sequences | None] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Of the stage."""
+        return 'joint' if self.joint else 'recurrent'
+
+    @property
+    def epochs(self) -> int:
+        """Epochs of the stage."""
+        return self.settings.joint_epochs if self.joint else self.settings.recurrent_epochs
+
+    @property
+    def rate(self) -> float:
+        """Largest learning rate."""
+        return self.settings.joint_rate if self.joint else self.settings.recurrent_rate
+
+    def begin(self) -> None:
+        """Let the recurrent path begin as what follows the frames."""
+        if not self.joint:
+            follow_frames(self.model.network)
+
+    def parameters(self) -> list[nn.Parameter]:
+        """Return what is trained."""
+        network = self.model.network
+        kept = [p for p in network.children() if p is not network.deviation]
+        if not self.joint:
+            kept.remove(network.frame)
+        return [parameter for part in kept for parameter in part.parameters()]
+
+    def updates(self) -> int:
+        """Return the usual number of updates per epoch."""
+        length = len(self.groups.load(0).force)
+        stretches = -(-length // self.settings.chunk_windows)
+        every = self.settings.blow_every
+        return len(self.groups) * (stretches + (-(-stretches // every) if every else 0))
+
+    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
+        """Yield the losses of one epoch, group by group in random order."""
+        for group in torch.randperm(len(self.groups), generator=random).tolist():
+            sequences = self.groups.load(group).to(self.model.device)
+            flip = self.settings.flips(random)
+            frozen = None if self.joint else self._features(group, sequences, flip)
+            state = self.model.network.initial_state(sequences.force.shape[1])
+            cut_out = self._blows(group, sequences)
+            for number, (start, stop) in enumerate(self._chunks(len(sequences.force), random)):
+                if cut_out is not None and number % self.settings.blow_every == 0:
+                    yield self._blow_loss(cut_out, frozen, flip)
+                slots = FrameSlots(*(part[start:stop] for part in sequences.slots))
+                features, local = (
+                    self._encode_now(sequences, flip, slots) if frozen is None else (frozen, slots)
+                )
+                events = mirror_events(sequences.event_features[start:stop].float(), *flip)
+                force, state = self.model.network(events, features, local, state)
+                state = state.detached()
+                yield self._loss(force, sequences, slice(start, stop))
+
+    def _blows(self, group: int, sequences: Sequences) -> Sequences | None:
+        """Return the blows of a group; kept where there is one group only."""
+        if not self.settings.blow_every:
+            return None
+        if len(self.groups) > 1:
+            return blows(sequences)
+        if group not in self._cut_out:
+            self._cut_out[group] = blows(sequences)
+        return self._cut_out[group]
+
+    def _blow_loss(self, cut_out: Sequences, frozen: Tensor | None, flip: Flip) -> Tensor:
+        """Return the loss of the blows, from no contact on."""
+        features, slots = (
+            self._encode_now(cut_out, flip, cut_out.slots)
+            if frozen is None
+            else (frozen, cut_out.slots)
+        )
+        state = self.model.network.initial_state(cut_out.force.shape[1])
+        events = mirror_events(cut_out.event_features.float(), *flip)
+        force, _ = self.model.network(events, features, slots, state)
+        return self._loss(force, cut_out, slice(None))
+
+    def validate(self) -> float | None:
+        """Return the mean absolute error on the trials to validate on [N]."""
+        if self.checked is None:
+            return None
+        total, count = 0.0, 0
+        for index in range(len(self.checked)):
+            sequences = self.checked.load(index).to(self.model.device)
+            force, _ = self.model.estimate(sequences)
+            error = (force - sequences.force)[sequences.valid]
+            total, count = total + float(error.abs().sum()), count + len(error)
+        return total / count
+
+    def _features(self, group: int, sequences: Sequences, flip: Flip) -> Tensor:
+        """Return the features of all frames; kept where there is one group only."""
+        if len(self.groups) > 1:
+            return self.model.encode(sequences, *flip)
+        if (group, flip) not in self._encoded:
+            self._encoded[group, flip] = self.model.encode(sequences, *flip)
+        return self._encoded[group, flip]
+
+    def _encode_now(
+        self, sequences: Sequences, flip: Flip, slots: FrameSlots
+    ) -> tuple[Tensor, FrameSlots]:
+        """Return the features of the frames that a stretch needs, with gradients."""
+        used, index = torch.unique(slots.frame.clamp(min=0), return_inverse=True)
+        frames = sequences.frame_inputs[used].float()
+        inputs = mirror_frames(frames, self.model.network.config, *flip)
+        local = torch.where(slots.frame >= 0, index, -1)
+        return self.model.network.frame(inputs), FrameSlots(local, slots.lag)
+
+    def _chunks(self, length: int, random: torch.Generator) -> Iterator[tuple[int, int]]:
+        """Yield the stretches of one epoch; the first is cut at random so that borders move."""
+        size = self.settings.chunk_windows
+        first = int(torch.randint(size // 2, size + 1, (1,), generator=random))
+        borders = [0, *range(min(first, length), length, size), length]
+        yield from ((a, b) for a, b in pairwise(borders) if b > a)
+
+    def _loss(self, force: Tensor, sequences: Sequences, windows: slice) -> Tensor:
+        """Return the mean loss; forces count more the larger they are, as impacts are short."""
+        valid = sequences.valid[windows]
+        known = sequences.force[windows]
+        knee, weight = self.settings.loss_knee_n, self.settings.force_weight
+        scaled = self.model.gains[sequences.device] * force
+        errors = smooth_l1_loss(scaled, known, beta=knee, reduction='none')
+        weights = valid * (1.0 + weight * known.abs())
+        return torch.Tensor((errors * weights).sum() / weights.sum().clamp(min=1.0))
+
+
+COVERED = 0.6827
+"""Part of the held-out windows within one deviation: that of a Gaussian."""
+_WINDOWS = 100_000
+"""Windows that are learned from, at most, drawn at random."""
+_BATCH = 1024
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Errors:
+    """Windows of finished estimates.
+
+    Attributes:
+        hidden: Recurrent state, [N, lstm_size].
+        force: Estimate [N], [N].
+        error: Estimate minus known force [N], [N].
+        trials: Number of trials that they are from.
+    """
+
+    hidden: Tensor
+    force: Tensor
+    error: Tensor
+    trials: int
+
+
+def joined(parts: Sequence[Errors]) -> Errors:
+    """Return the windows of all parts, which are from different trials."""
+    return Errors(
+        torch.cat([part.hidden for part in parts]),
+        torch.cat([part.force for part in parts]),
+        torch.cat([part.error for part in parts]),
+        sum(part.trials for part in parts),
+    )
+
+
+@dataclass(eq=False)
+class DeviationStage:
+    """Trains the uncertainty head; nothing else changes.
+
+    Attributes:
+        model: Network and gains.
+        groups: Trials to train on.
+        settings: Epochs and rate.
+        checked: Trials to validate on; None for none.
+        name: Of the stage.
+    """
+
+    model: GainedNetwork
+    groups: SequenceGroups
+    settings: TrainingSettings
+    checked: SequenceGroups | None = None
+    name: str = 'deviation'
+    _errors: list[Errors] = field(default_factory=list)
+
+    @property
+    def epochs(self) -> int:
+        """Epochs of the stage."""
+        return self.settings.deviation_epochs
+
+    @property
+    def rate(self) -> float:
+        """Largest learning rate."""
+        return self.settings.deviation_rate
+
+    def parameters(self) -> list[nn.Parameter]:
+        """Return the weights of the head."""
+        return list(head_of(self.model.network).parameters())
+
+    def updates(self) -> int:
+        """Return the number of updates per epoch."""
+        return -(-len(self._collected().error) // _BATCH)
+
+    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
+        """Yield the losses of one epoch in random order."""
+        errors = self._collected()
+        order = torch.randperm(len(errors.error), generator=random)
+        for chosen in torch.split(order, _BATCH):
+            yield self._loss(
+                replace(
+                    errors,
+                    hidden=errors.hidden[chosen],
+                    force=errors.force[chosen],
+                    error=errors.error[chosen],
+                )
+            )
+
+    def validate(self) -> float | None:
+        """Return nothing: the temperature is fitted to the held-out trials afterwards."""
+        return None
+
+    def _loss(self, errors: Errors) -> Tensor:
+        log_deviation = head_of(self.model.network).log_deviation(errors.hidden, errors.force)
+        ratio = errors.error.abs() * torch.exp(-log_deviation)
+        return torch.Tensor((log_deviation + ratio).mean())
+
+    def _collected(self) -> Errors:
+        if not self._errors:
+            self._errors.append(collect(self.model.network, self.groups))
+        return self._errors[0]
+
+
+def head_of(network: FgerNetwork) -> DeviationHead:
+    """Return the uncertainty head.
+
+    Raises:
+        ModelError: There is none.
+    """
+    if network.deviation is None:
+        raise ModelError('this network has no uncertainty head: set deviation_size above 0')
+    return network.deviation
+
+
+@torch.no_grad()
+def collect(network: FgerNetwork, groups: SequenceGroups, most: int = _WINDOWS) -> Errors:
+    """Return states, estimates and errors of at most `most` windows, drawn at random."""
+    random = torch.Generator().manual_seed(0)
+    share = max(most // len(groups), 1)
+    device = next(network.parameters()).device
+    parts = []
+    for index in range(len(groups)):
+        sequences = groups.load(index).to(device)
+        frames = torch.split(sequences.frame_inputs, _BATCH)
+        features = torch.cat([network.frame(part.float()) for part in frames])
+        trials = sequences.force.shape[1]
+        state = network.initial_state(trials)
+        events = sequences.event_features.float()
+        course = network.course(events, features, sequences.slots, state)
+        rows = torch.nonzero(sequences.valid.flatten())[:, 0]
+        rows = rows[torch.randperm(len(rows), generator=random)[:share].to(device)]
+        force = course.force.flatten()[rows]
+        error = force - sequences.force.flatten()[rows]
+        parts.append(Errors(course.hidden.flatten(0, 1)[rows], force, error, trials))
+    return joined(parts)
+
+
+@torch.no_grad()
+def calibrate_deviation(network: FgerNetwork, errors: Errors) -> float:
+    """Set the head's scale so that one deviation covers `COVERED` of a further trial; return it."""
+    from scipy.stats import t as student
+
+    head = head_of(network)
+    ratio = errors.error.abs() * torch.exp(-head.log_deviation(errors.hidden, errors.force))
+    few_trials = float(student.ppf(0.5 * (1.0 + COVERED), errors.trials))
+    scale = few_trials * float(torch.quantile(ratio, COVERED))
+    head.scale.fill_(max(scale, 1e-3))
+    return float(head.scale)

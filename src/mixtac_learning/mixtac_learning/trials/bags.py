@@ -1,0 +1,439 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Trials from rosbag2 bags: live, simulated, or recorded with another driver.
+
+Events and frames are read as the driver reads a recording. The reference force is brought to the
+camera clock by the fit beside the bag (`NAME.clock_fit.json`, written by `mixtac align`) or by the
+fit in the bag.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mixtac_events.arrays import Events
+from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mixtac_events.readings import Frame
+
+
+_US_PER_S = 1_000_000
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(slots=True)
+class WrenchStamps:
+    """Stamps and normal forces of a topic, while they are read."""
+
+    stamps_ns: list[int]
+    force: list[float]
+
+    def add(self, message: Any) -> None:  # noqa: ANN401 - a class made by rosbags
+        """Add a `WrenchStamped`."""
+        stamp = message.header.stamp
+        self.stamps_ns.append(int(stamp.sec) * _NS_PER_S + int(stamp.nanosec))
+        self.force.append(float(message.wrench.force.z))
+
+
+@dataclass(frozen=True, slots=True)
+class ClockMap:
+    """The map t_reference - reference_epoch = a (t_camera - camera_epoch) + b.
+
+    Attributes:
+        a: Rate of the reference clock per camera clock.
+        b: Offset at the epochs [s].
+        camera_epoch_us: Camera clock [us].
+        reference_epoch_ns: Reference clock [ns].
+    """
+
+    a: float
+    b: float
+    camera_epoch_us: int
+    reference_epoch_ns: int
+
+    @staticmethod
+    def from_fields(fields: Mapping[str, Any]) -> ClockMap:
+        """Return the map of the fields of a `mixtac_msgs/ClockFit`.
+
+        Raises:
+            DatasetError: The fields describe no map.
+        """
+        try:
+            a, b = float(fields['a']), float(fields['b'])
+            camera, reference = float(fields['camera_epoch']), float(fields['reference_epoch'])
+        except (KeyError, TypeError, ValueError) as error:
+            raise DatasetError(f'clock fit without {error}: run `mixtac align` again') from error
+        if not (np.isfinite([a, b, camera, reference]).all() and a > 0.0):
+            raise DatasetError(
+                f'clock fit with a = {a}, b = {b} is no map of clocks: run `mixtac align` again'
+            )
+        return ClockMap(a, b, round(camera * _US_PER_S), round(reference) * _NS_PER_S)
+
+    def to_camera_us(self, reference_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return reference times [ns] on the camera clock [us], exact for epoch-sized times."""
+        seconds = (reference_ns - self.reference_epoch_ns) / _NS_PER_S
+        return np.asarray(self.camera_epoch_us + (seconds - self.b) / self.a * _US_PER_S)
+
+
+def clock_map_beside(bag: Path) -> ClockMap | None:
+    """Return the fit in `<bag>.clock_fit.json`, None where there is no such file.
+
+    Raises:
+        DatasetError: The file cannot be read.
+    """
+    path = bag.with_name(f'{bag.name}.clock_fit.json')
+    if not path.exists():
+        return None
+    try:
+        return ClockMap.from_fields(json.loads(path.read_text(encoding='utf-8')))
+    except (OSError, ValueError) as error:
+        raise DatasetError(f'{path} cannot be read ({error}): run `mixtac align` again') from error
+
+
+def label_on_camera_clock(t_us: NDArray[np.float64], force: list[float], what: str) -> ForceLabel:
+    """Return a force curve in the order of time.
+
+    Args:
+        t_us: Camera clock [us].
+        force: Normal force [N].
+        what: Name of the curve, for messages.
+
+    Raises:
+        DatasetError: There are too few samples, or one is not finite.
+    """
+    values = np.array(force, np.float64)
+    if len(values) < 2:
+        raise DatasetError(f'{what} holds {len(values)} samples: record the force sensor as well')
+    if not np.isfinite(values).all():
+        raise DatasetError(f'{what} holds values that are no numbers: check the force sensor')
+    order = np.argsort(t_us, kind='stable')
+    return ForceLabel(np.asarray(t_us, np.float64)[order], values[order])
+
+
+def host_to_camera_us(
+    host_ns: NDArray[np.int64], pairs: list[tuple[int, int]]
+) -> NDArray[np.float64]:
+    """Return host times on the camera clock [us] by the pairs that the driver published.
+
+    Args:
+        host_ns: Host clock [ns].
+        pairs: Host time [ns] and camera time [ns], in the order of time.
+
+    Raises:
+        DatasetError: There are no pairs.
+    """
+    if not pairs:
+        raise DatasetError('no camera_clock in the bag, on which a host time could be placed')
+    table = np.array(pairs, np.int64)
+    since = (host_ns - table[0, 0]) / 1000.0
+    host, ahead = (table[:, 0] - table[0, 0]) / 1000.0, (table[:, 1] - table[:, 0]) / 1000.0
+    if len(table) == 1:
+        offset = np.full(len(since), ahead[0])
+    else:
+        # A line: single pairs carry the jitter of USB transfers.
+        slope, start = np.polyfit(host, ahead, 1)
+        offset = start + slope * since
+    return np.asarray(table[0, 0] / 1000.0 + since + offset, np.float64)
+
+
+CLOCK_FIT = 'mixtac_msgs/msg/ClockFit'
+_TRUE_FORCE = '/truth/wrench'
+_TRUE_FIT = '/truth/clock_fit'
+_CAMERA_CLOCK = '/camera_clock'
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BagForces:
+    """Forces of a bag on the camera clock.
+
+    Attributes:
+        truth: True normal force, None where the bag has none.
+        reference: Measured normal force, None where the bag has none or no clock map to place it.
+    """
+
+    truth: ForceLabel | None
+    reference: ForceLabel | None
+
+
+@dataclass(slots=True)
+class _Found:
+    truth: WrenchStamps = field(default_factory=lambda: WrenchStamps([], []))
+    reference: WrenchStamps = field(default_factory=lambda: WrenchStamps([], []))
+    pairs: list[tuple[int, int]] = field(default_factory=list)
+    fit: ClockMap | None = None
+    true_fit: ClockMap | None = None
+
+    def add(self, topic: str, message: Any, reference: str) -> None:  # noqa: ANN401
+        if topic == reference:
+            self.reference.add(message)
+        elif topic.endswith(_TRUE_FORCE):
+            self.truth.add(message)
+        elif topic.endswith(_CAMERA_CLOCK):
+            self.pairs.append((_ns(message.header.stamp), _ns(message.time_ref)))
+        else:
+            fields = {name: getattr(message, name) for name in _FIELDS}
+            if topic.endswith(_TRUE_FIT):
+                self.true_fit = ClockMap.from_fields(fields)
+            else:
+                self.fit = ClockMap.from_fields(fields)
+
+
+_FIELDS = ('a', 'b', 'camera_epoch', 'reference_epoch')
+
+
+def read_forces(path: Path, reference: str) -> BagForces:
+    """Return the forces of a bag.
+
+    A fit beside the bag is preferred to one inside, and a made one to a simulated bag's true one.
+
+    Args:
+        path: The bag.
+        reference: Topic of the reference force.
+
+    Raises:
+        RecordingError: The bag is damaged.
+        DatasetError: It has neither a true force nor a reference that can be aligned.
+    """
+    found = _read(path, reference)
+    fit = clock_map_beside(path) or found.fit or found.true_fit
+    truth = measured = None
+    if found.truth.force:
+        stamps = np.array(found.truth.stamps_ns, np.int64)
+        t_us = host_to_camera_us(stamps, found.pairs)
+        truth = label_on_camera_clock(t_us, found.truth.force, f'{path} topic ...{_TRUE_FORCE}')
+    if found.reference.force and fit is not None:
+        t_us = fit.to_camera_us(np.array(found.reference.stamps_ns, np.int64))
+        measured = label_on_camera_clock(t_us, found.reference.force, f'{path} topic {reference}')
+    if truth is None and measured is None:
+        raise DatasetError(_nothing(path, reference, recorded=bool(found.reference.force)))
+    return BagForces(truth, measured)
+
+
+def _nothing(path: Path, reference: str, *, recorded: bool) -> str:
+    if recorded:
+        return f'{path} has no clock fit to place {reference} by: run `mixtac align {path}`'
+    return f'{path} has no force: record the reference sensor ({reference}) beside the camera'
+
+
+def _read(path: Path, reference: str) -> _Found:
+    from rosbags.rosbag2 import Reader
+
+    from mixtac_recordings.bag import camera_typestore
+    from mixtac_recordings.recording import DamagedRecordingError
+
+    found, store = _Found(), camera_typestore()
+    _register_clock_fit(store)
+    try:
+        with Reader(path) as reader:
+            chosen = [
+                each
+                for each in reader.connections
+                if each.topic == reference
+                or each.topic.endswith((_TRUE_FORCE, _CAMERA_CLOCK))
+                or each.msgtype == CLOCK_FIT
+            ]
+            for connection, _, data in reader.messages(chosen) if chosen else ():
+                message = store.deserialize_cdr(data, connection.msgtype)
+                found.add(connection.topic, message, reference)
+    except DatasetError:
+        raise
+    except Exception as error:  # the format's parsers raise whatever damage leads them to
+        text = ' '.join(str(error).split()) or type(error).__name__
+        raise DamagedRecordingError(
+            f'{path} is not a whole bag ({text}): record it again, or repair it with'
+            ' `ros2 bag reindex`'
+        ) from error
+    return found
+
+
+def _register_clock_fit(store: Any) -> None:  # noqa: ANN401 - a class of rosbags
+    from pathlib import Path as FilePath
+
+    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+    from rosbags.typesys import get_types_from_msg
+
+    try:
+        share = FilePath(get_package_share_directory('mixtac_msgs'))
+    except PackageNotFoundError:
+        return
+    text = (share / 'msg' / 'ClockFit.msg').read_text(encoding='utf-8')
+    store.register(get_types_from_msg(text, CLOCK_FIT))
+
+
+def _ns(stamp: Any) -> int:  # noqa: ANN401
+    return int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+
+
+_BLOCK = 1 << 20
+_SETTLE_US = 900
+"""From the end of a frame's readout to its arrival, where the bag does not tell (estimate)."""
+
+
+@dataclass(frozen=True, slots=True)
+class BagSource:
+    """A bag.
+
+    Attributes:
+        path: Its folder.
+        reference: Topic of the reference force.
+        described: What a description beside the bag says of it: profile, device_seed and so on.
+    """
+
+    path: Path
+    reference: str = '/ft_sensor/wrench'
+    described: tuple[tuple[str, Any], ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.path.name
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """The bag's path and what is known of it."""
+        return {'bag': str(self.path)} | dict(self.described) | {'name': self.name}
+
+    def content_key(self) -> str:
+        """Return a digest of the bag's files, its clock fit and the topic of its reference.
+
+        Raises:
+            DatasetError: They cannot be read.
+        """
+        digest = hashlib.blake2b(self.reference.encode(), digest_size=16)
+        fit = self.path.with_name(f'{self.path.name}.clock_fit.json')
+        try:
+            files = sorted(self.path.iterdir()) if self.path.is_dir() else [self.path]
+            for path in [*files, *([fit] if fit.exists() else [])]:
+                with path.open('rb') as file:
+                    while block := file.read(_BLOCK):
+                        digest.update(block)
+        except OSError as error:
+            raise DatasetError(f'{self.path} cannot be read ({error}): check the path') from error
+        return digest.hexdigest()
+
+    def load(self) -> TrialArrays:
+        """Read the bag; about 6 MB of memory per second of recording.
+
+        Raises:
+            RecordingError: The bag is damaged or holds no events and frames.
+            DatasetError: It has no frames, no force, or no clock fit.
+        """
+        forces = read_forces(self.path, self.reference)
+        return replace(self.load_camera(), truth=forces.truth, reference=forces.reference)
+
+    def load_camera(self) -> TrialArrays:
+        """Read events and frames only: a trial of which no force is known.
+
+        Raises:
+            RecordingError: The bag is damaged or holds no events and frames.
+            DatasetError: It has no frames.
+        """
+        events, frames, missing = _camera(self.path)
+        if not frames:
+            raise DatasetError(f'{self.path} holds no frames: record {"image_raw"} as well')
+        return TrialArrays(
+            events=events,
+            frames=np.stack([frame.image for frame, _ in frames]),
+            exposure_start_us=np.array([f.exposure_start_us for f, _ in frames], np.int64),
+            exposure_end_us=np.array([f.exposure_end_us for f, _ in frames], np.int64),
+            arrival_us=np.array([arrival for _, arrival in frames], np.int64),
+            truth=None,
+            reference=None,
+            origin=self.origin,
+            missing_packets=missing,
+        )
+
+
+def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]], int]:
+    """Return events, frames with their arrival on the camera clock [us], and lost packets."""
+    from mixtac_recordings.camera_stream import BagRecording
+    from mixtac_recordings.recording import NONE, PlaybackParameters
+
+    recording = BagRecording(path, PlaybackParameters(playback_imu_topic=NONE))
+    parts: list[Events] = []
+    frames: list[tuple[Frame, int]] = []
+    latest_us = 0
+    try:
+        for piece in recording.pieces(recording.info.start_us):
+            if len(piece.events):
+                parts.append(piece.events)
+            if piece.advances:
+                latest_us = max(latest_us, piece.until_us)
+            # Received after the packets that precede it in the bag, and never before its readout.
+            frames += [
+                (frame, max(latest_us, frame.frame_end_us + _SETTLE_US)) for frame in piece.frames
+            ]
+        missing = recording.counters.packets_missing
+    finally:
+        recording.close()
+    if not parts:
+        raise DatasetError(f'{path} holds no events: record the topic events as well')
+    events = Events.concatenate(parts)
+    if (np.diff(events.t) < 0).any():
+        raise DatasetError(f'{path}: the camera clock runs backwards: cut the bag at its reset')
+    return events, frames, missing
+
+
+def bag_sources(folder: Path, reference: str = '/ft_sensor/wrench') -> list[BagSource]:
+    """Return the bags of a folder, or the folder itself where it is a bag.
+
+    Args:
+        folder: A bag, or a folder of bags with or without `dataset.yaml`.
+        reference: Topic of the reference force.
+
+    Raises:
+        DatasetError: There are none.
+    """
+    if (folder / 'metadata.yaml').exists():
+        return [BagSource(folder, reference, _described(folder))]
+    bags = sorted(path.parent for path in folder.glob('*/metadata.yaml'))
+    # A bag that was cut off has its data but no metadata; it is named when it is loaded.
+    bags += sorted(
+        {p.parent for p in folder.glob('*/*.mcap') if not p.parent.name.startswith('.')} - {*bags}
+    )
+    if not bags:
+        raise DatasetError(f'{folder} holds no bags: give a bag or a folder of bags')
+    return [BagSource(path, reference, _described(path)) for path in bags]
+
+
+def _described(bag: Path) -> tuple[tuple[str, Any], ...]:
+    """Return what `dataset.yaml` beside a bag, or a simulated bag itself, says of it."""
+    return _described_beside(bag) or _described_inside(bag)
+
+
+def _described_inside(bag: Path) -> tuple[tuple[str, Any], ...]:
+    import yaml
+
+    try:
+        metadata = yaml.safe_load((bag / 'metadata.yaml').read_text(encoding='utf-8'))
+        custom = metadata['rosbag2_bagfile_information']['custom_data']
+        fields: dict[str, Any] = json.loads(custom['mixtac.trial'])
+    except (OSError, yaml.YAMLError, ValueError, KeyError, TypeError):
+        # Bags of others say nothing of the kind; a damaged one is named when it is loaded.
+        return ()
+    return tuple(sorted(fields.items()))
+
+
+def _described_beside(bag: Path) -> tuple[tuple[str, Any], ...]:
+    import yaml
+
+    path = bag.parent / 'dataset.yaml'
+    try:
+        trials = yaml.safe_load(path.read_text(encoding='utf-8'))['trials']
+        fields: dict[str, Any] = next((each for each in trials if each['name'] == bag.name), {})
+    except FileNotFoundError:
+        return ()
+    except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
+        raise DatasetError(f'{path} cannot be read ({error}): make the data set anew') from error
+    return tuple((key, json.loads(json.dumps(value))) for key, value in sorted(fields.items()))

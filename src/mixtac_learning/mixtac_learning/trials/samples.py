@@ -1,0 +1,263 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Training samples of FGER-Net: the features of a trial with the force of each window."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
+from mixtac_learning.trials.trial import (
+    DatasetError,
+    ForceLabel,
+    RecordedTrial,
+    frame_arrivals,
+    window_ends,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mixtac_fger.config import FgerConfig
+    from mixtac_learning.trials.trial import TrialArrays
+
+
+CONTACT_N = 0.01
+"""Largest true force during the reference frames [N]."""
+MEASURED_CONTACT_N = 0.1
+"""The same of a measured force, which has noise and a zero of its own [N] (estimate)."""
+STORED = np.float16
+"""Precision of stored features: 0.05 % is far below the noise, and memory is half."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """One trial as the network sees it; T windows, N frames.
+
+    Attributes:
+        window_end_us: Camera clock [us], int64 [T].
+        event_features: float16 [T, grid rows, grid columns, 4].
+        force: Label at the end of each window [N], float32 [T].
+        slots: Frame that becomes available in each window, -1 for none, int64 [T].
+        lags: Windows from the estimate before that to the centre of its exposure, int64 [T].
+        frame_inputs: float16 [N, channels, rows, columns].
+        frame_force: Mean label over each exposure [N], float32 [N].
+        origin: Seeds, profile, and the like.
+    """
+
+    window_end_us: NDArray[np.int64]
+    event_features: NDArray[np.float16]
+    force: NDArray[np.float32]
+    slots: NDArray[np.int64]
+    lags: NDArray[np.int64]
+    frame_inputs: NDArray[np.float16]
+    frame_force: NDArray[np.float32]
+    origin: dict[str, Any]
+
+
+def make_sample(
+    config: FgerConfig,
+    trial: RecordedTrial,
+    label: ForceLabel,
+    origin: dict[str, Any],
+    contact_n: float = CONTACT_N,
+) -> Sample:
+    """Compute the features of a trial, with frames available from their arrival on.
+
+    The first `FgerConfig.reference_frames` frames must be without contact.
+
+    Args:
+        config: Network configuration.
+        trial: Events and frames.
+        label: Force on the camera clock.
+        origin: Kept with the sample.
+        contact_n: A larger force during the reference frames is a contact [N].
+
+    Raises:
+        DatasetError: The trial has too few frames, ends before they have arrived, or begins in
+            contact.
+    """
+    kept = config.reference_frames
+    width = config.window_us
+    if len(trial.frames) <= kept or label.t_us[-1] < trial.arrival_us[kept - 1] + width:
+        raise DatasetError(
+            f'trial {origin} has {len(trial.frames)} frames: more than {kept} are needed, and'
+            ' a label that lasts beyond them'
+        )
+    forces = label.mean(trial.exposure_start_us, trial.exposure_end_us)
+    if np.abs(forces[:kept]).max() > contact_n:
+        raise DatasetError(
+            f'trial {origin} begins with {np.abs(forces[:kept]).max():.2f} N: its first {kept}'
+            ' frames must be without contact'
+        )
+    ends = window_ends(trial, label, width, int(trial.arrival_us[kept - 1]))
+    slots = frame_arrivals(trial.arrival_us, ends, kept - 1)
+    middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
+    lags = [
+        correction_lag(int(end) - width, int(middle[slot]), width) if slot >= 0 else 0
+        for end, slot in zip(ends, slots, strict=True)
+    ]
+    inputs, features = _features(config, trial, ends, slots)
+    return Sample(
+        window_end_us=ends,
+        event_features=features,
+        force=label.at(ends),
+        slots=np.where(slots >= 0, slots - (kept - 1), -1),
+        lags=np.array(lags, np.int64),
+        frame_inputs=inputs,
+        frame_force=forces[kept - 1 :],
+        origin=origin,
+    )
+
+
+def _features(
+    config: FgerConfig,
+    trial: RecordedTrial,
+    ends: NDArray[np.int64],
+    slots: NDArray[np.int64],
+) -> tuple[NDArray[np.float16], NDArray[np.float16]]:
+    """Return the inputs of the frame network from the reference on, and the event features."""
+    preparation, window = FramePreparation(config), WindowFeatures(config)
+    kept = config.reference_frames
+    first = [preparation.contrast(frame) for frame in trial.frames[:kept]]
+    reference = mean_contrast([c.coarse for c in first])
+    count = len(trial.frames) - (kept - 1)
+    channels = len(config.frame_channels)
+    inputs = np.empty((count, channels, *config.frame_shape), STORED)
+    for index in range(count):
+        contrast = preparation.contrast(trial.frames[index + kept - 1])
+        inputs[index] = preparation.network_input(contrast, reference)
+    out = np.zeros(window.shape, np.float32)
+    features = np.empty((len(ends), *window.shape), STORED)
+    guide = preparation.guide(first[-1])
+    cuts = np.searchsorted(trial.events.t, [ends[0] - config.window_us, *ends])
+    for index, slot in enumerate(slots):
+        if slot >= 0:
+            guide = preparation.guide(preparation.contrast(trial.frames[slot]))
+        window.compute(trial.events[cuts[index] : cuts[index + 1]], guide, out)
+        features[index] = out
+    return inputs, features
+
+
+def save_sample(path: Path, sample: Sample, config: FgerConfig) -> None:
+    """Write a sample as .npz (no pickles) with its configuration."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    header = json.dumps({'config': config.to_dict(), 'origin': sample.origin})
+    arrays = {name: getattr(sample, name) for name in _ARRAYS}
+    partial = path.with_suffix('.partial.npz')
+    np.savez(partial, header=np.array(header), **arrays)
+    partial.replace(path)
+
+
+_ARRAYS = (
+    'window_end_us',
+    'event_features',
+    'force',
+    'slots',
+    'lags',
+    'frame_inputs',
+    'frame_force',
+)
+UNSEEN_BY_SAMPLES = {
+    'reference_stillness',
+    'event_hidden',
+    'event_size',
+    'frame_widths',
+    'frame_size',
+    'lstm_size',
+    'mlp_size',
+    'event_shortcut',
+    'deviation_size',
+    'correction_point',
+    'history_windows',
+}
+"""Fields of the configuration that do not change what a sample holds."""
+
+
+def load_sample(path: Path, config: FgerConfig) -> Sample:
+    """Read a sample and check that it was prepared as `config` asks.
+
+    Raises:
+        DatasetError: The file is missing, damaged or was prepared in another way.
+    """
+    header, arrays = _read_part(
+        path,
+        lambda file: (json.loads(str(file['header'])), {name: file[name] for name in _ARRAYS}),
+    )
+    wanted = config.to_dict()
+    for name in set(wanted) - UNSEEN_BY_SAMPLES:
+        if header['config'].get(name) != wanted[name]:
+            raise DatasetError(
+                f'sample {path} was prepared with {name} = {header["config"].get(name)}, but'
+                f' {wanted[name]} is needed: generate it anew'
+            )
+    return Sample(**arrays, origin=header['origin'])
+
+
+def sample_origin(path: Path) -> dict[str, Any]:
+    """Return where the sample in a file came from, without reading the rest.
+
+    Raises:
+        DatasetError: The file cannot be read.
+    """
+    return dict(_read_part(path, lambda file: json.loads(str(file['header']))['origin']))
+
+
+def sample_windows(path: Path) -> int:
+    """Return the number of windows of the sample in a file.
+
+    Raises:
+        DatasetError: The file cannot be read.
+    """
+    return int(_read_part(path, lambda file: len(file['force'])))
+
+
+def _read_part(path: Path, part: Callable[[Any], Any]) -> Any:  # noqa: ANN401
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return part(file)
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise DatasetError(f'sample {path} cannot be read ({error}): generate it anew') from error
+
+
+@dataclass(frozen=True, slots=True)
+class FgerRecipe:
+    """Features of frames and windows, in one file per trial.
+
+    Attributes:
+        config: Network configuration.
+        label: Which force to learn, one of `mixtac_learning.trials.trial.LABELS`.
+    """
+
+    config: FgerConfig
+    label: str = 'best'
+
+    @property
+    def suffix(self) -> str:
+        """Of the files."""
+        return '.npz'
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return what changes a sample."""
+        fields = self.config.to_dict()
+        kept = {name: fields[name] for name in fields if name not in UNSEEN_BY_SAMPLES}
+        return {'kind': 'fger 1', 'label': self.label} | kept
+
+    def write(self, trial: TrialArrays, path: Path) -> None:
+        """Prepare a trial and write it, whole or not at all.
+
+        Raises:
+            DatasetError: As `make_sample`, or the trial has no such force.
+        """
+        label = trial.label(self.label)
+        contact_n = CONTACT_N if label is trial.truth else MEASURED_CONTACT_N
+        sample = make_sample(self.config, trial, label, trial.origin, contact_n)
+        save_sample(path, sample, self.config)

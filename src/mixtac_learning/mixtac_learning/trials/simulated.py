@@ -1,0 +1,60 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Trials that the simulator makes when they are loaded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from mixtac_learning.trials.trial import TrialArrays, aligned_force, true_force
+from mixtac_sim.world import training_trials as generation
+
+if TYPE_CHECKING:
+    from mixtac_sim.world.training_trials import TrialSpec
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedSource:
+    """A trial that the simulator makes when it is asked for.
+
+    Attributes:
+        spec: The trial.
+    """
+
+    spec: TrialSpec
+
+    @property
+    def name(self) -> str:
+        """A file name of its seeds, profile and preset."""
+        return self.spec.name
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """The fields of the specification."""
+        return self.spec.to_dict() | {'name': self.name, 'simulated': True}
+
+    def content_key(self) -> str:
+        """Return the trial's name with the digest of the simulator."""
+        return f'{generation.simulator_digest()} {self.name}'
+
+    def load(self) -> TrialArrays:
+        """Simulate the trial; the reference is aligned by the simulator's own clock map.
+
+        Raises:
+            SimulationError: Unknown profile or preset, or too short a duration.
+        """
+        trial = generation.simulate(self.spec)
+        scale, offset_us = trial.clock
+        return TrialArrays(
+            events=trial.events,
+            frames=trial.frames,
+            exposure_start_us=trial.exposure_start_us,
+            exposure_end_us=trial.exposure_end_us,
+            arrival_us=trial.arrival_us,
+            truth=true_force(trial.truth),
+            reference=aligned_force(
+                trial.reference_t_us, trial.reference_wrench[:, 2], scale, offset_us
+            ),
+            origin=self.origin,
+        )

@@ -1,0 +1,202 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Trials and prepared samples on disk, keyed by their content and by how they were prepared."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import shutil
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from mixtac_events.arrays import Events
+from mixtac_events.errors import MixtacError
+from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
+
+    from mixtac_learning.trials.trial import TrialSource
+
+
+_FRAMES = ('frames', 'exposure_start_us', 'exposure_end_us', 'arrival_us')
+_EVENTS = ('t', 'x', 'y', 'polarity')
+_LABELS = ('truth', 'reference')
+
+
+@dataclass(frozen=True, slots=True)
+class CachedSource:
+    """A source whose trial is kept on disk once it was loaded.
+
+    Attributes:
+        source: Where the trial comes from.
+        folder: Where it is kept, in a folder of its own.
+    """
+
+    source: TrialSource
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """Name of the trial."""
+        return self.source.name
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """What is known of it."""
+        return self.source.origin
+
+    def content_key(self) -> str:
+        """Return the key of the source."""
+        return self.source.content_key()
+
+    def load(self) -> TrialArrays:
+        """Return the trial, mapped from disk.
+
+        Raises:
+            MixtacError: It cannot be used, or the disk is full.
+        """
+        digest = hashlib.blake2b(self.content_key().encode(), digest_size=8).hexdigest()
+        path = self.folder / f'{self.name}-{digest}'
+        if not path.exists():
+            _write(self.source.load(), path)
+        return _read(path)
+
+
+def _write(trial: TrialArrays, path: Path) -> None:
+    partial = path.with_name(path.name + '.partial')
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        partial.mkdir(parents=True)
+        arrays = {name: getattr(trial, name) for name in _FRAMES}
+        arrays |= {f'events_{name}': getattr(trial.events, name) for name in _EVENTS}
+        for name in _LABELS:
+            label: ForceLabel | None = getattr(trial, name)
+            if label is not None:
+                arrays[name] = np.stack([label.t_us, label.force])
+        for name, array in arrays.items():
+            np.save(partial / f'{name}.npy', array, allow_pickle=False)
+        content = {'origin': trial.origin, 'missing_packets': trial.missing_packets}
+        (partial / 'trial.json').write_text(json.dumps(content), encoding='utf-8')
+        partial.replace(path)
+    except OSError as error:
+        raise DatasetError(f'{path} cannot be written ({error}): free some space') from error
+
+
+def _read(path: Path) -> TrialArrays:
+    try:
+        content = json.loads((path / 'trial.json').read_text(encoding='utf-8'))
+        fields: dict[str, Any] = {
+            name: np.load(path / f'{name}.npy', mmap_mode='r') for name in _FRAMES
+        }
+        events = Events(*(np.load(path / f'events_{name}.npy') for name in _EVENTS))
+        for name in _LABELS:
+            kept = path / f'{name}.npy'
+            fields[name] = ForceLabel(*np.load(kept)) if kept.exists() else None
+    except (OSError, ValueError) as error:
+        raise DatasetError(f'{path} cannot be read ({error}): remove it') from error
+    return TrialArrays(events=events, **fields, **content)
+
+
+class Recipe(Protocol):
+    """How a network wants its samples; must survive being sent to another process."""
+
+    @property
+    def suffix(self) -> str:
+        """Suffix of the files."""
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return everything that changes what a sample holds, as JSON-ready values."""
+
+    def write(self, trial: TrialArrays, path: Path) -> None:
+        """Prepare a trial and write it, whole or not at all.
+
+        Raises:
+            DatasetError: The trial cannot be used.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """Samples on disk, and the trials that gave none.
+
+    Attributes:
+        paths: Files, in the order of their sources.
+        skipped: Why a trial was left out, by its name.
+        kept: Which of the sources gave a sample, by index.
+    """
+
+    paths: list[Path]
+    skipped: dict[str, str]
+    kept: list[int]
+
+
+def sample_path(source: TrialSource, recipe: Recipe, folder: Path) -> Path:
+    """Return where the sample of a source lies: its name and a digest of content and recipe."""
+    described = json.dumps([source.content_key(), recipe.fingerprint()], sort_keys=True)
+    digest = hashlib.blake2b(described.encode(), digest_size=8).hexdigest()
+    return folder / f'{source.name}-{digest}{recipe.suffix}'
+
+
+def prepare(
+    sources: Sequence[TrialSource],
+    recipe: Recipe,
+    folder: Path,
+    jobs: int = 1,
+    on_progress: Callable[[int], None] = lambda _done: None,
+) -> Prepared:
+    """Make sure that the samples of all sources are on disk.
+
+    One trial per process is in memory at a time. A trial that cannot be used is left out and
+    named; the others go on.
+
+    Args:
+        sources: Trials.
+        recipe: How to prepare them.
+        folder: Where samples are kept.
+        jobs: Processes.
+        on_progress: Called with the number of trials done.
+
+    Raises:
+        DatasetError: No trial can be used.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths, skipped, kept = [], {}, []
+    arguments = ([*sources], [recipe] * len(sources), [folder] * len(sources))
+    results: Iterable[tuple[Path | None, str]] = map(_prepare_one, *arguments)
+    pool = None
+    if jobs > 1:
+        context = multiprocessing.get_context('spawn')
+        pool = ProcessPoolExecutor(jobs, mp_context=context)
+        results = pool.map(_prepare_one, *arguments)
+    try:
+        for index, (path, reason) in enumerate(results):
+            if path is None:
+                skipped[sources[index].name] = reason
+            else:
+                paths.append(path)
+                kept.append(index)
+            on_progress(index + 1)
+    finally:
+        if pool is not None:
+            pool.shutdown(cancel_futures=True)
+    if not paths:
+        first = next(iter(skipped.values()), 'there are none')
+        raise DatasetError(f'none of {len(sources)} trials can be used: {first}')
+    return Prepared(paths, skipped, kept)
+
+
+def _prepare_one(source: TrialSource, recipe: Recipe, folder: Path) -> tuple[Path | None, str]:
+    try:
+        path = sample_path(source, recipe, folder)
+        if not path.exists():
+            recipe.write(source.load(), path)
+    except MixtacError as error:
+        return None, str(error)
+    return path, ''

@@ -1,0 +1,224 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""One trial as arrays on the camera clock: events, frames, forces, and the windows they share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from mixtac_events.errors import MixtacError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
+
+
+class DatasetError(MixtacError):
+    """Training data that cannot be read or do not fit the configuration."""
+
+
+class RecordedTrial(Protocol):
+    """What a trial must offer, as `mixtac_sim.world.trial.Trial` does; camera clock [us]."""
+
+    @property
+    def events(self) -> Events:
+        """Events, sorted."""
+
+    @property
+    def frames(self) -> NDArray[np.uint16]:
+        """Intensities [N, height, width]."""
+
+    @property
+    def exposure_start_us(self) -> NDArray[np.int64]:
+        """When each exposure began [N]."""
+
+    @property
+    def exposure_end_us(self) -> NDArray[np.int64]:
+        """When it ended [N]."""
+
+    @property
+    def arrival_us(self) -> NDArray[np.int64]:
+        """When the host had the frame [N]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceLabel:
+    """The force to learn, as a curve.
+
+    Attributes:
+        t_us: Camera clock [us], increasing.
+        force: Normal force [N], positive when pressed.
+    """
+
+    t_us: NDArray[np.float64]
+    force: NDArray[np.float64]
+
+    def at(self, t_us: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Return the force at times on the camera clock."""
+        return np.asarray(np.interp(t_us, self.t_us, self.force), np.float32)
+
+    def mean(self, start_us: NDArray[np.int64], end_us: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the mean force from `start_us` to `end_us` (trapezoids on the curve's samples)."""
+        steps = np.diff(self.t_us) * 0.5 * (self.force[1:] + self.force[:-1])
+        integral = np.concatenate([[0.0], np.cumsum(steps)])
+        start, end = (np.interp(t, self.t_us, integral) for t in (start_us, end_us))
+        return np.asarray((end - start) / np.maximum(end_us - start_us, 1), np.float32)
+
+
+def true_force(truth: NDArray[np.void]) -> ForceLabel:
+    """Return the label of a simulated trial's truth (fields `t_us` and `fz`)."""
+    return ForceLabel(truth['t_us'].astype(np.float64), truth['fz'].astype(np.float64))
+
+
+def aligned_force(
+    reference_t_us: NDArray[np.floating] | NDArray[np.integer],
+    force: NDArray[np.floating],
+    scale: float,
+    offset_us: float,
+) -> ForceLabel:
+    """Return the label of a reference sensor's samples after alignment.
+
+    Args:
+        reference_t_us: Reference clock [us].
+        force: Normal force [N] of each sample.
+        scale: a of the fit t_reference = a t_camera + b.
+        offset_us: b of the fit [us].
+    """
+    t_us = np.asarray((reference_t_us - offset_us) / scale, np.float64)
+    return ForceLabel(t_us, force.astype(np.float64))
+
+
+LABELS = ('best', 'true', 'reference')
+"""Which force: the true one where it is known and the reference otherwise, or one of them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrialArrays:
+    """What a camera and a force sensor gave in one trial; camera clock [us].
+
+    Attributes:
+        events: Events, sorted.
+        frames: Intensities, uint16 [N, height, width].
+        exposure_start_us: When each exposure began, int64 [N].
+        exposure_end_us: When it ended, int64 [N].
+        arrival_us: When the host had the frame, int64 [N].
+        truth: True normal force; None where nobody knows it.
+        reference: Normal force that the reference sensor measured; None without one.
+        origin: Where it came from: seeds, profile, file.
+        missing_packets: Event packets that the recorder did not get.
+    """
+
+    events: Events
+    frames: NDArray[np.uint16]
+    exposure_start_us: NDArray[np.int64]
+    exposure_end_us: NDArray[np.int64]
+    arrival_us: NDArray[np.int64]
+    truth: ForceLabel | None
+    reference: ForceLabel | None
+    origin: dict[str, Any] = field(default_factory=dict)
+    missing_packets: int = 0
+
+    @property
+    def profile(self) -> str:
+        """Force profile, `unknown` for recordings that do not say."""
+        return str(self.origin.get('profile', 'unknown'))
+
+    def label(self, kind: str = 'best') -> ForceLabel:
+        """Return a force of the trial.
+
+        Args:
+            kind: One of `LABELS`.
+
+        Raises:
+            DatasetError: It is not known for this trial, or there is no such kind.
+        """
+        if kind not in LABELS:
+            raise DatasetError(f'label {kind!r} is unknown: choose one of {", ".join(LABELS)}')
+        chosen = {
+            'best': self.truth or self.reference,
+            'true': self.truth,
+            'reference': self.reference,
+        }[kind]
+        if chosen is None:
+            raise DatasetError(
+                f'{self.origin.get("name", "a trial")} has no {kind} force: record the reference'
+                ' sensor beside the camera, or choose another label'
+            )
+        return chosen
+
+
+class TrialSource(Protocol):
+    """A trial that can be loaded when it is needed."""
+
+    @property
+    def name(self) -> str:
+        """What to call it in messages; part of file names."""
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """What is known before loading: device, profile, path."""
+
+    def content_key(self) -> str:
+        """Return a text that changes when the content of the trial does.
+
+        Raises:
+            MixtacError: It cannot be read.
+        """
+
+    def load(self) -> TrialArrays:
+        """Return the trial.
+
+        Raises:
+            MixtacError: It cannot be used; the text says why.
+        """
+
+
+def window_ends(
+    trial: RecordedTrial, label: ForceLabel, window_us: int, begin_us: int
+) -> NDArray[np.int64]:
+    """Return the ends of the windows of a trial, multiples of `window_us`.
+
+    Args:
+        trial: Events and frames.
+        label: Force; there are no windows outside its time.
+        window_us: Length of a window [us].
+        begin_us: The first window ends here or later [us, camera clock].
+
+    Raises:
+        DatasetError: There are none.
+    """
+    first_us = -(-max(begin_us, int(np.ceil(label.t_us[0]))) // window_us) * window_us
+    last_us = int(min(label.t_us[-1], camera_end_us(trial)))
+    if last_us < first_us + window_us:
+        raise DatasetError(
+            'the camera and the force sensor have no time in common: check the clock fit'
+        )
+    return np.arange(first_us, last_us + 1, window_us, dtype=np.int64)
+
+
+def frame_arrivals(
+    arrival_us: NDArray[np.int64], ends: NDArray[np.int64], first: int = 0
+) -> NDArray[np.int64]:
+    """Return, per window, the latest frame from `first` on that arrived in it, -1 for none.
+
+    Args:
+        arrival_us: When the host had each frame [us, camera clock].
+        ends: Ends of the windows [us].
+        first: Frames before this one do not count.
+    """
+    slots = np.full(len(ends), -1, np.int64)
+    for frame in range(first, len(arrival_us)):
+        window = int(np.searchsorted(ends, arrival_us[frame]))
+        if window < len(ends):
+            slots[window] = frame
+    return slots
+
+
+def camera_end_us(trial: RecordedTrial) -> int:
+    """Return until when the camera is known to have run [us, camera clock]."""
+    latest = int(trial.events.t[-1]) if len(trial.events) else 0
+    return max(latest, int(trial.arrival_us[-1]) if len(trial.arrival_us) else 0)

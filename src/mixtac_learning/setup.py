@@ -1,0 +1,31 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Installs mixtac_learning."""
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'mixtac_learning'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+    ],
+    install_requires=['setuptools'],
+    zip_safe=True,
+    maintainer='Mixtac maintainers',
+    maintainer_email='maintainers@mixtac.example.org',
+    description="Training, adaptation and evaluation of Mixtac's force estimators",
+    license='Apache-2.0',
+    entry_points={
+        'mixtac.commands': [
+            'train = mixtac_learning.commands:train',
+            'evaluate = mixtac_learning.commands:evaluate',
+            'adapt = mixtac_learning.commands:adapt',
+        ],
+    },
+)

@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of errors on signals whose answers are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixtac_learning.judge.estimators import TrialEstimate
+from mixtac_learning.judge.metrics import fast_error, moving_mean, peak_error, rolling_errors
+from mixtac_learning.judge.report import by_profile, draw_trials, summarise
+
+STEP_S = 0.002
+T = np.arange(2000) * STEP_S
+
+
+def estimate(known, force, profile='press', device='a', **rest) -> TrialEstimate:
+    t_us = np.arange(len(known), dtype=np.int64) * 2000
+    return TrialEstimate(
+        't', profile, device, t_us, force, known, rest.pop('reference', None), **rest
+    )
+
+
+def test_moving_mean_is_a_mean_over_the_neighbours():
+    values = np.random.default_rng(0).normal(size=50)
+    wanted = [values[max(i - 2, 0) : i - 2 + 5].mean() for i in range(50)]
+    assert moving_mean(values, 5) == pytest.approx(wanted)
+
+
+def test_slow_errors_do_not_count_as_fast_ones():
+    known = np.sin(2 * np.pi * 0.3 * T)
+    fast, constant = fast_error(known, known + 0.5, STEP_S)
+    assert fast == pytest.approx(0.0, abs=1e-12)
+    assert constant < 0.01
+    missed, constant = fast_error(0.1 * np.sin(2 * np.pi * 50 * T), np.zeros(2000), STEP_S)
+    assert missed == pytest.approx(constant)
+    assert missed == pytest.approx(0.1 * 2 / np.pi, rel=0.05)
+
+
+def test_peaks_may_be_a_little_early():
+    known, late = np.zeros(500), np.zeros(500)
+    known[200:203], late[204:206] = 8.0, 6.0
+    assert peak_error(known, late, STEP_S) == pytest.approx(0.25)
+    far = np.zeros(500)
+    far[300] = 8.0
+    assert peak_error(known, far, STEP_S) == pytest.approx(1.0)
+    assert np.isnan(peak_error(np.zeros(5), np.ones(5), STEP_S))
+
+
+def test_rolling_errors_show_where_an_error_grows():
+    rolling = rolling_errors(np.zeros(2000), T, STEP_S)
+    assert rolling == pytest.approx(np.arange(8) * 0.5 + 0.249, abs=1e-9)
+
+
+def test_profiles_are_kept_apart_and_pooled():
+    known = np.linspace(0, 1, 100)
+    rows = by_profile(
+        [
+            estimate(known, known + 0.1, 'press', 'a', reference=known + 0.3),
+            estimate(known, 0.5 * known, 'static', 'b', frames_only=known - 0.2),
+        ],
+        {'b': 2.0},
+    )
+    assert list(rows) == ['press', 'static', 'all']
+    assert rows['press']['mae'] == pytest.approx(0.1)
+    assert rows['press']['reference_mae'] == pytest.approx(0.2)
+    assert rows['static']['calibrated_mae'] == pytest.approx(0.0)
+    assert rows['static']['frames_only_mae'] == pytest.approx(0.2)
+    assert rows['all']['mae'] == pytest.approx((0.1 + 0.25) / 2, abs=1e-3)
+    assert rows['all']['trials'] == 2
+    assert 'calibrated_mae' not in summarise([estimate(known, known)])
+
+
+def test_trials_are_drawn(tmp_path):
+    known = np.linspace(0, 1, 600)
+    path = tmp_path / 'new' / 'trials.png'
+    draw_trials(path, 'a title', [estimate(known, known, p) for p in ('press', 'press', 'static')])
+    assert path.read_bytes()[:4] == b'\x89PNG'

@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The networks against literal re-writings of what they are said to compute."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mixtac_learning.paper.config import MODELS, PaperConfig
+from mixtac_learning.paper.networks import (
+    PointEncoder,
+    SegmentBatch,
+    SparseBackbone,
+    SparseBlock,
+    build,
+)
+
+SMALL = PaperConfig(
+    width=32,
+    height=24,
+    channels=8,
+    blocks=1,
+    event_widths=(6, 10),
+    lstm_size=12,
+    increment_size=7,
+    correction_size=5,
+    sparse_channels=(4, 8),
+)
+WINDOWS, SEQUENCES = 9, 3
+
+
+@pytest.fixture
+def batch() -> SegmentBatch:
+    """Three sequences; frames arrive in windows 2 and 6 of the first, 5 of the second."""
+    torch.manual_seed(1)
+    slots = torch.full((WINDOWS, SEQUENCES), -1)
+    slots[2, 0], slots[6, 0], slots[5, 1] = 0, 1, 2
+    packet = torch.randint(WINDOWS * SEQUENCES, (150,)).sort().values
+    packet = packet[(packet != 4)]  # one window stays empty
+    return SegmentBatch(
+        points=torch.randn(len(packet), 4),
+        packet=packet,
+        frames=torch.rand(4, 1, 24, 32),
+        event_frames=torch.rand(4, 2, 24, 32) * (torch.rand(4, 1, 24, 32) > 0.7),
+        slots=slots,
+        before=torch.tensor([-1, 3, -1]),
+        force=torch.rand(WINDOWS, SEQUENCES),
+        frame_force=torch.rand(4),
+        start=torch.zeros(SEQUENCES),
+    )
+
+
+def algorithm_1(network, batch: SegmentBatch, column: int, continuous: bool) -> list[float]:
+    """Run one sequence, line by line as the paper writes it, in NumPy where it can be."""
+    weights = {name: value.detach().numpy() for name, value in network.named_parameters()}
+
+    def perceptron(name: str, x: np.ndarray) -> float:
+        hidden = np.maximum(weights[f'{name}.0.weight'] @ x + weights[f'{name}.0.bias'], 0)
+        return float((weights[f'{name}.2.weight'] @ hidden + weights[f'{name}.2.bias'])[0])
+
+    def sigmoid(x: np.ndarray) -> np.ndarray:
+        return 1 / (1 + np.exp(-x))
+
+    features = network.frame(batch.frames).detach().numpy()
+    latest = features[batch.before[column]] if batch.before[column] >= 0 else None
+    h = c = np.zeros(network.config.lstm_size)
+    f, out = 0.0, []
+    for window in range(WINDOWS):
+        own = batch.points[batch.packet == window * SEQUENCES + column].numpy()
+        f_e = np.zeros(network.config.event_widths[-1])
+        for event in own:
+            inner = event
+            for layer in (0, 2):
+                name = f'recurrence.encoder.layers.{layer}'
+                inner = np.maximum(weights[f'{name}.weight'] @ inner + weights[f'{name}.bias'], 0)
+            f_e = np.maximum(f_e, inner)
+        x = np.concatenate([f_e, [f]])
+        gates = weights['recurrence.lstm.weight_ih'] @ x + weights['recurrence.lstm.bias_ih']
+        gates = gates + weights['recurrence.lstm.weight_hh'] @ h
+        i, forget, g, o = np.split(gates + weights['recurrence.lstm.bias_hh'], 4)
+        c = sigmoid(forget) * c + sigmoid(i) * np.tanh(g)
+        h = sigmoid(o) * np.tanh(c)
+        f = f + perceptron('recurrence.increment', h)
+        slot = int(batch.slots[window, column])
+        given = f
+        if slot >= 0:
+            latest = features[slot]
+            f = given = f + perceptron('correction', np.concatenate([[f], latest]))
+        elif continuous and latest is not None:
+            given = f + perceptron('correction', np.concatenate([[f], latest]))
+        out.append(given)
+    return out
+
+
+@pytest.mark.parametrize('correction', ['periodic', 'continuous'])
+def test_fger_net_is_algorithm_1(batch, correction):
+    torch.manual_seed(0)
+    network = build(replace(SMALL, correction=correction)).eval()
+    with torch.no_grad():
+        force, _ = network(batch, network.initial_state(SEQUENCES))
+        for column in range(SEQUENCES):
+            wanted = algorithm_1(network, batch, column, correction == 'continuous')
+            assert force[:, column].tolist() == pytest.approx(wanted, abs=1e-5)
+
+
+def test_training_corrects_once_per_cycle(batch):
+    torch.manual_seed(0)
+    network = build(SMALL)
+    for module in network.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            module.eval()
+    force, _ = network(batch, network.initial_state(SEQUENCES))
+    wanted = algorithm_1(network, batch, 0, continuous=False)
+    assert force[:, 0].tolist() == pytest.approx(wanted, abs=1e-5)
+
+
+def test_events_only_never_sees_a_frame(batch):
+    torch.manual_seed(0)
+    network = build(replace(SMALL, model='events')).eval()
+    assert not [name for name, _ in network.named_parameters() if 'frame' in name]
+    frames = batch.frames.clone().requires_grad_()
+    tracked = SegmentBatch(**{n: getattr(batch, n) for n in batch.__slots__} | {'frames': frames})
+    force, _ = network(tracked, network.initial_state(SEQUENCES))
+    force.sum().backward()
+    assert frames.grad is None
+    blind = SegmentBatch(
+        **{n: getattr(batch, n) for n in batch.__slots__}
+        | {'frames': torch.rand(4, 1, 24, 32), 'slots': torch.full_like(batch.slots, -1)}
+    )
+    assert torch.equal(network(blind, network.initial_state(SEQUENCES))[0], force)
+
+
+@pytest.mark.parametrize('model', ['frames', 'fusion'])
+def test_frame_models_hold_their_force(batch, model):
+    torch.manual_seed(0)
+    network = build(replace(SMALL, model=model)).eval()
+    with torch.no_grad():
+        own = network.frame_force(batch)
+        force, state = network(batch, network.initial_state(SEQUENCES))
+    assert force[:, 0].tolist() == [0, 0, *[own[0].item()] * 4, *[own[1].item()] * 3]
+    assert force[:, 1].tolist() == [*[own[3].item()] * 5, *[own[2].item()] * 4]
+    assert force[:, 2].tolist() == [0.0] * WINDOWS
+    assert torch.equal(state.force, force[-1])
+
+
+@pytest.mark.parametrize('model', MODELS)
+def test_stretches_give_what_the_whole_gives(batch, model):
+    torch.manual_seed(0)
+    network = build(replace(SMALL, model=model)).eval()
+    with torch.no_grad():
+        whole, _ = network(batch, network.initial_state(SEQUENCES))
+        state, parts = network.initial_state(SEQUENCES), []
+        for start, stop in ((0, 4), (4, 9)):
+            part, state = network(_cut(batch, start, stop), state)
+            parts.append(part)
+    assert torch.allclose(torch.cat(parts), whole, atol=1e-6)
+
+
+def _cut(batch: SegmentBatch, start: int, stop: int) -> SegmentBatch:
+    window = batch.packet // SEQUENCES
+    inside = (window >= start) & (window < stop)
+    before = batch.before.clone()
+    for slots in batch.slots[:start]:
+        before = torch.where(slots >= 0, slots, before)
+    fields = {name: getattr(batch, name) for name in batch.__slots__}
+    fields |= {
+        'points': batch.points[inside],
+        'packet': batch.packet[inside] - start * SEQUENCES,
+        'slots': batch.slots[start:stop],
+        'before': before,
+    }
+    return SegmentBatch(**fields)
+
+
+def test_an_empty_packet_has_no_feature():
+    encoder = PointEncoder(SMALL)
+    features = encoder(torch.randn(5, 4), torch.tensor([0, 0, 2, 2, 2]), 3)
+    assert features[1].tolist() == [0.0] * 10
+    alone = encoder(torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64), 2)
+    assert not alone.any()
+
+
+def test_sparse_convolutions_touch_active_pixels_only():
+    torch.manual_seed(0)
+    maps = torch.zeros(1, 2, 8, 8)
+    maps[0, :, 1, 1] = torch.tensor([1.0, 2.0])
+    maps[0, :, 1, 2] = torch.tensor([3.0, 0.5])
+    maps[0, :, 6, 5] = torch.tensor([0.2, 0.1])
+    block = SparseBlock(2, 3).eval()
+    with torch.no_grad():
+        out, mask = block(maps, maps.abs().amax(1, keepdim=True) > 0)
+    assert mask[0, 0].nonzero().tolist() == [[0, 0], [0, 1], [3, 2]]
+    assert not out[0, :, ~mask[0, 0]].any()
+    # By hand: the sum over active neighbours of kernel times input, normalised and rectified.
+    kernel = block.convolution.weight.detach().numpy()
+    value = np.zeros(3)
+    for (row, column), source in (((1, 1), maps[0, :, 1, 1]), ((1, 2), maps[0, :, 1, 2])):
+        value += kernel[:, :, row - 1 + 1, column - 1 + 1] @ source.numpy()
+    scale = 1 / np.sqrt(1 + block.norm.eps)
+    assert out[0, :, 0, 0].tolist() == pytest.approx(np.maximum(value * scale, 0), abs=1e-6)
+
+
+def test_event_frames_without_events_give_nothing():
+    backbone = SparseBackbone(2, (4, 8)).eval()
+    assert not backbone(torch.zeros(2, 2, 9, 7)).any()
+
+
+@pytest.mark.parametrize('model', MODELS)
+def test_networks_run_in_mixed_precision(batch, model):
+    torch.manual_seed(0)
+    network = build(replace(SMALL, model=model)).train()
+    with torch.autocast('cpu', torch.bfloat16):
+        force, _ = network(batch, network.initial_state(SEQUENCES))
+        loss = (force.float() - batch.force).square().mean()
+    loss.backward()
+    plain, _ = network(batch, network.initial_state(SEQUENCES))
+    assert torch.allclose(force.float(), plain, atol=0.1)

@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The scale of a sensor is found, whatever happens in between, or refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_learning.judge.metrics import CalibrationError, fit_scale
+
+
+@given(st.floats(0.3, 3.0), st.integers(0, 100))
+def test_the_scale_is_found_despite_noise_and_a_lost_stretch(scale, seed):
+    random = np.random.default_rng(seed)
+    truth = np.abs(np.sin(np.linspace(0, 9, 2000)))
+    estimate = truth / scale + random.normal(0, 0.01, truth.size)
+    estimate[500:550] *= 3.0
+    found = fit_scale(estimate, truth)
+    assert found.force_scale == pytest.approx(scale, rel=0.03)
+    assert found.mae_after <= found.mae_before
+
+
+def test_the_scale_makes_the_mean_absolute_error_smallest():
+    random = np.random.default_rng(1)
+    truth = random.uniform(0.2, 1.0, 500)
+    estimate = truth * random.uniform(0.5, 1.5, 500)
+    found = fit_scale(estimate, truth)
+    for other in (0.97, 1.03):
+        assert np.mean(np.abs(other * found.force_scale * estimate - truth)) > found.mae_after
+
+
+@pytest.mark.parametrize('force', [0.05, 0.0])
+def test_forces_that_are_too_small_are_refused(force):
+    with pytest.raises(CalibrationError, match=r'above 0\.1 N'):
+        fit_scale(np.full(500, 1.0), np.full(500, force))

@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Samples: what is available when, labels, files, mirrors, and the seeds of trials."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mixtac_events.arrays import Events
+from mixtac_fger.config import FgerConfig
+from mixtac_learning.train.batches import mirror_events, mirror_frames, stack
+from mixtac_learning.trials.samples import Sample, load_sample, make_sample, save_sample
+from mixtac_learning.trials.trial import DatasetError, ForceLabel, aligned_force, true_force
+from mixtac_sim.world.training_trials import evaluation_plan, training_plan, unseen_devices
+
+
+def test_frames_are_used_from_their_arrival_on(config, trial):
+    sample = make_sample(config, trial, trial.label, {})
+    at = np.flatnonzero(sample.slots >= 0)
+    middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
+    assert np.array_equal(sample.slots[at], np.arange(len(at)))
+    for window, frame in zip(at, sample.slots[at] + config.reference_frames - 1, strict=True):
+        end = sample.window_end_us[window]
+        assert end - config.window_us < trial.arrival_us[frame] <= end
+        behind = end - config.window_us - sample.lags[window] * config.window_us - middle[frame]
+        assert abs(behind) <= config.window_us / 2
+    assert (np.diff(sample.window_end_us) == config.window_us).all()
+    assert (sample.window_end_us % config.window_us == 0).all()
+
+
+def test_no_event_after_a_window_reaches_it(config, trial):
+    full = make_sample(config, trial, trial.label, {})
+    cut = int(full.window_end_us[150])
+    early = replace(trial, events=trial.events.between(0, cut))
+    part = make_sample(config, early, trial.label, {})
+    assert np.array_equal(full.event_features[:151], part.event_features[:151])
+    assert not part.event_features[151:].any()
+    assert full.event_features[151:].any()
+
+
+def test_labels_are_read_at_window_ends_and_averaged_over_exposures():
+    label = ForceLabel(np.array([0.0, 1000.0, 2000.0]), np.array([0.0, 1.0, 1.0]))
+    assert label.at(np.array([500, 1500])) == pytest.approx([0.5, 1.0])
+    mean = label.mean(np.array([0, 1000, 0]), np.array([1000, 2000, 2000]))
+    assert mean == pytest.approx([0.5, 1.0, 0.75])
+
+
+def test_a_reference_sensor_is_brought_to_the_camera_clock():
+    camera = np.linspace(0, 1e6, 50)
+    label = aligned_force(1.0001 * camera + 777.0, camera * 1e-6, 1.0001, 777.0)
+    assert label.t_us == pytest.approx(camera, abs=1e-3)
+    assert label.at(np.array([250_000])) == pytest.approx(0.25)
+
+
+def test_simulated_truth_becomes_a_label():
+    truth = np.array([(0, 0.0), (1000, 2.0)], dtype=[('t_us', 'i8'), ('fz', 'f8')])
+    assert true_force(truth).at(np.array([500])) == pytest.approx([1.0])
+
+
+def test_samples_survive_the_disk(tmp_path, config, trial):
+    sample = make_sample(config, trial, trial.label, {'device_seed': 3})
+    save_sample(tmp_path / 'a' / 's.npz', sample, config)
+    loaded = load_sample(tmp_path / 'a' / 's.npz', FgerConfig(lstm_size=12))
+    assert loaded.origin == {'device_seed': 3}
+    for name in Sample.__slots__[:-1]:
+        assert np.array_equal(getattr(loaded, name), getattr(sample, name))
+    with pytest.raises(DatasetError, match='prepared with flow_radius = 3, but 2'):
+        load_sample(tmp_path / 'a' / 's.npz', FgerConfig(flow_radius=2))
+
+
+@pytest.mark.parametrize('content', [None, b'', b'rubbish', b'PK\x03\x04 cut short'])
+def test_unreadable_samples_are_named(tmp_path, config, content):
+    path = tmp_path / 's.npz'
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(DatasetError, match='generate it anew'):
+        load_sample(path, config)
+
+
+def test_a_trial_that_begins_in_contact_is_refused(config, trial):
+    pressed = ForceLabel(trial.label.t_us, trial.label.force + 0.2)
+    with pytest.raises(DatasetError, match=r'begins with 0.20 N'):
+        make_sample(config, trial, pressed, {})
+
+
+def test_a_trial_that_is_too_short_is_refused(config, trial):
+    short = replace(trial, frames=trial.frames[:5], arrival_us=trial.arrival_us[:5])
+    with pytest.raises(DatasetError, match='5 frames'):
+        make_sample(config, short, trial.label, {})
+
+
+@pytest.mark.parametrize(('columns', 'rows'), [(True, False), (False, True), (True, True)])
+def test_mirror_images_are_what_a_mirrored_sensor_sees(config, trial, columns, rows):
+    # 344 columns divide into whole bins and equal grid cells; the real 346 leave 2 at one side.
+    narrow = replace(config, width=344, grid_columns=4, grid_rows=5)
+    events = trial.events[trial.events.x < 344]
+    first = replace(trial, frames=trial.frames[:, :, :344], events=events)
+    x = (343 - events.x).astype(np.uint16) if columns else events.x
+    y = (259 - events.y).astype(np.uint16) if rows else events.y
+    axes = [axis for axis, wanted in ((1, rows), (2, columns)) if wanted]
+    second = replace(
+        first,
+        frames=np.ascontiguousarray(np.flip(first.frames, axes)),
+        events=Events(events.t, x, y, events.polarity),
+    )
+    one, other = (make_sample(narrow, part, trial.label, {}) for part in (first, second))
+    turned = mirror_events(torch.from_numpy(one.event_features).float(), columns, rows)
+    assert np.allclose(turned.numpy(), other.event_features, atol=2e-2)
+    frames = mirror_frames(torch.from_numpy(one.frame_inputs).float(), narrow, columns, rows)
+    assert np.allclose(frames.numpy(), other.frame_inputs, atol=2e-2)
+    assert np.abs(other.frame_inputs[-1, 2]).max() > 0.1
+
+
+def test_stacked_trials_keep_their_frames_and_their_lengths(config, trial):
+    long = make_sample(config, trial, trial.label, {})
+    until = ForceLabel(trial.label.t_us[:900], trial.label.force[:900])
+    short = make_sample(config, trial, until, {})
+    both = stack([long, short])
+    assert both.valid.sum(dim=0).tolist() == [len(long.force), len(short.force)]
+    assert not both.event_features[len(short.force) :, 1].any()
+    at = (both.slots.frame[:, 1] >= 0) & both.valid[:, 1]
+    index = both.slots.frame[at, 1]
+    assert torch.equal(both.frame_trial[index], torch.ones_like(index))
+    assert np.array_equal(both.frame_inputs[index[0]].numpy(), short.frame_inputs[0])
+
+
+@given(st.integers(1, 400), st.integers(1, 400), st.integers(0, 9), st.integers(2, 400))
+def test_training_and_evaluation_never_meet(trials, gels, seed, other):
+    plan = training_plan(trials, gels, 6.0, seed)
+    judged = evaluation_plan(unseen_devices(5, other), 6.0, other)
+    assert len({spec.trial_seed for spec in plan}) == trials
+    assert len({spec.device_seed for spec in plan}) == min(gels, trials)
+    assert not {s.device_seed for s in plan} & {s.device_seed for s in judged}
+    assert not {s.trial_seed for s in plan} & {s.trial_seed for s in judged}
+    assert len({(s.device_seed, s.profile) for s in judged}) == len(judged)

@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The uncertainty: learned where errors differ, calibrated, the same live as in batches."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from mixtac_fger.config import HIGHEST_LOG_DEVIATION, LOWEST_LOG_DEVIATION, ModelError
+from mixtac_fger.recurrent_network import deviation, deviation_weights
+from mixtac_learning.judge.report import coverage_figures
+from mixtac_learning.network import DeviationHead, FgerNetwork
+from mixtac_learning.train.batches import MemoryGroups
+from mixtac_learning.train.config import TrainingSettings
+from mixtac_learning.train.loop import LoopSettings, TrainingLoop
+from mixtac_learning.train.stages import (
+    DeviationStage,
+    Errors,
+    calibrate_deviation,
+    collect,
+    head_of,
+)
+from mixtac_learning.train.trainer import estimate
+
+STATE = 8
+
+
+TRIALS = 1000
+
+
+def windows(count: int, seed: int, trials: int = TRIALS) -> Errors:
+    """Return errors whose spread is 0.02 N, and 0.2 N where the first state is positive."""
+    random = torch.Generator().manual_seed(seed)
+    hidden = torch.rand(count, STATE, generator=random) * 2 - 1
+    spread = torch.where(hidden[:, 0] > 0, 0.2, 0.02)
+    return Errors(
+        hidden,
+        torch.rand(count, generator=random),
+        spread * torch.randn(count, generator=random),
+        trials,
+    )
+
+
+@pytest.fixture(scope='module')
+def trained():
+    """A head that was trained and calibrated on such errors, as a network holds it."""
+    torch.manual_seed(0)
+    network = SimpleNamespace(deviation=DeviationHead(STATE, 16))
+    settings = TrainingSettings(deviation_epochs=40, deviation_rate=1e-2)
+    stage = DeviationStage(SimpleNamespace(network=network), None, settings)
+    stage._errors.append(windows(8000, 1))
+    TrainingLoop(network.deviation, LoopSettings()).run([stage])
+    calibrate_deviation(network, windows(8000, 2))
+    return network.deviation
+
+
+def test_intervals_cover_what_they_say(trained):
+    fresh = windows(8000, 3)
+    with torch.no_grad():
+        found = trained(fresh.hidden, fresh.force)
+    for part in (fresh.hidden[:, 0] > 0.3, fresh.hidden[:, 0] < -0.3):
+        inside = (fresh.error.abs() <= found)[part].float().mean().item()
+        assert inside == pytest.approx(0.683, abs=0.08)
+        inside = (fresh.error.abs() <= 1.96 * found)[part].float().mean().item()
+        assert inside == pytest.approx(0.95, abs=0.03)
+
+
+def test_few_trials_make_it_wider():
+    """Trials err by a spread of their own; a further trial is covered on average all the same."""
+    random = torch.Generator().manual_seed(5)
+    network = SimpleNamespace(deviation=DeviationHead(STATE, 16))
+    hidden, force = torch.zeros(900, STATE), torch.zeros(900)
+    with torch.no_grad():
+        unit = float(torch.exp(network.deviation.log_deviation(hidden[:1], force[:1])))
+    covered = {3: 0.0, TRIALS: 0.0}
+    for trials in covered:
+        for _ in range(300):
+            spreads = torch.exp(0.7 * torch.randn(4, 1, generator=random))
+            errors = unit * spreads * torch.randn(4, 300, generator=random)
+            known = Errors(hidden, force, errors[:3].flatten(), trials)
+            scale = calibrate_deviation(network, known)
+            inside = errors[3].abs() <= unit * scale
+            covered[trials] += float(inside.float().mean()) / 300
+    assert covered[TRIALS] < 0.66
+    assert covered[3] == pytest.approx(0.683, abs=0.04)
+
+
+def test_the_compiled_head_gives_the_same_numbers(trained):
+    weights = deviation_weights(trained)
+    for each in torch.rand(50, STATE + 1, generator=torch.Generator().manual_seed(4)) * 6 - 3:
+        with torch.no_grad():
+            wanted = float(trained(each[:STATE], each[STATE]))
+        assert deviation(each[:STATE].numpy(), float(each[STATE]), weights) == pytest.approx(
+            wanted, rel=1e-5
+        )
+
+
+def test_deviations_are_bounded_and_never_infinite():
+    head = DeviationHead(2, 3)
+    with torch.no_grad():
+        for raw, bound in ((1e6, HIGHEST_LOG_DEVIATION), (-1e6, LOWEST_LOG_DEVIATION)):
+            head.output.bias.fill_(raw)
+            found = head(torch.zeros(1, 2), torch.tensor([1e3]))
+            assert float(found[0]) == pytest.approx(np.exp(bound), rel=1e-5)
+            one = deviation(np.zeros(2, np.float32), 1e3, deviation_weights(head))
+            assert one == pytest.approx(np.exp(bound), rel=1e-5)
+
+
+def test_collected_errors_are_those_of_the_batch(model, toy_sequences):
+    sequences = toy_sequences[1]
+    found = collect(model.network, MemoryGroups(sequences))
+    force, _ = estimate(model.network, sequences)
+    errors = (force - sequences.force)[sequences.valid]
+    assert found.error.sort().values == pytest.approx(errors.sort().values, abs=1e-6)
+    few = collect(model.network, MemoryGroups(sequences), most=100)
+    assert few.error.shape == (100,)
+    assert few.hidden.shape == (100, model.config.lstm_size)
+
+
+def test_a_network_without_the_head_says_so(config):
+    bare = FgerNetwork(replace(config, deviation_size=0))
+    with pytest.raises(ModelError, match='deviation_size'):
+        head_of(bare)
+    with pytest.raises(ModelError, match='deviation_size'):
+        bare.forces_and_deviations(*[torch.zeros(1)] * 4)
+
+
+def test_coverage_counts_windows():
+    known = np.zeros(1000)
+    each = SimpleNamespace(force=np.linspace(0, 3, 1000), known=known, deviation=np.ones(1000))
+    figures = coverage_figures([each])
+    assert figures['coverage_68'] == pytest.approx(1 / 3, abs=0.01)
+    assert figures['coverage_95'] == pytest.approx(1.96 / 3, abs=0.01)
+    assert figures['mean_deviation'] == 1.0
+    assert coverage_figures([each, SimpleNamespace(deviation=None, force=known, known=known)]) == {}

@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The way from the events to the increment: live as in batches, with it and without; old files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from mixtac_fger.config import LATER_FIELDS, FgerConfig
+from mixtac_fger.recurrent_network import RecurrentPath
+from mixtac_learning.network import FgerNetwork, FrameSlots
+
+WINDOWS = 60
+
+
+@pytest.mark.parametrize('shortcut', [False, True])
+def test_live_and_batch_agree(shortcut):
+    torch.manual_seed(2)
+    network = FgerNetwork(FgerConfig(event_shortcut=shortcut)).eval()
+    events = torch.randn(WINDOWS, 1, network.config.grid_rows, network.config.grid_columns, 4)
+    none = torch.full((WINDOWS, 1), -1)
+    with torch.no_grad():
+        force, deviation, _ = network.forces_and_deviations(
+            events,
+            torch.zeros(1, network.config.frame_size),
+            FrameSlots(none, torch.zeros_like(none)),
+            network.initial_state(1),
+        )
+    path = RecurrentPath(network)
+    live = []
+    for window in events[:, 0].numpy():
+        path.step(window)
+        live.append((path.force, path.deviation))
+    assert np.abs(np.array(live) - torch.cat([force, deviation], 1).numpy()).max() < 1e-5
+
+
+def test_a_strong_burst_moves_the_force_at_once_only_with_the_shortcut():
+    """The recurrent state is bounded, and what MLP_df makes of it is as well."""
+    steps = {}
+    for shortcut in (False, True):
+        torch.manual_seed(3)
+        network = FgerNetwork(FgerConfig(event_shortcut=shortcut)).eval()
+        sizes = []
+        for strength in (1e2, 1e4):
+            path = RecurrentPath(network)
+            path.step(np.full((6, 8, 4), strength, np.float32))
+            sizes.append(abs(path.force))
+        steps[shortcut] = sizes[1] / sizes[0]
+    assert steps[False] < 2.0
+    assert steps[True] > 20.0
+
+
+def test_a_file_from_before_lacks_both_additions():
+    values = FgerConfig().to_dict()
+    for name in LATER_FIELDS:
+        del values[name]
+    network = FgerNetwork(FgerConfig.from_dict(values))
+    assert network.deviation is None
+    assert network.increment.get_parameter('0.weight').shape[1] == network.config.lstm_size
+    assert RecurrentPath(network).deviation is None
+
+
+def test_a_path_can_begin_at_a_force():
+    torch.manual_seed(4)
+    network = FgerNetwork(FgerConfig()).eval()
+    path = RecurrentPath(network)
+    path.step(np.ones((6, 8, 4), np.float32))
+    path.start_at(0.7)
+    assert path.force == pytest.approx(0.7)
+    feature = np.linspace(0.0, 1.0, network.config.frame_size, dtype=np.float32)
+    with torch.no_grad():
+        inputs = torch.cat([torch.tensor([0.7]), torch.from_numpy(feature)])
+        change = float(network.correction(inputs)[0])
+    # Any past is at that force as well.
+    path.correct(feature, 20)
+    assert path.force == pytest.approx(0.7 + change, abs=1e-5)

@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The small network is as small as it is said to be, counted by torch's own counter."""
+
+from __future__ import annotations
+
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from mixtac_fger.config import FgerConfig
+from mixtac_learning.network import FgerNetwork, FrameSlots, count_parameters, operations_per_cycle
+
+MOST_PARAMETERS = 50_000
+MOST_OPERATIONS = 5_000_000
+WINDOWS = 20
+"""Windows of 2 ms per frame interval of 40 ms."""
+
+
+def test_fewer_parameters_than_promised():
+    network = FgerNetwork(FgerConfig())
+    assert count_parameters(network) == sum(p.numel() for p in network.parameters())
+    assert count_parameters(network) < MOST_PARAMETERS
+
+
+def test_fewer_operations_than_promised():
+    network = FgerNetwork(FgerConfig())
+    config = network.config
+    frame = torch.zeros(1, len(config.frame_channels), *config.frame_shape)
+    events = torch.zeros(WINDOWS, 1, config.grid_rows, config.grid_columns, 4)
+    slots = FrameSlots(torch.full((WINDOWS, 1), -1), torch.zeros((WINDOWS, 1), dtype=torch.int64))
+    slots.frame[0] = 0
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        features = network.frame(frame)
+        network.forces_and_deviations(events, features, slots, network.initial_state(1))
+    counted = counter.get_total_flops()
+    assert counted < MOST_OPERATIONS
+    # Biases are operations for us and none for torch.
+    assert counted <= operations_per_cycle(network) < 1.05 * counted

@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The commands end to end, with the toy sensor in place of the simulator."""
+
+from __future__ import annotations
+
+import functools
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from mixtac_fger.config import ConfigError, ModelError
+from mixtac_fger.weights import load_model
+from mixtac_learning import commands as training_cli
+from mixtac_learning.judge.estimators import load_estimator
+from mixtac_learning.paper.config import PaperConfig
+from mixtac_learning.train.config import (
+    DataConfig,
+    RunConfig,
+    SimulatedData,
+    TrainingSettings,
+    find_run_config,
+    read_run_config,
+    shipped_runs,
+    with_overrides,
+)
+from mixtac_learning.train.loop import TrainingError
+from mixtac_learning.train.paper_stage import PaperTraining
+from mixtac_learning.train.run import Run, estimator_of, save
+from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_sim.world import training_trials as generation
+from mixtac_sim.world.training_trials import TrialSpec
+
+
+@pytest.fixture
+def simulated(monkeypatch, trial) -> list[str]:
+    """Names of the trials that were simulated, each the same toy trial."""
+    names: list[str] = []
+
+    def simulate(spec):
+        names.append(spec.name)
+        return trial
+
+    monkeypatch.setattr(generation, 'simulate', simulate)
+    monkeypatch.setattr(generation, 'simulator_digest', lambda: 'toy')
+    return names
+
+
+def test_train_writes_weights_with_their_figures(tmp_path, simulated, capsys, monkeypatch):
+    monkeypatch.setattr(training_cli, 'RunConfig', functools.partial(RunConfig, judged=1))
+    out, report = tmp_path / 'small.safetensors', tmp_path / 'report.json'
+    options = {'seed': 1, 'trials': 3, 'gels': 3, 'seconds': 6.0, 'epochs': 6, 'jobs': 1}
+    folders = {'data': tmp_path / 'data', 'folder': tmp_path / 'run'}
+    training_cli.train(out=out, **options, **folders, json=report)
+    card = load_model(out).card
+    assert card.training['device_seeds'] == [101_000, 101_002]
+    assert card.training['trials'] == 3
+    assert card.training['simulator'] == 'toy'
+    assert set(card.metrics) == {'seen_devices', 'unseen_devices'}
+    assert set(card.metrics['unseen_devices']) > {'all', 'press', 'impact'}
+    assert json.loads(report.read_text())['metrics'] == card.metrics
+    assert 'unseen devices' in capsys.readouterr().out
+    assert 'simulated data only' in out.with_suffix('.md').read_text()
+    kept = sorted(path.name.rpartition('-')[0] for path in (tmp_path / 'data').iterdir())
+    assert kept == sorted(simulated[:3])
+    curves = json.loads((tmp_path / 'run' / 'curves.json').read_text())['epochs']
+    stages = ['frames'] * 3 + ['recurrent'] * 6 + ['joint'] + ['deviation'] * 10
+    assert [row['stage'] for row in curves] == stages
+    picture = tmp_path / 'trials.png'
+    training_cli.evaluate(None, str(out), 2, 1, 6.0, figures=picture, json=report)
+    figures = json.loads(report.read_text())['metrics']['unseen_devices']
+    assert figures['all']['mae'] == pytest.approx(card.metrics['unseen_devices']['all']['mae'])
+    assert figures['all']['reference_mae'] > 0.0
+    assert picture.exists()
+
+
+def test_a_finished_run_is_not_trained_again(tmp_path, simulated):
+    config = tmp_path / 'run.yaml'
+    config.write_text(
+        'model: ours\n'
+        'training: {frame_epochs: 1, recurrent_epochs: 1, joint_epochs: 0, deviation_epochs: 0}\n'
+        'data:\n'
+        '  simulated: {preset: easy, sensors: 2, trials: 3, seconds: 4.0, profiles: [press]}\n'
+        '  checked: 0.34\n'
+    )
+    chosen = with_overrides(read_run_config(config), None, 3, tmp_path / 'data')
+    assert chosen.training['seed'] == 3
+    first = Run(chosen, tmp_path / 'run').carry_out()
+    assert [row['validation'] is not None for row in first.curves] == [True, True]
+    assert (first.card.training['trials'], first.card.training['held_out_trials']) == (2, 1)
+    stages = []
+    again = Run(chosen, tmp_path / 'run', report=lambda *row: stages.append(row)).carry_out()
+    assert stages == []
+    for name, value in first.network.state_dict().items():
+        assert torch.equal(value, again.network.state_dict()[name])
+    other = with_overrides(chosen, None, 4, None)
+    with pytest.raises(TrainingError, match='other settings'):
+        Run(other, tmp_path / 'run').carry_out()
+
+
+@pytest.mark.parametrize('model', ['fger', 'frames', 'events', 'fusion'])
+def test_the_papers_networks_train_and_are_judged(tmp_path, simulated, model):
+    config = RunConfig(
+        model=model,
+        network={'scale': 8, 'events_per_packet': 16, 'channels': 8, 'lstm_size': 8},
+        training={'epochs': 2, 'batch': 8, 'cycles': 2},
+        data=DataConfig(SimulatedData('easy', 1, 2, 4.0), cache=str(tmp_path), checked=0.5),
+    )
+    trained = Run(config, tmp_path / 'run').carry_out()
+    assert [row['epoch'] for row in trained.curves] == [1, 2]
+    out = tmp_path / 'm.safetensors'
+    save(out, trained, {})
+    source = SimulatedSource(TrialSpec(1, 2, 'press', 4.0))
+    loaded = load_estimator(out).estimate(source.load())
+    direct = estimator_of(trained).estimate(source.load())
+    assert np.array_equal(loaded.force, direct.force)
+    assert np.isfinite(direct.force).all()
+    assert (np.diff(direct.t_us) == 2000).all()
+    with pytest.raises(ModelError, match='fger_small'):
+        load_model(out)
+
+
+def test_shipped_runs_can_be_read():
+    names = sorted(path.stem for path in shipped_runs().glob('*.yaml'))
+    assert names == ['events', 'fger_paper', 'frames', 'fusion', 'ours', 'smoke']
+    for name in names:
+        run = read_run_config(find_run_config(name))
+        if run.model == 'ours':
+            TrainingSettings.from_dict(run.training)
+        else:
+            PaperTraining.from_dict(run.training)
+            assert PaperConfig.from_dict({'model': run.model} | run.network).model == run.model
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('model: [', 'cannot be read'),
+        ('- a', 'no map'),
+        ('model: ours', 'nothing to train on'),
+        ('model: snn\ndata: {bags: [a]}', 'unknown'),
+        ('speed: 1\ndata: {bags: [a]}', "unknown fields .'speed'"),
+        ('data: {bags: [a], checked: much}', 'is no float'),
+    ],
+)
+def test_impossible_runs_are_refused(tmp_path, text, message):
+    path = tmp_path / 'run.yaml'
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        read_run_config(path)
+
+
+def test_evaluating_a_missing_model_simulates_nothing(tmp_path, simulated):
+    with pytest.raises(ModelError, match='does not exist'):
+        training_cli.evaluate(None, str(tmp_path / 'no.safetensors'), 2, 1, 6.0)
+    assert simulated == []

@@ -1,0 +1,76 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A tiny training run in a process of its own: fit a line; may be killed, may be one of several.
+
+Arguments: folder, epoch after which the process kills itself (0 for never).
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import torch
+
+from mixtac_learning.train.loop import LoopSettings, TrainingLoop
+from mixtac_learning.train.parallel import Processes
+
+EPOCHS = 12
+
+
+class LineStage:
+    """Batches of a line with noise, in random order; this process's share of the points."""
+
+    name, epochs, rate = 'line', EPOCHS, 0.05
+
+    def __init__(self, model: torch.nn.Module, processes: Processes) -> None:
+        points = torch.Generator().manual_seed(3)
+        x = torch.rand(40, 1, generator=points)
+        y = 2.0 * x - 0.5 + 0.1 * torch.randn(40, 1, generator=points)
+        self.model = model
+        own = processes.share(range(40))
+        self.x, self.y = x[own], y[own]
+
+    def parameters(self) -> list[torch.nn.Parameter]:
+        return list(self.model.parameters())
+
+    def updates(self) -> int:
+        return 4
+
+    def losses(self, random: torch.Generator):
+        rows = torch.randperm(len(self.x), generator=random)
+        for part in rows.chunk(4):
+            noise = 0.0 * torch.rand(1)  # the global random state is part of a run as well
+            yield (self.model(self.x[part]) + noise - self.y[part]).square().mean()
+
+    def validate(self) -> float | None:
+        with torch.no_grad():
+            return float((self.model(self.x) - self.y).abs().mean())
+
+
+def fit(folder: Path, kill_after: int, processes: Processes, patience: int = 0) -> TrainingLoop:
+    torch.manual_seed(7)
+    model = torch.nn.Linear(1, 1)
+
+    def report(stage, epoch, epochs, loss, error) -> None:
+        if kill_after and epoch == kill_after + 1:
+            # In the middle: the epoch is done, its checkpoint is not written.
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    settings = LoopSettings(seed=5, patience=patience)
+    loop = TrainingLoop(
+        model, settings, folder / 'checkpoint.safetensors', 'line', report, processes
+    )
+    loop.run([LineStage(model, processes)])
+    return loop
+
+
+if __name__ == '__main__':
+    torch.set_num_threads(1)
+    together = Processes.join()
+    done = fit(Path(sys.argv[1]) / str(together.rank), int(sys.argv[2]), together)
+    weights = [float(value) for value in done.module.state_dict().values()]
+    (Path(sys.argv[1]) / f'weights_{together.rank}.txt').write_text(repr(weights))
+    together.leave()

@@ -1,0 +1,58 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Where the recurrent path begins, and the blows that are cut out for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from mixtac_learning.network import FgerNetwork
+from mixtac_learning.train.batches import stack
+from mixtac_learning.train.stages import AFTER, BEFORE, FOLLOWED, blows, follow_frames
+from mixtac_learning.trials.samples import make_sample
+
+
+def test_the_start_follows_the_frames(config):
+    torch.manual_seed(1)
+    network = FgerNetwork(config)
+    follow_frames(network)
+    features = torch.rand(20, config.frame_size)
+    with torch.no_grad():
+        known = network.frame.force(features)
+        for estimate in (-1.0, 0.0, 2.0):
+            before = torch.full((20,), estimate)
+            change = network.correction(torch.cat([before[:, None], features], dim=1))[:, 0]
+            wanted = FOLLOWED * (known - before)
+            assert (change - wanted).abs().max() < 0.1
+            assert torch.corrcoef(torch.stack([change, wanted]))[0, 1] > 0.8
+
+
+@pytest.fixture
+def sequences(config, trial):
+    """One trial twice, with made-up forces: zero, and blows of one window."""
+    both = stack([make_sample(config, trial, trial.label, {}) for _ in range(2)])
+    force = torch.zeros_like(both.force)
+    force[100, 0] = force[300, 0] = force[20, 0] = 8.0
+    force[200:204, 1] = 5.0
+    force[250, 1], force[300:330, 1], force[331, 1] = 2.0, 1.0, 6.0
+    return replace(both, force=force)
+
+
+def test_blows_out_of_nothing_are_cut_out(sequences):
+    found = blows(sequences)
+    assert found is not None
+    # Not the one at 20, which the trial begins too late for, nor the one on top of a press.
+    assert found.force.shape == (BEFORE + AFTER, 3)
+    for column, (start, trial) in enumerate(((70, 0), (170, 1), (270, 0))):
+        rows = slice(start, start + BEFORE + AFTER)
+        assert torch.equal(found.force[:, column], sequences.force[rows, trial])
+        assert torch.equal(found.event_features[:, column], sequences.event_features[rows, trial])
+        assert torch.equal(found.slots.frame[:, column], sequences.slots.frame[rows, trial])
+    assert found.device.tolist() == [0, 1, 0]
+
+
+def test_trials_without_blows_give_none(sequences):
+    assert blows(replace(sequences, force=torch.ones_like(sequences.force))) is None

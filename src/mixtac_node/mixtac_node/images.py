@@ -1,0 +1,243 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Between `sensor_msgs/Image` and NumPy arrays, with cv_bridge where it is installed or without.
+
+Bytes become pixels here, always: the Python side of cv_bridge cannot swap bytes with NumPy 2 and
+assumes that the padding of a row is a whole number of pixels. Colours are converted by cv_bridge
+where there is one, else by the OpenCV functions it stands on. Messages are those of rclpy or of
+rosbags: only their fields matter.
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import cv2
+import numpy as np
+
+from mixtac_events.errors import MixtacError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Pixels = NDArray[np.uint8 | np.uint16]
+
+
+PASSTHROUGH = 'passthrough'
+"""As target: the pixels as they are in the message."""
+_MOSAICS = tuple(f'bayer_{pattern}' for pattern in ('rggb', 'grbg', 'gbrg', 'bggr'))
+_CHANNELS = {'mono': 1, 'rgb': 3, 'bgr': 3, 'rgba': 4, 'bgra': 4} | dict.fromkeys(_MOSAICS, 1)
+_ALIASES = {'8UC1': 'mono8', '16UC1': 'mono16', '8UC3': 'bgr8', '16UC3': 'bgr16'}
+"""Encodings that name no colours, and what OpenCV and cv_bridge take them for."""
+ENCODINGS = (*(f'{kind}{bits}' for kind in _CHANNELS for bits in (8, 16)), *_ALIASES)
+"""Encodings that can be read."""
+TARGETS = (PASSTHROUGH, *(f'{kind}{bits}' for kind in ('mono', 'rgb', 'bgr') for bits in (8, 16)))
+"""Encodings that can be asked for."""
+
+
+class ImageConversionError(MixtacError):
+    """An encoding that cannot be converted, or an image message that contradicts itself."""
+
+
+class ColourConverter(Protocol):
+    """Converts between two encodings; both ways of this module are one."""
+
+    def __call__(self, pixels: Pixels, source: str, target: str) -> Pixels:
+        """Return the pixels in another encoding.
+
+        Args:
+            pixels: `uint8` or `uint16`, [height, width] or [height, width, channels].
+            source: Their encoding, no alias.
+            target: Encoding wanted, another than `source`.
+        """
+        ...
+
+
+def pixels(message: Any) -> Pixels:  # noqa: ANN401
+    """Return the pixels of an image message in native byte order.
+
+    Args:
+        message: A `sensor_msgs/Image`.
+
+    Returns:
+        `uint8` or `uint16`, [height, width] or [height, width, channels], contiguous; a read-only
+        view of the message's data where their layout allows that, else a copy.
+
+    Raises:
+        ImageConversionError: Unknown encoding, or sizes that contradict each other.
+    """
+    dtype, channels = _layout(str(message.encoding))
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    row = width * channels * dtype.itemsize
+    data = np.frombuffer(message.data, np.uint8)
+    if not row or not height or step < row or data.size < step * height:
+        raise ImageConversionError(
+            f'image of {width} x {height} {message.encoding}, {step} bytes a row, holds '
+            f'{data.size} bytes: the publisher must fill {row} bytes a row'
+        )
+    data.flags.writeable = False
+    rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])
+    found = rows.view(dtype)
+    if dtype.itemsize > 1 and bool(message.is_bigendian) != (sys.byteorder == 'big'):
+        found = found.byteswap()
+    return found if channels == 1 else found.reshape(height, width, channels)
+
+
+def image_array(
+    message: Any,  # noqa: ANN401
+    target: str = PASSTHROUGH,
+    *,
+    converter: ColourConverter | None = None,
+) -> Pixels:
+    """Return the pixels of an image message in the encoding that is asked for.
+
+    Values are scaled between 8 and 16 bits so that white stays white, as cv_bridge does.
+
+    Args:
+        message: A `sensor_msgs/Image` in one of `ENCODINGS`.
+        target: One of `TARGETS`.
+        converter: What converts colours; None for cv_bridge where it is installed, else OpenCV.
+
+    Raises:
+        ImageConversionError: Another encoding or target, or a damaged message.
+    """
+    if target not in TARGETS:
+        raise ImageConversionError(f'image target {target!r}: use one of {", ".join(TARGETS)}')
+    found = pixels(message)
+    source = _ALIASES.get(str(message.encoding), str(message.encoding))
+    if target in (PASSTHROUGH, source):
+        return found
+    return (converter or default_converter())(found, source, target)
+
+
+def grey(message: Any) -> Any:  # noqa: ANN401  (mypy keeps the types of arrays apart)
+    """Return the grey levels of an image message with as many bits as it has, [height, width].
+
+    Args:
+        message: A `sensor_msgs/Image` in one of `ENCODINGS`.
+
+    Returns:
+        `uint8` or `uint16`.
+
+    Raises:
+        ImageConversionError: Another encoding, or a damaged message.
+    """
+    dtype, _ = _layout(str(message.encoding))
+    return image_array(message, f'mono{8 * dtype.itemsize}')
+
+
+def fill(message: Any, image: Pixels, encoding: str) -> None:  # noqa: ANN401
+    """Write pixels into a fresh image message; its header is left alone.
+
+    Args:
+        message: A `sensor_msgs/msg/Image` of rclpy without data.
+        image: `uint8` or `uint16`, [height, width] or [height, width, channels].
+        encoding: Their encoding, one of `ENCODINGS`.
+
+    Raises:
+        ImageConversionError: Type or shape is not that of the encoding.
+    """
+    dtype, channels = _layout(encoding)
+    shape = image.shape[:2] if channels == 1 else (*image.shape[:2], channels)
+    if image.dtype != dtype or image.shape != shape or not image.size:
+        raise ImageConversionError(
+            f'{encoding} has {channels} channels of {dtype}, got an array {image.shape} of '
+            f'{image.dtype}'
+        )
+    message.height, message.width = image.shape[:2]
+    message.encoding = encoding
+    message.is_bigendian = sys.byteorder == 'big'
+    message.step = image.nbytes // image.shape[0]
+    # Assigning the array goes through every element; this is one copy.
+    message.data.frombytes(np.ascontiguousarray(image).view(np.uint8))
+
+
+@functools.cache
+def default_converter() -> ColourConverter:
+    """Return the converter of cv_bridge where that is installed, else that of this module."""
+    try:
+        from cv_bridge import CvBridge
+    except ImportError:
+        return convert_colours
+    return BridgeConverter(CvBridge())
+
+
+def convert_colours(pixels: Pixels, source: str, target: str) -> Pixels:
+    """Convert with OpenCV, as cv_bridge does: first the colours, then the depth.
+
+    A ColourConverter. Bayer mosaics are interpolated bilinearly.
+    """
+    code = _code(source.rstrip('0123456789'), target.rstrip('0123456789'))
+    found = pixels if code is None else np.asarray(cv2.cvtColor(pixels, code), pixels.dtype)
+    return _with_depth(found, target)
+
+
+@dataclass(frozen=True)
+class BridgeConverter:
+    """Converts with cv_bridge; a ColourConverter.
+
+    Attributes:
+        bridge: A `cv_bridge.CvBridge`.
+    """
+
+    bridge: Any
+
+    def __call__(self, pixels: Pixels, source: str, target: str) -> Pixels:
+        """Return the pixels in another encoding."""
+        plain = _PlainImage(
+            height=pixels.shape[0],
+            width=pixels.shape[1],
+            encoding=source,
+            is_bigendian=int(sys.byteorder == 'big'),
+            step=pixels.nbytes // pixels.shape[0],
+            data=pixels.tobytes(),
+        )
+        try:
+            return np.asarray(self.bridge.imgmsg_to_cv2(plain, target))
+        except TypeError as error:  # CvBridgeError is one
+            raise ImageConversionError(f'cv_bridge, {source} to {target}: {error}') from error
+
+
+@dataclass(frozen=True)
+class _PlainImage:
+    """The fields of an image message that cv_bridge reads: native byte order, no padding."""
+
+    height: int
+    width: int
+    encoding: str
+    is_bigendian: int
+    step: int
+    data: bytes
+
+
+def _layout(encoding: str) -> tuple[np.dtype[Any], int]:
+    if encoding not in ENCODINGS:
+        raise ImageConversionError(
+            f'image encoding {encoding!r}: use one of {", ".join(ENCODINGS)}'
+        )
+    name = _ALIASES.get(encoding, encoding)
+    kind = name.rstrip('0123456789')
+    return np.dtype(f'u{int(name[len(kind) :]) // 8}'), _CHANNELS[kind]
+
+
+def _code(source: str, target: str) -> int | None:
+    """Return OpenCV's number for a conversion of colours, None where they are the same."""
+    if source == target:
+        return None
+    names = {'mono': 'GRAY'} | {mosaic: f'Bayer{mosaic[-4:].upper()}' for mosaic in _MOSAICS}
+    one, other = (names.get(kind, kind.upper()) for kind in (source, target))
+    return int(getattr(cv2, f'COLOR_{one}2{other}'))
+
+
+def _with_depth(pixels: Pixels, target: str) -> Pixels:
+    """Return the pixels with the bits of the target, 255 and 65535 both white."""
+    wanted = np.dtype(np.uint16 if target.endswith('16') else np.uint8)
+    if pixels.dtype == wanted:
+        return pixels
+    if wanted == np.uint16:
+        return np.multiply(pixels, 257, dtype=np.uint16)
+    # The nearest of 256 levels; no value lies between two.
+    return ((pixels.astype(np.uint32) + 128) // 257).astype(np.uint8)

@@ -1,0 +1,89 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Configures and activates lifecycle nodes, with the reason where that fails."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+
+from mixtac_node.process import GraphError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+
+
+SERVICE_TIMEOUT_S = 20.0
+TRANSITION_TIMEOUT_S = 60.0
+
+
+class LifecycleClient:
+    """Drives one lifecycle node to `active`.
+
+    Args:
+        node: Node that calls the services.
+        target: Fully qualified name of the lifecycle node.
+        alive: Called while waiting; raises when the process behind the node has ended.
+        reason: Returns the last error that the node logged, empty where that is not known.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        target: str,
+        alive: Callable[[], None],
+        reason: Callable[[], str] = str,
+    ) -> None:
+        self._node = node
+        self._target = target
+        self._alive = alive
+        self._reason = reason
+        self._change = node.create_client(ChangeState, f'{target}/change_state')
+        self._get = node.create_client(GetState, f'{target}/get_state')
+
+    def bring_up(self) -> None:
+        """Configure and activate the node.
+
+        Raises:
+            GraphError: It does not appear, refuses a transition, or takes too long.
+        """
+        self._wait_for_service()
+        self._transition(
+            Transition.TRANSITION_CONFIGURE, 'configured', State.PRIMARY_STATE_INACTIVE
+        )
+        self._transition(Transition.TRANSITION_ACTIVATE, 'activated', State.PRIMARY_STATE_ACTIVE)
+
+    def _wait_for_service(self) -> None:
+        deadline = time.monotonic() + SERVICE_TIMEOUT_S
+        while not self._change.wait_for_service(timeout_sec=0.2):
+            self._alive()
+            if time.monotonic() > deadline:
+                raise GraphError(
+                    f'{self._target} did not appear within {SERVICE_TIMEOUT_S:.0f} s: is it '
+                    'installed, and on the same ROS_DOMAIN_ID?'
+                )
+
+    def _transition(self, transition: int, done: str, goal: int) -> None:
+        request = ChangeState.Request()
+        request.transition.id = transition
+        reply = self._call(self._change, request)
+        state = self._call(self._get, GetState.Request()).current_state
+        if not reply.success or state.id != goal:
+            why = self._reason() or 'its own log says why'
+            raise GraphError(f'{self._target} could not be {done}: {why}')
+
+    def _call(self, client: Any, request: Any) -> Any:  # noqa: ANN401
+        future = client.call_async(request)
+        deadline = time.monotonic() + TRANSITION_TIMEOUT_S
+        while not future.done():
+            rclpy.spin_once(self._node, timeout_sec=0.1)
+            self._alive()
+            if time.monotonic() > deadline:
+                raise GraphError(f'{self._target} did not answer in {TRANSITION_TIMEOUT_S:.0f} s')
+        return future.result()

@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Child processes: their environment, starting them together, watching and ending them."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from ament_index_python.packages import get_package_share_directory
+
+from mixtac_events.errors import MixtacError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import FrameType, TracebackType
+
+
+class GraphError(MixtacError):
+    """A node that did not start, died, or could not be configured."""
+
+
+VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+"""Fast DDS 2 (ROS 2 Jazzy) reads the first, Fast DDS 3 the second."""
+_ON_THIS_MACHINE = {'LOCALHOST', 'OFF'}
+
+
+def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables to add, none where the user has a profile already.
+
+    Args:
+        environment: That of the nodes; `ROS_AUTOMATIC_DISCOVERY_RANGE` decides between loopback
+            and all interfaces.
+    """
+    if any(environment.get(name) for name in VARIABLES):
+        return {}
+    local = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '') in _ON_THIS_MACHINE
+    name = 'local.xml' if local else 'network.xml'
+    path = Path(get_package_share_directory('mixtac_bringup')) / 'config' / 'fastdds' / name
+    return dict.fromkeys(VARIABLES, str(path))
+
+
+STOP_GRACE_S = 8.0
+_ENDING = (signal.SIGTERM, signal.SIGHUP)
+_FATAL = re.compile(r'^error: (?P<text>.*)')
+_LOGGED = re.compile(r'^\[(ERROR|FATAL)\] \[[^]]*\] \[[^]]*\]: (?P<text>.*)')
+
+
+@dataclass
+class _Member:
+    """A running process and the thread that passes on what it says.
+
+    Attributes:
+        process: The process.
+        reader: Thread that reads its output until it ends.
+        last_error: The last line it called an error.
+    """
+
+    process: subprocess.Popen[str]
+    reader: threading.Thread = field(init=False)
+    last_error: str = ''
+
+    def read(self, name: str, sink: IO[str]) -> None:
+        """Pass the output on and remember the last error.
+
+        The one line with which a process ends itself is held back: the group reports it.
+        """
+        assert self.process.stdout is not None  # noqa: S101  (always piped)
+        for line in self.process.stdout:
+            fatal, logged = _FATAL.match(line), _LOGGED.match(line)
+            if fatal or logged:
+                self.last_error = (fatal or logged)['text'].strip()  # type: ignore[index]
+            if not fatal or sink is not sys.stderr:
+                sink.write(line if sink is not sys.stderr else f'[{name}] {line}')
+                sink.flush()
+        if sink is not sys.stderr:
+            sink.close()
+
+
+class ProcessGroup:
+    """The processes of a graph; none outlives this one.
+
+    Leaving the `with` block ends them. While it lasts, SIGTERM and SIGHUP leave it by SystemExit
+    (in the main thread; elsewhere Python cannot catch them). If this process is killed, the
+    kernel sends them SIGTERM, where `setpriv` of util-linux is there.
+
+    Args:
+        log_dir: Folder for one log file per process, or None to pass their output on to stderr.
+        env: Environment of the processes; None for this process's own.
+    """
+
+    def __init__(self, log_dir: Path | None = None, env: dict[str, str] | None = None) -> None:
+        self._log_dir = log_dir
+        self._env = env
+        self._members: dict[str, _Member] = {}
+        self._handlers: dict[int, Any] = {}
+
+    def __enter__(self) -> ProcessGroup:
+        """Return the group."""
+        if threading.current_thread() is threading.main_thread():
+            self._handlers = {number: signal.signal(number, _leave) for number in _ENDING}
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End all processes."""
+        self.stop()
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+    def start(self, name: str, command: list[str]) -> None:
+        """Start a process under a name.
+
+        In a session of its own, so that a Ctrl-C in the terminal reaches this process first and
+        the nodes are ended in order.
+        """
+        sink: IO[str] = sys.stderr
+        if self._log_dir is not None:
+            self._log_dir.mkdir(parents=True, exist_ok=True)
+            sink = (self._log_dir / f'{name}.log').open('w')
+        member = _Member(
+            subprocess.Popen(
+                ending_with_parent(command),
+                env=self._env,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors='replace',
+                start_new_session=True,
+            )
+        )
+        member.reader = threading.Thread(target=member.read, args=(name, sink), daemon=True)
+        member.reader.start()
+        self._members[name] = member
+
+    def check(self) -> None:
+        """Raise if a process has ended.
+
+        Raises:
+            GraphError: Names the process and its last words.
+        """
+        for name, member in self._members.items():
+            code = member.process.poll()
+            if code is not None:
+                member.reader.join(1.0)
+                said = f': {member.last_error}' if member.last_error else ''
+                raise GraphError(f'{name} ended with status {code}{said}')
+
+    def last_error(self, name: str) -> str:
+        """Return the last line that a process called an error, or an empty string."""
+        return self._members[name].last_error
+
+    def stop(self, name: str | None = None) -> dict[str, int]:
+        """End one process or all, newest first: SIGTERM, then SIGKILL after a grace time.
+
+        Not SIGINT: a Python process that is still importing answers it with a traceback.
+
+        Returns:
+            Exit status by name.
+        """
+        names = [name] if name is not None else list(reversed(self._members))
+        for each in names:
+            if self._members[each].process.poll() is None:
+                self._members[each].process.terminate()
+        deadline = time.monotonic() + STOP_GRACE_S
+        return {each: _wait(self._members.pop(each), deadline) for each in names}
+
+
+def _leave(number: int, _frame: FrameType | None) -> None:
+    raise SystemExit(128 + number)
+
+
+def ending_with_parent(command: list[str]) -> list[str]:
+    """Return a command whose process gets SIGTERM when the thread that started it is gone."""
+    setpriv = shutil.which('setpriv')
+    main = threading.current_thread() is threading.main_thread()
+    return [setpriv, '--pdeathsig', 'TERM', '--', *command] if setpriv and main else command
+
+
+def _wait(member: _Member, deadline: float) -> int:
+    try:
+        code = member.process.wait(max(0.1, deadline - time.monotonic()))
+    except subprocess.TimeoutExpired:
+        member.process.kill()
+        code = member.process.wait()
+    member.reader.join(1.0)
+    return code

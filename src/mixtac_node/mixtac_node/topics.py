@@ -1,0 +1,297 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Topics and services of the sensor graph: name, message type and QoS of each."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import Any
+
+
+def message_class(type_name: str) -> Any:  # noqa: ANN401
+    """Return the class of, for example, `sensor_msgs/msg/Image`."""
+    package, kind, name = type_name.split('/')
+    return getattr(importlib.import_module(f'{package}.{kind}'), name)
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic.
+
+    Attributes:
+        name: Relative to the namespace, or absolute.
+        type_name: For example `sensor_msgs/msg/Image`.
+        reliable: Reliability its publisher offers.
+        depth: Queue depth its publisher offers.
+        latched: True for transient local.
+        description: What it carries, on which clock.
+        condition: Parameter without which nobody publishes it, empty for none.
+    """
+
+    name: str
+    type_name: str
+    reliable: bool
+    depth: int
+    description: str
+    latched: bool = False
+    condition: str = ''
+
+    @property
+    def has_header(self) -> bool:
+        """Whether its messages begin with a `std_msgs/Header`."""
+        return self.type_name not in {'std_msgs/msg/Float64', 'std_msgs/msg/Bool'}
+
+    def resolved(self, namespace: str) -> str:
+        """Return the absolute name."""
+        return self.name if self.name.startswith('/') else f'/{namespace.strip("/")}/{self.name}'
+
+
+REFERENCE = '/ft_sensor/wrench'
+TOPICS = (
+    Topic(
+        'events',
+        'event_camera_msgs/msg/EventPacket',
+        reliable=False,
+        depth=1000,
+        description='Events, encoding `libcaer_cmp`, a packet every 1 ms or less; `time_base` on '
+        'the camera clock [ns], `header.stamp` the arrival on the host.',
+    ),
+    Topic(
+        'image_raw',
+        'sensor_msgs/msg/Image',
+        reliable=False,
+        depth=10,
+        description='APS frame, `mono16`, 10 bit left-aligned; stamp is mid-exposure on the camera '
+        'clock.',
+    ),
+    Topic(
+        'camera_info',
+        'sensor_msgs/msg/CameraInfo',
+        reliable=False,
+        depth=10,
+        description='Calibration of the lens, with the stamp of its frame.',
+    ),
+    Topic(
+        'image_rect',
+        'sensor_msgs/msg/Image',
+        reliable=False,
+        depth=10,
+        condition='undistort_frames',
+        description='With `undistort_frames`: the frame without the distortion of the lens, '
+        'pixels by P of `camera_info`.',
+    ),
+    Topic(
+        'events_rect',
+        'event_camera_msgs/msg/EventPacket',
+        reliable=False,
+        depth=1000,
+        condition='undistort_events',
+        description='With `undistort_events`: events at the pixels of `image_rect`; those outside '
+        'are left out.',
+    ),
+    Topic(
+        'image_exposure',
+        'mixtac_msgs/msg/FrameExposure',
+        reliable=False,
+        depth=10,
+        description='With the header of its frame: start and end of its exposure and of its '
+        'read-out on the camera clock.',
+    ),
+    Topic(
+        'imu',
+        'sensor_msgs/msg/Imu',
+        reliable=False,
+        depth=10,
+        description='Acceleration [m/s^2] and angular velocity [rad/s]; stamp on the camera clock.',
+    ),
+    Topic(
+        'temperature',
+        'sensor_msgs/msg/Temperature',
+        reliable=False,
+        depth=10,
+        description='Temperature of the inertial unit in the camera, 10 Hz; stamp on the camera '
+        'clock.',
+    ),
+    Topic(
+        'external_edges',
+        'mixtac_msgs/msg/ExternalEdge',
+        reliable=True,
+        depth=1000,
+        description='Edges and pulses at the synchronisation connector; stamp on the camera clock.',
+    ),
+    Topic(
+        'camera_clock',
+        'sensor_msgs/msg/TimeReference',
+        reliable=True,
+        depth=1,
+        latched=True,
+        description='Once a second: a host time in `header.stamp` and the camera clock at that '
+        'time in `time_ref`.',
+    ),
+    Topic(
+        'force',
+        'geometry_msgs/msg/WrenchStamped',
+        reliable=False,
+        depth=100,
+        description='Estimated force at 500 Hz, `force.z` the normal force [N]; stamp is the end '
+        'of the event window on the camera clock, frame `mixtac_contact`.',
+    ),
+    Topic(
+        'force_quality',
+        'mixtac_msgs/msg/ForceQuality',
+        reliable=False,
+        depth=100,
+        description='For each `force`, with the same stamp: its standard deviation [N], the age of '
+        'the latest frame, and whether all events of the window arrived.',
+    ),
+    Topic(
+        REFERENCE,
+        'geometry_msgs/msg/WrenchStamped',
+        reliable=False,
+        depth=100,
+        description='Reference force sensor, 800 Hz, on its own clock (the virtual one, or yours).',
+    ),
+    Topic(
+        'truth/wrench',
+        'geometry_msgs/msg/WrenchStamped',
+        reliable=False,
+        depth=100,
+        description='Virtual sensor only: the simulated force itself, 1 kHz, on the host clock.',
+    ),
+    Topic(
+        '/diagnostics',
+        'diagnostic_msgs/msg/DiagnosticArray',
+        reliable=True,
+        depth=10,
+        description='State of every node once a second.',
+    ),
+    Topic(
+        'clock_fit',
+        'mixtac_msgs/msg/ClockFit',
+        reliable=True,
+        depth=1,
+        latched=True,
+        description='Map from the camera clock to the reference clock (alignment node).',
+    ),
+    Topic(
+        'alignment/reference',
+        'geometry_msgs/msg/WrenchStamped',
+        reliable=False,
+        depth=100,
+        description='The reference force, stamps on the camera clock, once there is a fit '
+        '(alignment node).',
+    ),
+    Topic(
+        'force_error/mae',
+        'std_msgs/msg/Float64',
+        reliable=False,
+        depth=100,
+        description='Running mean absolute error of `force` against the aligned reference [N] '
+        '(force error node).',
+    ),
+    Topic(
+        'force_error/rmse',
+        'std_msgs/msg/Float64',
+        reliable=False,
+        depth=100,
+        description='Its root mean square [N].',
+    ),
+    Topic(
+        'slip',
+        'mixtac_msgs/msg/SlipState',
+        reliable=False,
+        depth=100,
+        description='Slip detection per 1 ms window (slip control node).',
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """One service.
+
+    Attributes:
+        name: Relative to the namespace.
+        type_name: For example `std_srvs/srv/Trigger`.
+        description: What it does.
+    """
+
+    name: str
+    type_name: str
+    description: str
+
+
+SERVICES = (
+    Service(
+        'driver/snapshot',
+        'std_srvs/srv/Trigger',
+        'Takes one frame where `aps_enabled` is off, waits for the next one where it is on; '
+        'answers with its stamp.',
+    ),
+    Service(
+        'driver/reset_timestamps',
+        'std_srvs/srv/Trigger',
+        "Sets the camera's own clock to zero; published time goes on.",
+    ),
+    Service(
+        'driver/set_camera_info',
+        'sensor_msgs/srv/SetCameraInfo',
+        'Checks a calibration, writes it to `camerainfo_url` and uses it from then on.',
+    ),
+    Service(
+        'driver/find_hot_pixels',
+        'std_srvs/srv/Trigger',
+        'Counts events for `hot_pixels_duration` and masks the pixels that fire without cause: the '
+        'eight noisiest in the camera, the others in the driver. Keep the scene still.',
+    ),
+    Service(
+        'virtual_sensor/play',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: plays the scenario that the parameters describe.',
+    ),
+    Service(
+        'virtual_sensor/press',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: presses `object` on the skin with `press_force`, for `hold_seconds`.',
+    ),
+    Service(
+        'virtual_sensor/load',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: puts `object` down on the skin, for `hold_seconds`.',
+    ),
+    Service(
+        'virtual_sensor/drop',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: drops `object` from `drop_height`.',
+    ),
+    Service(
+        'virtual_sensor/vibrate',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: lets `object` vibrate in the skin as the `vibration_` parameters '
+        'say.',
+    ),
+    Service(
+        'virtual_sensor/release',
+        'std_srvs/srv/Trigger',
+        'Virtual sensor only: takes off what touches.',
+    ),
+    Service('fger/tare', 'std_srvs/srv/Trigger', 'Makes the present force zero.'),
+    Service('alignment/fit', 'std_srvs/srv/Trigger', 'Fits the clocks to what was seen so far.'),
+    Service('slip_control/enable', 'std_srvs/srv/SetBool', 'Lets slip move the arm, or not.'),
+    Service(
+        'slip_control/tare',
+        'std_srvs/srv/Trigger',
+        'Learns the background of events anew; keep the object still.',
+    ),
+    Service(
+        'slip_control/reset',
+        'std_srvs/srv/Trigger',
+        'Leaves a latched stop; refused while its cause lasts.',
+    ),
+)
+
+
+def topic(name: str) -> Topic:
+    """Return a topic by its relative name."""
+    return next(each for each in TOPICS if each.name == name)

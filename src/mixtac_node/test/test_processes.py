@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Starting, watching and ending processes."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import psutil
+import pytest
+
+from mixtac_node.process import GraphError, ProcessGroup
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+WAIT = [sys.executable, '-c', 'import time; time.sleep(60)']
+
+
+def wait_until(condition, seconds: float = 10.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert condition()
+
+
+def died(group: ProcessGroup) -> bool:
+    try:
+        group.check()
+    except GraphError:
+        return True
+    return False
+
+
+def test_a_group_ends_all_its_processes(tmp_path: Path):
+    before = {p.pid for p in psutil.Process().children()}
+    with ProcessGroup(tmp_path) as group:
+        group.start('one', WAIT)
+        group.start('two', WAIT)
+        group.check()
+        started = {p.pid for p in psutil.Process().children()} - before
+        assert len(started) == 2
+    assert not started & {p.pid for p in psutil.Process().children()}
+
+
+def test_a_dead_process_is_named_with_its_last_words(tmp_path: Path):
+    script = "import sys; print('error: no camera'); print('bye'); sys.exit(3)"
+    with ProcessGroup(tmp_path) as group:
+        group.start('driver', [sys.executable, '-c', script])
+        wait_until(lambda: died(group))
+        with pytest.raises(GraphError, match=r'status 3: no camera$'):
+            group.check()
+
+
+def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr('mixtac_node.process.STOP_GRACE_S', 0.5)
+    script = (
+        'import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); '
+        "print('ready', flush=True); time.sleep(60)"
+    )
+    group = ProcessGroup(tmp_path)
+    group.start('deaf', [sys.executable, '-c', script])
+    wait_until(lambda: 'ready' in (tmp_path / 'deaf.log').read_text())
+    assert group.stop() == {'deaf': -9}
+
+
+@pytest.mark.parametrize('delay_s', [0.05, 0.15, 0.3])
+def test_a_node_stopped_while_it_imports_says_nothing(tmp_path: Path, delay_s: float):
+    with ProcessGroup(tmp_path) as group:
+        group.start(
+            'node', [sys.executable, '-c', 'import numpy, scipy.stats, time; time.sleep(60)']
+        )
+        time.sleep(delay_s)
+    assert 'Traceback' not in (tmp_path / 'node.log').read_text()
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_no_process_outlives_the_group_however_it_is_ended(tmp_path: Path, number: int):
+    if number == signal.SIGKILL and shutil.which('setpriv') is None:
+        pytest.skip('needs setpriv (util-linux)')
+    script = (
+        'import sys, time; from pathlib import Path; '
+        'from mixtac_node.process import ProcessGroup\n'
+        'with ProcessGroup(Path(sys.argv[1])) as group:\n'
+        f'    group.start("node", {WAIT!r}); print("ready", flush=True); time.sleep(60)\n'
+    )
+    parent = subprocess.Popen(
+        [sys.executable, '-c', script, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert parent.stdout is not None
+    assert parent.stdout.readline() == 'ready\n'
+    (child,) = psutil.Process(parent.pid).children()
+    # Only once it is the command itself does it end with its parent.
+    wait_until(lambda: 'setpriv' not in child.name())
+    parent.send_signal(number)
+    code = parent.wait(30)
+    assert code == (-number if number == signal.SIGKILL else 128 + number)
+    wait_until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE)

@@ -1,0 +1,347 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The container of AEDAT4 files, read and written: header, streams, packets, table of packets.
+
+A line of text, a header as a size-prefixed FlatBuffer, then packets: stream number and size
+(`int32` each) and a FlatBuffer of that size, compressed as a whole. A recorder that was closed in
+order leaves a table of all packets at the end; without one, the file is scanned once
+(https://docs.inivation.com/software/software-advanced-usage/file-formats/aedat-4.0.html).
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree as ET
+from xml.sax.saxutils import escape
+
+import lz4.frame
+import numpy as np
+
+from mixtac_recordings import flatbuffer
+from mixtac_recordings.flatbuffer import FlatBufferWriter
+from mixtac_recordings.recording import BagError, DamagedRecordingError, RecordingError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mixtac_recordings.flatbuffer import Octets
+
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+MAGIC = b'#!AER-DAT4.0\r\n'
+LARGEST_PACKET = 1 << 30
+ENTRY = np.dtype(
+    [('stream', '<i4'), ('size', '<i4'), ('offset', '<i8'), ('start_us', '<i8'), ('end_us', '<i8')]
+)
+"""A packet: its stream, bytes on disk, where they begin, first and last time [us]."""
+_LZ4, _LZ4_HIGH, _ZSTD, _ZSTD_HIGH = 1, 2, 3, 4
+
+
+@dataclass(frozen=True, slots=True)
+class StreamInfo:
+    """One stream of a file.
+
+    Attributes:
+        number: Number that its packets carry.
+        identifier: What it holds: EVTS, FRME, IMUS, TRIG or another four letters.
+        name: Name that the recorder gave it.
+        source: Camera.
+        width: Columns, 0 where it says none.
+        height: Rows, 0 where it says none.
+    """
+
+    number: int
+    identifier: str
+    name: str
+    source: str
+    width: int
+    height: int
+
+
+class Aedat4File:
+    """An AEDAT4 file, open for reading.
+
+    Args:
+        path: The file.
+
+    Attributes:
+        streams: What it holds.
+
+    Raises:
+        RecordingError: It cannot be opened, is no such file, or its header is damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._file = path.open('rb')
+        except OSError as error:
+            raise RecordingError(f'cannot open {path}: {error.strerror}') from error
+        try:
+            self._size = path.stat().st_size
+            self._data_start, header = self._header()
+            table = flatbuffer.root(header)
+            self._compression = int(flatbuffer.column(header, table, 0, '<i4', 0)[0])
+            self._table_at = int(flatbuffer.column(header, table, 1, '<i8', -1)[0])
+            text = flatbuffer.structs(header, table, 2, np.dtype(np.uint8)).tobytes()
+            self.streams = _streams(text)
+        except DamagedRecordingError as error:
+            self.close()
+            raise self.damaged(str(error)) from error
+
+    def close(self) -> None:
+        """Give the file back."""
+        self._file.close()
+
+    def damaged(self, what: str) -> DamagedRecordingError:
+        """Return the error for a file that is not whole."""
+        return DamagedRecordingError(
+            f'{self._path} is not a whole AEDAT4 file ({what}): it was cut off while recording or '
+            'copying; copy or record it again'
+        )
+
+    def index(self) -> NDArray[Any]:
+        """Return all packets that hold anything as an array of ENTRY, in the order of the file.
+
+        Raises:
+            DamagedRecordingError: The file is damaged.
+        """
+        try:
+            return self._table() if self._table_at >= 0 else self._scan()
+        except DamagedRecordingError as error:
+            raise self.damaged(str(error)) from error
+
+    def packet(self, entry: Any) -> Octets:  # noqa: ANN401 - an element of a structured array
+        """Return the buffer of a packet, not compressed.
+
+        Raises:
+            DamagedRecordingError: The file is damaged.
+        """
+        try:
+            return self._expanded(self._read(int(entry['offset']), int(entry['size'])))
+        except DamagedRecordingError as error:
+            raise self.damaged(str(error)) from error
+
+    def _header(self) -> tuple[int, Octets]:
+        if self._file.read(len(MAGIC)) != MAGIC:
+            raise DamagedRecordingError('it does not begin with #!AER-DAT4.0')
+        (size,) = struct.unpack('<I', self._read(len(MAGIC), flatbuffer.PREFIX))
+        header = np.frombuffer(self._read(len(MAGIC), size + flatbuffer.PREFIX), np.uint8)
+        flatbuffer.check(header, 'IOHE')
+        return len(MAGIC) + len(header), header
+
+    def _read(self, offset: int, size: int) -> bytes:
+        if not (offset >= 0 and 0 <= size <= LARGEST_PACKET and offset + size <= self._size):
+            raise DamagedRecordingError(f'{size} bytes at byte {offset} of {self._size}')
+        self._file.seek(offset)
+        return self._file.read(size)
+
+    def _expanded(self, data: bytes) -> Octets:
+        try:
+            if self._compression in {_LZ4, _LZ4_HIGH}:
+                data = lz4.frame.decompress(data)
+            elif self._compression in {_ZSTD, _ZSTD_HIGH}:
+                data = zstd.decompress(data)
+        except (RuntimeError, EOFError, zstd.ZstdError) as error:
+            raise DamagedRecordingError(f'compressed data are damaged: {error}') from error
+        return np.frombuffer(data, np.uint8)
+
+    def _table(self) -> NDArray[Any]:
+        data = self._expanded(self._read(self._table_at, self._size - self._table_at))
+        flatbuffer.check(data, 'FTAB')
+        rows = flatbuffer.tables(data, flatbuffer.root(data), 0)
+        packets = np.zeros(len(rows), ENTRY)
+        header = flatbuffer.fields(data, rows, 1)
+        if (header == 0).any():
+            raise DamagedRecordingError('the table of packets lacks their sizes')
+        packets['stream'] = flatbuffer.values(data, header, '<i4')
+        packets['size'] = flatbuffer.values(data, header + 4, '<i4')
+        packets['offset'] = flatbuffer.column(data, rows, 0, '<i8', 0)
+        packets['start_us'] = flatbuffer.column(data, rows, 3, '<i8', 0)
+        packets['end_us'] = flatbuffer.column(data, rows, 4, '<i8', 0)
+        return packets[flatbuffer.column(data, rows, 2, '<i8', 0) > 0]
+
+    def _scan(self) -> NDArray[Any]:
+        found = []
+        offset = self._data_start
+        known = {stream.number: stream.identifier for stream in self.streams}
+        while offset < self._size:
+            stream, size = struct.unpack('<ii', self._read(offset, 8))
+            data = self._expanded(self._read(offset + 8, size))
+            times = packet_times(data, known.get(stream, ''))
+            if len(times):
+                found.append((stream, size, offset + 8, int(times[0]), int(times[-1])))
+            offset += 8 + size
+        return np.array(found, ENTRY)
+
+
+EVENT = np.dtype(
+    {
+        'names': ['t', 'x', 'y', 'polarity'],
+        'formats': ['<i8', '<u2', '<u2', np.bool_],
+        'offsets': [0, 8, 10, 12],
+        'itemsize': 16,
+    }
+)
+"""An event of a packet of EVTS."""
+
+
+def packet_times(data: Octets, identifier: str) -> NDArray[np.int64]:
+    """Return the times [us] in a packet, none of an empty or unknown one."""
+    table = flatbuffer.root(data)
+    if identifier == 'FRME':
+        return flatbuffer.column(data, table, 0, '<i8', 0)
+    if identifier == 'EVTS':
+        times: NDArray[np.int64] = flatbuffer.structs(data, table, 0, EVENT)['t']
+        return times
+    if identifier in {'IMUS', 'TRIG'}:
+        return flatbuffer.column(data, flatbuffer.tables(data, table, 0), 0, '<i8', 0)
+    return np.empty(0, np.int64)
+
+
+def _streams(text: bytes) -> list[StreamInfo]:
+    try:
+        # The parser expands no external entities, and newer ones limit the internal.
+        tree = ET.fromstring(text)  # noqa: S314
+    except ET.ParseError as error:
+        raise DamagedRecordingError(
+            f'the description of its streams cannot be read: {error}'
+        ) from error
+    outputs = [node for node in tree.iter('node') if node.get('name') == 'outInfo']
+    return [
+        _stream(node)
+        for output in outputs
+        for node in output.findall('node')
+        if (node.get('name') or '').isdecimal()
+    ]
+
+
+def _stream(node: ET.Element) -> StreamInfo:
+    values = {each.get('key'): each.text or '' for each in node.findall('attr')}
+    for inner in node.findall("node[@name='info']"):
+        values.update({each.get('key'): each.text or '' for each in inner.findall('attr')})
+    width, height = values.get('sizeX', ''), values.get('sizeY', '')
+    return StreamInfo(
+        number=int(node.get('name') or 0),
+        identifier=values.get('typeIdentifier', ''),
+        name=values.get('originalOutputName', ''),
+        source=values.get('source', ''),
+        width=int(width) if width.isdecimal() else 0,
+        height=int(height) if height.isdecimal() else 0,
+    )
+
+
+STREAMS = {'EVTS': 'events', 'FRME': 'frames', 'IMUS': 'imu', 'TRIG': 'triggers'}
+"""Streams in the order of their numbers, with their names."""
+_WRITTEN_COMPRESSION = 1
+
+
+class Aedat4Writer:
+    """An AEDAT4 file in the making, compressed with LZ4.
+
+    Args:
+        path: The new file.
+        size: Columns and rows of the camera.
+        camera: Its name.
+
+    Raises:
+        BagError: The file cannot be made.
+    """
+
+    def __init__(self, path: Path, size: tuple[int, int], camera: str) -> None:
+        try:
+            self._file = path.open('xb')
+        except OSError as error:
+            raise BagError(f'cannot write {path}: {error.strerror}') from error
+        self._table: list[tuple[int, int, int, int, int, int]] = []
+        buffer = FlatBufferWriter('IOHE')
+        root, fields = buffer.table({0: ('i', _WRITTEN_COMPRESSION), 1: ('q', -1), 2: ('O', 0)})
+        text = _description(size, camera).encode()
+        buffer.refer(fields[2], buffer.vector(len(text), text + b'\0'))
+        self._file.write(MAGIC + buffer.finish(root))
+        self._table_at = len(MAGIC) + fields[1]
+
+    def write(self, stream: str, data: bytes, count: int, start_us: int, end_us: int) -> None:
+        """Append a packet.
+
+        Args:
+            stream: One of `STREAMS`.
+            data: Its buffer.
+            count: Elements in it.
+            start_us: Time of the first [us].
+            end_us: Time of the last [us].
+        """
+        packed = lz4.frame.compress(data)
+        number = list(STREAMS).index(stream)
+        self._file.write(struct.pack('<ii', number, len(packed)))
+        self._table.append((number, len(packed), self._file.tell(), count, start_us, end_us))
+        self._file.write(packed)
+
+    def close(self) -> None:
+        """Write the table of packets and close the file."""
+        at = self._file.tell()
+        self._file.write(lz4.frame.compress(self._table_buffer()))
+        self._file.seek(self._table_at)
+        self._file.write(struct.pack('<q', at))
+        self._file.close()
+
+    def _table_buffer(self) -> bytes:
+        buffer = FlatBufferWriter('FTAB')
+        root, fields = buffer.table({0: ('O', 0)})
+        vector, places = buffer.references(len(self._table))
+        buffer.refer(fields[0], vector)
+        for place, row in zip(places, self._table, strict=True):
+            number, size, offset, count, start_us, end_us = row
+            header = size << 32 | number
+            table, _ = buffer.table(
+                {
+                    0: ('q', offset),
+                    1: ('q', header),
+                    2: ('q', count),
+                    3: ('q', start_us),
+                    4: ('q', end_us),
+                }
+            )
+            buffer.refer(place, table)
+        return buffer.finish(root)
+
+
+def _description(size: tuple[int, int], camera: str) -> str:
+    nodes = ''.join(
+        _stream_node(number, identifier, name, size, camera)
+        for number, (identifier, name) in enumerate(STREAMS.items())
+    )
+    return f'<dv version="2.0">\n<node name="outInfo" path="/outInfo/">\n{nodes}</node>\n</dv>\n'
+
+
+def _stream_node(
+    number: int, identifier: str, name: str, size: tuple[int, int], camera: str
+) -> str:
+    values = {
+        'compression': 'LZ4',
+        'originalModuleName': 'mixtac',
+        'originalOutputName': name,
+        'typeDescription': name,
+        'typeIdentifier': identifier,
+    }
+    sizes = ''
+    if identifier in {'EVTS', 'FRME'}:
+        sizes = ''.join(
+            f'<attr key="{key}" type="int">{value}</attr>\n'
+            for key, value in zip(('sizeX', 'sizeY'), size, strict=True)
+        )
+    attributes = ''.join(f'<attr key="{k}" type="string">{v}</attr>\n' for k, v in values.items())
+    path = f'/outInfo/{number}/'
+    return (
+        f'<node name="{number}" path="{path}">\n{attributes}'
+        f'<node name="info" path="{path}info/">\n{sizes}'
+        f'<attr key="source" type="string">{escape(camera)}</attr>\n</node>\n</node>\n'
+    )

@@ -1,0 +1,24 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Installs mixtac_recordings."""
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'mixtac_recordings'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+    ],
+    install_requires=['setuptools'],
+    zip_safe=True,
+    maintainer='Mixtac maintainers',
+    maintainer_email='maintainers@mixtac.example.org',
+    description='Bags and AEDAT4 files both ways, messages, export, data sets',
+    license='Apache-2.0',
+)

@@ -1,0 +1,257 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings to test with: scenes, the bags that hold them, and what came out of a source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+
+from mixtac_driver.errors import EndOfStream
+from mixtac_driver.playback.source import RecordedSource
+from mixtac_events.arrays import Events
+from mixtac_events.codec import encode
+from mixtac_recordings.bag import (
+    CAMERA_INFO,
+    EVENT_PACKET,
+    EXTERNAL_EDGE,
+    FRAME_EXPOSURE,
+    IMAGE,
+    IMU,
+    camera_typestore,
+)
+from mixtac_recordings.recording import PlaybackParameters
+
+START_US = 1_700_000_000_123_456
+TYPES = camera_typestore()
+HEADER = TYPES.types['std_msgs/msg/Header']
+TIME = TYPES.types['builtin_interfaces/msg/Time']
+
+
+def some_events(seed=0, count=5000, length_us=50_000, start_us=START_US, size=(346, 260)):
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.integers(0, length_us, count)) + start_us
+    t[0], t[-1] = start_us, start_us + length_us - 1
+    return Events(
+        t.astype(np.int64),
+        rng.integers(0, size[0], count).astype(np.uint16),
+        rng.integers(0, size[1], count).astype(np.uint16),
+        rng.integers(0, 2, count).astype(np.bool_),
+    )
+
+
+def header(t_us):
+    return HEADER(TIME(int(t_us // 1_000_000), int(t_us % 1_000_000) * 1000), 'camera')
+
+
+class Bag:
+    """Writes a bag; every message is received when its stamp says, or a little later."""
+
+    def __init__(self, path, plugin=StoragePlugin.MCAP, *, compressed=False):
+        self.writer = Writer(path, version=9, storage_plugin=plugin)
+        if compressed:
+            self.writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+        self.writer.open()
+        self.connections = {}
+        self.sequence = 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.writer.close()
+
+    def write(self, topic, kind, received_us, message):
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=TYPES)
+        data = TYPES.serialize_cdr(message, kind)
+        self.writer.write(self.connections[topic], int(received_us) * 1000, data)
+
+    def packet(
+        self,
+        events,
+        until_us,
+        *,
+        encoding='libcaer_cmp',
+        topic='/mixtac/events',
+        stamp_us=None,
+        size=(346, 260),
+        encoded=None,
+    ):
+        encoded = encoded or encode(events, encoding, complete_until=until_us)
+        stamp_us = until_us if stamp_us is None else stamp_us
+        message = TYPES.types[EVENT_PACKET](
+            header(stamp_us),
+            size[1],
+            size[0],
+            self.sequence,
+            encoded.time_base,
+            encoding,
+            False,
+            np.asarray(encoded.payload, np.uint8),
+        )
+        self.sequence += 1
+        self.write(topic, EVENT_PACKET, stamp_us, message)
+
+    def events(self, events, period_us=1000, **options):
+        """Write events in packets on a grid, also where none are."""
+        first, last = int(events.t[0]) // period_us, int(events.t[-1]) // period_us
+        for cell in range(first, last + 1):
+            end_us = (cell + 1) * period_us
+            self.packet(events.between(cell * period_us, end_us), end_us, **options)
+
+    def image(
+        self,
+        pixels,
+        t_us,
+        received_us=None,
+        *,
+        encoding='mono16',
+        topic='/mixtac/image_raw',
+        big=False,
+    ):
+        height, width = pixels.shape
+        octets = np.ascontiguousarray(pixels).view(np.uint8).reshape(-1)
+        message = TYPES.types[IMAGE](
+            header(t_us), height, width, encoding, big, octets.size // height, octets
+        )
+        self.write(topic, IMAGE, t_us if received_us is None else received_us, message)
+
+    def imu(self, t_us, acceleration, rotation=None, topic='/mixtac/imu'):
+        vector, quaternion = (
+            TYPES.types[f'geometry_msgs/msg/{name}'] for name in ('Vector3', 'Quaternion')
+        )
+        missing = np.zeros(9)
+        missing[0] = -1
+        message = TYPES.types[IMU](
+            header(t_us),
+            quaternion(0, 0, 0, 1),
+            missing,
+            vector(*(rotation or (0.0, 0.0, 0.0))),
+            missing if rotation is None else np.zeros(9),
+            vector(*acceleration),
+            np.zeros(9),
+        )
+        self.write(topic, IMU, t_us, message)
+
+    def exposure(self, t_us, times, shutter=0, received_us=None, topic='/mixtac/image_exposure'):
+        stamps = [header(time_us).stamp for time_us in times]
+        message = TYPES.types[FRAME_EXPOSURE](header(t_us), *stamps, shutter)
+        self.write(topic, FRAME_EXPOSURE, t_us if received_us is None else received_us, message)
+
+    def edge(self, t_us, kind, topic='/mixtac/external_edges'):
+        message = TYPES.types[EXTERNAL_EDGE](header(t_us), kind, 0)
+        self.write(topic, EXTERNAL_EDGE, t_us, message)
+
+    def info(self, t_us, size=(346, 260), corner=(0, 0), topic='/mixtac/camera_info'):
+        region = TYPES.types['sensor_msgs/msg/RegionOfInterest'](*corner, 0, 0, False)
+        message = TYPES.types[CAMERA_INFO](
+            header(t_us),
+            size[1],
+            size[0],
+            '',
+            np.zeros(0),
+            np.zeros(9),
+            np.zeros(9),
+            np.zeros(12),
+            0,
+            0,
+            region,
+        )
+        self.write(topic, CAMERA_INFO, t_us, message)
+
+
+@dataclass
+class Played:
+    """Everything a source gave, on its published clock."""
+
+    events: Events = field(default_factory=Events.empty)
+    times: list = field(default_factory=list)
+    frames: list = field(default_factory=list)
+    frame_times: list = field(default_factory=list)
+    imu: list = field(default_factory=list)
+    edges: list = field(default_factory=list)
+    ended: bool = False
+
+
+def play(source, batches=None):
+    """Play an open source to its end, or so many batches of it."""
+    played, parts = Played(), []
+    source.start()
+    try:
+        for number, batch in enumerate(source.batches(), 1):
+            decoded, origin_us = batch.decoded, batch.origin.us
+            parts.append(decoded.events.shifted(origin_us))
+            played.times.append(batch.time_us)
+            played.frames += decoded.frames
+            played.frame_times += [frame.middle_us + origin_us for frame in decoded.frames]
+            for index, t in enumerate(decoded.imu.t):
+                played.imu.append(
+                    (
+                        int(t) + origin_us,
+                        decoded.imu.acceleration[index],
+                        decoded.imu.angular_velocity[index],
+                        decoded.imu.temperature[index],
+                    )
+                )
+            for t, kind in zip(decoded.edges.t, decoded.edges.kind, strict=True):
+                played.edges.append((int(t) + origin_us, int(kind)))
+            if number == batches:
+                break
+    except EndOfStream:
+        played.ended = True
+    played.events = Events.concatenate(parts)
+    return played
+
+
+def until_end(source):
+    """Yield the batches of a started source, which must end by itself and be content."""
+    batches = source.batches()
+    while True:
+        try:
+            batch = next(batches)
+        except EndOfStream:
+            return
+        yield batch
+
+
+def scene(path, **options):
+    """A bag with events, two frames and three inertial samples; returns what is in it."""
+    events = some_events()
+    rng = np.random.default_rng(3)
+    frames = [rng.integers(0, 1024, (260, 346)).astype(np.uint16) for _ in range(2)]
+    with Bag(path, **options) as bag:
+        bag.info(START_US)
+        bag.events(events)
+        for number, frame in enumerate(frames):
+            t_us = START_US + 20_000 * number + 5000
+            bag.image(frame << 6, t_us, t_us + 3000)
+        for number in range(3):
+            bag.imu(START_US + 1000 * number, (0.5, number, 9.8), (0.1, 0.2, 0.3))
+    return events, frames
+
+
+def source_of(path, **parameters):
+    """Open a recording as a source that plays as fast as possible."""
+    values = {'playback_rate': 0.0, **parameters}
+    source = RecordedSource(str(path), PlaybackParameters(**values))
+    source.open()
+    return source
+
+
+def played(path, **parameters):
+    """Play a recording to its end."""
+    source = source_of(path, **parameters)
+    try:
+        return play(source)
+    finally:
+        source.close()
+
+
+def assert_equal(found, expected):
+    assert len(found) == len(expected)
+    for name in ('t', 'x', 'y', 'polarity'):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)

@@ -1,0 +1,237 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Bags: what was put in comes out, at the times it was put in; damage gives one clear line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_samples import (
+    START_US,
+    Bag,
+    assert_equal,
+    play,
+    played,
+    scene,
+    some_events,
+    source_of,
+)
+from rosbags.rosbag2 import StoragePlugin
+
+from mixtac_events.arrays import Events
+from mixtac_recordings.recording import RecordingError
+
+ROOT = Path(__file__).resolve().parents[4]
+ROLL_OVER = ROOT.parent / 'shared' / 'data' / 'libcaer_rollover_0.db3'
+
+
+@pytest.mark.parametrize('encoding', ['libcaer_cmp', 'libcaer'])
+@pytest.mark.parametrize(
+    ('plugin', 'compressed'),
+    [(StoragePlugin.MCAP, False), (StoragePlugin.SQLITE3, False), (StoragePlugin.SQLITE3, True)],
+)
+def test_events_come_out_as_they_went_in(tmp_path, encoding, plugin, compressed):
+    events = some_events()
+    with Bag(tmp_path / 'bag', plugin, compressed=compressed) as bag:
+        bag.events(events, encoding=encoding)
+    found = played(tmp_path / 'bag')
+    assert found.ended
+    assert_equal(found.events, events)
+
+
+@pytest.mark.parametrize(
+    ('plugin', 'name'), [(StoragePlugin.MCAP, 'bag.mcap'), (StoragePlugin.SQLITE3, 'bag.db3')]
+)
+def test_the_file_in_the_folder_plays_too(tmp_path, plugin, name):
+    events, _ = scene(tmp_path / 'bag', plugin=plugin)
+    assert_equal(played(tmp_path / 'bag' / name).events, events)
+
+
+def test_frames_and_samples_come_with_their_exact_times(tmp_path):
+    events, frames = scene(tmp_path / 'bag')
+    found = played(tmp_path / 'bag')
+    assert_equal(found.events, events)
+    assert found.frame_times == [START_US + 5000, START_US + 25_000]
+    for frame, sent in zip(found.frames, frames, strict=True):
+        np.testing.assert_array_equal(frame.image, sent)
+    assert [sample[0] for sample in found.imu] == [START_US + 1000 * n for n in range(3)]
+    np.testing.assert_array_equal(found.imu[2][1], (0.5, 2, 9.8))
+    np.testing.assert_array_equal(found.imu[2][2], (0.1, 0.2, 0.3))
+    assert np.isnan(found.imu[2][3])
+
+
+def test_what_an_imu_did_not_measure_stays_unknown(tmp_path):
+    with Bag(tmp_path / 'bag') as bag:
+        bag.imu(START_US, (1, 2, 3), None)
+    source = source_of(tmp_path / 'bag')
+    ((_, acceleration, rotation, _),) = play(source).imu
+    np.testing.assert_array_equal(acceleration, (1, 2, 3))
+    assert np.isnan(rotation).all()
+
+
+@pytest.mark.parametrize('later_us', [0, 5000, 100_000])
+def test_frames_get_the_exposure_that_was_recorded_after_them(tmp_path, later_us):
+    pixels = np.zeros((260, 346), np.uint16)
+    with Bag(tmp_path / 'bag') as bag:
+        bag.events(some_events(length_us=200_000))
+        for number, shutter in enumerate((0, 1)):
+            t_us = START_US + 80_000 * number + 5000
+            bag.image(pixels, t_us, t_us + 3000)
+            times = (t_us - 2500, t_us - 2000, t_us + 2001, t_us + 9000)
+            bag.exposure(t_us, times, shutter, t_us + 3001 + later_us)
+        bag.image(pixels, START_US + 199_000)
+    found = played(tmp_path / 'bag')
+    assert found.ended
+    known = later_us < 20_000
+    for number, frame in enumerate(found.frames[:2]):
+        t_us = START_US + 80_000 * number + 5000
+        assert found.frame_times[number] == t_us
+        assert frame.exposure_start_us == (t_us - 2000 if known else t_us)
+        assert frame.exposure_end_us == (t_us + 2001 if known else t_us)
+        assert frame.frame_end_us == (t_us + 9000 if known else t_us)
+        assert frame.global_shutter == (not known or number == 0)
+    assert found.frame_times[2] == START_US + 199_000
+
+
+def test_edges_come_with_their_times(tmp_path):
+    with Bag(tmp_path / 'bag') as bag:
+        bag.events(some_events())
+        bag.edge(START_US + 1234, 3)
+        bag.edge(START_US + 5678, 2)
+    assert played(tmp_path / 'bag').edges == [(START_US + 1234, 3), (START_US + 5678, 2)]
+
+
+def test_the_time_base_of_every_packet_is_kept(tmp_path):
+    events = some_events()
+    with Bag(tmp_path / 'bag') as bag:
+        bag.events(events)
+    times = played(tmp_path / 'bag').times
+    first = -(-START_US // 1000) * 1000
+    assert times[:-1] == list(range(first, first + 1000 * (len(times) - 1), 1000))
+
+
+def test_a_bag_of_frames_only_takes_its_size_from_camera_info(tmp_path):
+    with Bag(tmp_path / 'bag') as bag:
+        bag.info(START_US, corner=(100, 51))
+        for number in range(4):
+            pixels = np.full((20, 30), 37 << 6, np.uint16)
+            bag.image(pixels, START_US + 40_000 * number, encoding='bayer_gbrg16')
+    source = source_of(tmp_path / 'bag')
+    assert source.identity.geometry.event_size == (346, 260)
+    # An odd first row: the pattern of the whole array begins with the other pair of rows.
+    assert source.identity.features.color_filter == 1
+    found = play(source)
+    assert found.frame_times == [START_US + 40_000 * number for number in range(4)]
+    assert (found.frames[0].x, found.frames[0].y) == (100, 51)
+    assert found.ended
+    assert len(found.events) == 0
+
+
+@pytest.mark.parametrize(
+    ('pixels', 'encoding', 'big', 'expected'),
+    [
+        (np.array([[1, 255]], np.uint8), 'mono8', False, [[4, 1020]]),
+        (np.array([[64, 65535]], '<u2'), 'mono16', False, [[1, 1023]]),
+        (np.array([[64, 65535]], '>u2'), 'mono16', True, [[1, 1023]]),
+        (np.array([[3, 4]], np.uint8), 'bayer_rggb8', False, [[12, 16]]),
+    ],
+)
+def test_pixels_become_ten_bits(tmp_path, pixels, encoding, big, expected):
+    with Bag(tmp_path / 'bag') as bag:
+        bag.image(pixels, START_US, encoding=encoding, big=big)
+    (frame,) = played(tmp_path / 'bag').frames
+    assert frame.image.dtype == np.uint16
+    assert frame.image.tolist() == expected
+
+
+def test_host_stamps_of_other_drivers_are_moved_to_the_camera_clock(tmp_path):
+    events = some_events(start_us=5000, length_us=20_000)
+    with Bag(tmp_path / 'bag') as bag:
+        for start in range(5000, 25_000, 10_000):
+            part = events.between(start, start + 10_000)
+            bag.packet(part, start + 9999, encoding='libcaer', stamp_us=START_US + start)
+        bag.image(np.zeros((260, 346), np.uint16), START_US + 8000)
+    found = played(tmp_path / 'bag')
+    assert_equal(found.events, events)
+    # The first packet is stamped by the host START_US + 5000, and begins with the event at 5000.
+    assert found.frame_times == [8000]
+
+
+def test_packets_that_the_recorder_missed_are_counted(tmp_path):
+    events = some_events()
+    with Bag(tmp_path / 'bag') as bag:
+        for number, end_us in enumerate(range(START_US + 1000, START_US + 50_000, 1000)):
+            bag.sequence += 3 if number == 20 else 0
+            bag.packet(events.between(end_us - 1000, end_us), end_us)
+    source = source_of(tmp_path / 'bag')
+    play(source)
+    assert source.figures()['packets missing in the recording'] == 3
+
+
+def test_topics_are_chosen_by_name_where_there_are_several(tmp_path):
+    left, right = some_events(1, 100), some_events(2, 200)
+    with Bag(tmp_path / 'bag') as bag:
+        bag.events(left, topic='/left/events')
+        bag.events(right, topic='/right/events')
+        for side in ('left', 'right'):
+            bag.image(
+                np.zeros((4, 4), np.uint8), START_US, encoding='mono8', topic=f'/{side}/image'
+            )
+        bag.imu(START_US, (0, 0, 0))
+    with pytest.raises(RecordingError, match='playback_events_topic') as error:
+        source_of(tmp_path / 'bag')
+    assert '/left/events, /right/events' in str(error.value)
+    found = played(tmp_path / 'bag', playback_events_topic='/right/events')
+    assert_equal(found.events, right)
+    assert len(found.frames) == 1
+    assert len(found.imu) == 1
+    with pytest.raises(RecordingError, match="'/middle/events'"):
+        source_of(tmp_path / 'bag', playback_events_topic='/middle/events')
+    found = played(
+        tmp_path / 'bag',
+        playback_events_topic='none',
+        playback_image_topic='/left/image',
+        playback_imu_topic='none',
+    )
+    assert (len(found.events), len(found.frames), len(found.imu)) == (0, 1, 0)
+
+
+def plain_words(path):
+    """Decode the events of a real recording by the letter of the encoding, without our codec."""
+    from rosbags.rosbag2 import Reader
+
+    from mixtac_recordings.bag import camera_typestore
+
+    types, t, x, y, p, shift, before = camera_typestore(), [], [], [], [], None, None
+    with Reader(path) as reader:
+        for connection, _, data in reader.messages():
+            message = types.deserialize_cdr(data, connection.msgtype)
+            words = np.asarray(message.events).view('<u4').reshape(-1, 2)
+            valid = (words[:, 0] & 1).astype(bool)
+            low = words[valid, 1].astype(np.int64)
+            if shift is None:
+                shift = int(message.time_base) // 1000
+                before = low[0]
+            steps = np.diff(np.concatenate(([before], low)))
+            rolls = np.cumsum(steps < -(1 << 30)) * (1 << 31)
+            t.append(low + shift + rolls)
+            shift += int(rolls[-1])
+            before = low[-1]
+            x.append(words[valid, 0] >> 17)
+            y.append(words[valid, 0] >> 2 & 0x7FFF)
+            p.append((words[valid, 0] & 2) != 0)
+    return [np.concatenate(each) for each in (t, x, y, p)]
+
+
+@pytest.mark.skipif(not ROLL_OVER.exists(), reason='the recording shared/data is not here')
+def test_a_real_recording_over_a_roll_over_of_the_camera_time():
+    source = source_of(ROLL_OVER)
+    assert source.identity.geometry.event_size == (640, 480)
+    found = play(source)
+    t, x, y, polarity = plain_words(ROLL_OVER)
+    assert len(t) > 300_000
+    expected = Events(t, x.astype(np.uint16), y.astype(np.uint16), polarity)
+    assert_equal(found.events, expected)
+    assert source.decoder_counters.timestamps_backwards == 0

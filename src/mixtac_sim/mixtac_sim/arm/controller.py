@@ -1,0 +1,273 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""An emulated joint_trajectory_controller of ros2_control.
+
+Written from the behaviour of ros2_controllers' source and its issues 697, 780 and 1306: a message
+takes effect at the next cycle and replaces the one before; before its first point the motion goes
+from the last command; points with position, velocity and acceleration are joined by quintics, with
+velocity by cubics, else by lines; after the last point that point is held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol
+
+import numpy as np
+from numba import njit
+
+from mixtac_sim.errors import SimulationError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@njit(cache=True, nogil=True)
+def interpolate(
+    start: NDArray[np.float64],
+    end: NDArray[np.float64],
+    span_s: float,
+    since_s: float,
+    order: int,
+) -> NDArray[np.float64]:
+    """Return the state between two states.
+
+    Args:
+        start: Position, velocity, acceleration [3, joint] [rad, rad/s, rad/s2].
+        end: The same at the end.
+        span_s: Time between them [s], positive.
+        since_s: Time since the start [s].
+        order: 1 joins positions, 3 also velocities, 5 also accelerations.
+
+    Returns:
+        State [3, joint].
+    """
+    state = np.zeros_like(start)
+    u = since_s / span_s
+    for j in range(start.shape[1]):
+        step = end[0, j] - start[0, j]
+        if order == 1:
+            state[0, j] = start[0, j] + u * step
+            state[1, j] = step / span_s
+            continue
+        # In units of the span: p(u) = p0 + v0 u + a2 u^2 + ... + a5 u^5.
+        v0, v1 = span_s * start[1, j], span_s * end[1, j]
+        if order == 3:
+            a2, a3, a4, a5 = 3.0 * step - 2.0 * v0 - v1, v0 + v1 - 2.0 * step, 0.0, 0.0
+        else:
+            half0 = 0.5 * span_s * span_s * start[2, j]
+            half1 = 0.5 * span_s * span_s * end[2, j]
+            gap, turn, bend = step - v0 - half0, v1 - v0 - 2.0 * half0, half1 - half0
+            a2 = half0
+            a3 = 10.0 * gap - 4.0 * turn + bend
+            a4 = -15.0 * gap + 7.0 * turn - 2.0 * bend
+            a5 = 6.0 * gap - 3.0 * turn + bend
+        state[0, j] = start[0, j] + u * (v0 + u * (a2 + u * (a3 + u * (a4 + u * a5))))
+        slope = v0 + u * (2.0 * a2 + u * (3.0 * a3 + u * (4.0 * a4 + u * 5.0 * a5)))
+        bent = 2.0 * a2 + u * (6.0 * a3 + u * (12.0 * a4 + u * 20.0 * a5))
+        state[1, j] = slope / span_s
+        state[2, j] = bent / (span_s * span_s)
+    return state
+
+
+Release = Literal['humble', 'jazzy']
+"""Humble commands the trajectory at the cycle's time and dates the last command one cycle late;
+Jazzy and later command it one period ahead."""
+START_EPSILON_S = 1e-12
+
+
+class TrajectoryFields(Protocol):
+    """The fields of a JointTrajectory that matter here; the joints are in the arm's order."""
+
+    @property
+    def stamp_s(self) -> float:
+        """Return the start [s] on the controller's clock; 0 means when it is first sampled."""
+
+    @property
+    def times_s(self) -> NDArray[np.float64]:
+        """Return the times of the points since the start [n] [s], increasing."""
+
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """Return joint positions [n, joint] [rad]."""
+
+    @property
+    def dq(self) -> NDArray[np.float64] | None:
+        """Return joint velocities [n, joint] [rad/s]; None if the points have none."""
+
+    @property
+    def ddq(self) -> NDArray[np.float64] | None:
+        """Return joint accelerations [n, joint] [rad/s2]; None if the points have none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """A plain trajectory; see ``TrajectoryFields``."""
+
+    stamp_s: float
+    times_s: NDArray[np.float64]
+    q: NDArray[np.float64]
+    dq: NDArray[np.float64] | None = None
+    ddq: NDArray[np.float64] | None = None
+
+
+class JointTrajectoryController:
+    """A controller with a position command interface, cycle by cycle.
+
+    Args:
+        update_rate_hz: Cycles per second.
+        joints: Number of joints.
+        release: Whose behaviour.
+        interpolate_from_desired_state: Start new trajectories from the last command; otherwise
+            from the measured state given to ``measure``.
+        nonzero_end_velocity: Accept trajectories that end in motion.
+    """
+
+    def __init__(
+        self,
+        update_rate_hz: float = 1000.0,
+        joints: int = 7,
+        *,
+        release: Release = 'jazzy',
+        interpolate_from_desired_state: bool = True,
+        nonzero_end_velocity: bool = False,
+    ) -> None:
+        if not update_rate_hz > 0.0:
+            msg = f'update rate of {update_rate_hz} Hz: give a positive one'
+            raise SimulationError(msg)
+        self._period_s = 1.0 / update_rate_hz
+        self._ahead_s = 0.0 if release == 'humble' else self._period_s
+        self._late = release == 'humble'
+        self._desired_start = interpolate_from_desired_state
+        self._nonzero_end = nonzero_end_velocity
+        self._joints = joints
+        self.reset(np.zeros(joints), 0.0)
+
+    def reset(self, q: NDArray[np.float64], now_s: float) -> None:
+        """Hold still at a position, as after activation.
+
+        Args:
+            q: Joint positions [joint] [rad].
+            now_s: Time of the first cycle after this [s].
+        """
+        rest = np.zeros(self._joints)
+        self._command = np.stack([np.asarray(q, np.float64), rest, rest])
+        self._measured = self._command.copy()
+        self._command_s = now_s
+        self._first_cycle_s = now_s
+        self._cycles = 0
+        self._pending: TrajectoryFields | None = None
+        self._active: _Active | None = None
+
+    def measure(self, q: NDArray[np.float64], dq: NDArray[np.float64]) -> None:
+        """Take in the measured joint state [joint] [rad], [rad/s]."""
+        self._measured = np.stack([q, dq, np.zeros(self._joints)])
+
+    def accept(self, trajectory: TrajectoryFields, now_s: float) -> str | None:
+        """Receive a message; it takes effect at the next cycle, unless another overtakes it.
+
+        Args:
+            trajectory: The message.
+            now_s: Time of its arrival [s].
+
+        Returns:
+            Why it is rejected; None if it is accepted.
+        """
+        reason = self._reason_against(trajectory, now_s)
+        if reason is None:
+            self._pending = trajectory
+        return reason
+
+    def sample(
+        self, t_s: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Run the cycles up to a time and return the last command.
+
+        Args:
+            t_s: Time [s]; cycles at or before it are run.
+
+        Returns:
+            Position [rad], velocity [rad/s] and acceleration [rad/s2] of the joints [joint].
+        """
+        while self._next_cycle_s <= t_s + 1e-9:
+            self._cycle(self._next_cycle_s)
+            self._cycles += 1
+        return self._command[0].copy(), self._command[1].copy(), self._command[2].copy()
+
+    @property
+    def _next_cycle_s(self) -> float:
+        return self._first_cycle_s + self._cycles * self._period_s
+
+    def _cycle(self, now_s: float) -> None:
+        """Run one control cycle."""
+        if self._pending is not None:
+            desired = self._command, now_s if self._late else self._command_s
+            before = desired if self._desired_start else (self._measured, now_s)
+            self._active = _Active(self._pending, before[0].copy(), before[1], now_s)
+            self._pending = None
+        if self._active is None:
+            # Since its activation it holds a position, which is a trajectory like any other.
+            self._command_s = now_s + self._ahead_s
+            return
+        sampled = self._active.at(now_s + self._ahead_s)
+        if sampled is not None:
+            self._command, self._command_s = sampled, now_s + self._ahead_s
+
+    def _reason_against(self, trajectory: TrajectoryFields, now_s: float) -> str | None:
+        """Return why the controller would reject a message."""
+        times, count = trajectory.times_s, len(trajectory.times_s)
+        if count == 0:
+            return 'empty trajectory'
+        for name, values in (('q', trajectory.q), ('dq', trajectory.dq), ('ddq', trajectory.ddq)):
+            if values is not None and values.shape != (count, self._joints):
+                return f'{name} has the shape {values.shape}, not ({count}, {self._joints})'
+        if np.any(np.diff(times) <= 0.0):
+            return 'times of the points do not increase'
+        if trajectory.stamp_s != 0.0 and trajectory.stamp_s + times[-1] < now_s:
+            return f'ends at {trajectory.stamp_s + times[-1]:.6f} s, in the past of {now_s:.6f} s'
+        moving = trajectory.dq is not None and np.any(np.abs(trajectory.dq[-1]) > 1e-6)
+        return 'velocity at the end is not zero' if moving and not self._nonzero_end else None
+
+
+class _Active:
+    """A trajectory being carried out.
+
+    Args:
+        fields: The message.
+        before: Position, velocity and acceleration before it [3, joint].
+        before_s: Time of that state [s].
+        now_s: Time of the first cycle that sees it [s].
+    """
+
+    def __init__(
+        self,
+        fields: TrajectoryFields,
+        before: NDArray[np.float64],
+        before_s: float,
+        now_s: float,
+    ) -> None:
+        self._fields = fields
+        self._before = before
+        self._before_s = before_s
+        start = fields.stamp_s if fields.stamp_s != 0.0 else now_s
+        self._times = start + np.asarray(fields.times_s, np.float64)
+        derivatives = [fields.dq, fields.ddq]
+        self._order = 1 if fields.dq is None else 3 if fields.ddq is None else 5
+        blank = np.zeros_like(fields.q)
+        columns = [blank if values is None else values for values in derivatives]
+        self._states = np.stack([fields.q, *columns], axis=1)
+
+    def at(self, t_s: float) -> NDArray[np.float64] | None:
+        """Return the state [3, joint] at a time [s]; None before it has begun."""
+        if t_s < self._before_s - START_EPSILON_S:
+            return None
+        if t_s < self._times[0]:
+            ends, states = (self._before_s, self._times[0]), (self._before, self._states[0])
+        elif t_s >= self._times[-1]:
+            return np.array(self._states[-1])
+        else:
+            k = int(np.searchsorted(self._times, t_s, side='right')) - 1
+            ends = (self._times[k], self._times[k + 1])
+            states = (self._states[k], self._states[k + 1])
+        since_s, span_s = t_s - ends[0], ends[1] - ends[0]
+        return np.asarray(interpolate(states[0], states[1], span_s, since_s, self._order))

@@ -1,0 +1,281 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What follows the commands of the arm's controller: a lag of each joint, or MuJoCo.
+
+`JointLag` and `FingertipAdvance` are a transport delay and a first-order lag. `MujocoArm` is an
+independent plant: the lag of its servos is a setting, as there; inertia, coupling of the joints,
+saturation of the torques and the reaction of the gel are MuJoCo's. The servos of the real control
+unit are not public.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mixtac_sim.arm.fr3 import STEP_S, TORQUE_MAX_NM, GelContact, Servo, flange_place, fr3_mjcf
+from mixtac_sim.errors import SimulationError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Tracking:
+    """Constants of the arm's own position control.
+
+    Attributes:
+        lag_s: Time constant [s]; 3 to 4 ms were seen on libfranka's wire protocol in simulation,
+            40 ms with the effort controller that franka_ros2 ships.
+    """
+
+    lag_s: float = 3.5e-3
+
+    def __post_init__(self) -> None:
+        """Refuse a negative lag.
+
+        Raises:
+            SimulationError: As above.
+        """
+        if self.lag_s < 0.0:
+            msg = f'tracking lag of {self.lag_s} s; give 0 or more'
+            raise SimulationError(msg)
+
+
+class JointLag:
+    """Joints that follow their commands with a first-order lag.
+
+    Args:
+        q: Joint positions at the start [7] [rad].
+        tracking: Of the arm.
+        period_s: Of the commands [s].
+    """
+
+    def __init__(self, q: NDArray[np.float64], tracking: Tracking, period_s: float = 1e-3) -> None:
+        self._q = np.array(q, np.float64)
+        self._keep = float(np.exp(-period_s / tracking.lag_s)) if tracking.lag_s > 0.0 else 0.0
+
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """Return the joint positions [7] [rad]."""
+        return self._q.copy()
+
+    def track(self, command: NDArray[np.float64]) -> None:
+        """Go on by one period towards commanded joint positions [7] [rad]."""
+        self._q = command + self._keep * (self._q - command)
+
+
+class FingertipAdvance:
+    """The fingertip's place along the contact normal while joints follow their commands.
+
+    Args:
+        q: Joint positions at the start [7] [rad].
+        normal: Direction of the advance in the base frame [3], of length 1.
+        tracking: Of the arm.
+        period_s: Of the commands [s].
+    """
+
+    def __init__(
+        self,
+        q: NDArray[np.float64],
+        normal: NDArray[np.float64],
+        tracking: Tracking,
+        period_s: float = 1e-3,
+    ) -> None:
+        self._joints = JointLag(q, tracking, period_s)
+        self._normal = normal
+        self._start = flange_place(self._joints.q)
+        self._last_mm = 0.0
+
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """Return the joint positions [7] [rad]."""
+        return self._joints.q
+
+    def follow(self, command: NDArray[np.float64], points: int) -> NDArray[np.float64]:
+        """Go on by one period of the commands.
+
+        Args:
+            command: Commanded joint positions [7] [rad].
+            points: How many places to return.
+
+        Returns:
+            Places of the fingertip at the ends of as many equal parts of the period [mm].
+        """
+        self._joints.track(command)
+        place_mm = 1e3 * float((flange_place(self._joints.q) - self._start) @ self._normal)
+        way = np.linspace(self._last_mm, place_mm, points + 1)[1:]
+        self._last_mm = place_mm
+        return way
+
+
+JOINTS = 7
+SETTLE_S = 0.2
+"""Time in which servos and gel come to rest under the preload [s]."""
+REMEDY = 'python3 tools/setup.py --with mujoco, or pip install -r requirements/mujoco.txt'
+
+
+def load_mujoco() -> Any:  # noqa: ANN401  (no types without the package)
+    """Return the module `mujoco`.
+
+    Raises:
+        SimulationError: It is not installed.
+    """
+    try:
+        return importlib.import_module('mujoco')
+    except ImportError as error:
+        msg = f'the arm in MuJoCo needs the package mujoco ({error}): {REMEDY}'
+        raise SimulationError(msg) from error
+
+
+class MujocoArm:
+    """An FR3 that follows joint commands and presses a gel against a wall.
+
+    Args:
+        q: Joint positions at the start [7] [rad].
+        normal: Direction of the advance in the base frame [3], of length 1.
+        lag_s: With which a joint follows a ramp [s], positive; the servos are critically damped.
+        period_s: Of the commands [s], a multiple of 0.25 ms.
+        n_per_mm: Stiffness of the gel [N/mm]; 0: nothing is touched.
+        preload_n: Force at the start [N].
+
+    Attributes:
+        saturated: Steps in which a servo reached its largest torque.
+
+    Raises:
+        SimulationError: MuJoCo is not installed, or values that mean nothing.
+    """
+
+    def __init__(
+        self,
+        q: Floats,
+        normal: Floats,
+        lag_s: float = 3.5e-3,
+        period_s: float = 1e-3,
+        *,
+        n_per_mm: float = 0.0,
+        preload_n: float = 0.0,
+    ) -> None:
+        if not lag_s > 0.0 or n_per_mm < 0.0:
+            msg = f'lag {lag_s} s, stiffness {n_per_mm} N/mm: give a lag > 0 and no negative one'
+            raise SimulationError(msg)
+        self._mujoco = load_mujoco()
+        self._start_q = np.array(q, np.float64)
+        self._normal = np.asarray(normal, np.float64)
+        self._steps = round(period_s / STEP_S)
+        contact = self._contact(n_per_mm, preload_n) if n_per_mm > 0.0 else None
+        self._model = self._mujoco.MjModel.from_xml_string(fr3_mjcf(contact, self._servo(lag_s)))
+        self._data = self._mujoco.MjData(self._model)
+        self._touches = contact is not None
+        self.saturated = 0
+        self._place(self._model, self._data)
+        self._data.ctrl[:] = self._start_q
+        for _ in range(round(SETTLE_S / STEP_S)):
+            self._step()
+        self.saturated = 0
+        self._origin = self._flange()
+        self._last_mm = 0.0
+
+    @property
+    def q(self) -> Floats:
+        """Return the joint positions [7] [rad]."""
+        return np.array(self._data.qpos[:JOINTS])
+
+    @property
+    def torque(self) -> Floats:
+        """Return the torques of the servos [7] [N m]."""
+        return np.array(self._data.actuator_force)
+
+    @property
+    def flange(self) -> Floats:
+        """Return the place of the flange [3] [m] in the base frame."""
+        return self._flange()
+
+    @property
+    def contact_n(self) -> float:
+        """Return the normal force between gel and wall [N], at rest that of the spring.
+
+        In motion the mass that MuJoCo needs at the surface of the gel adds shocks of its own.
+        """
+        force = np.zeros(6)
+        total = 0.0
+        for k in range(self._data.ncon if self._touches else 0):
+            self._mujoco.mj_contactForce(self._model, self._data, k, force)
+            total += float(force[0])
+        return total
+
+    @property
+    def gel_n(self) -> float:
+        """Return the force of the gel's spring on the arm [N]."""
+        if not self._touches:
+            return 0.0
+        joint = self._model.joint('gel')
+        compression = float(
+            self._model.qpos_spring[joint.qposadr[0]] - self._data.joint('gel').qpos[0]
+        )
+        return float(self._model.jnt_stiffness[joint.id]) * compression
+
+    def track(self, command: Floats) -> None:
+        """Go on by one period towards commanded joint positions [7] [rad]."""
+        self._data.ctrl[:] = command
+        for _ in range(self._steps):
+            self._step()
+
+    def follow(self, command: Floats, points: int) -> Floats:
+        """Go on by one period of the commands.
+
+        Args:
+            command: Commanded joint positions [7] [rad].
+            points: How many places to return.
+
+        Returns:
+            Places of the fingertip at the ends of as many equal parts of the period [mm].
+        """
+        self._data.ctrl[:] = command
+        places = np.empty(self._steps + 1)
+        places[0] = self._last_mm
+        for k in range(self._steps):
+            self._step()
+            places[k + 1] = 1e3 * float((self._flange() - self._origin) @ self._normal)
+        self._last_mm = float(places[-1])
+        wanted = np.linspace(0.0, self._steps, points + 1)[1:]
+        return np.interp(wanted, np.arange(self._steps + 1), places)
+
+    def _step(self) -> None:
+        self._mujoco.mj_step(self._model, self._data)
+        self.saturated += bool(np.any(np.abs(self._data.actuator_force) >= TORQUE_MAX_NM))
+
+    def _flange(self) -> Floats:
+        return np.array(self._data.site('flange').xpos)
+
+    def _place(self, model: Any, data: Any) -> None:  # noqa: ANN401
+        """Bring a model to the joint positions of the start."""
+        data.qpos[:JOINTS] = self._start_q
+        self._mujoco.mj_forward(model, data)
+
+    def _servo(self, lag_s: float) -> Servo:
+        """Return critically damped servos for the inertia that each joint has at the start."""
+        model = self._mujoco.MjModel.from_xml_string(fr3_mjcf())
+        data = self._mujoco.MjData(model)
+        self._place(model, data)
+        inertia = np.zeros((JOINTS, JOINTS))
+        self._mujoco.mj_fullM(model, inertia, data.qM)
+        # Damping over stiffness is the lag, and at critical damping twice the time constant.
+        stiffness = np.diag(inertia) * (2.0 / lag_s) ** 2
+        return Servo(stiffness.tolist(), (lag_s * stiffness).tolist())
+
+    def _contact(self, n_per_mm: float, preload_n: float) -> GelContact:
+        model = self._mujoco.MjModel.from_xml_string(fr3_mjcf())
+        data = self._mujoco.MjData(model)
+        self._place(model, data)
+        turn = np.array(data.site('flange').xmat).reshape(3, 3)
+        place = flange_place(self._start_q)
+        in_flange = (turn.T @ self._normal).tolist()
+        return GelContact(
+            place.tolist(), self._normal.tolist(), in_flange, 1e3 * n_per_mm, preload_n
+        )

@@ -1,0 +1,211 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What the driver would publish of a simulated trial, transfer by transfer.
+
+The camera hands over what it has every millisecond, as the driver asks it to; the host receives it
+a little later. Events are cut by the driver's own packetizer, the clock is mapped by the driver's
+own clock map, and inertial samples are rounded to the camera's sixteen bits.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mixtac_driver.parameters import DriverParameters
+from mixtac_events.arrays import Events
+from mixtac_events.clock_map import ClockMap
+from mixtac_events.packetizer import Packetizer
+from mixtac_events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_samples
+from mixtac_sim.usb.words import ImuReading, ImuSettings, raw_values
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_sim.bags.messages import MessageFactory, MessageSink, TrialClocks
+    from mixtac_sim.pixels.aps import ApsFrame
+    from mixtac_sim.world.trial import Stretch
+
+
+MPU9250: Final = 2
+_ANGULAR, _LINEAR = slice(13, 16), slice(25, 28)
+
+
+class InertialConverter:
+    """Turns readings into what the driver decodes from the camera's words.
+
+    The settings are the driver's defaults.
+    """
+
+    def __init__(self) -> None:
+        p = DriverParameters()
+        self._settings = ImuSettings(
+            accel=p.imu_acc_enabled,
+            gyro=p.imu_gyro_enabled,
+            temperature=p.imu_temp_enabled,
+            accel_scale=p.imu_acc_scale,
+            gyro_scale=p.imu_gyro_scale,
+        )
+        self._info = 0xE0 | p.imu_acc_scale << 2 | p.imu_gyro_scale
+
+    def samples(self, readings: list[ImuReading], camera_us: NDArray[np.int64]) -> InertialSamples:
+        """Return samples in SI units.
+
+        Args:
+            readings: What the unit felt.
+            camera_us: Times of the readings [n] [us, camera clock].
+        """
+        if not readings:
+            return NO_SAMPLES
+        values = [raw_values(reading, self._settings) for reading in readings]
+        raw = np.empty((len(readings), 15), np.uint8)
+        raw[:, :14] = np.array(values, '>i2').view(np.uint8)
+        raw[:, 14] = self._info
+        return inertial_samples(camera_us, raw, (False, False, False), MPU9250)
+
+
+def imu_numbers(samples: InertialSamples, example: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the doubles of `sensor_msgs/msg/Imu` from the orientation on [n, 37].
+
+    Args:
+        samples: The samples.
+        example: The doubles of a message whose two vectors are to be replaced [37].
+    """
+    numbers = np.tile(example, (len(samples.t), 1))
+    numbers[:, _ANGULAR] = samples.angular_velocity
+    numbers[:, _LINEAR] = samples.acceleration
+    return numbers
+
+
+TRANSFER_US: Final = 1_000
+"""Time after which the camera sends what it has: the driver's default."""
+WRAP_US: Final = 1 << 15
+"""The camera says so when its 15-bit time wraps, also where nothing happens."""
+PUBLISH_NS: Final = 200_000
+"""From the arrival of data to their reception by a recorder [ns] (estimate)."""
+CLOCK_PERIOD_NS: Final = 1_000_000_000
+TEMPERATURE_PERIOD_US: Final = 100_000
+
+
+class CameraMessages:
+    """Makes the driver's messages of a trial.
+
+    Args:
+        clocks: Clocks of the trial.
+        factory: Makes the messages.
+        sink: Takes them.
+    """
+
+    def __init__(self, clocks: TrialClocks, factory: MessageFactory, sink: MessageSink) -> None:
+        p = DriverParameters()
+        period_us = round(1e6 * p.event_message_time_threshold)
+        self._packetizer = Packetizer(p.encoding, period_us, p.event_message_size_threshold)
+        self._adc_cycles = round(p.aps_exposure)
+        self._clocks, self._factory, self._sink = clocks, factory, sink
+        self._inertial = InertialConverter()
+        self._map = ClockMap()
+        self._clock_due_ns = 0
+        self._temperature_due_us = 0
+        self._sequence = 0
+        self._reached_us = 0
+
+    def add(self, stretch: Stretch) -> None:
+        """Make the messages of the next stretch."""
+        ends = np.arange(stretch.start_us, stretch.end_us, TRANSFER_US) + TRANSFER_US
+        arrivals = self._clocks.arrivals_ns(ends)
+        self._add_events(stretch, ends, arrivals)
+        for frame in stretch.sensor.frames:
+            transfer = int(np.searchsorted(ends, frame.frame_end_us, side='right'))
+            self._add_frame(frame, int(arrivals[transfer]))
+        if stretch.readings:
+            self._add_samples(stretch, ends, arrivals)
+
+    def _add_events(
+        self, stretch: Stretch, ends: NDArray[np.int64], arrivals: NDArray[np.int64]
+    ) -> None:
+        events, origin_us = stretch.sensor.events, self._clocks.origin_us
+        cuts = np.searchsorted(events.t, ends).tolist()
+        camera_us = self._clocks.to_camera_us(events.t)
+        published = Events(camera_us + origin_us, events.x, events.y, events.polarity)
+        reached = self._reached(stretch, ends, camera_us, cuts).tolist()
+        first = 0
+        for last, time_us, arrival_ns in zip(cuts, reached, arrivals.tolist(), strict=True):
+            packets = self._packetizer.push(published[first:last], time_us + origin_us, arrival_ns)
+            for packet in packets:
+                data = self._factory.event_packet(packet, self._sequence)
+                self._sink.put(arrival_ns + PUBLISH_NS, 'events', data)
+                self._sequence += 1
+            self._add_clock(time_us, arrival_ns)
+            first = last
+
+    def _reached(
+        self,
+        stretch: Stretch,
+        ends: NDArray[np.int64],
+        camera_us: NDArray[np.int64],
+        cuts: list[int],
+    ) -> NDArray[np.int64]:
+        """Return the latest camera time [us] that each transfer states."""
+        wraps = self._clocks.to_camera_us(ends - 1) // WRAP_US * WRAP_US
+        times = np.concatenate([[self._reached_us], camera_us])
+        latest = np.maximum(wraps, times[np.array(cuts)])
+        if stretch.readings:
+            read = np.array([reading.t_us for reading in stretch.readings], np.int64)
+            known = np.concatenate([[self._reached_us], self._clocks.to_camera_us(read)])
+            latest = np.maximum(latest, known[np.searchsorted(read, ends)])
+        latest = np.maximum(np.maximum.accumulate(latest), self._reached_us)
+        self._reached_us = int(latest[-1])
+        return latest
+
+    def _add_clock(self, time_us: int, arrival_ns: int) -> None:
+        self._map.add(time_us, arrival_ns)
+        if arrival_ns < self._clock_due_ns:
+            return
+        self._clock_due_ns = arrival_ns + CLOCK_PERIOD_NS
+        camera_us = self._map.to_camera_us(arrival_ns) + self._clocks.origin_us
+        data = self._factory.camera_clock(arrival_ns, camera_us)
+        self._sink.put(arrival_ns + PUBLISH_NS, 'camera_clock', data)
+
+    def _add_frame(self, frame: ApsFrame, arrival_ns: int) -> None:
+        decoded, origin_us = self._decoded(frame), self._clocks.origin_us
+        received_ns = arrival_ns + PUBLISH_NS
+        put, factory = self._sink.put, self._factory
+        put(received_ns, 'image_raw', factory.image(decoded, origin_us))
+        put(received_ns, 'camera_info', factory.camera_info(decoded, origin_us))
+        put(received_ns, 'image_exposure', factory.frame_exposure(decoded, origin_us))
+
+    def _decoded(self, frame: ApsFrame) -> Frame:
+        """Return the frame as the driver's decoder has it."""
+        camera_us = self._clocks.camera_us
+        return Frame(
+            image=frame.intensity,
+            x=0,
+            y=0,
+            frame_start_us=camera_us(frame.frame_start_us),
+            exposure_start_us=camera_us(frame.exposure_start_us),
+            exposure_end_us=camera_us(frame.exposure_end_us),
+            frame_end_us=camera_us(frame.frame_end_us),
+            exposure_cycles=self._adc_cycles,
+            global_shutter=True,
+        )
+
+    def _add_samples(
+        self, stretch: Stretch, ends: NDArray[np.int64], arrivals: NDArray[np.int64]
+    ) -> None:
+        true_us = np.array([reading.t_us for reading in stretch.readings], np.int64)
+        samples = self._inertial.samples(stretch.readings, self._clocks.to_camera_us(true_us))
+        received = arrivals[np.searchsorted(ends, true_us, side='right')] + PUBLISH_NS
+        rows = self._factory.imu_samples
+        stamps_ns = 1000 * (samples.t + self._clocks.origin_us)
+        data = rows.make(stamps_ns, imu_numbers(samples, rows.numbers))
+        self._sink.put_rows(received.tolist(), 'imu', data)
+        self._add_temperatures(samples, received)
+
+    def _add_temperatures(self, samples: InertialSamples, received: NDArray[np.int64]) -> None:
+        for index in range(len(samples.t)):
+            time_us = int(samples.t[index]) + self._clocks.origin_us
+            if time_us >= self._temperature_due_us:
+                self._temperature_due_us = time_us + TEMPERATURE_PERIOD_US
+                data = self._factory.temperature(float(samples.temperature[index]), time_us)
+                self._sink.put(int(received[index]), 'temperature', data)

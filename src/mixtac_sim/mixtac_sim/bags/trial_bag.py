@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""One simulated trial to one rosbag2 bag: the topics of the live graph, and the truth.
+
+The bag is written whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from mixtac_driver.parameters import DriverParameters
+from mixtac_node.topics import REFERENCE, Topic, topic
+from mixtac_recordings.bag import typestore
+from mixtac_recordings.bag_writer import offered_qos
+from mixtac_recordings.recording import BagError
+from mixtac_sim.bags.camera import CameraMessages
+from mixtac_sim.bags.messages import MessageFactory, MessageSink, TrialClocks
+from mixtac_sim.parameters import VirtualSensorParameters
+from mixtac_sim.usb.descriptors import serial_number
+from mixtac_sim.world.trial import TrialStream
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from mixtac_recordings.dataset import TrialSpec
+    from mixtac_sim.bags.messages import BagMessage
+    from mixtac_sim.world.trial import Stretch
+
+
+NAMESPACE: Final = 'mixtac'
+TRUTH_CONTACT: Final = 'truth/contact'
+TRUTH_CLOCK: Final = 'truth/clock_fit'
+TRUTH_WRENCH: Final = 'truth/wrench'
+BAG_TOPICS: Final = (
+    *map(
+        topic,
+        (
+            *('events', 'image_raw', 'camera_info', 'image_exposure', 'imu', 'temperature'),
+            *('camera_clock', REFERENCE, TRUTH_WRENCH),
+        ),
+    ),
+    Topic(
+        TRUTH_CONTACT,
+        'geometry_msgs/msg/PointStamped',
+        reliable=False,
+        depth=100,
+        description='Where the indenter meets the skin (x, y from the optical axis) and how deep '
+        'the dent is (z) [m], 1 kHz, on the host clock.',
+    ),
+    Topic(
+        TRUTH_CLOCK,
+        'mixtac_msgs/msg/ClockFit',
+        reliable=True,
+        depth=1,
+        latched=True,
+        description='True map from the camera clock to the reference clock.',
+    ),
+)
+"""Topics in the order in which they are announced in the bag."""
+
+
+def frame_ids() -> dict[str, str]:
+    """Return the frames that the nodes publish in by default."""
+    driver, sensor = DriverParameters(), VirtualSensorParameters()
+    return {
+        'camera': driver.camera_frame_id,
+        'imu': driver.imu_frame_id,
+        'contact': sensor.truth_frame_id,
+        'reference': sensor.reference_frame_id,
+    }
+
+
+BATCH_NS: Final = 4_000_000
+"""The virtual sensor publishes every 4 ms."""
+
+
+class TruthMessages:
+    """Makes the messages of truth and reference of a trial.
+
+    Args:
+        trial: The trial.
+        clocks: Its clocks.
+        factory: Makes the messages.
+        sink: Takes them.
+    """
+
+    def __init__(
+        self,
+        trial: TrialStream,
+        clocks: TrialClocks,
+        factory: MessageFactory,
+        sink: MessageSink,
+    ) -> None:
+        self._trial, self._clocks = trial, clocks
+        self._factory, self._sink = factory, sink
+
+    def begin(self) -> None:
+        """Make what is said once."""
+        truth = self._clocks.truth(self._trial.reference)
+        epoch_ns = self._clocks.epoch_ns
+        self._sink.put(epoch_ns, TRUTH_CLOCK, self._factory.clock_fit(truth, epoch_ns))
+
+    def add(self, stretch: Stretch) -> None:
+        """Make the messages of the next stretch."""
+        received_ns = int(self._clocks.to_host_ns(np.array(stretch.end_us, np.int64)))
+        self._add_truth(stretch)
+        self._add_reference(stretch, received_ns)
+
+    def _add_truth(self, stretch: Stretch) -> None:
+        truth = stretch.sensor.truth
+        stamps_ns = self._clocks.to_host_ns(truth['t_us'].astype(np.int64))
+        received = (-(-stamps_ns // BATCH_NS) * BATCH_NS).tolist()
+        wrench, point = np.zeros((len(truth), 6)), np.zeros((len(truth), 3))
+        for column, name in enumerate(('fx', 'fy', 'fz')):
+            wrench[:, column] = truth[name]
+        point[:, 0], point[:, 1] = (1e-3 * place for place in self._trial.contact_mm)
+        point[:, 2] = 1e-3 * truth['depth_mm']
+        factory, put = self._factory, self._sink.put_rows
+        put(received, TRUTH_WRENCH, factory.true_wrenches.make(stamps_ns, wrench))
+        put(received, TRUTH_CONTACT, factory.contact_points.make(stamps_ns, point))
+
+    def _add_reference(self, stretch: Stretch, latest_ns: int) -> None:
+        samples, sensor = stretch.reference, self._trial.reference
+        true_ns = (samples.t_ns - 1e9 * sensor.offset_s) / (1.0 + 1e-6 * sensor.drift_ppm)
+        taken_ns = self._clocks.epoch_ns + true_ns.astype(np.int64)
+        received = np.minimum(-(-taken_ns // BATCH_NS) * BATCH_NS, latest_ns).tolist()
+        stamps_ns = self._clocks.reference_stamps_ns(samples.t_ns)
+        data = self._factory.reference_wrenches.make(stamps_ns, samples.wrench)
+        self._sink.put_rows(received, REFERENCE, data)
+
+
+UNFINISHED: Final = '.unfinished'
+"""Folder of half-written bags beside the finished ones."""
+
+
+def trial_messages(trial: TrialStream) -> Iterator[BagMessage]:
+    """Simulate a trial and yield its messages in the order of their reception.
+
+    Args:
+        trial: A trial that has not begun.
+    """
+    spec, sink = trial.spec, MessageSink()
+    clocks = TrialClocks(spec.trial_seed)
+    factory = MessageFactory(typestore(), frame_ids(), serial_number(spec.device_seed))
+    camera = CameraMessages(clocks, factory, sink)
+    truth = TruthMessages(trial, clocks, factory, sink)
+    truth.begin()
+    for stretch in trial.stretches():
+        camera.add(stretch)
+        truth.add(stretch)
+        yield from sink.take(clocks.epoch_ns + 1000 * stretch.end_us)
+    yield from sink.take(1 << 63)
+
+
+def is_finished(folder: Path, name: str) -> bool:
+    """Return whether the bag of a trial has been written."""
+    return (folder / name / 'metadata.yaml').is_file()
+
+
+def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int:
+    """Write the bag of a trial, unless it is there already.
+
+    The bag grows in a folder of its own and is moved to its place when it is complete.
+
+    Args:
+        spec: The trial.
+        folder: Folder of the data set.
+        compress: Compress the chunks of the bag (zstd).
+
+    Returns:
+        Number of messages written; 0 where the bag was there.
+
+    Raises:
+        SimulationError: The trial cannot be simulated.
+        BagError: The bag cannot be written.
+    """
+    if is_finished(folder, spec.name):
+        return 0
+    partial = folder / UNFINISHED / spec.name
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.parent.mkdir(parents=True, exist_ok=True)
+        count = _write(spec, partial, compress=compress)
+        partial.rename(folder / spec.name)
+    except OSError as error:
+        raise BagError(
+            f'bag {folder / spec.name} cannot be written ({error}): free some space or choose '
+            'another folder'
+        ) from error
+    return count
+
+
+def _write(spec: TrialSpec, path: Path, *, compress: bool) -> int:
+    trial = TrialStream(spec)
+    store, count = typestore(), 0
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    if compress:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    writer.set_custom_data('mixtac.simulated', 'true')
+    writer.set_custom_data('mixtac.trial', json.dumps(spec.to_dict()))
+    with writer:
+        connections = {
+            each.name: writer.add_connection(
+                each.resolved(NAMESPACE),
+                each.type_name,
+                typestore=store,
+                offered_qos_profiles=(offered_qos(reliable=each.reliable, latched=each.latched),),
+            )
+            for each in BAG_TOPICS
+        }
+        for message in trial_messages(trial):
+            writer.write(connections[message.topic], message.received_ns, message.data)
+            count += 1
+    return count

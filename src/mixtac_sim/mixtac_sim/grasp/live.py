@@ -1,0 +1,275 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A grasp in real time, and a clock that waits for slip control and arm if asked to.
+
+A loop that is closed through other processes must not act on old data: on a slow host simulated
+time runs slower, so that nodes that take their time from `/clock` act as soon after an event as
+on a fast host.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from threading import Lock
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_events.arrays import Events
+from mixtac_sim.grasp.grasp import Grasp
+from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US
+from mixtac_sim.live.virtual_sensor import SimulationClock
+from mixtac_sim.world.sensor import TRUTH_DTYPE, TRUTH_EVERY, SensorOutput
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from mixtac_sim.grasp.grasp import GraspBlock
+    from mixtac_sim.grasp.objects import GraspSetup
+    from mixtac_sim.live.virtual_sensor import Simulation
+    from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
+    from mixtac_sim.pixels.biases import PixelSettings
+    from mixtac_sim.world.effects import Preset
+
+
+RESTART_US = 500_000
+"""A step of the camera's clock against simulated time that means a new origin [us]."""
+
+
+class AnswerPace:
+    """Limits simulated time by answers that are stamped on the camera clock.
+
+    The camera clock counts simulated time from an origin that is not known here. No answer comes
+    before what it answers, so the largest difference of stamp and simulated time seen so far is
+    nearest to that origin; it is too small by the smallest delay of an answer.
+
+    Args:
+        ahead_us: How far simulated time may be beyond the last answer [us].
+        patience_s: Without an answer for so long (host time), none is waited for [s]: more than a
+            busy host lets a process wait for its turn, or than slip control needs to be enabled.
+        monotonic: The host's monotonic clock [s].
+
+    Attributes:
+        lag_us: Simulated time by which the last answer was late [us].
+    """
+
+    def __init__(
+        self,
+        ahead_us: int,
+        patience_s: float = 3.0,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._ahead_us = ahead_us
+        self._patience_s = patience_s
+        self._monotonic = monotonic
+        self._origin_us: int | None = None
+        self._answered_us = 0
+        self._heard_s = -math.inf
+        self.lag_us = 0
+
+    def answer(self, stamp_us: int, now_us: int) -> None:
+        """Take an answer.
+
+        Args:
+            stamp_us: End of the answered window, camera clock [us].
+            now_us: Simulated time [us].
+        """
+        origin_us = stamp_us - now_us
+        if self._origin_us is None or abs(origin_us - self._origin_us) > RESTART_US:
+            self._origin_us = origin_us
+        self._origin_us = max(self._origin_us, origin_us)
+        self._answered_us = stamp_us - self._origin_us
+        self.lag_us = now_us - self._answered_us
+        self._heard_s = self._monotonic()
+
+    def limit_us(self) -> int | None:
+        """Return how far simulated time may go [us], None where nobody answers."""
+        if self._monotonic() - self._heard_s > self._patience_s:
+            return None
+        return self._answered_us + self._ahead_us
+
+
+class PacedClock(SimulationClock):
+    """Simulated time [us] that never passes what is simulated; safe to ask from any thread.
+
+    Args:
+        paces: Limit it further.
+        monotonic_ns: The host's monotonic clock [ns].
+        epoch_ns: The host's clock [ns since the Unix epoch].
+    """
+
+    def __init__(
+        self,
+        paces: Sequence[AnswerPace] = (),
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+        epoch_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        super().__init__(monotonic_ns, epoch_ns)
+        self._lock = Lock()
+        self._paces = tuple(paces)
+        self._reached_us = self._last_us = 0
+
+    def reached(self, until_us: int) -> None:
+        """Let time go on up to what is simulated now [us]."""
+        with self._lock:
+            self._reached_us = max(self._reached_us, until_us)
+
+    def now_us(self) -> int:
+        """Return simulated time now [us]; what the host was late is counted as lost."""
+        with self._lock:
+            now_us = super().now_us()
+            late_us = now_us - self._limit_us()
+            if late_us > 0:
+                self.lost_us += late_us
+                now_us -= late_us
+            self._last_us = now_us
+            return now_us
+
+    def _limit_us(self) -> int:
+        limits = [each.limit_us() for each in self._paces]
+        limit_us = min([self._reached_us, *(each for each in limits if each is not None)])
+        # Answers that come late hold time up; they do not turn it back.
+        return max(limit_us, self._last_us)
+
+    def lose(self, lost_us: int) -> None:
+        """Let simulated time be ``lost_us`` [us] further behind the host."""
+        with self._lock:
+            super().lose(lost_us)
+
+    def epoch_now_ns(self) -> int:
+        """Return simulated time now [ns], counted from the host's time at the start."""
+        return self.start_epoch_ns + 1000 * self.now_us()
+
+    def to_epoch_ns(self, t_us: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Convert simulated times [us, int64] to the scale of ``epoch_now_ns`` [ns, int64]."""
+        return np.asarray(self.start_epoch_ns + t_us * 1000, np.int64)
+
+
+class PacedSimulation:
+    """Tells the clock how far a simulation has come.
+
+    Args:
+        simulation: What is simulated.
+        clock: The clock that waits for it.
+    """
+
+    def __init__(self, simulation: Simulation, clock: PacedClock) -> None:
+        self._simulation = simulation
+        self._clock = clock
+
+    def advance(self, until_us: int) -> SensorOutput:
+        """Simulate up to a time [us]."""
+        output = self._simulation.advance(until_us)
+        self._clock.reached(until_us)
+        return output
+
+    def configure_aps(self, settings: ApsSettings) -> None:
+        """Change the frames to come."""
+        self._simulation.configure_aps(settings)
+
+    def configure_pixels(self, nominal: PixelSettings) -> None:
+        """Change the event pixels, as new biases would."""
+        self._simulation.configure_pixels(nominal)
+
+
+LOST_MM = 50.0
+"""An object that has fallen farther is put back at once [mm]."""
+
+
+class LiveGrasp:
+    """A grasp that is advanced in blocks of 4 ms and told from outside where the fingertip is.
+
+    Args:
+        setup: Object and force; its blow is left out, ``strike`` makes one.
+        device_seed: The sensor.
+        seed: The day.
+        preset: How hard the sensor is.
+    """
+
+    def __init__(self, setup: GraspSetup, device_seed: int, seed: int, preset: Preset) -> None:
+        self._grasp = Grasp(setup.knocked(0.0), device_seed, seed, preset)
+        self._lock = Lock()
+        self._wanted_mm = self._place_mm = 0.0
+        self._strike_mm_s = 0.0
+        self._back = False
+        self._block = 0
+        self._frames: list[ApsFrame] = []
+        self._object_mm = 0.0
+
+    @property
+    def grasp_n(self) -> float:
+        """Return the force of the grasp at the start [N]."""
+        return self._grasp.grasp_n
+
+    @property
+    def object_mm(self) -> float:
+        """Return how far the object is below where it was held [mm]."""
+        return self._object_mm
+
+    def move(self, advance_mm: float) -> None:
+        """Tell where the fingertip is along the normal from where the grasp began [mm]."""
+        with self._lock:
+            self._wanted_mm = advance_mm
+
+    def strike(self, speed_mm_s: float) -> None:
+        """Let a blow come with the next block that gives the object a speed [mm/s]."""
+        with self._lock:
+            self._strike_mm_s = speed_mm_s
+
+    def put_back(self) -> None:
+        """Put the object back with the next block."""
+        with self._lock:
+            self._back = True
+
+    def configure_aps(self, settings: ApsSettings) -> None:
+        """Change the frames to come."""
+        if self._grasp.camera is not None:
+            self._grasp.camera.configure_aps(settings)
+
+    def configure_pixels(self, nominal: PixelSettings) -> None:
+        """Change the event pixels, as new biases would."""
+        if self._grasp.camera is not None:
+            self._grasp.camera.configure_pixels(nominal)
+
+    def advance(self, until_us: int) -> SensorOutput:
+        """Return what happens until a time, in whole blocks of 4 ms [us]."""
+        blocks = []
+        while (self._block + 1) * BLOCK_US <= until_us:
+            blocks.append(self._advance_block())
+            self._block += 1
+        events = Events.concatenate([b.events for b in blocks if b.events is not None])
+        ready = [frame for frame in self._frames if frame.frame_end_us < until_us]
+        self._frames = self._frames[len(ready) :]
+        times = [b.t_us for b in blocks] or [np.empty(0, np.int64)]
+        wrenches = [_wrench(b) for b in blocks] or [np.empty((0, 6))]
+        t_us, wrench = np.concatenate(times), np.concatenate(wrenches)
+        truth = np.zeros(len(t_us) // TRUTH_EVERY, TRUTH_DTYPE)
+        chosen = slice(TRUTH_EVERY - 1, None, TRUTH_EVERY)
+        truth['t_us'], truth['depth_mm'] = t_us[chosen], np.nan
+        truth['fy'], truth['fz'] = wrench[chosen, 1], wrench[chosen, 2]
+        return SensorOutput(events, ready, truth, t_us, wrench)
+
+    def _advance_block(self) -> GraspBlock:
+        with self._lock:
+            wanted, strike, back = self._wanted_mm, self._strike_mm_s, self._back
+            self._strike_mm_s, self._back = 0.0, False
+        if back or self._object_mm > LOST_MM:
+            self._grasp.put_back()
+        if strike > 0.0:
+            self._grasp.strike(strike)
+        way = np.linspace(self._place_mm, wanted, BLOCK_STEPS + 1)[1:]
+        self._place_mm = wanted
+        block = self._grasp.advance(way)
+        self._frames += block.frames
+        self._object_mm = float(block.object_mm[-1])
+        return block
+
+
+def _wrench(block: GraspBlock) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Return force [N] and torque [N m] on the skin [n, 6]: the object drags it down."""
+    wrench = np.zeros((len(block.t_us), 6))
+    wrench[:, 1], wrench[:, 2] = block.pull_n, block.normal_n
+    return wrench

@@ -1,0 +1,342 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Contacts that a user asks the live sensor for: press, load, drop, vibrate, follow, release.
+
+Each request becomes a short profile that is played from the moment it is made; `LiveProfile` takes
+the place of the fixed profile of a trial, and nothing touches the sensor until it plays.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from threading import Lock
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+
+import numpy as np
+
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.mechanics.indenters import HEMISPHERE, LIVE_INDENTERS, WEIGHT_20_G
+from mixtac_sim.world.profiles import Profile, Segment, Tone
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mixtac_sim.mechanics.indenters import Indenter
+    from mixtac_sim.parameters import TouchParameters
+
+
+RAMP_S: Final = 0.2
+"""How long an object takes to come and go [s]."""
+FOLLOW_RAMP_S: Final = 0.01
+"""How long a commanded force takes to be reached [s]."""
+FOLLOW_TIMEOUT_S: Final = 0.25
+"""How long a commanded force holds without a new one [s]."""
+APART_MM: Final = 0.3
+"""How far a vibrating object comes and goes from the skin [mm]."""
+GRAVITY: Final = 9.81
+
+
+def press(tool: Indenter, force_n: float, hold_s: float) -> Profile:
+    """Return a press with a force [N] that is held for some time [s]."""
+    down, up = RAMP_S, RAMP_S + hold_s
+    ramps = (
+        Segment(0.0, down, Mode.FORCE, (0.0, RAMP_S), (0.0, force_n), indenter=tool),
+        Segment(down, up, Mode.FORCE, (0.0,), (force_n,), indenter=tool),
+        Segment(up, up + RAMP_S, Mode.FORCE, (0.0, RAMP_S), (force_n, 0.0), indenter=tool),
+    )
+    return Profile('press', up + RAMP_S, ramps)
+
+
+def load(tool: Indenter, hold_s: float) -> Profile:
+    """Return an object that is put down gently and taken off after some time [s].
+
+    Raises:
+        SimulationError: The object has no mass.
+    """
+    if tool.mass_g <= 0.0:
+        raise SimulationError(f'{tool} has no weight to put down: choose an object with a mass')
+    return replace(press(tool, 1e-3 * tool.mass_g * GRAVITY, hold_s), name='load')
+
+
+def drop(tool: Indenter, height_mm: float, hold_s: float) -> Profile:
+    """Return an object that falls from a height [mm], rests for some time [s] and is lifted.
+
+    Raises:
+        SimulationError: The object has no mass.
+    """
+    # What fell before must have left the skin.
+    begin, lift = RAMP_S, RAMP_S + hold_s
+    pull = 1.3e-3 * tool.mass_g * GRAVITY
+    segments = (
+        Segment(begin, lift, Mode.DROP, (0.0,), (height_mm,), indenter=tool),
+        Segment(lift, lift + RAMP_S, Mode.LIFT, (0.0, RAMP_S), (0.0, pull), indenter=tool),
+    )
+    return Profile('drop', lift + RAMP_S, segments)
+
+
+def vibrate(
+    tool: Indenter, depth_mm: float, amplitude_mm: float, frequency_hz: float, hold_s: float
+) -> Profile:
+    """Return an object that vibrates in the skin.
+
+    Args:
+        tool: The object.
+        depth_mm: Mean depth [mm].
+        amplitude_mm: Zero to peak [mm].
+        frequency_hz: Frequency [Hz].
+        hold_s: How long [s].
+
+    Raises:
+        SimulationError: It would leave the skin.
+    """
+    if amplitude_mm >= depth_mm:
+        raise SimulationError(
+            f'amplitude {amplitude_mm} mm at a depth of {depth_mm} mm would leave the skin: '
+            'take less, or go deeper'
+        )
+    tone = Tone(amplitude_mm, frequency_hz, 0.0, min(0.05, 0.25 * hold_s))
+    down, up = RAMP_S, RAMP_S + hold_s
+    segments = (
+        Segment(0.0, down, Mode.POSITION, (0.0, RAMP_S), (-APART_MM, depth_mm), indenter=tool),
+        Segment(down, up, Mode.POSITION, (0.0,), (depth_mm,), (tone,), tool),
+        Segment(up, up + RAMP_S, Mode.POSITION, (0.0, RAMP_S), (depth_mm, -APART_MM), (), tool),
+    )
+    return Profile('vibrate', up + RAMP_S, segments)
+
+
+def follow(tool: Indenter, from_n: float, force_n: float) -> Profile:
+    """Return a force [N] that is reached from another at once and fades if no new one comes."""
+    first, last = FOLLOW_RAMP_S, FOLLOW_RAMP_S + FOLLOW_TIMEOUT_S
+    segments = (
+        Segment(0.0, first, Mode.FORCE, (0.0, FOLLOW_RAMP_S), (from_n, force_n), indenter=tool),
+        Segment(first, last, Mode.FORCE, (0.0,), (force_n,), indenter=tool),
+        Segment(last, last + RAMP_S, Mode.FORCE, (0.0, RAMP_S), (force_n, 0.0), indenter=tool),
+    )
+    return Profile('follow', last + RAMP_S, segments)
+
+
+def release(tool: Indenter, from_n: float) -> Profile:
+    """Return the way from a force [N] to none."""
+    way = Segment(0.0, RAMP_S, Mode.FORCE, (0.0, RAMP_S), (from_n, 0.0), indenter=tool)
+    return Profile('release', RAMP_S, (way,) if from_n > 0.0 else ())
+
+
+class _Play(NamedTuple):
+    """A scenario and the grid step at which it begins."""
+
+    start: int
+    scenario: Profile
+
+
+class LiveProfile:
+    """Hands the commands of scenarios to the simulation, each from the moment it is played.
+
+    It has the interface of `mixtac_sim.world.profiles.Profile`, with commands that are not known
+    beforehand. A scenario goes on until the next one begins. `play` may be called from any thread.
+
+    Args:
+        indenters: Everything that scenarios may use.
+
+    Attributes:
+        name: Name of the profile.
+        duration_s: Endless.
+        indenters: Everything that scenarios may use.
+    """
+
+    name = 'live'
+    duration_s = float('inf')
+
+    def __init__(self, indenters: tuple[Indenter, ...] = (HEMISPHERE, WEIGHT_20_G)) -> None:
+        self.indenters = indenters
+        self._lock = Lock()
+        # The one under way and those to come.
+        self._plays: list[_Play] = []
+        self._asked = 0
+
+    def play(self, scenario: Profile, start_us: int) -> None:
+        """Play a scenario from a time [us, simulated time] on.
+
+        It replaces what is playing then, and what was to begin later.
+
+        Raises:
+            SimulationError: It uses an indenter that the sensor was not prepared for.
+        """
+        unknown = set(scenario.indenters) - set(self.indenters)
+        if unknown:
+            raise SimulationError(
+                f'scenario {scenario.name!r} uses {unknown.pop()}; the live sensor knows only '
+                f'{self.indenters}'
+            )
+        start = -(-start_us // STEP_US)
+        with self._lock:
+            self._plays = [play for play in self._plays if play.start < start]
+            self._plays.append(_Play(start, scenario))
+            self._forget()
+
+    def end_us(self) -> int | None:
+        """Return when the latest scenario ends [us, simulated time], none before the first."""
+        with self._lock:
+            if not self._plays:
+                return None
+            start, scenario = self._plays[-1]
+            return start * STEP_US + round(scenario.duration_s * 1e6)
+
+    def force_at(self, t_us: int) -> tuple[float, Indenter | None]:
+        """Return the force [N] commanded at a time [us, simulated time], and of what.
+
+        Where no force is commanded it is 0, of nothing.
+        """
+        modes, targets, tools = self._commands(-(-t_us // STEP_US) - 1, 1)
+        if modes[0] != Mode.FORCE:
+            return 0.0, None
+        return float(targets[0]), self.indenters[tools[0]]
+
+    def longest_step(self, first: int, count: int) -> int:
+        """Return the most grid steps that may be taken at once from ``first`` on."""
+        longest = count
+        for begin, end, play in self._spans(first, count):
+            longest = min(longest, play.scenario.longest_step(begin - play.start, end - begin))
+        return longest
+
+    def commands(
+        self, first: int, count: int
+    ) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.int8]]:
+        """Return modes, targets and indenters of grid steps ``first`` to ``first + count``."""
+        with self._lock:
+            self._asked = max(self._asked, first)
+        return self._commands(first, count)
+
+    def _commands(
+        self, first: int, count: int
+    ) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.int8]]:
+        modes, targets = np.zeros(count, np.int8), np.zeros(count)
+        tools = np.zeros(count, np.int8)
+        for begin, end, play in self._spans(first, count):
+            played = play.scenario.commands(begin - play.start, end - begin)
+            places = np.array(
+                [self.indenters.index(tool) for tool in play.scenario.indenters], np.int8
+            )
+            span = slice(begin - first, end - first)
+            modes[span], targets[span], tools[span] = played[0], played[1], places[played[2]]
+        return modes, targets, tools
+
+    def _spans(self, first: int, count: int) -> list[tuple[int, int, _Play]]:
+        """Return which scenario commands which grid steps, as (begin, end, play)."""
+        with self._lock:
+            plays = list(self._plays)
+        ends = [play.start for play in plays[1:]] + [first + count]
+        spans = [
+            (max(play.start, first), min(end, first + count), play)
+            for play, end in zip(plays, ends, strict=False)
+        ]
+        return [span for span in spans if span[0] < span[1]]
+
+    def _forget(self) -> None:
+        """Drop scenarios that were replaced before the simulation's present."""
+        while len(self._plays) > 1 and self._plays[1].start <= self._asked:
+            del self._plays[0]
+
+
+LARGEST_N: Final = 20.0
+"""Largest force that may be commanded [N]; the layer's model ends about there."""
+ENDLESS_S: Final = 86_400.0
+"""How long something is held that is held until released [s]."""
+
+
+class Touchable(Protocol):
+    """What is needed of `mixtac_sim.live.virtual_sensor.VirtualSensor`."""
+
+    def play(self, scenario: Profile) -> int:
+        """Play a scenario as soon as possible."""
+
+    def commanded_force(self) -> tuple[float, Indenter | None]:
+        """Return the force [N] in force when a scenario would begin now, and of what."""
+
+
+class TouchControl:
+    """Carries out requests with the settings of the moment.
+
+    Args:
+        sensor: The live sensor.
+    """
+
+    def __init__(self, sensor: Touchable) -> None:
+        self._sensor = sensor
+        self.gestures: dict[str, Callable[[TouchParameters], str]] = {
+            'press': self.press,
+            'load': self.load,
+            'drop': self.drop,
+            'vibrate': self.vibrate,
+            'release': self.release,
+        }
+
+    def press(self, p: TouchParameters) -> str:
+        """Press the object on the skin; return what is done, for people."""
+        self._sensor.play(press(LIVE_INDENTERS[p.object], p.press_force, _hold_s(p)))
+        return f'pressing {p.object} with {p.press_force} N {_for(p)}'
+
+    def load(self, p: TouchParameters) -> str:
+        """Put the object down; return what is done.
+
+        Raises:
+            SimulationError: The object has no mass.
+        """
+        self._sensor.play(load(LIVE_INDENTERS[p.object], _hold_s(p)))
+        return f'putting {p.object} down {_for(p)}'
+
+    def drop(self, p: TouchParameters) -> str:
+        """Drop the object; return what is done.
+
+        Raises:
+            SimulationError: The object has no mass.
+        """
+        self._sensor.play(drop(LIVE_INDENTERS[p.object], p.drop_height, _hold_s(p)))
+        return f'dropping {p.object} from {p.drop_height} mm'
+
+    def vibrate(self, p: TouchParameters) -> str:
+        """Let the object vibrate in the skin; return what is done.
+
+        Raises:
+            SimulationError: It would leave the skin.
+        """
+        gesture = vibrate(
+            LIVE_INDENTERS[p.object],
+            p.vibration_depth,
+            p.vibration_amplitude,
+            p.vibration_frequency,
+            _hold_s(p),
+        )
+        self._sensor.play(gesture)
+        return f'vibrating {p.object} at {p.vibration_frequency} Hz {_for(p)}'
+
+    def release(self, p: TouchParameters) -> str:
+        """Take off what touches; return what is done."""
+        force_n, tool = self._sensor.commanded_force()
+        self._sensor.play(release(tool or LIVE_INDENTERS[p.object], force_n))
+        return 'released'
+
+    def follow(self, p: TouchParameters, force_n: float) -> None:
+        """Press the object with a force [N] until the next one is commanded, for a moment at most.
+
+        Raises:
+            SimulationError: The force is not a number, or out of range.
+        """
+        if not math.isfinite(force_n) or not 0.0 <= force_n <= LARGEST_N:
+            raise SimulationError(f'commanded force {force_n} N: 0 to {LARGEST_N} N are possible')
+        wanted = LIVE_INDENTERS[p.object]
+        before_n, tool = self._sensor.commanded_force()
+        start_n = before_n if tool == wanted else 0.0
+        self._sensor.play(follow(wanted, start_n, force_n))
+
+
+def _hold_s(p: TouchParameters) -> float:
+    return p.hold_seconds or ENDLESS_S
+
+
+def _for(p: TouchParameters) -> str:
+    return f'for {p.hold_seconds} s' if p.hold_seconds else 'until released'

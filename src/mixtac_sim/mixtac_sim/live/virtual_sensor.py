@@ -1,0 +1,362 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The virtual sensor in real time: simulation, virtual camera and reference force side by side.
+
+The simulation runs a little ahead of the clock, because a frame must be known before its readout
+begins; camera, truth and reference hand everything over when its time has come. If the host cannot
+keep up, simulated time stands still for a while, and the loss is counted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from threading import Event, Lock, Thread
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
+
+import numpy as np
+
+from mixtac_sim.live.touch import LiveProfile
+from mixtac_sim.mechanics.indenters import LIVE_INDENTERS
+from mixtac_sim.pixels.aps import READOUT_US, RESET_US, ApsSettings
+from mixtac_sim.pixels.biases import DEFAULT_REGISTERS, PixelSettings
+from mixtac_sim.usb.descriptors import serial_number
+from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.registers import Module
+from mixtac_sim.world.effects import EASY
+from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
+from mixtac_sim.world.sensor import TactileSensor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mixtac_sim.mechanics.indenters import Indenter
+    from mixtac_sim.world.effects import Preset
+    from mixtac_sim.world.instruments import ReferenceSamples
+    from mixtac_sim.world.profiles import Profile
+    from mixtac_sim.world.sensor import SensorOutput
+
+
+class SimulationClock:
+    """Simulated time [us] that runs with the host's monotonic clock once started.
+
+    A host that cannot keep up makes simulated time stand still for a while; that loss is counted.
+
+    Args:
+        monotonic_ns: The host's monotonic clock [ns].
+        epoch_ns: The host's clock [ns since the Unix epoch].
+    """
+
+    def __init__(
+        self,
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+        epoch_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._monotonic_ns = monotonic_ns
+        self._epoch_ns = epoch_ns
+        self._start_ns: int | None = None
+        self._start_epoch_ns = epoch_ns()
+        self.lost_us = 0
+
+    def start(self) -> None:
+        """Let time run from 0; until then it stands at 0."""
+        self._start_epoch_ns = self._epoch_ns()
+        self._start_ns = self._monotonic_ns()
+
+    def now_us(self) -> int:
+        """Return simulated time now [us]."""
+        if self._start_ns is None:
+            return 0
+        return (self._monotonic_ns() - self._start_ns) // 1000 - self.lost_us
+
+    @property
+    def start_epoch_ns(self) -> int:
+        """Host time at which simulated time was 0 [ns since the Unix epoch].
+
+        Clocks of simulated devices count from it and stand still with simulated time: two of them
+        that did not would drift apart by every stall of the host.
+        """
+        return self._start_epoch_ns
+
+    def lose(self, lost_us: int) -> None:
+        """Let simulated time be ``lost_us`` [us] further behind the host."""
+        self.lost_us += lost_us
+
+    def to_epoch_ns(self, t_us: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Convert simulated times [us, int64] to host time [ns since the Unix epoch, int64]."""
+        return np.asarray(self._start_epoch_ns + (t_us + self.lost_us) * 1000, np.int64)
+
+
+PERIOD_S: Final = 0.001
+_CHUNK_US: Final = 4000
+# A frame is known at the end of the chunk in which its readout has ended.
+_FRAME_US: Final = RESET_US + READOUT_US + _CHUNK_US
+_MAX_BEHIND_US: Final = 250_000
+_MAX_BATCHES: Final = 2048
+
+
+class Simulation(Protocol):
+    """What is needed of `mixtac_sim.world.sensor.TactileSensor`."""
+
+    def advance(self, until_us: int) -> SensorOutput:
+        """Simulate up to a time [us]."""
+
+    def configure_aps(self, settings: ApsSettings) -> None:
+        """Change the frames to come."""
+
+    def configure_pixels(self, nominal: PixelSettings) -> None:
+        """Change the event pixels, as new biases would."""
+
+
+class Reference(Protocol):
+    """What is needed of `mixtac_sim.world.instruments.ReferenceSensor`."""
+
+    def process(self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]) -> ReferenceSamples:
+        """Return the samples that the true wrench up to ``t_us[-1]`` allows."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrenchBatch:
+    """A few wrench samples.
+
+    Attributes:
+        stamp_ns: int64 times [ns]: host time for the truth, the reference's clock for its samples;
+            both count from the Unix epoch.
+        wrench: float64 ``[n, 6]``, forces [N] and torques [N m].
+    """
+
+    stamp_ns: NDArray[np.int64]
+    wrench: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorState:
+    """Figures for diagnostics.
+
+    Attributes:
+        simulated_us: How far the simulation is [us, simulated time].
+        running: Whether the thread that moves everything lives.
+        late_us: How far what is handed over is behind the clock [us].
+        overruns: How often the host could not keep up and time stood still.
+        lost_us: How long it stood still altogether [us].
+        playing: Whether a scenario is under way.
+        streaming: Whether a host reads the camera.
+        batches_dropped: Batches of truth or reference that nobody fetched.
+    """
+
+    simulated_us: int
+    running: bool
+    late_us: int
+    overruns: int
+    lost_us: int
+    playing: bool
+    streaming: bool
+    batches_dropped: int
+
+
+class VirtualSensor:
+    """Runs the parts in one thread of its own.
+
+    Args:
+        simulation: The tactile sensor, made with ``profile``.
+        profile: What touches it.
+        device: The camera, made with ``clock.now_us``.
+        reference: The reference force sensor.
+        inertial: The camera's inertial unit.
+        clock: Simulated time.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        profile: LiveProfile,
+        device: VirtualDavis346,
+        reference: Reference,
+        inertial: InertialUnit,
+        clock: SimulationClock,
+    ) -> None:
+        self._simulation = simulation
+        self._profile = profile
+        self.device = device
+        self._reference = reference
+        self._inertial = inertial
+        self._clock = clock
+        self._simulated_us = 0
+        self._due_us = 0
+        self._overruns = 0
+        self._aps = (0, 0)
+        self._biases: dict[int, int] = {}
+        self._pixels = PixelSettings()
+        self._pending: deque[tuple[int, SensorOutput]] = deque()
+        self._lock = Lock()
+        self._truth: deque[WrenchBatch] = deque()
+        self._references: deque[WrenchBatch] = deque()
+        self._dropped = 0
+        self._stop = Event()
+        self._thread: Thread | None = None
+
+    def start(self) -> None:
+        """Prepare the first moments (which compiles), then let time run in a thread."""
+        self.step()
+        self._clock.start()
+        self._thread = Thread(target=self._run, name='virtual-sensor', daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop time and unplug the camera."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(5.0)
+        self.device.unplug()
+
+    def play(self, scenario: Profile) -> int:
+        """Play a scenario as soon as possible; it replaces one that is playing.
+
+        Returns:
+            When it starts [us, simulated time].
+        """
+        start_us = self._next_start_us()
+        self._profile.play(scenario, start_us)
+        return start_us
+
+    def commanded_force(self) -> tuple[float, Indenter | None]:
+        """Return the force [N] commanded when a scenario would begin now, and of what."""
+        return self._profile.force_at(self._next_start_us())
+
+    def _next_start_us(self) -> int:
+        return self._simulated_us + 2 * _CHUNK_US
+
+    def take_truth(self) -> list[WrenchBatch]:
+        """Return the true wrench at 1 kHz since the last call, stamped in host time."""
+        return self._take(self._truth)
+
+    def take_reference(self) -> list[WrenchBatch]:
+        """Return what the reference sensor measured since the last call, stamped by itself."""
+        return self._take(self._references)
+
+    def state(self) -> SensorState:
+        """Return figures for diagnostics."""
+        end_us = self._profile.end_us()
+        return SensorState(
+            simulated_us=self._simulated_us,
+            running=self._thread is not None and self._thread.is_alive(),
+            late_us=max(0, self._clock.now_us() - self._due_us),
+            overruns=self._overruns,
+            lost_us=self._clock.lost_us,
+            playing=end_us is not None and self._clock.now_us() < end_us,
+            streaming=self.device.streaming,
+            batches_dropped=self._dropped,
+        )
+
+    def step(self) -> None:
+        """Bring simulation, camera, truth and reference up to now."""
+        self._follow_registers()
+        while True:
+            now_us = self._clock.now_us()
+            # A frame must be known before its readout begins, so all that is handed over stays
+            # behind the simulation; if that falls behind, data come late but stamped right.
+            known_us = self._simulated_us - self._aps[0] - _FRAME_US
+            if now_us - known_us > _MAX_BEHIND_US:
+                self._clock.lose(now_us - known_us)
+                self._overruns += 1
+                continue
+            self._due_us = max(self._due_us, min(now_us, known_us))
+            self.device.advance(self._due_us)
+            self._release(self._due_us)
+            if known_us >= now_us:
+                return
+            self._simulate()
+
+    def _run(self) -> None:
+        deadline = time.monotonic()
+        while not self._stop.is_set():
+            self.step()
+            deadline = max(deadline + PERIOD_S, time.monotonic())
+            self._stop.wait(deadline - time.monotonic())
+
+    def _follow_registers(self) -> None:
+        self._follow_aps()
+        biases = {place: self.device.register(Module.BIAS, place) for place in DEFAULT_REGISTERS}
+        if biases == self._biases:
+            return
+        self._biases = biases
+        pixels = PixelSettings.from_biases(biases, PixelSettings())
+        if pixels != self._pixels:
+            self._pixels = pixels
+            self._simulation.configure_pixels(pixels)
+
+    def _follow_aps(self) -> None:
+        wanted = (self.device.exposure_us, self.device.frame_interval_us)
+        if wanted == self._aps:
+            return
+        self._aps = wanted
+        # The camera takes frames as fast as it can when asked for more than that.
+        exposure_us = max(wanted[0], 1)
+        interval_us = max(wanted[1], exposure_us + READOUT_US + RESET_US)
+        first_us = self._simulated_us + RESET_US
+        self._simulation.configure_aps(ApsSettings(exposure_us, interval_us, first_us))
+
+    def _simulate(self) -> None:
+        self._simulated_us += _CHUNK_US
+        out = self._simulation.advance(self._simulated_us)
+        self._inertial.feel(out.wrench_us, out.wrench)
+        readings = self._inertial.readings(self._simulated_us, self.device.imu_interval_us)
+        self.device.submit(out.events, out.frames, readings)
+        self._pending.append((self._simulated_us, out))
+
+    def _release(self, until_us: int) -> None:
+        """Hand over the truth, and what the reference makes of it, chunk by chunk."""
+        while self._pending and self._pending[0][0] <= until_us:
+            _, out = self._pending.popleft()
+            self._hand_over(out.truth)
+            epoch_ns = self._clock.start_epoch_ns
+            samples = self._reference.process(out.wrench_us, out.wrench)
+            self._put(self._references, WrenchBatch(samples.t_ns + epoch_ns, samples.wrench))
+
+    def _hand_over(self, truth: NDArray[Any]) -> None:
+        wrench = np.zeros((len(truth), 6))
+        for column, name in enumerate(('fx', 'fy', 'fz')):
+            wrench[:, column] = truth[name]
+        stamp_ns = self._clock.to_epoch_ns(truth['t_us'].astype(np.int64))
+        self._put(self._truth, WrenchBatch(stamp_ns, wrench))
+
+    def _put(self, queue: deque[WrenchBatch], batch: WrenchBatch) -> None:
+        with self._lock:
+            queue.append(batch)
+            if len(queue) > _MAX_BATCHES:
+                queue.popleft()
+                self._dropped += 1
+
+    def _take(self, queue: deque[WrenchBatch]) -> list[WrenchBatch]:
+        with self._lock:
+            batches = list(queue)
+            queue.clear()
+        return batches
+
+
+def make_virtual_sensor(
+    *, device_seed: int, seed: int, skew_ppm: float = 0.0, preset: Preset = EASY
+) -> VirtualSensor:
+    """Return a virtual sensor that nothing touches yet; `VirtualSensor.start` lets it run.
+
+    Args:
+        device_seed: Which sensor: beads, stiffness, lamp, pixels, and the camera's serial number.
+        seed: Which day: contact point, noise, drifts, and the clock of the reference sensor.
+        skew_ppm: How much faster than the host the camera's clock runs [ppm].
+        preset: How hard the sensor is.
+    """
+    profile, clock = LiveProfile(tuple(LIVE_INDENTERS.values())), SimulationClock()
+    device = VirtualDavis346(serial_number(device_seed), skew_ppm=skew_ppm, clock=clock.now_us)
+    # The simulation only asks for what a live profile has: indenters and commands.
+    simulation = TactileSensor(device_seed, seed, cast('Profile', profile), preset=preset)
+    return VirtualSensor(
+        simulation,
+        profile,
+        device,
+        ReferenceSensor(seed, preset=preset),
+        InertialUnit(device_seed),
+        clock,
+    )

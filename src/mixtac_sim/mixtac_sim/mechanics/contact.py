@@ -1,0 +1,312 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Contact of an indenter with the viscoelastic layer on its mesh, in time.
+
+Commands lie on a fixed grid of 125 us; a falling body is integrated in sixteenths of it. Positions
+count from the free skin, inwards; the skin recovers from a dent with the times of its relaxation,
+so a second contact may begin below the free skin. The state of a contact is an array: elastic force
+[N], position of the indenter [mm] and its velocity [mm/s] (falling bodies only). The depth of the
+dent follows from the elastic force.
+
+The layer is quasi-linear viscoelastic: F(t) = F_e + sum_i h_i, where F_e is the elastic force of
+the relaxed layer and each branch obeys dh_i/dt = -h_i / tau_i + g_i dF_e/dt. For F_e linear within
+a step of length s
+
+    h_i <- h_i exp(-s / tau_i) + g_i tau_i / s [1 - exp(-s / tau_i)] (change of F_e)
+
+so a step is F = carried + gain * F_e with two numbers known beforehand: the update is closed for
+a commanded depth (F_e known) and for a commanded force (F known) alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.grids import STEP_US
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from mixtac_sim.mechanics.elastomer import ForceLaw
+
+
+@dataclass(frozen=True, slots=True)
+class PronySeries:
+    """Relaxation of the force after a step of depth, relative to the relaxed force.
+
+    Attributes:
+        weights: g_i of each branch, non-negative.
+        times_s: tau_i of each branch [s], positive.
+    """
+
+    weights: tuple[float, ...]
+    times_s: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse branches that do not pair up or do not relax.
+
+        Raises:
+            SimulationError: Unequal lengths, a negative weight or a time that is not positive.
+        """
+        paired = len(self.weights) == len(self.times_s)
+        if not paired or min(self.weights) < 0.0 or min(self.times_s) <= 0.0:
+            msg = (
+                f'Prony series with weights {self.weights} and times {self.times_s} s; give one '
+                'positive time for each non-negative weight'
+            )
+            raise SimulationError(msg)
+
+    def update(self, step_s: float) -> NDArray[np.float64]:
+        """Return what a step of this length needs: rows decay and gain of each branch [2, n]."""
+        times = np.array(self.times_s)
+        decay = np.exp(-step_s / times)
+        return np.stack([decay, np.array(self.weights) * times / step_s * (1.0 - decay)])
+
+    def loss_tangent(self, frequency_hz: float) -> float:
+        """Return tan delta under a small sinusoid."""
+        phase = 2.0 * np.pi * frequency_hz * np.array(self.times_s)
+        weights = np.array(self.weights)
+        storage = 1.0 + np.sum(weights * phase**2 / (1.0 + phase**2))
+        return float(np.sum(weights * phase / (1.0 + phase**2)) / storage)
+
+
+@njit(cache=True, nogil=True)
+def force_terms(
+    branches: NDArray[np.float64], update: NDArray[np.float64], elastic: float
+) -> tuple[float, float]:
+    """Return (carried, gain) of the coming step: force = carried + gain * elastic force.
+
+    Args:
+        branches: Branch forces h_i at the start of the step [n] [N].
+        update: Of ``PronySeries.update`` for the length of the step.
+        elastic: Elastic force at the start of the step [N].
+    """
+    carried, gain = 0.0, 1.0
+    for i in range(branches.size):
+        carried += update[0, i] * branches[i] - update[1, i] * elastic
+        gain += update[1, i]
+    return carried, gain
+
+
+@njit(cache=True, nogil=True)
+def relax(branches: NDArray[np.float64], update: NDArray[np.float64], change: float) -> None:
+    """Carry the branch forces over a step in which the elastic force changed by ``change`` [N]."""
+    for i in range(branches.size):
+        branches[i] = update[0, i] * branches[i] + update[1, i] * change
+
+
+SUBSTEPS = 16
+"""Steps of a falling body per grid step (7.8 us, a thousandth of a contact)."""
+GRAVITY = 9.80665
+"""Standard gravity [m/s2]."""
+
+
+@njit(cache=True, nogil=True)
+def _elastic(table: NDArray[np.float64], step: float, depth: float) -> float:
+    """Return the elastic force [N] at a depth [mm]; linear beyond the table."""
+    if depth <= 0.0:
+        return 0.0
+    k = min(int(depth / step), table.size - 2)
+    return float(table[k] + (table[k + 1] - table[k]) * (depth / step - k))
+
+
+@njit(cache=True, nogil=True)
+def dent(table: NDArray[np.float64], step: float, elastic: float) -> float:
+    """Return the depth [mm] of the dent that belongs to an elastic force [N]."""
+    if elastic <= 0.0:
+        return 0.0
+    k = max(min(int(np.searchsorted(table, elastic)), table.size - 1), 1)
+    return float((k - 1 + (elastic - table[k - 1]) / (table[k] - table[k - 1])) * step)
+
+
+@njit(cache=True, nogil=True)
+def step_force(
+    state: NDArray[np.float64],
+    branches: NDArray[np.float64],
+    update: NDArray[np.float64],
+    table: NDArray[np.float64],
+    step: float,
+    force: float,
+) -> float:
+    """Advance one step under a commanded force; return the force [N]."""
+    carried, gain = force_terms(branches, update, state[0])
+    elastic = max((force - carried) / gain, 0.0)
+    relax(branches, update, elastic - state[0])
+    state[0] = elastic
+    state[1] = dent(table, step, elastic)
+    return force
+
+
+@njit(cache=True, nogil=True)
+def step_position(
+    state: NDArray[np.float64],
+    branches: NDArray[np.float64],
+    update: NDArray[np.float64],
+    table: NDArray[np.float64],
+    step: float,
+    position: float,
+) -> float:
+    """Advance one step with the indenter at a position; return the force [N], never a pull."""
+    carried, gain = force_terms(branches, update, state[0])
+    elastic = _elastic(table, step, position)
+    force: float = carried + gain * elastic
+    if position <= 0.0 or force <= 0.0:
+        step_force(state, branches, update, table, step, 0.0)
+        state[1] = position
+        return 0.0
+    relax(branches, update, elastic - state[0])
+    state[0], state[1] = elastic, position
+    return force
+
+
+@njit(cache=True, nogil=True)
+def step_fall(
+    state: NDArray[np.float64],
+    branches: NDArray[np.float64],
+    update: NDArray[np.float64],
+    table: NDArray[np.float64],
+    step: float,
+    mass: float,
+    lift: float,
+) -> float:
+    """Advance a grid step of a falling body; return the mean force over it [N]."""
+    short = 1e-6 * STEP_US / SUBSTEPS
+    total = 0.0
+    velocity = float(state[2])
+    for _ in range(SUBSTEPS):
+        position = state[1] + velocity * short
+        force = step_position(state, branches, update, table, step, position)
+        velocity += 1e3 * (GRAVITY - (force + lift) / mass) * short
+        total += force
+    state[2] = velocity
+    return float(total / SUBSTEPS)
+
+
+class Mode(IntEnum):
+    """What a command's target means."""
+
+    FREE = 0
+    """Nothing touches; the skin recovers. The target is ignored."""
+    FORCE = 1
+    """Normal force [N]."""
+    POSITION = 2
+    """Position of the indenter from the free skin, inwards [mm]."""
+    HOLD = 3
+    """The indenter stays where the previous command left it. The target is ignored."""
+    DROP = 4
+    """The indenter's mass falls, from ``-target`` mm at the first such command."""
+    LIFT = 5
+    """The falling mass is also lifted by the target force [N]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContactPath:
+    """What happened on the command grid; entry k is the state at the end of step k.
+
+    Attributes:
+        force_n: Normal force [n] [N].
+        elastic_n: Elastic part of it [n] [N], which fixes the shape of the layer.
+        depth_mm: Depth of the dent, layer and mesh together [n] [mm].
+        position_mm: Position of the indenter [n] [mm], inwards from the free skin.
+    """
+
+    force_n: NDArray[np.float64]
+    elastic_n: NDArray[np.float64]
+    depth_mm: NDArray[np.float64]
+    position_mm: NDArray[np.float64]
+
+
+class Contact:
+    """State of the contact, advanced along commands.
+
+    Args:
+        laws: Elastic force law of each indenter.
+        masses_g: Mass of each indenter [g].
+        prony: Relaxation of the layer.
+    """
+
+    def __init__(
+        self,
+        laws: Sequence[ForceLaw],
+        masses_g: Sequence[float],
+        prony: PronySeries,
+    ) -> None:
+        self._steps = np.array([law.step_mm for law in laws])
+        self._tables = np.stack([law.force_n for law in laws])
+        self._masses = 1e-3 * np.array(masses_g, dtype=np.float64)
+        step_s = 1e-6 * STEP_US
+        self._updates = np.stack([prony.update(step_s), prony.update(step_s / SUBSTEPS)])
+        self._branches = np.zeros(len(prony.weights))
+        self._state = np.zeros(3)
+        self._last_mode = np.zeros(1, np.int8)
+
+    def advance(
+        self,
+        modes: NDArray[np.int8],
+        targets: NDArray[np.float64],
+        indenters: NDArray[np.int8],
+    ) -> ContactPath:
+        """Carry out one command per grid step.
+
+        Args:
+            modes: ``Mode`` of each step [n].
+            targets: Target at the end of each step [n]; its unit depends on the mode.
+            indenters: Index of the indenter of each step [n].
+        """
+        path = np.empty((4, len(modes)))
+        _advance(
+            self._state,
+            self._last_mode,
+            self._branches,
+            self._updates,
+            self._tables,
+            self._steps,
+            self._masses,
+            modes,
+            targets,
+            indenters,
+            path,
+        )
+        return ContactPath(*path)
+
+
+@njit(cache=True, nogil=True)
+def _advance(
+    state: NDArray[np.float64],
+    last_mode: NDArray[np.int8],
+    branches: NDArray[np.float64],
+    updates: NDArray[np.float64],
+    tables: NDArray[np.float64],
+    steps: NDArray[np.float64],
+    masses: NDArray[np.float64],
+    modes: NDArray[np.int8],
+    targets: NDArray[np.float64],
+    indenters: NDArray[np.int8],
+    path: NDArray[np.float64],
+) -> None:
+    """Carry out the commands; see ``Contact.advance``."""
+    for k in range(modes.size):
+        mode, tool = modes[k], indenters[k]
+        table, step = tables[tool], steps[tool]
+        if mode >= Mode.DROP:
+            if last_mode[0] < Mode.DROP:
+                state[1], state[2] = -targets[k], 0.0
+            lift = targets[k] if mode == Mode.LIFT else 0.0
+            force = step_fall(state, branches, updates[1], table, step, masses[tool], lift)
+        elif mode == Mode.POSITION or mode == Mode.HOLD:  # noqa: PLR1714 (numba: plain compares)
+            position = targets[k] if mode == Mode.POSITION else state[1]
+            force = step_position(state, branches, updates[0], table, step, position)
+        else:
+            wanted = max(targets[k], 0.0) if mode == Mode.FORCE else 0.0
+            force = step_force(state, branches, updates[0], table, step, wanted)
+        last_mode[0] = mode
+        path[0, k], path[1, k], path[3, k] = force, state[0], state[1]
+        path[2, k] = dent(table, step, state[0])

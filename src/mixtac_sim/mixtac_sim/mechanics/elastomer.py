@@ -1,0 +1,217 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The sensing layer on its mesh: normal force over depth, and shear with friction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.mechanics.layer import ALPHA, punch_factor, solve_contact, solve_edge
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_sim.mechanics.indenters import Indenter
+
+
+DEPTHS = 2049
+"""Rows of the depth table: the step is below 2 um, where the force is below 0.1 mN."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """The sensing layer, bonded to the mesh, incompressible and linear elastic.
+
+    Attributes:
+        modulus_kpa: Young's modulus after relaxation [kPa]; 100 to 300 for Shore A-5 (estimate).
+        thickness_mm: From the skin to the mesh [mm]; not stated in the paper, 3 to 6 (estimate).
+    """
+
+    modulus_kpa: float
+    thickness_mm: float
+
+    def __post_init__(self) -> None:
+        """Refuse layers without stiffness or thickness.
+
+        Raises:
+            SimulationError: A value is not positive.
+        """
+        if self.modulus_kpa <= 0.0 or self.thickness_mm <= 0.0:
+            msg = f'layer of {self.modulus_kpa} kPa and {self.thickness_mm} mm; both must be > 0'
+            raise SimulationError(msg)
+
+    @property
+    def force_scale_n(self) -> float:
+        """Return E h^2 [N], the layer's unit of force."""
+        return 1e-3 * self.modulus_kpa * self.thickness_mm**2
+
+
+@dataclass(frozen=True, slots=True)
+class ForceLaw:
+    """Elastic force of one indenter on one layer and mesh, equally spaced in depth.
+
+    Attributes:
+        step_mm: Spacing of the depths [mm], from 0.
+        force_n: Elastic force [2049] [N].
+        radius_mm: Contact radius [2049] [mm].
+        linear_n: Force of a linear layer that is dented as much [2049] [N]; none if it is linear.
+    """
+
+    step_mm: float
+    force_n: NDArray[np.float64]
+    radius_mm: NDArray[np.float64]
+    linear_n: NDArray[np.float64] | None = None
+
+    @property
+    def depths_mm(self) -> NDArray[np.float64]:
+        """Return the depths [2049] [mm]: travel of the indenter from first touch."""
+        return np.arange(len(self.force_n), dtype=np.float64) * self.step_mm
+
+    def force_at(self, depth_mm: float) -> float:
+        """Return the elastic force [N] at a depth [mm]."""
+        return float(np.interp(depth_mm, self.depths_mm, self.force_n))
+
+    def depth_at(self, force_n: float) -> float:
+        """Return the depth [mm] of an elastic force [N]."""
+        return float(np.interp(force_n, self.force_n, self.depths_mm))
+
+    def radius_at(self, force_n: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """Return the contact radius [mm] under elastic forces [N]."""
+        return np.asarray(np.interp(force_n, self.force_n, self.radius_mm))
+
+    def linear_at(self, force_n: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the forces [N] at which a linear layer would be dented as much."""
+        if self.linear_n is None:
+            return force_n
+        return np.asarray(np.interp(force_n, self.force_n, self.linear_n))
+
+
+def force_law(
+    layer: Layer, indenter: Indenter, mesh_n_per_mm: float = np.inf, stiffening: float = 0.0
+) -> ForceLaw:
+    """Return the force law of an indenter on a layer that rests on a springy mesh.
+
+    The mesh is a spring in series, 1 to 10 N/mm (estimate). Layer depths reach 3.2 mm for a flat
+    face; for a sphere they end where the contact is 2.5 thicknesses or 60 % of the sphere's
+    radius wide, for an edge at 40 % of the thickness. Linear elasticity understates forces beyond
+    about 20 % strain; there stiffening adds ``stiffening`` times the square of depth over
+    thickness (estimate: 0.5 to 3; rubber in compression gains 1.8 times at 40 %).
+
+    Args:
+        layer: The layer.
+        indenter: What presses.
+        mesh_n_per_mm: Stiffness of the mesh [N/mm].
+        stiffening: Force over the linear layer's, less 1, per square of the strain.
+    """
+    laws = {'flat': _flat_law, 'edge': _edge_law, 'sphere': _sphere_law}
+    depth, linear, radius = laws[indenter.shape](layer, indenter)
+    force = linear
+    if stiffening > 0.0:
+        force = linear * (1.0 + stiffening * (depth / layer.thickness_mm) ** 2)
+    travel = depth + force / mesh_n_per_mm
+    even = np.linspace(0.0, travel[-1], DEPTHS)
+    columns = [np.interp(even, travel, column) for column in (force, radius, linear)]
+    return ForceLaw(float(even[1]), columns[0], columns[1], columns[2] if stiffening else None)
+
+
+_Law = tuple['NDArray[np.float64]', 'NDArray[np.float64]', 'NDArray[np.float64]']
+
+
+def _flat_law(layer: Layer, indenter: Indenter) -> _Law:
+    """Return layer depth, force and radius of a flat face: F = 2 a E* kappa(a / h) depth."""
+    radius_mm = indenter.radius_mm
+    depth = np.linspace(0.0, 3.2, DEPTHS)
+    factor = punch_factor(radius_mm / layer.thickness_mm)
+    stiffness = 8.0 / 3.0 * 1e-3 * layer.modulus_kpa * radius_mm * factor
+    return depth, stiffness * depth, np.full(DEPTHS, radius_mm)
+
+
+def _sphere_law(layer: Layer, indenter: Indenter) -> _Law:
+    """Return those of a sphere, Hertz's for small contacts and steeper as the base is felt."""
+    radius_mm = indenter.radius_mm
+    contact = solve_contact('sphere')
+    widest = min(ALPHA[-1], 0.6 * radius_mm / layer.thickness_mm)
+    alpha = np.linspace(0.0, widest, 4 * DEPTHS)
+    unit = (alpha * layer.thickness_mm) ** 2 / radius_mm
+    # Half-space limits d = a^2 / R and int omega dx = 2 / 3 close the table at alpha = 0.
+    knots = np.append(0.0, ALPHA)
+    depth = unit * np.interp(alpha, knots, np.append(1.0, contact.depth))
+    load = unit * np.interp(alpha, knots, np.append(2.0 / 3.0, contact.load))
+    force = 8.0 / 3.0 * 1e-3 * layer.modulus_kpa * alpha * layer.thickness_mm * load
+    return depth, force, alpha * layer.thickness_mm
+
+
+def _edge_law(layer: Layer, indenter: Indenter) -> _Law:
+    """Return those of an edge; between the depths that were solved forces go as smooth curves."""
+    contact = solve_edge(indenter, layer.thickness_mm)
+    depth = np.linspace(0.0, contact.depth_mm[-1], DEPTHS)
+    force = layer.modulus_kpa * PchipInterpolator(contact.depth_mm, contact.force_n)(depth)
+    return depth, force, np.interp(depth, contact.depth_mm, contact.radius_mm)
+
+
+LIGHT_N = 0.05
+"""Friction does not grow further below this force [N] (estimate)."""
+
+
+class Shear:
+    """Shear displacement and force, limited by friction.
+
+    The loaded patch, widened by half the thickness, is a block in simple shear (estimate). With
+    partial slip the pull follows Cattaneo's and Mindlin's law of a sphere: it starts with the
+    same stiffness and slides as a whole at 1.5 times the displacement.
+
+    Args:
+        layer: The sensing layer.
+        friction: Coefficient of friction at 1 N.
+        lean: Shear displacement per depth, to the right and downwards.
+        friction_load: Friction falls as the force to the power of minus this.
+        partial_slip: Whether the rim of the contact slips before the whole does.
+    """
+
+    def __init__(
+        self,
+        layer: Layer,
+        friction: float,
+        lean: tuple[float, float],
+        friction_load: float = 0.0,
+        *,
+        partial_slip: bool = False,
+    ) -> None:
+        self._modulus = 1e-3 * layer.modulus_kpa / 3.0
+        self._thickness = layer.thickness_mm
+        self._friction = friction
+        self._friction_load = friction_load
+        self._partial_slip = partial_slip
+        self._lean = np.array(lean)
+
+    def at(
+        self,
+        force_n: NDArray[np.float64],
+        depth_mm: NDArray[np.float64],
+        radius_mm: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return displacement [n, 2] [mm] and force [n, 2] [N], right and down."""
+        area = np.pi * (radius_mm + 0.5 * self._thickness) ** 2
+        stiffness = self._modulus * area / self._thickness
+        wanted = depth_mm[:, None] * self._lean
+        pull = stiffness[:, None] * wanted
+        size = np.maximum(np.hypot(pull[:, 0], pull[:, 1]), 1e-12)
+        limit = self._limit(force_n)
+        if self._partial_slip:
+            slid = 1.0 - np.minimum(size / np.maximum(1.5 * limit, 1e-12), 1.0)
+            share = (limit * (1.0 - slid**1.5) / size)[:, None]
+        else:
+            share = np.minimum(1.0, limit / size)[:, None]
+        return share * wanted, share * pull
+
+    def _limit(self, force_n: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the largest pull that friction bears [N]."""
+        if self._friction_load == 0.0:
+            return self._friction * force_n
+        load = np.maximum(force_n, LIGHT_N) ** -self._friction_load
+        return np.asarray(self._friction * load * force_n)

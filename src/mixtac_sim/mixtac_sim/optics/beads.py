@@ -1,0 +1,231 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Where every bead appears in the image for a state of the contact.
+
+Each bead's displacement is tabulated once per trial and indenter over the square root of the
+elastic force, in which it is nearly quadratic; a step then costs one interpolation per bead.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from mixtac_sim.mechanics.layer import displacement_field, solve_edge
+from mixtac_sim.optics.scene import DIAMETER_MM
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
+    from mixtac_sim.mechanics.indenters import Indenter
+    from mixtac_sim.world.device import DeviceModel
+
+
+ROWS = 193
+"""Rows of the displacement tables."""
+SAG_MM = 8.0
+"""Radius of the mesh's sag [mm] (estimate)."""
+SHEAR_MM = 2.5
+"""Radius of the sheared patch beyond which shear decays [mm] (estimate)."""
+
+
+class BeadMotion:
+    """Images of the beads of a device under its contact.
+
+    Args:
+        device: The device.
+        layer: Its layer on the day of the trial.
+        contact_mm: Where the contact is, from the optical axis [mm].
+        indenters: What may touch.
+        laws: Force law of each indenter.
+    """
+
+    def __init__(
+        self,
+        device: DeviceModel,
+        layer: Layer,
+        contact_mm: tuple[float, float],
+        indenters: Sequence[Indenter],
+        laws: Sequence[ForceLaw],
+    ) -> None:
+        beads = device.markers
+        self._lens = device.lens
+        self._rest = np.stack([beads.x_mm, beads.y_mm, beads.depth_mm])
+        away = self._rest[:2] - np.array(contact_mm)[:, None]
+        self._axis_mm = np.hypot(*away)
+        self._direction = away / np.maximum(self._axis_mm, 1e-9)
+        self._tops = np.array([law.force_n[-1] for law in laws])
+        self._tables = np.stack(
+            [
+                self._table(layer, device.mesh_n_per_mm, tool, law)
+                for tool, law in zip(indenters, laws, strict=True)
+            ]
+        )
+        height = 1.0 - beads.depth_mm / layer.thickness_mm
+        reach = SHEAR_MM + 0.6 * layer.thickness_mm
+        self._shear = height * np.exp(-((self._axis_mm / reach) ** 2))
+        self._optics = _optics_row(device)
+        self._reach = np.stack([self._largest(table) for table in self._tables])
+        self.spots = np.empty((len(beads.x_mm), 4))
+
+    def _table(
+        self, layer: Layer, mesh_n_per_mm: float, tool: Indenter, law: ForceLaw
+    ) -> NDArray[np.float64]:
+        """Return displacements [row, bead, xyz] [mm]; z is towards the mesh."""
+        force = law.force_n[-1] * np.linspace(0.0, 1.0, ROWS) ** 2
+        sag = np.exp(-((self._axis_mm / SAG_MM) ** 2)) * force[:, None] / mesh_n_per_mm
+        if tool.shape == 'edge':
+            table = self._edge_table(layer, tool, law.linear_at(force))
+            table[:, :, 2] += sag
+            return table
+        alpha = law.radius_at(force) / layer.thickness_mm
+        height = 1.0 - self._rest[2] / layer.thickness_mm
+        inward, outward = displacement_field(tool.shape).at(
+            alpha[:, None], height, self._axis_mm / layer.thickness_mm
+        )
+        linear = law.linear_at(force)[:, None]
+        scale = linear / (1e-3 * layer.modulus_kpa * layer.thickness_mm)
+        radial = scale * outward
+        return np.stack([*(radial * d for d in self._direction), scale * inward + sag], axis=-1)
+
+    def _edge_table(
+        self, layer: Layer, tool: Indenter, linear_n: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the displacements under an edge without the mesh's sag [row, bead, xyz] [mm]."""
+        contact = solve_edge(tool, layer.thickness_mm)
+        away = self._axis_mm * self._direction
+        height = 1.0 - self._rest[2] / layer.thickness_mm
+        solved = contact.displacements(away[0], away[1], height)
+        rows = np.interp(linear_n / layer.modulus_kpa, contact.force_n, np.arange(len(solved)))
+        low = np.minimum(rows.astype(np.int64), len(solved) - 2)
+        part = (rows - low)[:, None, None]
+        return np.asarray((1.0 - part) * solved[low] + part * solved[low + 1])
+
+    def _largest(self, table: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the largest displacement in the image [px] of any bead, per row of a table."""
+        start = np.stack(self._lens.project(*self._rest))
+        moved = [
+            np.hypot(*(np.stack(self._lens.project(*_moved(self._rest, row))) - start)).max()
+            for row in table
+        ]
+        return np.array(moved)
+
+    @property
+    def px_per_mm(self) -> float:
+        """Return the scale of the image at the skin, on the axis [px/mm]."""
+        return self._lens.image_distance_px / float(self._lens.distance_mm(0.0))
+
+    def row_of(self, indenter: int, elastic_n: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the place in the table of elastic forces [N]."""
+        share = np.clip(np.asarray(elastic_n) / self._tops[indenter], 0.0, 1.0)
+        return np.asarray((ROWS - 1) * np.sqrt(share))
+
+    def reach_px(self, indenter: int, elastic_n: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the largest displacement of any bead [px] under elastic forces [N]."""
+        row = self.row_of(indenter, elastic_n)
+        return np.asarray(np.interp(row, np.arange(ROWS), self._reach[indenter]))
+
+    def place(
+        self, indenter: int, elastic_n: float, shear_mm: tuple[float, float]
+    ) -> NDArray[np.float64]:
+        """Return the images of all beads: column, row, radius, edge width [n, 4] [px].
+
+        The array is reused by the next call.
+        """
+        row = float(self.row_of(indenter, np.array(elastic_n)))
+        _place(
+            self._tables[indenter],
+            row,
+            shear_mm[0],
+            shear_mm[1],
+            self._shear,
+            self._rest,
+            self._optics,
+            self.spots,
+        )
+        return self.spots
+
+    def place_sheared(
+        self,
+        indenter: int,
+        elastic_n: float,
+        direction: tuple[float, float],
+        amount_mm: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return what ``place`` does where every bead is sheared by an amount of its own.
+
+        Args:
+            indenter: What touches.
+            elastic_n: Elastic force [N].
+            direction: Of the shear, right and down, of length 1.
+            amount_mm: Shear displacement of each bead along it [n] [mm].
+        """
+        row = float(self.row_of(indenter, np.array(elastic_n)))
+        table = self._tables[indenter]
+        _place(table, row, *direction, amount_mm, self._rest, self._optics, self.spots)
+        return self.spots
+
+
+def _moved(rest: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return displaced places; inwards is deeper below the skin."""
+    return np.asarray(rest + row.T)
+
+
+def _optics_row(device: DeviceModel) -> NDArray[np.float64]:
+    """Return what the projection needs as one array; see ``_place``."""
+    lens = device.lens
+    return np.array(
+        [
+            lens.image_distance_px,
+            lens.k1,
+            lens.k2,
+            lens.centre_px[0],
+            lens.centre_px[1],
+            float(lens.distance_mm(0.0)),
+            float(lens.distance_mm(1.0) - lens.distance_mm(0.0)),
+            float(lens.distance_mm(lens.focus_depth_mm)),
+            float(lens.focal_mm / lens.f_number * lens.magnification / 0.0185),
+            lens.softness_px,
+            np.cos(lens.roll_rad),
+            np.sin(lens.roll_rad),
+        ]
+    )
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _place(
+    table: NDArray[np.float64],
+    row: float,
+    shear_x: float,
+    shear_y: float,
+    shear: NDArray[np.float64],
+    rest: NDArray[np.float64],
+    optics: NDArray[np.float64],
+    spots: NDArray[np.float64],
+) -> None:
+    """Displace and project all beads; the same optics as ``Lens``, with the values at hand."""
+    gain, k1, k2, centre_x, centre_y, far, per_mm, focus, blur, soft, cos, sin = optics
+    low = min(int(row), table.shape[0] - 2)
+    part = row - low
+    for i in range(spots.shape[0]):
+        x = rest[0, i] + (1.0 - part) * table[low, i, 0] + part * table[low + 1, i, 0]
+        y = rest[1, i] + (1.0 - part) * table[low, i, 1] + part * table[low + 1, i, 1]
+        z = rest[2, i] + (1.0 - part) * table[low, i, 2] + part * table[low + 1, i, 2]
+        distance = far + per_mm * z
+        x += shear_x * shear[i]
+        y += shear_y * shear[i]
+        slope_x = (cos * x - sin * y) / distance
+        slope_y = (sin * x + cos * y) / distance
+        square = slope_x * slope_x + slope_y * slope_y
+        bend = gain * (1.0 + square * (k1 + k2 * square))
+        spots[i, 0] = centre_x + bend * slope_x
+        spots[i, 1] = centre_y + bend * slope_y
+        # Mean of the radial and the tangential scale: images stay round.
+        stretch = gain * (1.0 + square * (2.0 * k1 + 3.0 * k2 * square))
+        spots[i, 2] = 0.5 * DIAMETER_MM * stretch / distance
+        spots[i, 3] = np.sqrt(soft * soft + (blur * (distance - focus) / distance) ** 2)

@@ -1,0 +1,287 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What the camera looks at: lamp and its flicker, black skin, steel mesh, and beads at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mixtac_sim.grids import BLOCK_STEPS, HEIGHT, PADDED, PIXELS, STEP_US, WIDTH
+from mixtac_sim.random_streams import stream
+from mixtac_sim.world.effects import EASY
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_sim.optics.lens import Lens
+    from mixtac_sim.world.effects import LightEffects, OpticsEffects
+
+
+DIAMETER_MM = 0.8
+"""Diameter of the beads [mm] (paper, section 3.1)."""
+EXTENT_MM = (17.0, 13.0)
+"""Half width and height [mm] of the patch with beads, a little beyond the view."""
+
+
+@dataclass(frozen=True, slots=True)
+class Markers:
+    """Beads at rest; x and y count from the optical axis, depth from the skin.
+
+    Attributes:
+        x_mm: Place to the right in the image [n] [mm].
+        y_mm: Place downwards in the image [n] [mm].
+        depth_mm: Depth of the centre below the skin [n] [mm].
+        opacity: How strongly each bead covers what is behind it [n].
+    """
+
+    x_mm: NDArray[np.float64]
+    y_mm: NDArray[np.float64]
+    depth_mm: NDArray[np.float64]
+    opacity: NDArray[np.float64]
+
+
+def scatter_markers(
+    device_seed: int, thickness_mm: float, optics: OpticsEffects = EASY.optics
+) -> Markers:
+    """Return the beads of a device: uniform in the layer, none inside another.
+
+    Args:
+        device_seed: Seed of the device.
+        thickness_mm: Thickness of the layer [mm].
+        optics: Number of beads (estimate: 450 are about 5 % of the volume), and how far apart
+            they are for the lens.
+    """
+    few, many = optics.beads
+    beads = int(stream(device_seed, 'number of markers').integers(few, many + 1))
+    rng = stream(device_seed, 'markers')
+    margin = 0.5 * DIAMETER_MM + 0.1
+    low = np.array([-EXTENT_MM[0], -EXTENT_MM[1], margin])
+    high = np.array([EXTENT_MM[0], EXTENT_MM[1], thickness_mm - margin])
+    placed = np.empty((beads, 3))
+    count = 0
+    while count < beads:
+        spot = rng.uniform(low, high)
+        square = (placed[:count] - spot) ** 2
+        apart, aside = np.sum(square, axis=1), np.sum(square[:, :2], axis=1)
+        if count == 0 or (apart.min() > DIAMETER_MM**2 and aside.min() >= optics.apart_mm**2):
+            placed[count] = spot
+            count += 1
+    opacity = rng.uniform(1.2, 3.0, size=beads)
+    return Markers(placed[:, 0], placed[:, 1], placed[:, 2], opacity)
+
+
+MESH_PITCH_MM = 1.08
+"""Aperture 0.9 mm and wire 0.18 mm (paper, section 3.1)."""
+MESH_WIRE_MM = 0.18
+"""Thickness of the wires [mm] (paper)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lighting:
+    """Light and reflectances of a device (all estimates).
+
+    Attributes:
+        lux: Illuminance of the array under a white scene on the axis [lx].
+        tilt: Relative change of the light per 10 mm to the right and downwards.
+        bowl: Relative change of the light at 10 mm from the axis.
+        skin: Reflectance of the black skin.
+        bead: Reflectance of a fully opaque bead.
+        wire: Reflectance of the mesh.
+        glare: Veiling glare as a reflectance.
+        mesh_angle: Rotation of the mesh [rad].
+        mesh_shift_mm: Shift of the mesh [mm].
+        corner_px: Distance from the axis [px] where the lens's image circle begins to end.
+        wire_mm: Thickness of the mesh's wires [mm]; 0 for no mesh in view.
+    """
+
+    lux: float
+    tilt: tuple[float, float]
+    bowl: float
+    skin: float
+    bead: float
+    wire: float
+    glare: float
+    mesh_angle: float
+    mesh_shift_mm: tuple[float, float]
+    corner_px: float
+    wire_mm: float = MESH_WIRE_MM
+
+
+class Scene(NamedTuple):
+    """Light on the array as floor + gain * cover, with cover = 0 (no bead) to 1 (all bead).
+
+    Attributes:
+        floor: Illuminance without beads [padded pixels] [lx], float32.
+        gain: Change from no bead to bead [padded pixels] [lx], float32.
+    """
+
+    floor: NDArray[np.float32]
+    gain: NDArray[np.float32]
+
+
+def build_scene(lens: Lens, lighting: Lighting) -> Scene:
+    """Return the light on the array for a device at rest.
+
+    The mesh lies on the camera's side of the beads and hides them.
+    """
+    slopes = lens.pixel_slopes()
+    light = _light(lens, lighting, *slopes)
+    return _lit(lighting, light, _open_share(lens, lighting, *slopes))
+
+
+def build_sagging(
+    lens: Lens,
+    lighting: Lighting,
+    contact_mm: tuple[float, float],
+    sags_mm: NDArray[np.float64],
+    reach_mm: float,
+) -> list[Scene]:
+    """Return the light on the array as the mesh sags towards the camera.
+
+    Args:
+        lens: The lens.
+        lighting: Light and mesh.
+        contact_mm: Where the mesh sags most, from the optical axis [mm].
+        sags_mm: Its largest sags [mm].
+        reach_mm: Distance over which the sag falls to 1 / e [mm].
+    """
+    slope_x, slope_y = lens.pixel_slopes()
+    light = _light(lens, lighting, slope_x, slope_y)
+    far = float(lens.distance_mm(lens.thickness_mm))
+    away = np.hypot(far * slope_x - contact_mm[0], far * slope_y - contact_mm[1])
+    shape = np.exp(-((away / reach_mm) ** 2))
+    return [
+        _lit(lighting, light, _open_share(lens, lighting, slope_x, slope_y, sag * shape))
+        for sag in sags_mm
+    ]
+
+
+def _lit(lighting: Lighting, light: NDArray[np.float64], open_share: NDArray[np.float64]) -> Scene:
+    """Return the light on the array behind the mesh."""
+    wires = lighting.wire * (1.0 - open_share)
+    floor = light * (open_share * lighting.skin + wires) + lighting.lux * lighting.glare
+    gain = light * open_share * (lighting.bead - lighting.skin)
+    return Scene(_padded(floor), _padded(gain))
+
+
+def _padded(image: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return an image as a flat array of whole tiles, repeated beyond its end."""
+    flat = np.empty(PADDED, np.float32)
+    flat[:PIXELS] = image.ravel()
+    flat[PIXELS:] = flat[PIXELS - 1]
+    return flat
+
+
+def _light(
+    lens: Lens, lighting: Lighting, slope_x: NDArray[np.float64], slope_y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the light of a white scene [lx]: LEDs, cos^4 and the end of the image circle."""
+    square = slope_x**2 + slope_y**2
+    reach = 0.1 * float(lens.distance_mm(0.0))
+    lamps = 1.0 + lighting.bowl * reach**2 * square
+    lamps += reach * (lighting.tilt[0] * slope_x + lighting.tilt[1] * slope_y)
+    rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
+    off_axis = np.hypot(columns - lens.centre_px[0], rows - lens.centre_px[1])
+    circle = 1.0 / (1.0 + np.exp((off_axis - lighting.corner_px) / 9.0))
+    return np.asarray(lighting.lux * np.maximum(lamps, 0.1) / (1.0 + square) ** 2 * circle)
+
+
+def _open_share(
+    lens: Lens,
+    lighting: Lighting,
+    slope_x: NDArray[np.float64],
+    slope_y: NDArray[np.float64],
+    sag_mm: NDArray[np.float64] | float = 0.0,
+) -> NDArray[np.float64]:
+    """Return the share of each pixel's view that the mesh leaves open."""
+    distance = lens.distance_mm(lens.thickness_mm) - sag_mm
+    blur = float(np.hypot(lens.softness_px, lens.blur_px(lens.thickness_mm)))
+    blur_mm = blur * distance / lens.image_distance_px
+    wire = lighting.wire_mm
+    cos, sin = np.cos(lighting.mesh_angle), np.sin(lighting.mesh_angle)
+    x = distance * (cos * slope_x + sin * slope_y) + lighting.mesh_shift_mm[0]
+    y = distance * (cos * slope_y - sin * slope_x) + lighting.mesh_shift_mm[1]
+    return (1.0 - _wire_cover(x, blur_mm, wire)) * (1.0 - _wire_cover(y, blur_mm, wire))
+
+
+def _wire_cover(
+    place_mm: NDArray[np.float64], blur_mm: NDArray[np.float64] | float, wire_mm: float
+) -> NDArray[np.float64]:
+    """Return how much of a blur disc is covered by the nearest of a set of parallel wires."""
+    off = np.abs((place_mm + 0.5 * MESH_PITCH_MM) % MESH_PITCH_MM - 0.5 * MESH_PITCH_MM)
+    far = np.minimum(off + 0.5 * blur_mm, 0.5 * wire_mm)
+    near = np.maximum(off - 0.5 * blur_mm, -0.5 * wire_mm)
+    return np.clip((far - near) / blur_mm, 0.0, 1.0)
+
+
+STEPS_PER_PERIOD = 10
+"""Steps of the pixels per period of the light."""
+SMALL = 0.05
+"""Ripple up to which pixels take their steady response to it, at the steps that motion asks for:
+a swing of 0.1 log-e is below every threshold, and it only shifts when others are crossed."""
+DARK = 0.02
+"""Light while the LEDs are switched off, over that while they are on (estimate: glare)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flicker:
+    """Periodic light, 1 in the mean for a ripple and 1 at most for switched LEDs.
+
+    Attributes:
+        depth: Peak of the ripple over the mean, less 1; without meaning for switched LEDs.
+        hz: Frequency [Hz]; 0 for steady light.
+        phase: Phase at time 0 [turns].
+        switched: Whether the LEDs are switched, half of the time on.
+    """
+
+    depth: float
+    hz: float
+    phase: float
+    switched: bool = False
+
+    @property
+    def steady(self) -> bool:
+        """Return whether the light does not change at all."""
+        return self.hz <= 0.0 or (self.depth <= 0.0 and not self.switched)
+
+    @property
+    def small(self) -> bool:
+        """Return whether it is a ripple that cannot make a pixel fire by itself."""
+        return not self.switched and self.depth <= SMALL
+
+    @property
+    def longest_step(self) -> int:
+        """Return the most grid steps that resolve it; a small ripple needs no steps of its own."""
+        if self.steady or self.small:
+            return BLOCK_STEPS
+        return max(int(1e6 / (STEPS_PER_PERIOD * self.hz * STEP_US)), 1)
+
+    def light(self, t_us: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """Return the light at times [us] over the steady one."""
+        turns = 1e-6 * np.asarray(t_us, np.float64) * self.hz + self.phase
+        if self.switched:
+            return np.where(turns % 1.0 < 0.5, 1.0, DARK)
+        return np.asarray(1.0 + self.depth * np.sin(2.0 * np.pi * turns))
+
+    def log_light(self, t_us: float) -> float:
+        """Return the natural logarithm of the light at a time [us]; 0 if steady."""
+        return 0.0 if self.steady else float(np.log(self.light(t_us)))
+
+    def mean(self, start_us: float, end_us: float) -> float:
+        """Return the mean light between two times [us], for an exposure; 1 if steady."""
+        if self.steady:
+            return 1.0
+        edges = np.linspace(start_us, end_us, 513)
+        return float(np.mean(self.light(0.5 * (edges[1:] + edges[:-1]))))
+
+
+def draw_flicker(trial_seed: int, light: LightEffects) -> Flicker:
+    """Return the flicker of a trial's light."""
+    rng = stream(trial_seed, 'flicker')
+    depth, phase = rng.uniform(*light.ripple), rng.random()
+    if light.pwm_hz > 0.0:
+        return Flicker(0.0, light.pwm_hz, phase, switched=True)
+    return Flicker(depth, light.ripple_hz, phase)

@@ -1,0 +1,238 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the event pixels, how bias currents set them, and how pixels of a chip differ.
+
+Bias currents follow jAER's formulas (DavisConfig, AddressedIPotCF): thresholds are
+(kappa_n / kappa_p^2) (C2 / C1) ln(I / I_diff), the corner of the source follower is
+I_sf / (2 pi U_T C1), the refractory time C V / I_refr. They hold to a factor, so they predict the
+effect of a change of a bias better than the absolute value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.grids import PADDED, PIXELS
+from mixtac_sim.random_streams import stream
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+
+DIFF, ON, OFF, PHOTORECEPTOR, FOLLOWER, REFRACTORY = 10, 11, 12, 14, 15, 16
+"""Addresses of the biases in the register file."""
+DEFAULT_REGISTERS: Mapping[int, int] = MappingProxyType(
+    {DIFF: 17023, ON: 24575, OFF: 16415, PHOTORECEPTOR: 9133, FOLLOWER: 4365, REFRACTORY: 16797}
+)
+"""Register values that libcaer sends: Diff 4,39; On 5,255; Off 4,1; Pr 2,58; SF 1,16; Refr 4,25."""
+FULL_SCALE_A = (11e-12, 94e-12, 756e-12, 6054e-12, 48437e-12, 387.5e-9, 3.1e-6, 24.8e-6)
+"""Largest current of each coarse step [A] (libcaer)."""
+LEAKAGE_A = 1e-14
+"""Current of a source that is off [A] (estimate)."""
+CAPACITOR_RATIO = 20.0
+"""C1 over C2 (jAER; 24 by the drawn capacitors)."""
+SLOPE_FACTOR = 0.7
+"""kappa of both kinds of transistors (jAER)."""
+THERMAL_V, FOLLOWER_F = 25e-3, 131e-15
+"""Thermal voltage [V], capacitor C1 [F] (jAER)."""
+REFRACTORY_C = 20e-15 * 0.8
+"""Charge of the refractory capacitor: 20 fF at 0.8 V [C] (jAER)."""
+LEAST_THRESHOLD = 0.01
+"""Thresholds do not go below this [log-e] (v2e)."""
+
+
+def current_a(register: int) -> float:
+    """Return the current [A] of a coarse-fine bias register."""
+    if not register & 1:
+        return LEAKAGE_A
+    coarse, fine = register >> 12 & 7, register >> 4 & 255
+    return max(FULL_SCALE_A[coarse] * fine / 256.0, LEAKAGE_A)
+
+
+@dataclass(frozen=True, slots=True)
+class PixelBiases:
+    """Currents of the pixel's biases [A].
+
+    Attributes:
+        diff: Of the differencing amplifier's comparator reference.
+        on: Of the ON comparator.
+        off: Of the OFF comparator.
+        photoreceptor: Of the photoreceptor.
+        follower: Of the source follower.
+        refractory: Of the reset.
+    """
+
+    diff: float
+    on: float
+    off: float
+    photoreceptor: float
+    follower: float
+    refractory: float
+
+    @classmethod
+    def from_registers(cls, registers: Mapping[int, int]) -> PixelBiases:
+        """Return the currents of register values by address.
+
+        What is missing or 0, as no host has written it yet, is at its default.
+        """
+        written = {place: value for place, value in registers.items() if value}
+        known = {**DEFAULT_REGISTERS, **written}
+        places = (DIFF, ON, OFF, PHOTORECEPTOR, FOLLOWER, REFRACTORY)
+        return cls(*(current_a(known[place]) for place in places))
+
+    def _threshold(self, log_ratio: float) -> float:
+        return max(log_ratio / (SLOPE_FACTOR * CAPACITOR_RATIO), LEAST_THRESHOLD)
+
+    @property
+    def threshold_on(self) -> float:
+        """Return the ON threshold [log-e]."""
+        return self._threshold(float(np.log(self.on / self.diff)))
+
+    @property
+    def threshold_off(self) -> float:
+        """Return the OFF threshold [log-e]."""
+        return self._threshold(float(np.log(self.diff / self.off)))
+
+    @property
+    def source_follower_hz(self) -> float:
+        """Return the corner of the source follower [Hz].
+
+        Above half the photoreceptor's current the formula does not hold; the corner stays there.
+        """
+        follower = min(self.follower, 0.5 * self.photoreceptor)
+        return float(follower / (2.0 * np.pi * THERMAL_V * FOLLOWER_F))
+
+    @property
+    def refractory_us(self) -> float:
+        """Return the refractory time [us], a lower bound."""
+        return 1e6 * REFRACTORY_C / self.refractory
+
+
+@dataclass(frozen=True, slots=True)
+class PixelSettings:
+    """What the biases set, the same for all pixels of a nominal chip.
+
+    Attributes:
+        threshold_on: Rise of log-e intensity per ON event; 0.18 to 0.42 for DAVIS346 biases.
+        threshold_off: Fall per OFF event; up to 1.6 times the other way or this.
+        source_follower_hz: Corner that caps the pixel's bandwidth [Hz]; 100 to 1000.
+        hz_per_lux: Photoreceptor corner per illuminance of the chip [Hz/lx]; 1.6 to 4.
+        refractory_us: Blind time after an event [us]; 3 to 500.
+        leak_hz: Rate of ON events from junction leak [Hz]; about 0.1.
+        leak_hz_per_lux: Rate of ON events from parasitic light [Hz/lx].
+        shot_hz: Rate of noise events in the dark [Hz], both polarities together.
+        shot_lux: Illuminance that halves the noise [lx].
+    """
+
+    threshold_on: float = 0.21
+    threshold_off: float = 0.27
+    source_follower_hz: float = 590.0
+    hz_per_lux: float = 2.5
+    refractory_us: float = 100.0
+    leak_hz: float = 0.05
+    leak_hz_per_lux: float = 0.0005
+    shot_hz: float = 0.6
+    shot_lux: float = 4.0
+
+    def __post_init__(self) -> None:
+        """Refuse values without meaning.
+
+        Raises:
+            SimulationError: A threshold or corner that is not positive, or a negative rate.
+        """
+        positive = (
+            self.threshold_on,
+            self.threshold_off,
+            self.source_follower_hz,
+            self.hz_per_lux,
+            self.shot_lux,
+        )
+        rates = (self.refractory_us, self.leak_hz, self.leak_hz_per_lux, self.shot_hz)
+        if min(positive) <= 0.0 or min(rates) < 0.0:
+            msg = f'{self}: thresholds, corners and shot_lux must be > 0, times and rates >= 0'
+            raise SimulationError(msg)
+
+    @classmethod
+    def from_biases(
+        cls, registers: Mapping[int, int], nominal: PixelSettings | None = None
+    ) -> PixelSettings:
+        """Return the settings of a chip with some bias registers.
+
+        Args:
+            registers: Values by address, module 5 of the camera; defaults where one is missing.
+            nominal: Settings of the chip at the default registers, which are then scaled by what
+                the formulas say of the change; without it, the formulas' own values.
+
+        Shot noise grows with the bandwidth and with the inverse of the threshold (estimate).
+        """
+        now, usual = PixelBiases.from_registers(registers), PixelBiases.from_registers({})
+        if nominal is None:
+            nominal = replace(
+                cls(),
+                threshold_on=usual.threshold_on,
+                threshold_off=usual.threshold_off,
+                source_follower_hz=usual.source_follower_hz,
+                refractory_us=usual.refractory_us,
+            )
+        on, off = now.threshold_on / usual.threshold_on, now.threshold_off / usual.threshold_off
+        speed = now.source_follower_hz / usual.source_follower_hz
+        return replace(
+            nominal,
+            threshold_on=nominal.threshold_on * on,
+            threshold_off=nominal.threshold_off * off,
+            source_follower_hz=nominal.source_follower_hz * speed,
+            refractory_us=nominal.refractory_us * now.refractory_us / usual.refractory_us,
+            shot_hz=nominal.shot_hz * speed * 2.0 / (on + off),
+        )
+
+
+class PixelSpread(NamedTuple):
+    """How the pixels of one chip differ; factors over padded pixels, float32.
+
+    Attributes:
+        on: ON threshold over nominal.
+        off: OFF threshold over nominal.
+        leak: Leak over nominal.
+        hot_pixel: Numbers of the hot pixels [n], int64.
+        hot_hz: Their rates [n] [Hz].
+    """
+
+    on: NDArray[np.float32]
+    off: NDArray[np.float32]
+    leak: NDArray[np.float32]
+    hot_pixel: NDArray[np.int64]
+    hot_hz: NDArray[np.float64]
+
+
+def draw_spread(
+    device_seed: int,
+    mismatch: float,
+    leak_decades: float = 0.1,
+    hot_pixels: tuple[int, int] = (10, 120),
+) -> PixelSpread:
+    """Return the spread of a chip.
+
+    Args:
+        device_seed: Seed of the device.
+        mismatch: Standard deviation of a threshold over its nominal value; 0.1 to 0.2 (v2e: 0.03
+            of 0.2).
+        leak_decades: Standard deviation of a leak over its nominal value [decades].
+        hot_pixels: Range of the number of hot pixels, the upper end excluded.
+    """
+    rng = stream(device_seed, 'pixels')
+    on = np.maximum(rng.normal(1.0, mismatch, PADDED), 0.3)
+    off = np.maximum(rng.normal(1.0, mismatch, PADDED), 0.3)
+    leak = 10.0 ** rng.normal(0.0, leak_decades, PADDED)
+    hot = rng.choice(PIXELS, size=int(rng.integers(*hot_pixels)), replace=False)
+    rates = 10.0 ** rng.uniform(0.7, 2.3, size=len(hot))  # 5 to 200 Hz (estimate)
+    on[PIXELS:] = off[PIXELS:] = 1e6  # what pads the last tile never fires
+    return PixelSpread(
+        on.astype(np.float32), off.astype(np.float32), leak.astype(np.float32), hot, rates
+    )

@@ -1,0 +1,285 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The USB side of the virtual camera: presence, control requests (endpoint 0) and data reads."""
+
+from __future__ import annotations
+
+import math
+import struct
+import sys
+import time
+from typing import TYPE_CHECKING, Final
+
+from mixtac_sim.usb import descriptors
+from mixtac_sim.usb.faults import UsbBusy, UsbGone, UsbStall, UsbTimeout, VirtualUsbError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+    from threading import Condition
+
+    from mixtac_sim.usb.faults import FaultInjector
+    from mixtac_sim.usb.registers import RegisterFile
+    from mixtac_sim.usb.stream import ByteFifo
+
+
+class Presence:
+    """Presence and ownership. Not thread safe: the device guards it.
+
+    Attributes:
+        plugs: How often the device was plugged in; a session that began before the last time is
+            dead for ever, as a file handle of an unplugged device is.
+        resets: How often the port was reset.
+    """
+
+    def __init__(self) -> None:
+        self.plugs = 1
+        self.resets = 0
+        self._owner: Hashable | None = None
+        self._back_at: float | None = None
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether the device is unplugged."""
+        return self._back_at is not None
+
+    @property
+    def is_due(self) -> bool:
+        """Whether an unplugged device is to be plugged in by now."""
+        return self._back_at is not None and time.monotonic() >= self._back_at
+
+    def unplug(self, seconds: float = math.inf) -> None:
+        """Remove the device; it is due again after some seconds."""
+        self._back_at = time.monotonic() + seconds
+
+    def plug_in(self) -> None:
+        """Bring the device back; all sessions from before are over."""
+        self._back_at = None
+        self._owner = None
+        self.plugs += 1
+
+    def check(self, plugs: int | None = None) -> None:
+        """Make sure that the device is there, and was since a session began.
+
+        Args:
+            plugs: What `plugs` was when the session began.
+
+        Raises:
+            UsbGone: It is not, or was not.
+        """
+        if self.is_gone:
+            raise UsbGone('the virtual camera was unplugged; start the virtual sensor again')
+        if plugs is not None and plugs != self.plugs:
+            raise UsbGone('the virtual camera was unplugged meanwhile; open it again')
+
+    def claim(self, owner: Hashable) -> None:
+        """Give the interface to one session.
+
+        Raises:
+            UsbBusy: Another session has it.
+        """
+        if self._owner not in {None, owner}:
+            raise UsbBusy('the virtual camera is in use by another program; close that one')
+        self._owner = owner
+
+    def release(self, owner: Hashable) -> None:
+        """Take the interface back from a session that may or may not hold it."""
+        if self._owner == owner:
+            self._owner = None
+
+
+REQUEST_REGISTER: Final = 0xBF
+REQUEST_REGISTERS: Final = 0xC2
+_VENDOR_OUT: Final = 0x40
+_VENDOR_IN: Final = 0xC0
+_TYPE_MASK: Final = 0x60
+_VALUE: Final = struct.Struct('>I')
+_ENTRY: Final = struct.Struct('>BBI')
+_CLEAR_FEATURE, _SET_FEATURE, _SET_ADDRESS = 1, 3, 5
+_GET_STATUS, _GET_DESCRIPTOR, _GET_CONFIGURATION, _GET_INTERFACE = 0, 6, 8, 10
+_SET_CONFIGURATION, _SET_INTERFACE = 9, 11
+_ACCEPTED: Final = {_CLEAR_FEATURE, _SET_FEATURE, _SET_ADDRESS}
+
+
+class ControlEndpoint:
+    """Decodes control requests. Not thread safe: the device guards it.
+
+    Args:
+        registers: The register file.
+        serial: Serial number for the string descriptor.
+        on_write: Called after each register write with module, parameter, old and new value.
+    """
+
+    def __init__(
+        self,
+        registers: RegisterFile,
+        serial: str,
+        on_write: Callable[[int, int, int, int], None],
+    ) -> None:
+        self._registers = registers
+        self._serial = serial
+        self._on_write = on_write
+        self._configuration = 1
+
+    def answer(self, request_type: int, request: int, value: int, index: int) -> bytes:
+        """Answer a request for data.
+
+        Raises:
+            UsbStall: The camera does not know the request.
+        """
+        answer: bytes | None = None
+        if request_type == _VENDOR_IN and request == REQUEST_REGISTER:
+            answer = _VALUE.pack(self._registers.read(value, index))
+        elif not request_type & _TYPE_MASK:
+            answer = self._standard_answer(request, value)
+        if answer is None:
+            raise UsbStall(f'the camera knows no request {request_type:#04x}/{request:#04x}')
+        return answer
+
+    def _standard_answer(self, request: int, value: int) -> bytes | None:
+        if request == _GET_DESCRIPTOR:
+            return self._descriptor(value >> 8, value & 0xFF)
+        fixed = {
+            _GET_STATUS: b'\0\0',
+            _GET_CONFIGURATION: bytes((self._configuration,)),
+            _GET_INTERFACE: b'\0',
+        }
+        return fixed.get(request)
+
+    def _descriptor(self, kind: int, index: int) -> bytes | None:
+        if kind == 1:
+            return descriptors.device_descriptor()
+        if kind == 2 and index == 0:
+            return descriptors.configuration_descriptor()
+        if kind == 3:
+            return descriptors.string_descriptor(index, self._serial)
+        return None
+
+    def obey(self, request_type: int, request: int, value: int, index: int, data: bytes) -> None:
+        """Carry out a request that sends data or none.
+
+        Raises:
+            UsbStall: The camera does not know the request or its data have the wrong length.
+        """
+        if request_type == _VENDOR_OUT:
+            self._write_registers(request, value, index, data)
+        elif request_type & _TYPE_MASK:
+            raise UsbStall(f'the camera knows no request {request_type:#04x}/{request:#04x}')
+        else:
+            self._standard(request, value)
+
+    def _standard(self, request: int, value: int) -> None:
+        if request == _SET_CONFIGURATION and value in {0, 1}:
+            self._configuration = value
+        elif request not in _ACCEPTED and not (request == _SET_INTERFACE and value == 0):
+            raise UsbStall(f'the camera refuses standard request {request} with value {value}')
+
+    def _write_registers(self, request: int, value: int, index: int, data: bytes) -> None:
+        if request == REQUEST_REGISTER and len(data) == _VALUE.size:
+            self._write(value, index, _VALUE.unpack(data)[0])
+        elif request == REQUEST_REGISTERS and len(data) == _ENTRY.size * value:
+            for module, param, setting in _ENTRY.iter_unpack(data):
+                self._write(module, param, setting)
+        else:
+            raise UsbStall(f'the camera refuses request {request:#04x} with {len(data)} bytes')
+
+    def _write(self, module: int, param: int, value: int) -> None:
+        before = self._registers.read(module, param)
+        self._registers.write(module, param, value)
+        self._on_write(module, param, before, value)
+
+
+_LONGEST_WAIT_S: Final = 3600.0
+_ENDPOINTS: Final = {descriptors.DATA_ENDPOINT, descriptors.DEBUG_ENDPOINT}
+
+
+class DataEndpoint:
+    """Lets hosts wait for data. Not thread safe: the device guards it with its condition.
+
+    Args:
+        condition: The device's; its lock is held whenever a method is called.
+        fifo: The output buffer.
+        presence: Whether the device is there.
+        faults: What goes wrong.
+        early_packet_s: Returns the early packet delay [s].
+    """
+
+    def __init__(
+        self,
+        condition: Condition,
+        fifo: ByteFifo,
+        presence: Presence,
+        faults: FaultInjector,
+        early_packet_s: Callable[[], float],
+    ) -> None:
+        self._condition = condition
+        self._fifo = fifo
+        self._presence = presence
+        self._faults = faults
+        self._early_packet_s = early_packet_s
+        self._oldest_s = 0.0
+        self._wanted = sys.maxsize
+
+    def announce(self, *, was_empty: bool) -> None:
+        """Wake readers if what was added may be news to one of them.
+
+        Args:
+            was_empty: Whether the buffer was empty before.
+        """
+        if was_empty and len(self._fifo):
+            self._oldest_s = time.monotonic()
+        elif len(self._fifo) < self._wanted:
+            return
+        self._condition.notify_all()
+
+    def flush(self) -> None:
+        """Let the next read have what is there, without the early packet delay."""
+        self._oldest_s = 0.0
+
+    def wait(self, endpoint: int, length: int, timeout_s: float | None) -> int:
+        """Wait until a read is to be answered.
+
+        Args:
+            endpoint: 0x82 data, 0x81 debug messages, of which there are none.
+            length: Most bytes that the host takes.
+            timeout_s: How long it waits [s]; none waits for ever.
+
+        Returns:
+            How many bytes to take from the buffer.
+
+        Raises:
+            UsbTimeout: Nothing came in time.
+            UsbStall: There is no such endpoint, or it is halted.
+            UsbGone: The device was unplugged.
+            VirtualUsbError: A fault of the bus.
+        """
+        if endpoint not in _ENDPOINTS:
+            raise UsbStall(f'the camera has no endpoint {endpoint:#04x}; read 0x82 or 0x81')
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        plugs, resets = self._presence.plugs, self._presence.resets
+        is_data = endpoint == descriptors.DATA_ENDPOINT
+        while True:
+            self._presence.check(plugs)
+            if resets != self._presence.resets:
+                raise VirtualUsbError('the port was reset during the read')
+            if is_data:
+                self._faults.before_read()
+            now = time.monotonic()
+            ready_at = self._ready_at(length, now) if is_data else None
+            if ready_at is not None and ready_at <= now:
+                self._oldest_s, self._wanted = now, sys.maxsize
+                return self._faults.granted(min(length & ~1, len(self._fifo)))
+            if deadline is not None and now >= deadline and not (is_data and self._faults.is_hung):
+                raise UsbTimeout(f'no data on endpoint {endpoint:#04x} within {timeout_s} s')
+            self._wanted = min(self._wanted, length & ~1)
+            moments = (self._faults.thaws_at, ready_at, deadline, now + _LONGEST_WAIT_S)
+            self._condition.wait(min(m for m in moments if m is not None and m > now) - now)
+
+    def _ready_at(self, length: int, now: float) -> float | None:
+        if self._faults.is_frozen:
+            return None
+        self._fifo.drop(self._faults.take_dropped(len(self._fifo)))
+        if not len(self._fifo):
+            return None
+        if len(self._fifo) >= length & ~1:
+            return now
+        return self._oldest_s + self._early_packet_s()

@@ -1,0 +1,313 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""One manufactured sensor, and one day in the laboratory, each drawn from its own seed.
+
+A device holds everything that a rebuild would change; conditions hold what differs from trial to
+trial on the same device. `describe_*` returns what was drawn as plain numbers for a record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mixtac_sim.mechanics.contact import PronySeries
+from mixtac_sim.mechanics.elastomer import Layer
+from mixtac_sim.optics.lens import SILICONE_INDEX, Lens
+from mixtac_sim.optics.scene import (
+    MESH_WIRE_MM,
+    Lighting,
+    Markers,
+    Scene,
+    build_scene,
+    scatter_markers,
+)
+from mixtac_sim.pixels.biases import PixelSettings, PixelSpread, draw_spread
+from mixtac_sim.random_streams import log_uniform, stream
+from mixtac_sim.world.effects import EASY
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from mixtac_sim.world.effects import OpticsEffects, Preset
+    from mixtac_sim.world.instruments import ReferenceSensor
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """One day in the laboratory (spreads are estimates).
+
+    Attributes:
+        contact_mm: Where the indenter meets the skin, from the optical axis [mm].
+        stiffness: Modulus over the device's: temperature, rest since the last trial.
+        lean: Shear displacement per depth, to the right and downwards: the indenter comes in
+            a few degrees off the normal.
+        light: Light over the device's.
+        light_drift_per_s: Relative change of the light per second, from warming LEDs.
+        friction: Friction over the device's.
+        camera_shift_px: How far the camera has moved, right and down [px].
+        camera_roll_rad: How far it has turned [rad].
+        exposure: Exposure over 7 ms, where none is asked for.
+    """
+
+    contact_mm: tuple[float, float]
+    stiffness: float
+    lean: tuple[float, float]
+    light: float
+    light_drift_per_s: float
+    friction: float = 1.0
+    camera_shift_px: tuple[float, float] = (0.0, 0.0)
+    camera_roll_rad: float = 0.0
+    exposure: float = 1.0
+
+    def lens(self, lens: Lens) -> Lens:
+        """Return a device's lens where it is on that day."""
+        x, y = lens.centre_px
+        shift_x, shift_y = self.camera_shift_px
+        centre = (x + shift_x, y + shift_y)
+        return replace(lens, centre_px=centre, roll_rad=lens.roll_rad + self.camera_roll_rad)
+
+
+def draw_conditions(trial_seed: int, preset: Preset = EASY) -> Conditions:
+    """Return the conditions of a trial."""
+    rng, contact, light = stream(trial_seed, 'conditions'), preset.contact, preset.light
+    more, optics = stream(trial_seed, 'more conditions'), preset.optics
+    reach = contact.place_mm
+    return Conditions(
+        contact_mm=(rng.uniform(-reach, reach), rng.uniform(-reach, reach)),
+        stiffness=rng.uniform(*preset.gel.day),
+        lean=(rng.normal(0.0, contact.lean), rng.normal(0.0, contact.lean)),
+        light=rng.uniform(*light.day),
+        light_drift_per_s=rng.uniform(*light.drift_per_s),
+        friction=more.uniform(*contact.friction_day),
+        camera_shift_px=(more.normal(0.0, optics.shift_px), more.normal(0.0, optics.shift_px)),
+        camera_roll_rad=float(np.radians(more.normal(0.0, optics.roll_deg))),
+        exposure=more.uniform(*light.exposure),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceModel:
+    """One sensor.
+
+    Attributes:
+        seed: The device seed it was drawn from.
+        layer: The sensing layer.
+        mesh_n_per_mm: Stiffness of the mesh under it [N/mm].
+        prony: Relaxation of the layer.
+        friction: Coefficient of friction of the skin.
+        markers: The beads.
+        lens: The lens.
+        lighting: Light and reflectances.
+        scene: Light on the array at rest.
+        spread: Differences between pixels.
+        threshold_factor: Thresholds of this chip over nominal, ON and OFF.
+        noise_factor: Noise and leak of this chip over nominal.
+        leak_factor: Leak from parasitic light of this chip over nominal.
+        speed_factor: Corner of the source follower, of the photoreceptor, and blind time of this
+            chip over nominal.
+        stiffening: Force over the linear layer's, less 1, per square of the strain.
+        frame_burst: Share of pixels that fire when a frame is reset or read.
+        dn_per_lux_ms: Response of the frames [DN/(lx ms)].
+    """
+
+    seed: int
+    layer: Layer
+    mesh_n_per_mm: float
+    prony: PronySeries
+    friction: float
+    markers: Markers
+    lens: Lens
+    lighting: Lighting
+    scene: Scene
+    spread: PixelSpread
+    threshold_factor: tuple[float, float]
+    noise_factor: float
+    leak_factor: float
+    speed_factor: tuple[float, float, float]
+    stiffening: float
+    frame_burst: float
+    dn_per_lux_ms: float
+
+    @property
+    def serial_number(self) -> str:
+        """Return the serial number of the device's camera: eight digits from the seed."""
+        return f'{self.seed % 100_000_000:08d}'
+
+    def pixel_settings(self, nominal: PixelSettings) -> PixelSettings:
+        """Return what a nominal chip's settings become on this chip."""
+        return replace(
+            nominal,
+            threshold_on=nominal.threshold_on * self.threshold_factor[0],
+            threshold_off=nominal.threshold_off * self.threshold_factor[1],
+            source_follower_hz=nominal.source_follower_hz * self.speed_factor[0],
+            hz_per_lux=nominal.hz_per_lux * self.speed_factor[1],
+            refractory_us=nominal.refractory_us * self.speed_factor[2],
+            leak_hz=nominal.leak_hz * self.noise_factor,
+            leak_hz_per_lux=nominal.leak_hz_per_lux * self.leak_factor,
+            shot_hz=nominal.shot_hz * self.noise_factor,
+        )
+
+
+def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
+    """Return the sensor of a device seed.
+
+    Ranges are those of shared knowledge about Shore A-5 silicones, DAVIS346 chips and small
+    wide-angle lenses; what the paper does not state is an estimate.
+
+    Args:
+        seed: Device seed.
+        preset: How much devices differ.
+    """
+    seed = seed if preset.devices.vary else 0
+    rng, pixels, gel = stream(seed, 'device'), preset.pixels, preset.gel
+    layer = Layer(
+        modulus_kpa=float(
+            np.clip(160.0 * np.exp(rng.normal(0.0, gel.modulus_log_sd)), 100.0, 300.0)
+        ),
+        thickness_mm=rng.uniform(*gel.thickness_mm),
+    )
+    lens = _draw_lens(rng, layer.thickness_mm, preset.optics)
+    lighting = _draw_lighting(rng, preset.optics.wire)
+    common, skew = rng.normal(0.0, pixels.common_log_sd), rng.normal(0.0, pixels.skew_log_sd)
+    # What came with the presets has streams of its own, so that older draws stay what they were.
+    speed, more = stream(seed, 'device speed'), stream(seed, 'device stiffening')
+    return DeviceModel(
+        seed=seed,
+        layer=layer,
+        mesh_n_per_mm=np.exp(rng.uniform(*np.log(gel.mesh_n_per_mm))),
+        prony=_draw_prony(rng, seed, preset),
+        friction=rng.uniform(*preset.contact.friction),
+        markers=scatter_markers(seed, layer.thickness_mm, preset.optics),
+        lens=lens,
+        lighting=lighting,
+        scene=build_scene(lens, lighting),
+        spread=draw_spread(
+            seed, rng.uniform(*pixels.mismatch), pixels.leak_decades, preset.light.hot_pixels
+        ),
+        threshold_factor=(
+            float(np.exp(common + skew)) * pixels.threshold,
+            float(np.exp(common - skew)) * pixels.threshold,
+        ),
+        noise_factor=float(np.exp(rng.uniform(*pixels.noise_log))) * pixels.noise,
+        leak_factor=pixels.noise,
+        speed_factor=_draw_speed(speed, preset),
+        stiffening=more.uniform(*preset.impact.stiffening),
+        frame_burst=rng.uniform(*preset.light.frame_burst),
+        dn_per_lux_ms=rng.uniform(0.85, 1.1),
+    )
+
+
+def _draw_speed(rng: Generator, preset: Preset) -> tuple[float, float, float]:
+    """Return the speed of the pixels over nominal."""
+    speed = preset.bandwidth
+    follower, per_lux = log_uniform(rng, speed.follower), log_uniform(rng, speed.per_lux)
+    return follower, per_lux, log_uniform(rng, speed.refractory)
+
+
+def _draw_lens(rng: Generator, thickness_mm: float, optics: OpticsEffects) -> Lens:
+    """Return a 2.8 mm lens focused somewhere in the middle of the layer."""
+    return Lens(
+        focal_mm=2.8 * rng.uniform(0.98, 1.02),
+        f_number=rng.uniform(*optics.f_number),
+        gap_mm=rng.uniform(11.5, 14.0),
+        thickness_mm=thickness_mm,
+        focus_depth_mm=thickness_mm * rng.uniform(0.3, 0.6),
+        k1=rng.uniform(-0.30, -0.22),
+        k2=rng.uniform(0.07, 0.10),
+        centre_px=(172.5 + rng.normal(0.0, 3.0), 129.5 + rng.normal(0.0, 3.0)),
+        softness_px=rng.uniform(1.4, 1.9),
+        index=SILICONE_INDEX if optics.refraction else 1.0,
+    )
+
+
+def _draw_lighting(rng: Generator, wires: float) -> Lighting:
+    """Return the light of a ring of LEDs, not quite even, and the device's reflectances."""
+    return Lighting(
+        lux=rng.uniform(150.0, 250.0),
+        tilt=(rng.uniform(-0.15, 0.15), rng.uniform(-0.15, 0.15)),
+        bowl=rng.uniform(-0.15, 0.15),
+        skin=rng.uniform(0.03, 0.06),
+        bead=rng.uniform(0.3, 0.5),
+        wire=rng.uniform(0.05, 0.15),
+        glare=rng.uniform(0.01, 0.03),
+        mesh_angle=rng.uniform(0.0, 0.5 * np.pi),
+        mesh_shift_mm=(rng.uniform(0.0, 1.08), rng.uniform(0.0, 1.08)),
+        corner_px=rng.uniform(185.0, 215.0),
+        wire_mm=MESH_WIRE_MM * wires,
+    )
+
+
+def _draw_prony(rng: Generator, seed: int, preset: Preset) -> PronySeries:
+    """Return slow branches of 6-14 % and fast ones with tan delta 0.1-0.25 at 100 Hz (easy).
+
+    A branch of minutes is added where the preset asks for one.
+    """
+    creep = preset.creep
+    slow = rng.uniform(*creep.slow, size=3)
+    fast = rng.uniform(*preset.impact.fast, size=2)
+    spread = np.exp(rng.normal(0.0, creep.times_log_sd, size=5))
+    times = np.array([0.5e-3, 3e-3, 0.05, 1.0, 20.0]) * spread
+    weights = [*fast, *slow]
+    if creep.long[1] > 0.0:
+        extra = stream(seed, 'device creep')
+        weights.append(extra.uniform(*creep.long))
+        times = np.append(times, extra.uniform(*creep.long_s))
+    return PronySeries(tuple(map(float, weights)), tuple(map(float, times)))
+
+
+def describe_device(device: DeviceModel) -> dict[str, Any]:
+    """Return the constants of a sensor, JSON-ready; beads and pixels only by their number."""
+    return _record(
+        {
+            'seed': device.seed,
+            'layer': asdict(device.layer),
+            'mesh_n_per_mm': device.mesh_n_per_mm,
+            'stiffening': device.stiffening,
+            'prony': asdict(device.prony),
+            'friction': device.friction,
+            'beads': len(device.markers.x_mm),
+            'lens': asdict(device.lens),
+            'lighting': asdict(device.lighting),
+            'threshold_factor': device.threshold_factor,
+            'noise_factor': device.noise_factor,
+            'speed_factor': device.speed_factor,
+            'hot_pixels': len(device.spread.hot_pixel),
+            'frame_burst': device.frame_burst,
+            'dn_per_lux_ms': device.dn_per_lux_ms,
+        }
+    )
+
+
+def describe_conditions(conditions: Conditions) -> dict[str, Any]:
+    """Return the conditions of a trial, JSON-ready."""
+    return _record(asdict(conditions))
+
+
+def describe_reference(reference: ReferenceSensor) -> dict[str, Any]:
+    """Return clock, delay and mount of the reference sensor, JSON-ready."""
+    return _record(
+        {
+            'offset_s': reference.offset_s,
+            'drift_ppm': reference.drift_ppm,
+            'delay_s': reference.delay_s,
+            'resonance_hz': reference.mount.resonance_hz,
+            'resonance_damping': reference.mount.damping,
+        }
+    )
+
+
+def _record(values: dict[str, Any]) -> dict[str, Any]:
+    """Return values without numpy's types and tuples."""
+    return {key: _plain(each) for key, each in values.items()}
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401
+    """Return a value without them."""
+    if isinstance(value, dict):
+        return _record(value)
+    if isinstance(value, tuple | list):
+        return [_plain(each) for each in value]
+    return value.item() if isinstance(value, np.generic) else value

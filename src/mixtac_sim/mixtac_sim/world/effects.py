@@ -1,0 +1,411 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""How hard the simulated sensor is: ten effects with their ranges, and three presets of them.
+
+A range is (low, high) of a uniform draw unless the field says otherwise; equal ends mean no
+spread. Spreads are estimates wherever the modules that use them do not name a source. Defaults
+are those of the preset `easy`; `OFF` holds what an effect becomes when it is switched off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.mechanics.indenters import IndenterName
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class PixelEffects:
+    """Thresholds and noise of the event pixels.
+
+    Attributes:
+        common_log_sd: Spread between chips of both thresholds together [log-e].
+        skew_log_sd: Spread between chips of ON over OFF, to either side [log-e].
+        mismatch: Spread between pixels of a threshold over nominal.
+        noise_log: Leak and shot noise of a chip over nominal [log-e].
+        noise: Leak and shot noise over their usual rates; 0 for none.
+        leak_decades: Spread between pixels of the leak [decades] (v2e: 0.1).
+        threshold: Thresholds over those that are asked for.
+    """
+
+    common_log_sd: float = 0.12
+    skew_log_sd: float = 0.08
+    mismatch: Range = (0.08, 0.16)
+    noise_log: Range = (-0.7, 0.7)
+    noise: float = 1.0
+    leak_decades: float = 0.1
+    threshold: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class GelEffects:
+    """Stiffness of layer and mesh.
+
+    Attributes:
+        modulus_log_sd: Spread between devices of the modulus about 160 kPa [log-e]; 100 to 300 kPa.
+        thickness_mm: Thickness of the layer [mm].
+        mesh_n_per_mm: Stiffness of the mesh, drawn evenly in its logarithm [N/mm].
+        day: Modulus over the device's on a day: temperature, rest since the last trial.
+    """
+
+    modulus_log_sd: float = 0.25
+    thickness_mm: Range = (3.5, 5.0)
+    mesh_n_per_mm: Range = (3.0, 10.0)
+    day: Range = (0.94, 1.06)
+
+
+@dataclass(frozen=True, slots=True)
+class TimingEffects:
+    """Clock, delay and errors of the reference force sensor.
+
+    Attributes:
+        offset_s: Largest offset of its clock [s].
+        drift_ppm: Largest drift of its clock [ppm].
+        delay_s: Delay of its readings [s]; at least the filter's 1.6 ms.
+        noise_n: Noise of a force [N]; of a torque a hundredth of it [Nm].
+        cross_talk: Gain error and cross-talk between axes of one kind.
+        coupling: Cross-talk between forces and torques, of a torque per 0.01 Nm and newton.
+        slope_n: Warm-up over 25 s [N].
+        wave_n: Slow wave [N].
+        wander_n: Spread of a drift that saturates (Ornstein-Uhlenbeck process) [N].
+        wander_s: Correlation time of that drift [s].
+    """
+
+    offset_s: float = 5.0
+    drift_ppm: float = 100.0
+    delay_s: Range = (1.6e-3, 3.0e-3)
+    noise_n: Range = (8e-3, 20e-3)
+    cross_talk: float = 0.01
+    coupling: float = 0.0
+    slope_n: float = 10e-3
+    wave_n: float = 3e-3
+    wander_n: float = 0.0
+    wander_s: Range = (20.0, 60.0)
+
+
+@dataclass(frozen=True, slots=True)
+class CreepEffects:
+    """Slow relaxation of the layer: creep under load, hysteresis.
+
+    Attributes:
+        slow: Weight of each of the branches of 0.05, 1 and 20 s.
+        times_log_sd: Spread between devices of all relaxation times [log-e].
+        long: Weight of a branch of minutes.
+        long_s: Time of that branch [s].
+    """
+
+    slow: Range = (0.02, 0.05)
+    times_log_sd: float = 0.15
+    long: Range = (0.0, 0.0)
+    long_s: Range = (100.0, 300.0)
+
+
+@dataclass(frozen=True, slots=True)
+class OpticsEffects:
+    """What the lens makes of the beads.
+
+    Attributes:
+        f_number: f-number; a large one is in focus everywhere.
+        refraction: Whether the layer looks shallower than it is.
+        wire: Thickness of the mesh's wires over 0.18 mm; 0 for no mesh in view.
+        mesh_moves: Whether the mesh is seen to sag under load.
+        beads: Number of beads in view.
+        apart_mm: Least distance of two beads seen from the lens [mm]; 0 lets images overlap.
+        shift_px: Spread between days of the camera's place [px].
+        roll_deg: Spread between days of the camera's rotation [deg].
+    """
+
+    f_number: Range = (1.8, 2.8)
+    refraction: bool = True
+    wire: float = 1.0
+    mesh_moves: bool = False
+    beads: tuple[int, int] = (450, 450)
+    apart_mm: float = 0.0
+    shift_px: float = 0.0
+    roll_deg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class BandwidthEffects:
+    """Speed of pixels and readout.
+
+    Attributes:
+        follower: Corner of the source follower over nominal, drawn evenly in its logarithm.
+        per_lux: Corner of the photoreceptor over nominal, likewise. The nominal 2.5 Hz/lx reads
+            figures for light on a scene as light on the chip and is kept for `easy` alone. A DVS
+            of 2008 reached 3 kHz at 1 klx on the scene (Lichtsteiner), which is 30 to 140 lx on
+            its chip behind lenses of f/1.2 to f/2.8, and its photodiode had twice the area: 10
+            to 50 Hz/lx. A photodiode of 75 um2, 25 fF and no feedback gain would give 7 Hz/lx.
+        refractory: Blind time over nominal, likewise.
+        service_ns: Time to read one event [ns].
+        latency_ns: Shortest latency of an event [ns].
+        jitter_ns: Spread of the latency [ns].
+    """
+
+    follower: Range = (1.0, 1.0)
+    per_lux: Range = (1.0, 1.0)
+    refractory: Range = (1.0, 1.0)
+    service_ns: int = 80
+    latency_ns: int = 20_000
+    jitter_ns: float = 15_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class LightEffects:
+    """Lamp, exposure, and events that no contact caused.
+
+    Attributes:
+        day: Light over the device's on a day.
+        drift_per_s: Relative change of the light, from warming LEDs [1/s].
+        exposure: Exposure of a trial over 7 ms, where none is asked for.
+        ripple: Depth of the lamp's ripple: peak over mean, less 1.
+        ripple_hz: Frequency of the ripple [Hz]; twice the mains'.
+        pwm_hz: Frequency at which the LEDs are switched [Hz]; 0 for constant current.
+        hot_pixels: Number of hot pixels, the upper end excluded.
+        frame_burst: Share of pixels that fire when a frame is reset or read.
+    """
+
+    day: Range = (0.97, 1.03)
+    drift_per_s: Range = (-1e-4, 0.0)
+    exposure: Range = (1.0, 1.0)
+    ripple: Range = (0.0, 0.0)
+    ripple_hz: float = 100.0
+    pwm_hz: float = 0.0
+    hot_pixels: tuple[int, int] = (10, 120)
+    frame_burst: Range = (0.0, 3e-4)
+
+
+@dataclass(frozen=True, slots=True)
+class ContactEffects:
+    """Where and with what the sensor is touched, and how it slips.
+
+    Attributes:
+        place_mm: Largest distance of the contact from the axis, right and down [mm].
+        lean: Spread of the shear displacement per depth: the indenter is not quite upright.
+        friction: Coefficient of friction of a device's skin at 1 N.
+        friction_day: Friction over the device's on a day: dust, humidity.
+        friction_load: Friction falls as the force to the power of minus this (a single contact
+            with constant shear stress: 1/3).
+        partial_slip: Whether the rim of the contact slips before the whole does.
+        indenters: What presses; one is drawn for each trial.
+        staircase: Whether ``static`` trials climb in steps; otherwise they are one hold.
+    """
+
+    place_mm: float = 1.5
+    lean: float = 0.05
+    friction: Range = (0.5, 1.2)
+    friction_day: Range = (1.0, 1.0)
+    friction_load: float = 0.0
+    partial_slip: bool = False
+    indenters: tuple[IndenterName, ...] = ('hemisphere',)
+    staircase: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ImpactEffects:
+    """What only fast and hard contacts show.
+
+    Attributes:
+        fast: Weight of each of the branches of 0.5 and 3 ms: loss at impact.
+        stiffening: Force over the linear layer's, less 1, per square of the strain.
+        ringing_hz: Resonance of the mount, drawn evenly in its logarithm [Hz]; 0 for a rigid one.
+        ringing_damping: Damping ratio of that resonance.
+    """
+
+    fast: Range = (0.2, 0.55)
+    stiffening: Range = (0.0, 0.0)
+    ringing_hz: Range = (0.0, 0.0)
+    ringing_damping: Range = (0.02, 0.06)
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceEffects:
+    """Differences between manufactured sensors.
+
+    Attributes:
+        vary: Whether devices differ; otherwise every device seed gives one and the same sensor.
+    """
+
+    vary: bool = True
+
+
+Effects = (
+    PixelEffects
+    | GelEffects
+    | TimingEffects
+    | CreepEffects
+    | OpticsEffects
+    | BandwidthEffects
+    | LightEffects
+    | ContactEffects
+    | ImpactEffects
+    | DeviceEffects
+)
+EFFECTS: Mapping[str, str] = MappingProxyType(
+    {
+        'pixels': 'event thresholds, ON/OFF imbalance, mismatch, noise that depends on the light',
+        'gel': 'modulus, thickness and mesh support: scale and shape of force over depth',
+        'timing': "clock, delay, noise, drift and cross-talk of the reference sensor's readings",
+        'creep': 'slow relaxation: creep and hysteresis over seconds to minutes',
+        'optics': "defocus with depth, overlapping beads, mesh, refraction, camera's pose",
+        'bandwidth': 'photoreceptor and source follower, blind time, readout queue and latency',
+        'light': 'lamp drift and ripple, exposure, bursts from frames, hot pixels',
+        'contact': 'place, lean, shear, partial slip, friction, shape of the indenter',
+        'impact': 'stiffening at large strain, loss at impact, ringing of the mount',
+        'devices': 'differences between manufactured sensors',
+    }
+)
+"""The ten effects, most likely to break transfer to a real sensor first, with a line on each."""
+OFF: Mapping[str, Effects] = MappingProxyType(
+    {
+        'pixels': PixelEffects(0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0),
+        'gel': GelEffects(0.0, (4.25, 4.25), (5.5, 5.5), (1.0, 1.0)),
+        'timing': TimingEffects(0.0, 0.0, (1.6e-3, 1.6e-3), (0.0, 0.0), 0.0, 0.0, 0.0, 0.0),
+        'creep': CreepEffects(slow=(0.0, 0.0)),
+        'optics': OpticsEffects((1e3, 1e3), refraction=False, wire=0.0, apart_mm=0.95),
+        'bandwidth': BandwidthEffects((1e3, 1e3), (1e3, 1e3), (0.0, 0.0), 0, 0, 0.0),
+        'light': LightEffects((1.0, 1.0), (0.0, 0.0), hot_pixels=(0, 1), frame_burst=(0.0, 0.0)),
+        'contact': ContactEffects(0.0, 0.0, (0.85, 0.85)),
+        'impact': ImpactEffects(fast=(0.375, 0.375)),
+        'devices': DeviceEffects(vary=False),
+    }
+)
+"""Each effect without its difficulty."""
+__all__ = ['EASY', 'EFFECTS', 'PRESETS', 'Preset', 'preset']
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """A degree of difficulty; every effect of ``EFFECTS`` is a field of the same name.
+
+    Attributes:
+        name: Name of the preset; effects that were switched off are appended.
+        pixels: Thresholds and noise of event pixels.
+        gel: Stiffness of layer and mesh.
+        timing: Errors of the reference sensor and its clock.
+        creep: Slow relaxation.
+        optics: Images of beads and mesh.
+        bandwidth: Speed of pixels and readout.
+        light: Lamp, exposure, spurious events.
+        contact: Place, shape, friction.
+        impact: Large strain, loss, ringing.
+        devices: Differences between devices.
+    """
+
+    name: str
+    pixels: PixelEffects = field(default_factory=PixelEffects)
+    gel: GelEffects = field(default_factory=GelEffects)
+    timing: TimingEffects = field(default_factory=TimingEffects)
+    creep: CreepEffects = field(default_factory=CreepEffects)
+    optics: OpticsEffects = field(default_factory=OpticsEffects)
+    bandwidth: BandwidthEffects = field(default_factory=BandwidthEffects)
+    light: LightEffects = field(default_factory=LightEffects)
+    contact: ContactEffects = field(default_factory=ContactEffects)
+    impact: ImpactEffects = field(default_factory=ImpactEffects)
+    devices: DeviceEffects = field(default_factory=DeviceEffects)
+
+    def without(self, *effects: str) -> Preset:
+        """Return this preset with some effects switched off, for ablations.
+
+        Raises:
+            SimulationError: Unknown effect.
+        """
+        unknown = [effect for effect in effects if effect not in EFFECTS]
+        if unknown:
+            msg = f'effect {unknown[0]!r} is unknown; choose among {", ".join(EFFECTS)}'
+            raise SimulationError(msg)
+        name = ' without '.join([self.name, *effects])
+        changes = {effect: OFF[effect] for effect in effects}
+        return replace(self, name=name, **changes)  # type: ignore[arg-type]
+
+
+EASY = Preset('easy')
+"""One shape, clean optics and a rigid mount: for a first look and quick tests."""
+PAPER_LIKE = Preset(
+    'paper_like',
+    pixels=PixelEffects(common_log_sd=0.18, skew_log_sd=0.1, mismatch=(0.1, 0.2), threshold=1.15),
+    gel=GelEffects(modulus_log_sd=0.3, thickness_mm=(3.0, 6.0), mesh_n_per_mm=(1.5, 10.0)),
+    timing=TimingEffects(
+        noise_n=(10e-3, 30e-3),
+        coupling=0.01,
+        slope_n=0.0,
+        wave_n=0.0,
+        wander_n=12e-3,
+    ),
+    creep=CreepEffects(slow=(0.02, 0.06), times_log_sd=0.3, long=(0.01, 0.03)),
+    optics=OpticsEffects(mesh_moves=True, beads=(380, 500), shift_px=1.0, roll_deg=0.3),
+    bandwidth=BandwidthEffects(follower=(0.35, 1.3), per_lux=(4.0, 16.0), refractory=(0.03, 5.0)),
+    light=LightEffects(day=(0.92, 1.08), exposure=(0.8, 1.2), ripple=(0.002, 0.01)),
+    contact=ContactEffects(
+        place_mm=2.5,
+        friction=(0.5, 1.3),
+        friction_day=(0.7, 1.1),
+        friction_load=1.0 / 3.0,
+        partial_slip=True,
+        staircase=True,
+    ),
+    impact=ImpactEffects(stiffening=(0.5, 2.0), ringing_hz=(250.0, 1300.0)),
+)
+"""The paper's bench as far as it is known: one hemisphere, the rest as uncertain as it is."""
+HARD = Preset(
+    'hard',
+    pixels=PixelEffects(0.25, 0.15, (0.12, 0.25), (-0.7, 1.4), 2.0, threshold=1.15),
+    gel=GelEffects(0.35, (3.0, 6.0), (1.0, 10.0), (0.88, 1.12)),
+    timing=TimingEffects(
+        delay_s=(1.6e-3, 5e-3),
+        noise_n=(15e-3, 40e-3),
+        cross_talk=0.02,
+        coupling=0.02,
+        slope_n=0.0,
+        wave_n=0.0,
+        wander_n=25e-3,
+    ),
+    creep=CreepEffects((0.03, 0.09), 0.4, (0.02, 0.06)),
+    optics=OpticsEffects((1.6, 2.4), mesh_moves=True, beads=(350, 600), shift_px=3.0, roll_deg=1.0),
+    bandwidth=BandwidthEffects((0.17, 1.3), (2.8, 16.0), (0.03, 5.0)),
+    light=LightEffects(
+        (0.8, 1.2),
+        (-4e-4, 1e-4),
+        (0.5, 1.8),
+        (0.005, 0.03),
+        hot_pixels=(50, 200),
+        frame_burst=(2e-4, 2e-3),
+    ),
+    contact=ContactEffects(
+        4.0,
+        0.1,
+        (0.4, 1.4),
+        (0.5, 1.2),
+        1.0 / 3.0,
+        partial_slip=True,
+        indenters=('hemisphere', 'small sphere', 'flat', 'edge'),
+        staircase=True,
+    ),
+    impact=ImpactEffects((0.15, 0.6), (0.5, 3.0), (250.0, 600.0), (0.01, 0.04)),
+)
+"""Worse than a laboratory: any indenter, poor light, a loose mount."""
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {each.name: each for each in (EASY, PAPER_LIKE, HARD)}
+)
+"""The presets by name."""
+
+
+def preset(name: str) -> Preset:
+    """Return a preset by its name.
+
+    Raises:
+        SimulationError: Unknown name.
+    """
+    if name not in PRESETS:
+        msg = f'preset {name!r} is unknown; choose one of {", ".join(PRESETS)}'
+        raise SimulationError(msg)
+    return PRESETS[name]

@@ -1,0 +1,485 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Contact profiles: what is commanded from when to when.
+
+A profile is a list of segments (force, position, drop). Gestures make the segments of taps,
+presses, oscillations, wandering forces and drops; `make_profile` strings gestures together into a
+named profile, randomised by seed. Forces are those of the paper's trials, 0 to 1 N.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.mechanics.indenters import HEMISPHERE, INDENTERS, WEIGHT_20_G, Indenter
+from mixtac_sim.random_streams import stream
+from mixtac_sim.world.effects import EASY
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.random import Generator
+    from numpy.typing import NDArray
+
+    from mixtac_sim.world.effects import Preset
+
+
+SLOW_HZ = 40.0
+"""Tones up to here are resolved by the steps that bead motion asks for."""
+STEPS_PER_PERIOD = 12
+"""Steps per period of a faster tone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tone:
+    """A sinusoid added to a segment's target, faded in and out at its ends.
+
+    Attributes:
+        amplitude: Zero to peak, in the unit of the target.
+        frequency_hz: Frequency [Hz].
+        phase: Phase at the start of the segment [rad].
+        fade_s: Length of the fades [s].
+    """
+
+    amplitude: float
+    frequency_hz: float
+    phase: float = 0.0
+    fade_s: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """One command over a span of time.
+
+    Attributes:
+        start_s: Begin [s] since the start of the trial.
+        end_s: End [s].
+        mode: What the target means.
+        times_s: Times of the target's knots [s] since the segment's start, increasing.
+        values: Target at the knots; between them it moves with zero slope at each knot.
+        tones: Sinusoids on top.
+        indenter: What touches.
+    """
+
+    start_s: float
+    end_s: float
+    mode: Mode
+    times_s: tuple[float, ...] = (0.0,)
+    values: tuple[float, ...] = (0.0,)
+    tones: tuple[Tone, ...] = ()
+    indenter: Indenter = HEMISPHERE
+
+    def __post_init__(self) -> None:
+        """Refuse segments that end before they start or have unpaired knots.
+
+        Raises:
+            SimulationError: As above, or something without a mass is to fall.
+        """
+        if self.end_s <= self.start_s or len(self.times_s) != len(self.values):
+            msg = (
+                f'segment from {self.start_s} s to {self.end_s} s with {len(self.times_s)} times '
+                f'and {len(self.values)} values; it must end after its start, with paired knots'
+            )
+            raise SimulationError(msg)
+        if self.mode >= Mode.DROP and self.indenter.mass_g <= 0.0:
+            msg = f'{self.indenter} cannot be dropped; give it a mass'
+            raise SimulationError(msg)
+
+    @property
+    def fastest_hz(self) -> float:
+        """Return the highest frequency of its tones [Hz], 0 without any."""
+        return max((tone.frequency_hz for tone in self.tones), default=0.0)
+
+    def target(self, since_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the target at times since the segment's start [s]."""
+        knots, values = np.array(self.times_s), np.array(self.values)
+        k = np.clip(np.searchsorted(knots, since_s, side='right') - 1, 0, len(knots) - 1)
+        after = np.minimum(k + 1, len(knots) - 1)
+        span = np.maximum(knots[after] - knots[k], 1e-9)
+        u = np.clip((since_s - knots[k]) / span, 0.0, 1.0)
+        base = values[k] + (values[after] - values[k]) * u * u * (3.0 - 2.0 * u)
+        return np.asarray(base + self._tones(since_s))
+
+    def _tones(self, since_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sum of the tones."""
+        total = np.zeros_like(since_s)
+        left = self.end_s - self.start_s - since_s
+        for tone in self.tones:
+            fade = np.clip(np.minimum(since_s, left) / tone.fade_s, 0.0, 1.0)
+            phase = 2.0 * np.pi * tone.frequency_hz * since_s + tone.phase
+            total += tone.amplitude * fade**2 * np.sin(phase)
+        return total
+
+
+class CommandSource(Protocol):
+    """What the sensor needs of a profile."""
+
+    @property
+    def indenters(self) -> tuple[Indenter, ...]:
+        """Return everything that may touch."""
+
+    def commands(
+        self, first: int, count: int
+    ) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.int8]]:
+        """Return modes, targets and indenters of some grid steps."""
+
+    def longest_step(self, first: int, count: int) -> int:
+        """Return the most grid steps that may be taken at once among some."""
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Commands of a whole trial; where no segment speaks, nothing touches.
+
+    Attributes:
+        name: Name of the profile.
+        duration_s: Length of the trial [s].
+        segments: Commands in order of time, without overlap.
+        sync_s: Centres of the synchronising impulses [s], for tests of the alignment.
+    """
+
+    name: str
+    duration_s: float
+    segments: tuple[Segment, ...]
+    sync_s: tuple[float, ...] = ()
+    _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Refuse overlapping segments.
+
+        Raises:
+            SimulationError: A segment starts before its predecessor ends.
+        """
+        for earlier, later in zip(self.segments, self.segments[1:], strict=False):
+            if later.start_s < earlier.end_s - 1e-9:
+                msg = (
+                    f'segment at {later.start_s} s of profile {self.name!r} starts before '
+                    f'{earlier.end_s} s, where the one before it ends; move it'
+                )
+                raise SimulationError(msg)
+        object.__setattr__(self, '_starts', tuple(s.start_s for s in self.segments))
+
+    @property
+    def indenters(self) -> tuple[Indenter, ...]:
+        """Return every indenter once; commands refer to it by its place here."""
+        found = dict.fromkeys(segment.indenter for segment in self.segments)
+        return tuple(found) or (HEMISPHERE,)
+
+    def commands(
+        self, first: int, count: int
+    ) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.int8]]:
+        """Return modes, targets and indenters of grid steps ``first`` to ``first + count``.
+
+        The command of step k is the one in force at its end, (k + 1) * 125 us.
+        """
+        times = np.arange(first + 1, first + count + 1, dtype=np.float64) * (1e-6 * STEP_US)
+        modes = np.zeros(count, np.int8)
+        targets = np.zeros(count)
+        tools = np.zeros(count, np.int8)
+        indenters = self.indenters
+        begin = max(int(np.searchsorted(self._starts, times[0], side='right')) - 1, 0)
+        for segment in self.segments[begin:]:
+            if segment.start_s > times[-1]:
+                break
+            inside = (times > segment.start_s) & (times <= segment.end_s)
+            modes[inside] = segment.mode
+            targets[inside] = segment.target(times[inside] - segment.start_s)
+            tools[inside] = indenters.index(segment.indenter)
+        return modes, targets, tools
+
+    def longest_step(self, first: int, count: int) -> int:
+        """Return the most grid steps that may be taken at once from ``first`` on, among ``count``.
+
+        Tones above ``SLOW_HZ`` move beads to and fro within a step that their net motion allows.
+        """
+        grid_s = 1e-6 * STEP_US
+        fastest = max(
+            (
+                segment.fastest_hz
+                for segment in self.segments
+                if segment.start_s < (first + count) * grid_s and segment.end_s > first * grid_s
+            ),
+            default=0.0,
+        )
+        if fastest <= SLOW_HZ:
+            return count
+        return max(int(1.0 / (STEPS_PER_PERIOD * fastest * grid_s)), 1)
+
+
+DROP_HEIGHT_MM = 50.0
+"""Height of the paper's drop (section 4.5)."""
+VIBRATION_HZ = (50.0, 250.0)
+"""Frequencies of the paper's vibrations (section 4.1) [Hz]."""
+VIBRATION_MM = (0.05, 0.15)
+"""Amplitudes of vibrations, zero to peak, drawn evenly in their logarithm [mm] (estimate).
+
+The paper names a resonant speaker but neither drive nor amplitude. A foot of 20 g on a gel of
+6 N/mm that is driven by 5 N moves by 0.12 mm at 250 Hz, and by more below.
+"""
+VIBRATION_DEPTH_MM = (0.4, 0.8)
+"""How deep what vibrates stands in the skin [mm] (estimate): 0.2 to 2 N, as the weight of a small
+speaker that is placed on it."""
+SYNC_QUIET_S = 0.5
+"""Rest before and after a synchronising impulse [s]."""
+SYNC_SPAN_S = 2.0 * SYNC_QUIET_S + 0.04
+"""Time that one synchronising impulse takes with its rest [s]."""
+
+
+def sync_impulse(rng: Generator, start_s: float) -> tuple[list[Segment], float]:
+    """Return a quick tap of 20-40 ms and 1-2 N with rest around it, and its centre [s]."""
+    length = rng.uniform(0.02, 0.04)
+    begin = start_s + SYNC_QUIET_S
+    tap = Segment(
+        begin,
+        begin + length,
+        Mode.FORCE,
+        times_s=(0.0, 0.5 * length, length),
+        values=(0.0, rng.uniform(1.0, 2.0), 0.0),
+    )
+    return [tap], begin + 0.5 * length
+
+
+def tremor(rng: Generator, force_n: float) -> tuple[Tone, ...]:
+    """Return the small fast variations of any hand or arm, about 1 % of the force."""
+    return tuple(
+        Tone(rng.uniform(0.002, 0.01) * force_n, rng.uniform(7.0, 23.0), rng.uniform(0.0, 6.28))
+        for _ in range(2)
+    )
+
+
+def press_and_hold(
+    rng: Generator, start_s: float, span_s: float, force_n: float | None = None
+) -> list[Segment]:
+    """Return a press that is held and released, with a rest after it.
+
+    Half of the presses hold the force, half hold the position, so that the force relaxes.
+    """
+    force = rng.uniform(0.15, 1.0) if force_n is None else force_n
+    rise = min(rng.uniform(0.08, 0.6), 0.2 * span_s)
+    fall = min(rng.uniform(0.06, 0.4), 0.15 * span_s)
+    rest = span_s * rng.uniform(0.1, 0.25)
+    top, end = start_s + rise, start_s + span_s - rest
+    press = Segment(start_s, top, Mode.FORCE, (0.0, rise), (0.0, force))
+    hold = _hold(rng, top, end - fall, force)
+    release = Segment(end - fall, end, Mode.FORCE, (0.0, fall), (force, 0.0))
+    return [press, hold, release]
+
+
+def oscillation(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a press that swings at 2 to 5 Hz between about 0.1 N and 1 N."""
+    mean = rng.uniform(0.4, 0.6)
+    swing = mean * rng.uniform(0.5, 0.8)
+    frequency = rng.uniform(2.0, 5.0)
+    ramp = min(0.4, 0.15 * span_s)
+    tones = (
+        Tone(swing, frequency, 0.0, ramp),
+        Tone(0.06 * swing, 2.0 * frequency, rng.uniform(0.0, 6.28), ramp),
+    )
+    values = (0.0, mean, mean * rng.uniform(0.9, 1.1), 0.0)
+    times = (0.0, ramp, span_s - 2.0 * ramp, span_s - ramp)
+    return [Segment(start_s, start_s + span_s - ramp, Mode.FORCE, times, values, tones)]
+
+
+def wander(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a force that wanders between 0 and 1 N at every pace from 0.05 s to 0.6 s."""
+    pauses = rng.choice([0.08, 0.15, 0.3, 0.6], size=64) * rng.uniform(0.6, 1.4, size=64)
+    times = np.append(0.0, np.cumsum(pauses))
+    times = times[times < span_s - 0.35]
+    values = rng.uniform(0.05, 1.0, size=len(times))
+    values[0] = 0.0
+    times, values = np.append(times, span_s - 0.15), np.append(values, 0.0)
+    tones = tremor(rng, 0.5) if rng.random() < 0.5 else ()
+    end = start_s + span_s - 0.15
+    return [Segment(start_s, end, Mode.FORCE, tuple(times), tuple(values), tones)]
+
+
+def drop(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a 20 g weight that falls 5 cm, bounces, rests and is lifted off."""
+    lift = min(rng.uniform(0.15, 0.3), 0.2 * span_s)
+    end = start_s + span_s - min(0.2, 0.1 * span_s)
+    height = DROP_HEIGHT_MM * rng.uniform(0.97, 1.03)
+    pull = 1.3e-3 * WEIGHT_20_G.mass_g * 9.81
+    fall = Segment(start_s, end - lift, Mode.DROP, (0.0,), (height,), (), WEIGHT_20_G)
+    raised = Segment(end - lift, end, Mode.LIFT, (0.0, lift), (0.0, pull), (), WEIGHT_20_G)
+    return [fall, raised]
+
+
+def long_hold(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return one slow press that is held, in force or in position, for nearly the whole span."""
+    force = rng.uniform(0.1, 1.0)
+    rise, fall = min(rng.uniform(0.5, 2.0), 0.2 * span_s), min(0.5, 0.1 * span_s)
+    top, end = start_s + rise, start_s + 0.95 * span_s
+    press = Segment(start_s, top, Mode.FORCE, (0.0, rise), (0.0, force))
+    release = Segment(end - fall, end, Mode.FORCE, (0.0, fall), (force, 0.0))
+    return [press, _hold(rng, top, end - fall, force), release]
+
+
+def staircase(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a force that climbs from 0 to as much as 1 N and back, held on every step."""
+    steps = int(rng.integers(3, 8))
+    up = np.sort(rng.uniform(0.05, 1.0, steps))
+    down = np.sort(rng.uniform(0.0, up[-1], steps - 1))[::-1]
+    levels = np.concatenate([up, down, [0.0]])
+    shares = rng.uniform(0.6, 1.4, len(levels))
+    starts = 0.97 * span_s * np.append(0.0, np.cumsum(shares)) / shares.sum()
+    rises = np.minimum(rng.uniform(0.1, 1.0, len(levels)), 0.5 * np.diff(starts))
+    times, values = [0.0], [0.0]
+    for level, begin, rise, end in zip(levels, starts, rises, starts[1:], strict=False):
+        times += [float(begin + rise), float(0.999 * end)]
+        values += [float(level), float(level)]
+    tones = tremor(rng, 0.5 * up[-1])
+    last = start_s + times[-1]
+    return [Segment(start_s, last, Mode.FORCE, tuple(times), tuple(values), tones)]
+
+
+def vibration(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a press whose indenter vibrates at one frequency between 50 and 250 Hz.
+
+    Its place is commanded, as a stiff shaker would do, so the force follows from the layer.
+    """
+    depth = rng.uniform(*VIBRATION_DEPTH_MM)
+    low, high = VIBRATION_MM
+    tone = Tone(low * (high / low) ** rng.random(), rng.uniform(*VIBRATION_HZ), 0.0, 0.05)
+    rise = min(0.3, 0.1 * span_s)
+    top, end = start_s + rise, start_s + 0.9 * span_s
+    return [
+        Segment(start_s, top, Mode.POSITION, (0.0, rise), (-0.1, depth)),
+        Segment(top, end - rise, Mode.POSITION, (0.0,), (depth,), (tone,)),
+        Segment(end - rise, end, Mode.POSITION, (0.0, rise), (depth, -0.3)),
+    ]
+
+
+def _hold(rng: Generator, start_s: float, end_s: float, force_n: float) -> Segment:
+    """Return a hold of the force or, as often, of the position, in which the force relaxes."""
+    if rng.random() < 0.5:
+        return Segment(start_s, end_s, Mode.HOLD)
+    return Segment(start_s, end_s, Mode.FORCE, (0.0,), (force_n,), tremor(rng, force_n))
+
+
+DEMO_MINIMUM_S = 10.0
+"""Shortest demo [s]."""
+
+
+def make_profile(
+    name: str,
+    seed: int,
+    duration_s: float,
+    *,
+    sync: bool | None = None,
+    preset: Preset = EASY,
+) -> Profile:
+    """Return a profile: the same for the same arguments.
+
+    Args:
+        name: ``idle``, ``press`` (press and hold), ``oscillation`` (2-5 Hz), ``impact`` (20 g from
+            5 cm, bounces, hold), ``dynamic`` (all paces between 0 and 1 N), ``static`` (steps
+            and ramps between 0 and 1 N; one long hold at ``easy``), ``long_term`` (one long
+            hold), ``vibration`` (50 to 250 Hz) or ``demo`` (a bit of everything).
+        seed: Fixes every random choice.
+        duration_s: Length [s]; at least 10 for ``demo``.
+        sync: Begin and end with a synchronising impulse; by default only ``demo`` does.
+        preset: How hard the sensor is: what presses, and whether ``static`` has steps.
+
+    Raises:
+        SimulationError: Unknown name, or a duration too short for what is asked.
+    """
+    if name not in PROFILES:
+        msg = f'profile {name!r} is unknown; choose one of {", ".join(sorted(PROFILES))}'
+        raise SimulationError(msg)
+    synced = name == 'demo' if sync is None else sync
+    shortest = DEMO_MINIMUM_S if name == 'demo' else 0.5 + 2.0 * SYNC_SPAN_S * synced
+    if duration_s < shortest:
+        msg = f'profile {name!r} of {duration_s} s is too short; give at least {shortest} s'
+        raise SimulationError(msg)
+    rng = stream(seed, f'profile {name}')
+    margin = SYNC_SPAN_S if synced else 0.0
+    steps = name == 'static' and preset.contact.staircase
+    make_body = staircase if steps else PROFILES[name]
+    body = make_body(rng, margin, duration_s - 2.0 * margin)
+    tool = _draw_indenter(seed, preset)
+    if not synced:
+        return Profile(name, duration_s, _with(tool, body))
+    first, first_s = sync_impulse(rng, 0.0)
+    last, last_s = sync_impulse(rng, duration_s - SYNC_SPAN_S)
+    return Profile(name, duration_s, _with(tool, first + body + last), (first_s, last_s))
+
+
+def _draw_indenter(seed: int, preset: Preset) -> Indenter:
+    """Return what presses in a trial."""
+    names = preset.contact.indenters
+    return INDENTERS[names[int(stream(seed, 'indenter').integers(len(names)))]]
+
+
+def _with(tool: Indenter, segments: list[Segment]) -> tuple[Segment, ...]:
+    """Return segments with another indenter in place of the hemisphere; weights stay."""
+    if tool is HEMISPHERE:
+        return tuple(segments)
+    return tuple(
+        replace(segment, indenter=tool) if segment.indenter is HEMISPHERE else segment
+        for segment in segments
+    )
+
+
+def _idle(_rng: Generator, _start_s: float, _span_s: float) -> list[Segment]:
+    return []
+
+
+def _repeated(
+    gesture: Callable[[Generator, float, float], list[Segment]], shortest: float, longest: float
+) -> Callable[[Generator, float, float], list[Segment]]:
+    """Return a body that repeats a gesture, each time with a new length."""
+
+    def body(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+        segments: list[Segment] = []
+        now, end = start_s + min(0.3, 0.1 * span_s), start_s + span_s
+        while end - now > 0.3:
+            length = min(rng.uniform(shortest, longest), end - now)
+            segments += gesture(rng, now, length)
+            now += length
+        return segments
+
+    return body
+
+
+def _dynamic(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Mix wandering, swinging and pressing."""
+    gestures = (wander, wander, oscillation, press_and_hold)
+
+    def any_gesture(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+        chosen = gestures[int(rng.integers(len(gestures)))] if span_s > 1.2 else press_and_hold
+        return chosen(rng, start_s, span_s)
+
+    return _repeated(any_gesture, 2.0, 5.0)(rng, start_s, span_s)
+
+
+def _demo(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return quiet, press and hold, oscillation, drop with hold, quiet."""
+    shares = (('quiet', 0.06), ('press', 0.28), ('swing', 0.3), ('drop', 0.32), ('quiet', 0.04))
+    gestures = {'press': press_and_hold, 'swing': oscillation, 'drop': drop}
+    segments: list[Segment] = []
+    now = start_s
+    for kind, share in shares:
+        if kind in gestures:
+            segments += gestures[kind](rng, now, share * span_s)
+        now += share * span_s
+    return segments
+
+
+PROFILES: dict[str, Callable[[Generator, float, float], list[Segment]]] = {
+    'idle': _idle,
+    'press': _repeated(press_and_hold, 1.5, 4.0),
+    'oscillation': _repeated(oscillation, 3.0, 6.0),
+    'impact': _repeated(drop, 2.0, 3.5),
+    'dynamic': _dynamic,
+    'static': long_hold,
+    'long_term': long_hold,
+    'vibration': _repeated(vibration, 2.0, 4.0),
+    'demo': _demo,
+}
+"""Bodies of the profiles by name: (random stream, start [s], span [s]) -> segments."""

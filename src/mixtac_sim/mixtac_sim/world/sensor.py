@@ -1,0 +1,374 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The whole tactile sensor: contact, beads, pixels and frames, advanced in true time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_events.arrays import Events
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US, PIXELS, STEP_US, cut_block
+from mixtac_sim.mechanics.contact import Contact
+from mixtac_sim.mechanics.elastomer import Layer, Shear, force_law
+from mixtac_sim.optics.beads import BeadMotion
+from mixtac_sim.optics.renderer import MeshMotion, Renderer
+from mixtac_sim.optics.scene import build_scene, draw_flicker
+from mixtac_sim.pixels.aps import Aps, ApsFrame, ApsSettings
+from mixtac_sim.pixels.biases import PixelSettings
+from mixtac_sim.pixels.dvs import Dvs
+from mixtac_sim.pixels.noise import NoiseSource, Readout
+from mixtac_sim.random_streams import BlockStreams, stream
+from mixtac_sim.world.device import Conditions, DeviceModel, draw_conditions, draw_device
+from mixtac_sim.world.effects import EASY
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_sim.world.effects import Preset
+    from mixtac_sim.world.profiles import CommandSource
+
+    _Contact = tuple[NDArray[np.void], NDArray[np.int64], NDArray[np.float64]]
+    _Taken = tuple[Events, list[ApsFrame], NDArray[np.void], NDArray[np.int64], NDArray[np.float64]]
+
+
+TRUTH_DTYPE = np.dtype(
+    [('t_us', 'i8'), ('fx', 'f8'), ('fy', 'f8'), ('fz', 'f8'), ('depth_mm', 'f8')]
+)
+"""Truth at 1 kHz: true time [us], force on the skin [N] (right, down, normal), dent [mm]."""
+TRUTH_EVERY = 8
+"""Grid steps per row of truth."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContactBlock:
+    """Contact over one block; entry k is the state at the end of grid step k.
+
+    Attributes:
+        t_us: True time [32] [us].
+        wrench: Force [N] and torque about the sensor's centre [Nm] [32, 6].
+        depth_mm: Dent [32] [mm].
+        elastic_n: Elastic part of the normal force [32] [N].
+        shear_mm: Shear displacement [32, 2] [mm].
+        indenter: Indenter of each step [32].
+        travel_px: Motion of the fastest bead in each step [32] [px].
+        longest: The most grid steps that may be taken at once.
+    """
+
+    t_us: NDArray[np.int64]
+    wrench: NDArray[np.float64]
+    depth_mm: NDArray[np.float64]
+    elastic_n: NDArray[np.float64]
+    shear_mm: NDArray[np.float64]
+    indenter: NDArray[np.int8]
+    travel_px: NDArray[np.float64]
+    longest: int
+
+    def truth(self) -> NDArray[np.void]:
+        """Return the rows of truth in the block [4], ``TRUTH_DTYPE``."""
+        rows = np.zeros(BLOCK_STEPS // TRUTH_EVERY, TRUTH_DTYPE)
+        chosen = slice(TRUTH_EVERY - 1, None, TRUTH_EVERY)
+        rows['t_us'] = self.t_us[chosen]
+        for axis, name in enumerate(('fx', 'fy', 'fz')):
+            rows[name] = self.wrench[chosen, axis]
+        rows['depth_mm'] = self.depth_mm[chosen]
+        return rows
+
+
+class Touch:
+    """The mechanical side of a trial, block by block.
+
+    Args:
+        device: The sensor.
+        conditions: Of the trial.
+        profile: What touches it.
+        preset: How it slips.
+    """
+
+    def __init__(
+        self,
+        device: DeviceModel,
+        conditions: Conditions,
+        profile: CommandSource,
+        preset: Preset = EASY,
+    ) -> None:
+        layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
+        tools = profile.indenters
+        self._profile = profile
+        self._laws = [
+            force_law(layer, tool, device.mesh_n_per_mm, device.stiffening) for tool in tools
+        ]
+        self._contact = Contact(self._laws, [tool.mass_g for tool in tools], device.prony)
+        slip = preset.contact
+        self._shear = Shear(
+            layer,
+            device.friction * conditions.friction,
+            conditions.lean,
+            slip.friction_load,
+            partial_slip=slip.partial_slip,
+        )
+        self._place = conditions.contact_mm
+        self._last: tuple[float, NDArray[np.float64]] = (0.0, np.zeros(2))
+        self.beads = BeadMotion(device, layer, conditions.contact_mm, tools, self._laws)
+
+    def block(self, index: int) -> ContactBlock:
+        """Return the contact over block ``index``; blocks must be asked for in order."""
+        first = index * BLOCK_STEPS
+        modes, targets, tools = self._profile.commands(first, BLOCK_STEPS)
+        path = self._contact.advance(modes, targets, tools)
+        radius = np.empty(BLOCK_STEPS)
+        for tool in np.unique(tools):
+            radius[tools == tool] = self._laws[tool].radius_at(path.elastic_n[tools == tool])
+        shear_mm, pull = self._shear.at(path.force_n, path.depth_mm, radius)
+        travel = self._travel(tools, path.elastic_n, shear_mm)
+        self._last = (float(path.elastic_n[-1]), shear_mm[-1])
+        t_us = (np.arange(first, first + BLOCK_STEPS, dtype=np.int64) + 1) * STEP_US
+        wrench = self._wrench(pull, path.force_n)
+        longest = self._profile.longest_step(first, BLOCK_STEPS)
+        return ContactBlock(
+            t_us, wrench, path.depth_mm, path.elastic_n, shear_mm, tools, travel, longest
+        )
+
+    def _travel(
+        self,
+        tools: NDArray[np.int8],
+        elastic_n: NDArray[np.float64],
+        shear_mm: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return the motion of the fastest bead per step [px]."""
+        tool = int(tools[-1])
+        reach = self.beads.reach_px(tool, np.append(self._last[0], elastic_n))
+        slide = np.diff(np.vstack([self._last[1], shear_mm]), axis=0)
+        across = self.beads.px_per_mm * np.hypot(slide[:, 0], slide[:, 1])
+        return np.asarray(np.abs(np.diff(reach)) + across)
+
+    def _wrench(
+        self, pull: NDArray[np.float64], force_n: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return force and torque of a push at the contact point."""
+        x, y = (1e-3 * place for place in self._place)
+        torque_z = x * pull[:, 1] - y * pull[:, 0]
+        columns = (pull[:, 0], pull[:, 1], force_n, y * force_n, -x * force_n, torque_z)
+        return np.stack(columns, axis=1)
+
+
+class Outbox:
+    """Output that is ready but may not be due; all times are true time [us].
+
+    Attributes:
+        frames: Frames in order of their ends; append to it.
+    """
+
+    def __init__(self) -> None:
+        self.frames: list[ApsFrame] = []
+        self._events: list[Events] = []
+        self._truth = [np.empty(0, TRUTH_DTYPE)]
+        self._times = [np.empty(0, np.int64)]
+        self._wrenches = [np.empty((0, 6))]
+
+    def put(self, events: Events, contact: ContactBlock) -> None:
+        """Add the events and the contact of a block."""
+        self._events.append(events)
+        self._truth.append(contact.truth())
+        self._times.append(contact.t_us)
+        self._wrenches.append(contact.wrench)
+
+    def take(self, until_us: int) -> _Taken:
+        """Return and forget events, frames, truth, wrench times and wrenches before a time."""
+        frames = [frame for frame in self.frames if frame.frame_end_us < until_us]
+        self.frames = self.frames[len(frames) :]
+        return (self._take_events(until_us), frames, *self._take_contact(until_us))
+
+    def _take_events(self, until_us: int) -> Events:
+        events = Events.concatenate(self._events)
+        split = int(np.searchsorted(events.t, until_us))
+        self._events = [events[split:]]
+        return events[:split]
+
+    def _take_contact(self, until_us: int) -> _Contact:
+        truth, times = np.concatenate(self._truth), np.concatenate(self._times)
+        wrenches = np.concatenate(self._wrenches)
+        row = int(np.searchsorted(truth['t_us'], until_us))
+        split = int(np.searchsorted(times, until_us))
+        self._truth, self._times = [truth[row:]], [times[split:]]
+        self._wrenches = [wrenches[split:]]
+        return truth[:row], times[:split], wrenches[:split]
+
+
+__all__ = [
+    'TRUTH_DTYPE',
+    'ApsFrame',
+    'ApsSettings',
+    'PixelSettings',
+    'SensorOutput',
+    'TactileSensor',
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorOutput:
+    """What happened since the last call; every time is true time [us] since the trial's start.
+
+    Attributes:
+        events: Events that left the chip, sorted.
+        frames: Frames whose readout ended.
+        truth: Force and dent at 1 kHz, ``TRUTH_DTYPE``.
+        wrench_us: Times of ``wrench`` [n], int64, at 8 kHz.
+        wrench: Force [N] and torque [Nm] on the sensor [n, 6], for the reference sensor.
+    """
+
+    events: Events
+    frames: list[ApsFrame]
+    truth: NDArray[np.void]
+    wrench_us: NDArray[np.int64]
+    wrench: NDArray[np.float64]
+
+
+class TactileSensor:
+    """A simulated sensor in a trial.
+
+    Output depends on the seeds, profile and settings alone, not on how often it is advanced.
+
+    Args:
+        device_seed: What a rebuild of the sensor would change.
+        trial_seed: What another day would change.
+        profile: What touches the sensor; after its end nothing does.
+        aps: When frames are taken.
+        pixels: Settings of the DVS pixels of a nominal chip.
+        preset: How hard the sensor is.
+
+    Attributes:
+        device: The sensor's constants.
+    """
+
+    def __init__(
+        self,
+        device_seed: int,
+        trial_seed: int,
+        profile: CommandSource,
+        aps: ApsSettings | None = None,
+        pixels: PixelSettings | None = None,
+        *,
+        preset: Preset = EASY,
+    ) -> None:
+        self._conditions = draw_conditions(trial_seed, preset)
+        self.device: DeviceModel = _on_day(draw_device(device_seed, preset), self._conditions)
+        self._touch = Touch(self.device, self._conditions, profile, preset)
+        self._renderer = Renderer(self.device.markers.opacity)
+        settings = aps or ApsSettings(exposure_us=round(7_000 * self._conditions.exposure))
+        self._aps = Aps(self.device.seed, trial_seed, self.device.dn_per_lux_ms, settings)
+        self._build_pixels(trial_seed, pixels or PixelSettings())
+        self._flicker = draw_flicker(trial_seed, preset.light)
+        self._dvs.light_by(self._flicker)
+        moves = preset.optics.mesh_moves
+        self._mesh = MeshMotion(self.device, self._conditions.contact_mm) if moves else None
+        speed = preset.bandwidth
+        self._readout = Readout(speed.service_ns, speed.latency_ns, speed.jitter_ns)
+        self._latency = BlockStreams(trial_seed, 'event latency')
+        self._block = 0
+        self._now_us = 0
+        self._outbox = Outbox()
+
+    def _build_pixels(self, trial_seed: int, nominal: PixelSettings) -> None:
+        """Let the pixels settle on the beads at rest."""
+        device, settings = self.device, self.device.pixel_settings(nominal)
+        rng = stream(trial_seed, 'pixel state')
+        self._dvs = Dvs(device.scene, device.spread, settings, rng)
+        self._renderer.draw(self._touch.beads.place(0, 0.0, (0.0, 0.0)))
+        self._dvs.settle(self._renderer.cover)
+        self._trial_seed = trial_seed
+        self._rest_light = self._dvs.light.ravel()[:PIXELS]
+        self._noise = self._noise_source(settings)
+
+    def _noise_source(self, settings: PixelSettings) -> NoiseSource:
+        device = self.device
+        return NoiseSource(
+            self._rest_light, settings, device.spread, device.frame_burst, self._trial_seed
+        )
+
+    @property
+    def events_lost(self) -> int:
+        """Return how many events pixels and readout had to drop so far."""
+        return self._dvs.lost + self._readout.lost
+
+    def configure_pixels(self, nominal: PixelSettings) -> None:
+        """Change the DVS settings from the next block of 4 ms on, as new biases would."""
+        settings = self.device.pixel_settings(nominal)
+        self._dvs.configure(settings)
+        self._noise = self._noise_source(settings)
+
+    def configure_aps(self, settings: ApsSettings) -> None:
+        """Change the frame settings from the next exposure that has not begun."""
+        self._aps.configure(settings)
+
+    def advance(self, until_us: int) -> SensorOutput:
+        """Return what happened from the last call's time to before ``until_us``.
+
+        Args:
+            until_us: True time since the trial's start [us], not before the last call's.
+
+        Raises:
+            SimulationError: Time would run backwards.
+        """
+        if until_us < self._now_us:
+            msg = f'cannot advance to {until_us} us: already at {self._now_us} us; ask for later'
+            raise SimulationError(msg)
+        self._now_us = until_us
+        while self._block * BLOCK_US < until_us:
+            self._run_block()
+        return SensorOutput(*self._outbox.take(until_us))
+
+    def _run_block(self) -> None:
+        """Compute the next 4 ms."""
+        index, start_us = self._block, self._block * BLOCK_US
+        contact = self._touch.block(index)
+        bursts = self._aps.disturbances_us(start_us, start_us + BLOCK_US)
+        first = 0
+        for last in cut_block(contact.travel_px, min(contact.longest, self._flicker.longest_step)):
+            self._step(contact, start_us, first, last)
+            first = last
+        noise = self._noise.block(index, 1000 * BLOCK_US, [1000 * (t - start_us) for t in bursts])
+        keys = np.concatenate([self._dvs.take(), noise])
+        rng = self._latency.block(index)
+        events = self._readout.read(keys, 1000 * start_us, 1000 * BLOCK_US, rng)
+        self._outbox.put(events, contact)
+        self._block += 1
+
+    def _step(self, contact: ContactBlock, block_us: int, first: int, last: int) -> None:
+        """Advance pixels and frames over some grid steps of a block."""
+        start_us, end_us = block_us + first * STEP_US, block_us + last * STEP_US
+        self._aps.expose_before(self._dvs.light, start_us, end_us)
+        k = last - 1
+        shear = (float(contact.shear_mm[k, 0]), float(contact.shear_mm[k, 1]))
+        spots = self._touch.beads.place(
+            int(contact.indenter[k]), float(contact.elastic_n[k]), shear
+        )
+        renderer = self._renderer
+        renderer.draw(spots)
+        if self._mesh is not None:
+            self._mesh.show(self._dvs, renderer.dirty, float(contact.elastic_n[k]))
+        self._dvs.step(
+            renderer.cover, renderer.dirty, 1000 * start_us, 1000 * end_us, 1000 * block_us
+        )
+        self._aps.expose_after(self._dvs.light, start_us, end_us)
+        frame = self._aps.finish(end_us, self._brightness(end_us))
+        if frame is not None:
+            self._outbox.frames.append(frame)
+
+    def _brightness(self, now_us: int) -> float:
+        """Return the lamps' light over the device's, during the exposure that may end now."""
+        day = self._conditions
+        steady = day.light * (1.0 + day.light_drift_per_s * 1e-6 * now_us)
+        start_us, end_us = self._aps.exposure_us
+        return steady if end_us > now_us else steady * self._flicker.mean(start_us, end_us)
+
+
+def _on_day(device: DeviceModel, conditions: Conditions) -> DeviceModel:
+    """Return a device with its camera where it is on the day of the trial."""
+    lens = conditions.lens(device.lens)
+    if lens == device.lens:
+        return device
+    return replace(device, lens=lens, scene=build_scene(lens, device.lighting))

@@ -1,0 +1,197 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""One simulated trial: all at once (`simulate_trial`), or stretch by stretch (`TrialStream`).
+
+Streaming needs little memory however long the trial is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mixtac_sim.grids import HEIGHT, WIDTH
+from mixtac_sim.random_streams import stream
+from mixtac_sim.world.device import draw_conditions
+from mixtac_sim.world.effects import EASY, preset
+from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
+from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.sensor import SensorOutput, TactileSensor
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
+    from mixtac_recordings.dataset import TrialSpec
+    from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
+    from mixtac_sim.pixels.biases import PixelSettings
+    from mixtac_sim.usb.words import ImuReading
+    from mixtac_sim.world.effects import Preset
+    from mixtac_sim.world.instruments import ReferenceSamples
+    from mixtac_sim.world.profiles import Profile
+
+
+TRANSFER_US = (300, 1_500)
+"""Range of the time from a frame's end to its arrival at the host [us] (estimate)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """Everything of one trial; unless said otherwise, times are camera time [us] = true time.
+
+    Attributes:
+        profile: What was commanded.
+        events: Events, sorted.
+        frames: Intensity of each frame [n, 260, 346], uint16, 0 to 1023 DN.
+        exposure_start_us: When each exposure began [n], int64.
+        exposure_end_us: When it ended [n], int64.
+        arrival_us: When the host had the frame [n], int64.
+        truth: Force and dent at 1 kHz, ``TRUTH_DTYPE``.
+        reference_t_us: Stamps of the reference sensor on its own clock [m] [us], int64.
+        reference_wrench: Its readings [m, 6] [N, Nm].
+        clock: True map to the reference clock (a, b): t_ref = a * t_camera + b [us].
+        reference_delay_us: Delay of its readings behind their stamps [us].
+    """
+
+    profile: Profile
+    events: Events
+    frames: NDArray[np.uint16]
+    exposure_start_us: NDArray[np.int64]
+    exposure_end_us: NDArray[np.int64]
+    arrival_us: NDArray[np.int64]
+    truth: NDArray[np.void]
+    reference_t_us: NDArray[np.int64]
+    reference_wrench: NDArray[np.float64]
+    clock: tuple[float, float]
+    reference_delay_us: float
+
+
+def simulate_trial(
+    device_seed: int,
+    trial_seed: int,
+    profile_name: str,
+    duration_s: float,
+    *,
+    sync: bool | None = None,
+    aps: ApsSettings | None = None,
+    pixels: PixelSettings | None = None,
+    preset: Preset = EASY,
+) -> Trial:
+    """Return a simulated trial; the same for the same arguments.
+
+    Args:
+        device_seed: What a rebuild of the sensor would change.
+        trial_seed: What another day would change; also draws the profile.
+        profile_name: As in ``make_profile``.
+        duration_s: Length [s].
+        sync: Synchronising impulses, as in ``make_profile``.
+        aps: When frames are taken.
+        pixels: Settings of the DVS pixels.
+        preset: How hard the sensor is.
+
+    Raises:
+        SimulationError: Unknown profile or a duration that is too short for it.
+    """
+    profile = make_profile(profile_name, trial_seed, duration_s, sync=sync, preset=preset)
+    sensor = TactileSensor(device_seed, trial_seed, profile, aps, pixels, preset=preset)
+    output = sensor.advance(round(1e6 * duration_s))
+    return _assemble(profile, output, trial_seed, preset)
+
+
+def _assemble(profile: Profile, output: SensorOutput, trial_seed: int, preset: Preset) -> Trial:
+    """Return the trial of a sensor's output, with the reference sensor's readings."""
+    reference = ReferenceSensor(trial_seed, preset=preset)
+    samples = reference.process(output.wrench_us, output.wrench)
+    frames = output.frames
+    ends = np.array([frame.frame_end_us for frame in frames], np.int64)
+    transfer = stream(trial_seed, 'frame transfer').integers(*TRANSFER_US, len(frames))
+    return Trial(
+        profile=profile,
+        events=output.events,
+        frames=_images(frames),
+        exposure_start_us=np.array([frame.exposure_start_us for frame in frames], np.int64),
+        exposure_end_us=np.array([frame.exposure_end_us for frame in frames], np.int64),
+        arrival_us=ends + transfer,
+        truth=output.truth,
+        reference_t_us=np.round(samples.t_ns / 1000).astype(np.int64),
+        reference_wrench=samples.wrench,
+        clock=(1.0 + 1e-6 * reference.drift_ppm, 1e6 * reference.offset_s),
+        reference_delay_us=1e6 * reference.delay_s,
+    )
+
+
+def _images(frames: list[ApsFrame]) -> NDArray[np.uint16]:
+    """Return the intensities of frames as one array."""
+    images = np.empty((len(frames), HEIGHT, WIDTH), np.uint16)
+    for image, frame in zip(images, frames, strict=True):
+        image[:] = frame.intensity
+    return images
+
+
+STRETCH_US: Final = 100_000
+IMU_INTERVAL_US: Final = 1_000
+"""The camera's default: 1 kHz."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """What happened in a stretch of a trial; true time [us] unless said otherwise.
+
+    Attributes:
+        start_us: Its start.
+        end_us: Its end.
+        sensor: Events, frames, truth.
+        readings: Inertial samples.
+        reference: Samples of the reference sensor, on its own clock.
+    """
+
+    start_us: int
+    end_us: int
+    sensor: SensorOutput
+    readings: list[ImuReading]
+    reference: ReferenceSamples
+
+
+class TrialStream:
+    """Simulates a trial, stretch by stretch.
+
+    Args:
+        spec: The trial.
+
+    Attributes:
+        spec: The trial.
+        profile: What touches the sensor.
+        contact_mm: Where, from the optical axis [mm].
+        reference: The reference force sensor, with its clock.
+        sensor: The tactile sensor.
+
+    Raises:
+        SimulationError: Unknown profile or preset, or a duration too short for the profile.
+    """
+
+    def __init__(self, spec: TrialSpec) -> None:
+        self.spec, hardness = spec, preset(spec.preset)
+        self.profile = make_profile(
+            spec.profile, spec.trial_seed, spec.seconds, sync=True, preset=hardness
+        )
+        self.sensor = TactileSensor(
+            spec.device_seed, spec.trial_seed, self.profile, preset=hardness
+        )
+        self.contact_mm = draw_conditions(spec.trial_seed, hardness).contact_mm
+        self.reference = ReferenceSensor(spec.trial_seed, preset=hardness)
+        self._inertial = InertialUnit(spec.trial_seed)
+
+    def stretches(self) -> Iterator[Stretch]:
+        """Yield the stretches in order; only once."""
+        last_us = round(1e6 * self.spec.seconds)
+        for start_us in range(0, last_us, STRETCH_US):
+            end_us = min(start_us + STRETCH_US, last_us)
+            output = self.sensor.advance(end_us)
+            samples = self.reference.process(output.wrench_us, output.wrench)
+            self._inertial.feel(output.wrench_us, output.wrench)
+            readings = self._inertial.readings(end_us, IMU_INTERVAL_US)
+            yield Stretch(start_us, end_us, output, readings, samples)

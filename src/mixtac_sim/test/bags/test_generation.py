@@ -1,0 +1,169 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Data sets made in parallel, cut off and continued."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+
+from mixtac_recordings.dataset import DatasetDescription
+from mixtac_recordings.recording import BagError
+from mixtac_sim.bags import generation
+from mixtac_sim.bags.generation import generate
+from mixtac_sim.bags.trial_bag import UNFINISHED, is_finished
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.world.datasets import describe, plan_profile
+
+
+def description(trials=3, seconds=2.6):
+    planned = plan_profile('idle', trials, seconds, preset='easy')
+    return describe('idle', 0, 'easy', 'trial', planned)
+
+
+def contents(folder):
+    return {
+        path.relative_to(folder): path.read_bytes() for path in folder.rglob('*') if path.is_file()
+    }
+
+
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory):
+    """Return a data set that was made in one go, in this process."""
+    folder = tmp_path_factory.mktemp('whole')
+    assert generate(description(), folder) == 3
+    return folder
+
+
+def test_a_data_set_is_its_bags_and_its_description(whole):
+    names = {path.name for path in whole.iterdir()}
+    assert names == {'dataset.yaml', 'trial_000', 'trial_001', 'trial_002'}
+    assert DatasetDescription.read(whole).complete
+
+
+@pytest.mark.parametrize('backend', ['loky', 'dask'])
+def test_processes_write_the_same_bytes(whole, tmp_path, backend):
+    if backend == 'dask':
+        pytest.importorskip('dask.distributed', reason='dask[distributed] is an optional extra')
+    steps = []
+    made = generate(
+        description(),
+        tmp_path,
+        jobs=2,
+        backend=backend,
+        on_progress=lambda done, total: steps.append((done, total)),
+    )
+    assert made == 3
+    assert steps == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert contents(tmp_path) == contents(whole)
+
+
+def test_a_killed_run_goes_on_where_it_was(whole, tmp_path):
+    code = (
+        'from pathlib import Path\n'
+        'from mixtac_sim.bags.generation import generate\n'
+        'from mixtac_sim.world.datasets import describe\n'
+        'from mixtac_sim.world.datasets import plan_profile\n'
+        "planned = plan_profile('idle', 3, 2.6, preset='easy')\n"
+        "plan = describe('idle', 0, 'easy', 'trial', planned)\n"
+        f'generate(plan, Path({str(tmp_path)!r}))\n'
+    )
+    process = subprocess.Popen([sys.executable, '-c', code])
+    deadline = time.monotonic() + 120
+    try:
+        while not is_finished(tmp_path, 'trial_000') and time.monotonic() < deadline:
+            assert process.poll() is None
+            time.sleep(0.005)
+        process.send_signal(signal.SIGKILL)
+    finally:
+        process.kill()
+        process.wait()
+    assert not DatasetDescription.read(tmp_path).complete
+    kept = (tmp_path / 'trial_000' / 'trial_000.mcap').stat().st_mtime_ns
+    missing = sum(not is_finished(tmp_path, f'trial_00{index}') for index in range(3))
+    assert missing
+    assert generate(description(), tmp_path) == missing
+    assert (tmp_path / 'trial_000' / 'trial_000.mcap').stat().st_mtime_ns == kept
+    assert contents(tmp_path) == contents(whole)
+
+
+def test_a_half_written_bag_is_made_anew(whole, tmp_path):
+    half = tmp_path / UNFINISHED / 'trial_000'
+    half.mkdir(parents=True)
+    (half / 'trial_000.mcap').write_bytes(b'half')
+    one = replace(description(), trials=description().trials[:1])
+    one.write(tmp_path)
+    assert generate(one, tmp_path) == 1
+    assert (
+        contents(tmp_path)[(tmp_path / 'trial_000' / 'trial_000.mcap').relative_to(tmp_path)]
+        == (contents(whole)[(whole / 'trial_000' / 'trial_000.mcap').relative_to(whole)])
+    )
+    assert not (tmp_path / UNFINISHED).exists()
+
+
+def test_a_finished_data_set_is_left_alone(whole):
+    before = contents(whole)
+    assert generate(description(), whole) == 0
+    assert contents(whole) == before
+
+
+def test_another_data_set_or_other_files_are_not_touched(whole, tmp_path):
+    with pytest.raises(BagError, match='other trials'):
+        generate(description(trials=2), whole)
+    (tmp_path / 'notes.txt').write_text('mine')
+    with pytest.raises(BagError, match='not empty'):
+        generate(description(), tmp_path)
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path):
+    handle = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    try:
+        with pytest.raises(BagError, match='another run'):
+            generate(description(), tmp_path)
+    finally:
+        os.close(handle)
+
+
+def test_what_cannot_be_simulated_leaves_nothing_behind(tmp_path):
+    wrong = description(trials=1)
+    wrong = replace(wrong, trials=(replace(wrong.trials[0], seconds=1.0),))
+    with pytest.raises(SimulationError, match='too short'):
+        generate(wrong, tmp_path)
+    assert not is_finished(tmp_path, 'trial_000')
+
+
+def test_a_full_disk_is_named(tmp_path, monkeypatch):
+    def full(*_args, **_kwargs):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr('mixtac_sim.bags.trial_bag.Writer', full)
+    with pytest.raises(BagError, match='No space left'):
+        generate(description(trials=1), tmp_path)
+
+
+def test_an_unknown_backend_is_refused(tmp_path):
+    with pytest.raises(BagError, match='loky, dask'):
+        generate(description(trials=1), tmp_path, backend='ray')
+
+
+def test_dask_that_is_missing_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'dask.distributed', None)
+    with pytest.raises(BagError, match='pip install'):
+        generate(description(trials=1), tmp_path, backend='dask')
+
+
+def test_a_killed_worker_is_an_expected_failure(tmp_path, monkeypatch):
+    def killed(*_args, **_kwargs):
+        raise generation.TerminatedWorkerError('gone')
+
+    monkeypatch.setattr(generation, 'write_trial', killed)
+    with pytest.raises(BagError, match='fewer jobs'):
+        generate(description(trials=1), tmp_path)

@@ -1,0 +1,343 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What the joints of an arm may do, and checks of a joint state.
+
+Limits of position, velocity, acceleration, jerk and torque of each joint; checks of ranges, speeds,
+workspace and distance to singularities.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.errors import ArmError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VelocityEnvelope:
+    r"""Velocity limits that fall towards the end of a joint's range.
+
+    Towards the upper end: :math:`\max(0, -c + \sqrt{\max(0, k (q^+ - q))})`; mirrored below.
+
+    Attributes:
+        offset: c (n,) [rad/s].
+        slope: k (n,) [rad/s2].
+        upper: Position at the upper end (n,) [rad].
+        lower: Position at the lower end (n,) [rad].
+    """
+
+    offset: Floats
+    slope: Floats
+    upper: Floats
+    lower: Floats
+
+    def bounds(self, q: Floats) -> tuple[Floats, Floats]:
+        """Return the lowest and the highest velocity (n,) [rad/s] at joint positions (n,)."""
+        high = np.sqrt(np.maximum(0.0, self.slope * (self.upper - q))) - self.offset
+        low = np.sqrt(np.maximum(0.0, self.slope * (q - self.lower))) - self.offset
+        return -np.maximum(0.0, low), np.maximum(0.0, high)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointLimits:
+    """Limits of each joint (n,), and of the tip's translation.
+
+    Attributes:
+        lower: Smallest position [rad].
+        upper: Largest position [rad].
+        velocity: Largest speed [rad/s].
+        acceleration: Largest acceleration [rad/s2].
+        jerk: Largest jerk [rad/s3].
+        torque: Largest torque [Nm]; inf where unknown.
+        torque_rate: Largest change of torque [Nm/s]; inf where unknown.
+        envelope: Velocity limits that depend on the position; None without.
+        tip: Largest speed [m/s], acceleration [m/s2] and jerk [m/s3] of the tip.
+    """
+
+    lower: Floats
+    upper: Floats
+    velocity: Floats
+    acceleration: Floats
+    jerk: Floats
+    torque: Floats
+    torque_rate: Floats
+    envelope: VelocityEnvelope | None = None
+    tip: tuple[float, float, float] = (math.inf, math.inf, math.inf)
+
+    def __post_init__(self) -> None:
+        """Refuse limits that allow nothing or belong to different arms.
+
+        Raises:
+            ArmError: Lengths differ, a range is empty or a limit is not positive.
+        """
+        rates = (self.velocity, self.acceleration, self.jerk, self.torque, self.torque_rate)
+        if any(values.shape != self.lower.shape for values in (self.upper, *rates)):
+            raise ArmError('joint limits of different lengths: give one value for each joint')
+        if not (self.lower < self.upper).all():
+            raise ArmError(
+                f'joint positions from {self.lower.tolist()} to {self.upper.tolist()} rad leave a '
+                'joint no room: give lower < upper'
+            )
+        if not all((values > 0.0).all() for values in rates):
+            raise ArmError('a joint limit of velocity, acceleration, jerk or torque is not > 0')
+
+    @classmethod
+    def fr3(cls) -> JointLimits:
+        """Return the limits of the Franka Research 3.
+
+        Positions, speeds and torques: franka_description 1.0; rates and the velocity envelope:
+        libfranka's rate_limiting.h, for system versions from 5.9 on.
+        """
+        envelope = VelocityEnvelope(
+            offset=np.array([0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35]),
+            slope=np.array([12.0, 5.17, 7.00, 8.00, 34.0, 11.0, 34.0]),
+            upper=np.array([2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196]),
+            lower=np.array([-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.54092, -3.0196]),
+        )
+        return cls.from_arm(
+            SerialArm.fr3(),
+            acceleration=10.0,
+            jerk=5000.0,
+            torque_rate=1000.0,
+            envelope=envelope,
+            tip=(3.0, 9.0, 4500.0),
+        )
+
+    @classmethod
+    def from_arm(
+        cls,
+        arm: SerialArm,
+        acceleration: float,
+        jerk: float,
+        torque_rate: float = math.inf,
+        envelope: VelocityEnvelope | None = None,
+        tip: tuple[float, float, float] = (math.inf, math.inf, math.inf),
+    ) -> JointLimits:
+        """Return the limits in an arm's URDF, with the rates that a URDF does not hold.
+
+        Args:
+            arm: Arm read from a URDF.
+            acceleration: Of every joint [rad/s2].
+            jerk: Of every joint [rad/s3].
+            torque_rate: Of every joint [Nm/s].
+            envelope: Velocity limits that depend on the position.
+            tip: Speed [m/s], acceleration [m/s2] and jerk [m/s3] of the tip.
+
+        Raises:
+            ArmError: A limit is missing in the URDF or makes no sense.
+        """
+        velocity = np.array([joint.velocity for joint in arm.joints])
+        if not np.isfinite(velocity).all():
+            raise ArmError(
+                f'the URDF gives no velocity limit for a joint of {", ".join(arm.names)}: add '
+                '<limit velocity="..."/>'
+            )
+        same = np.ones(arm.dof)
+        return cls(
+            lower=np.array([joint.lower for joint in arm.joints]),
+            upper=np.array([joint.upper for joint in arm.joints]),
+            velocity=velocity,
+            acceleration=acceleration * same,
+            jerk=jerk * same,
+            torque=np.array([joint.effort for joint in arm.joints]),
+            torque_rate=torque_rate * same,
+            envelope=envelope,
+            tip=tip,
+        )
+
+    def velocity_bounds(self, q: Floats) -> tuple[Floats, Floats]:
+        """Return the lowest and the highest velocity (n,) [rad/s] at joint positions (n,)."""
+        if self.envelope is None:
+            return -self.velocity, self.velocity
+        low, high = self.envelope.bounds(q)
+        return np.maximum(low, -self.velocity), np.minimum(high, self.velocity)
+
+    def violation(self, q: Floats, names: tuple[str, ...], margin: float = 0.0) -> str | None:
+        """Return which joint is outside its range, in words, or None.
+
+        Args:
+            q: Joint positions (n,) [rad].
+            names: Of the joints.
+            margin: Distance from the ends to keep [rad].
+        """
+        outside = ~((q >= self.lower + margin) & (q <= self.upper - margin))
+        if not outside.any():
+            return None
+        i = int(np.argmax(outside))
+        return (
+            f'{names[i]} at {q[i]:.4f} rad is outside {self.lower[i]:.4f} to {self.upper[i]:.4f} '
+            f'rad less {margin:g}'
+        )
+
+
+class Workspace(Protocol):
+    """A region of space in the frame of the arm's base."""
+
+    def violation(self, position: Floats) -> str | None:
+        """Return why a position (3,) [m] is outside, in words, or None."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoxWorkspace:
+    """A box along the axes of the base frame.
+
+    Attributes:
+        lower: Corner with the smallest coordinates [m].
+        upper: Corner with the largest coordinates [m].
+    """
+
+    lower: Point
+    upper: Point
+
+    def __post_init__(self) -> None:
+        """Refuse an empty box.
+
+        Raises:
+            ArmError: A lower coordinate is not below the upper one.
+        """
+        if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
+            raise ArmError(f'workspace from {self.lower} to {self.upper} m: give lower < upper')
+
+    def violation(self, position: Floats) -> str | None:
+        """Return why a position (3,) [m] is outside, in words, or None."""
+        for axis, value, low, high in zip('xyz', position, self.lower, self.upper, strict=True):
+            if not low <= value <= high:
+                return f'tip at {axis} = {value:.4f} m is outside {low:g} to {high:g} m'
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class SphereWorkspace:
+    """A ball.
+
+    Attributes:
+        centre: Its centre [m].
+        radius: Its radius [m].
+    """
+
+    centre: Point
+    radius: float
+
+    def __post_init__(self) -> None:
+        """Refuse an empty ball.
+
+        Raises:
+            ArmError: The radius is not positive and finite.
+        """
+        if not 0.0 < self.radius < math.inf:
+            raise ArmError(f'workspace radius {self.radius} m: give a positive number')
+
+    def violation(self, position: Floats) -> str | None:
+        """Return why a position (3,) [m] is outside, in words, or None."""
+        distance = math.dist(position, self.centre)
+        if distance <= self.radius:
+            return None
+        return f'tip is {distance:.4f} m from {self.centre} m, farther than {self.radius:g} m'
+
+
+SAME_PLACE_RAD = 1e-4
+"""Joint positions nearer than this to good ones are good: small beside every margin here, and an
+arm that rests reports its positions hundreds of times a second."""
+
+
+class StateChecks:
+    """Finds what is wrong with a joint state.
+
+    Args:
+        arm: The arm.
+        limits: Of its joints.
+        workspace: Where the tip may be; None: anywhere.
+        joint_margin: Distance to the ends of the joints' ranges to keep [rad].
+        speed_share: Of the velocity limits that a measured speed may reach.
+        min_singular: Smallest singular value of the Jacobian allowed, with angles scaled by
+            `length`: below it small motions of the tip need large motions of the joints. The FR3
+            has 0.18 in its ready pose and 0.04 with the elbow stretched.
+        length: What one radian of the tip's orientation counts as [m].
+    """
+
+    def __init__(
+        self,
+        arm: SerialArm,
+        limits: JointLimits,
+        workspace: Workspace | None = None,
+        joint_margin: float = 0.02,
+        speed_share: float = 1.0,
+        min_singular: float = 0.05,
+        length: float = 0.3,
+    ) -> None:
+        self._arm = arm
+        self._limits = limits
+        self._workspace = workspace
+        self._joint_margin = joint_margin
+        self._speed_share = speed_share
+        self._min_singular = min_singular
+        self._scale = np.array([1.0, 1.0, 1.0, length, length, length])[:, None]
+        self._good: Floats | None = None
+
+    def check(self, q: Floats, dq: Floats | None = None) -> str | None:
+        """Return what is wrong, in words, or None.
+
+        Args:
+            q: Joint positions (n,) [rad].
+            dq: Joint velocities (n,) [rad/s]; None: not looked at.
+        """
+        try:
+            values = self._arm.checked(q)
+            speeds = None if dq is None else self._arm.checked(dq)
+        except ArmError as error:
+            return str(error)
+        if speeds is None and self._near_good(values):
+            return None
+        reason = (
+            self._limits.violation(values, self._arm.names, self._joint_margin)
+            or self._too_fast(values, speeds)
+            or self._outside(values)
+            or self._singular(values)
+        )
+        self._good = values.copy() if reason is None else None
+        return reason
+
+    def _near_good(self, q: Floats) -> bool:
+        return self._good is not None and bool(np.abs(q - self._good).max() < SAME_PLACE_RAD)
+
+    def _too_fast(self, q: Floats, dq: Floats | None) -> str | None:
+        if dq is None:
+            return None
+        # At the ends of the range, where the envelope closes, a resting joint is not too fast.
+        low, high = (self._speed_share * b for b in self._limits.velocity_bounds(q))
+        excess = np.maximum(dq - high, low - dq)
+        i = int(np.argmax(excess))
+        if not excess[i] > 0.0:
+            return None
+        return (
+            f'{self._arm.names[i]} moves at {dq[i]:.3f} rad/s, limits {low[i]:.3f}, {high[i]:.3f}'
+        )
+
+    def _outside(self, q: Floats) -> str | None:
+        return (
+            None if self._workspace is None else self._workspace.violation(self._arm.pose(q)[:3, 3])
+        )
+
+    def _singular(self, q: Floats) -> str | None:
+        value = self.singular_value(q)
+        if value >= self._min_singular:
+            return None
+        return (
+            f'the arm is near a singularity: smallest singular value {value:.4f}, at least '
+            f'{self._min_singular:g} wanted; choose another posture'
+        )
+
+    def singular_value(self, q: Floats) -> float:
+        """Return the smallest singular value of the scaled Jacobian at joint positions (n,)."""
+        return float(np.linalg.svd(self._scale * self._arm.jacobian(q), compute_uv=False)[-1])

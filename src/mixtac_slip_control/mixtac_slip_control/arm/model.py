@@ -1,0 +1,143 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The arm that the parameters name: its kinematics, limits, planner, checks and joint order."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.limits import BoxWorkspace, JointLimits, StateChecks
+from mixtac_slip_control.arm.planner import AdvancePlanner
+from mixtac_slip_control.arm.trajectory import settling_trajectory
+from mixtac_slip_control.errors import SlipControlError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
+    from mixtac_slip_control.parameters import SlipControlParameters
+
+
+class JointOrder:
+    """Picks the joints of an arm out of joint states, whatever their order.
+
+    Args:
+        names: Of the arm's joints.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = tuple(names)
+        self._seen: tuple[str, ...] | None = None
+        self._places: tuple[int, ...] | None = None
+
+    def pick(self, names: Sequence[str], positions: Sequence[float]) -> tuple[float, ...] | None:
+        """Return the arm's joint positions [rad], or None where some are missing."""
+        key = tuple(names)
+        if key != self._seen:
+            self._seen = key
+            known = {name: place for place, name in enumerate(key)}
+            complete = all(name in known for name in self._names)
+            self._places = tuple(known[name] for name in self._names) if complete else None
+        if self._places is None or len(positions) < len(key):
+            return None
+        return tuple(float(positions[place]) for place in self._places)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmParts:
+    """What slip control needs of an arm.
+
+    Attributes:
+        arm: Its kinematics.
+        limits: Of its joints.
+        planner: Turns advances into trajectories.
+        checks: Of ranges, workspace and singularities.
+        in_tool: Whether `direction` is in the frame of the last link.
+        direction: Unit vector of the contact normal (3,).
+    """
+
+    arm: SerialArm
+    limits: JointLimits
+    planner: AdvancePlanner
+    checks: StateChecks
+    in_tool: bool
+    direction: NDArray[np.float64]
+
+    def normal(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the contact normal (3,) in the base frame at joint positions [rad]."""
+        if not self.in_tool:
+            return self.direction
+        return np.asarray(self.arm.pose(q)[:3, :3] @ self.direction)
+
+    def check(self, q: Sequence[float]) -> str | None:
+        """Return what is wrong with joint positions [rad], or None."""
+        return self.checks.check(np.asarray(q, np.float64))
+
+    def settling(self, q: Sequence[float], now_s: float, duration_s: float) -> PlannedTrajectory:
+        """Return what leads the controller's command to the measured joint positions [rad]."""
+        return settling_trajectory(self.arm, np.asarray(q, np.float64), now_s, duration_s)
+
+    def warm_up(self) -> None:
+        """Compile (or load) what runs in real time, so that the first trajectory is not late."""
+        middle = 0.5 * (self.limits.lower + self.limits.upper)
+        # The middle of the joints' ranges may be no place to advance from; the compiling counts.
+        with contextlib.suppress(SlipControlError):
+            normal = self.normal(middle)
+            self.planner.reset(middle, normal)
+            for step in range(1, 3):
+                self.planner.plan(1.0 + 0.01 * step, 1e-5 * step, normal)
+            self.planner.advance_at(1.0)
+            self.planner.stop(1.04)
+
+
+def make_arm(parameters: SlipControlParameters) -> ArmParts | None:
+    """Return the arm, ready to plan, or None for `none`.
+
+    Raises:
+        SlipControlError: A file that cannot be read or holds no usable arm, or no normal.
+    """
+    if parameters.arm == 'none':
+        return None
+    direction = np.array(parameters.normal)
+    length = float(np.linalg.norm(direction))
+    if length == 0.0:
+        raise SlipControlError('normal_x, normal_y, normal_z are all 0: give a direction')
+    arm, limits = _model(parameters)
+    planner = AdvancePlanner(arm, limits)
+    in_tool = parameters.normal_frame == 'tool'
+    checks = StateChecks(arm, limits, _workspace(parameters.workspace))
+    parts = ArmParts(arm, limits, planner, checks, in_tool, direction / length)
+    parts.warm_up()
+    return parts
+
+
+def _workspace(text: str) -> BoxWorkspace:
+    try:
+        x0, x1, y0, y1, z0, z1 = (float(number) for number in text.split())
+    except ValueError as error:
+        raise SlipControlError(
+            f'workspace {text!r}: give six numbers, the ends along x, y and z [m]'
+        ) from error
+    return BoxWorkspace((x0, y0, z0), (x1, y1, z1))
+
+
+def _model(parameters: SlipControlParameters) -> tuple[SerialArm, JointLimits]:
+    if parameters.arm == 'fr3':
+        return SerialArm.fr3(), JointLimits.fr3()
+    try:
+        text = Path(parameters.arm).read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SlipControlError(
+            f'arm {parameters.arm!r} cannot be read ({error}): give none, fr3 or a URDF file'
+        ) from error
+    arm = SerialArm.from_urdf(text)
+    acceleration, jerk = parameters.joint_acceleration, parameters.joint_jerk
+    return arm, JointLimits.from_arm(arm, acceleration, jerk)

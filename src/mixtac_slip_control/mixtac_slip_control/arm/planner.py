@@ -1,0 +1,356 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The planner that streams an advance along the contact normal as jerk-limited joint trajectories."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from mixtac_slip_control.arm.normal_path import fit_normal_path, joint_states
+from mixtac_slip_control.arm.profile import replan, stopping_distance
+from mixtac_slip_control.arm.trajectory import PlannedTrajectory
+from mixtac_slip_control.errors import ArmError, UnreachableError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_slip_control.arm.kinematics import SerialArm
+    from mixtac_slip_control.arm.limits import JointLimits
+    from mixtac_slip_control.arm.normal_path import MotionLimits, NormalPath
+
+    Floats = NDArray[np.float64]
+
+
+class Planner(Protocol):
+    """What the controller needs of `arm.advance_planner.AdvancePlanner`."""
+
+    def reset(self, q: NDArray[np.float64], normal: NDArray[np.float64] | None = None) -> None:
+        """Start over with advance zero at joint positions [rad]."""
+
+    def plan(
+        self, now_s: float, advance_m: float, normal: NDArray[np.float64]
+    ) -> PlannedTrajectory | None:
+        """Return the trajectory to an advance [m], or None where nothing is to be sent."""
+
+    def stop(self, now_s: float) -> PlannedTrajectory | None:
+        """Return the trajectory that brakes, or None at rest."""
+
+    def advance_at(self, t_s: float) -> float:
+        """Return the advance commanded at a time [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSettings:
+    """Settings of the advance planner.
+
+    Attributes:
+        lead_s: From the call to the first point that may differ from what was sent before [s]. It
+            must cover the worst transport to the controller and two of its cycles, one until it
+            looks and one by which it commands ahead.
+        overlap_s: How far before the call a trajectory begins [s]: at least two cycles, so that
+            the controller never joins its own last command to our first point.
+        interval_s: Least time between two trajectories [s].
+        spacing_s: Time between points [s].
+        share: Of the joints' rate limits that may be used; the rest is reserve.
+        max_speed: Largest speed of the tip [m/s].
+        max_advance: Largest advance since the reset [m].
+        min_change: Changes of the target below this are waited with [m].
+        history_s: How long past advances are remembered [s].
+    """
+
+    lead_s: float = 6e-3
+    overlap_s: float = 3e-3
+    interval_s: float = 2e-3
+    spacing_s: float = 1e-3
+    share: float = 0.95
+    max_speed: float = 0.25
+    max_advance: float = 0.02
+    min_change: float = 1e-7
+    history_s: float = 0.25
+
+    def __post_init__(self) -> None:
+        """Refuse settings that no trajectory can follow.
+
+        Raises:
+            ArmError: A value that is not finite, not positive or out of its range.
+        """
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if not math.isfinite(value) or value < 0.0:
+                raise ArmError(f'{name} = {value}: give a finite number, zero or more')
+        if not 2e-4 <= self.spacing_s <= 1e-2:
+            raise ArmError(f'spacing_s = {self.spacing_s}: give 0.0002 to 0.01 s')
+        if not 0.0 < self.share <= 1.0:
+            raise ArmError(f'share = {self.share}: give more than 0, at most 1')
+        if self.max_speed == 0.0 or not 0.0 < self.max_advance <= 0.1:
+            raise ArmError(
+                f'max_speed = {self.max_speed} m/s, max_advance = {self.max_advance} m: give a '
+                'speed above 0 and an advance above 0, at most 0.1 m'
+            )
+
+
+PATH_MARGIN = 1e-3
+"""By which the path is longer than any target at both ends [m]: room to turn round in."""
+SAME_NORMAL = 1e-3
+"""Largest difference between unit normals that count as the same."""
+
+
+class AdvancePlanner:
+    """Plans the advance since the last reset as trajectories, each continuing the one before.
+
+    All trajectories of one reset lie on one grid of points in time. A new one repeats the points
+    already sent up to `lead_s` after the call, leaves them there with their velocity and
+    acceleration, and ends at rest at its target. Whenever the controller takes it up before that,
+    it continues without a step; if no further one comes, the arm stops at the target.
+
+    All times are on the clock of `now_s`, the one the controller reads.
+
+    Attributes:
+        refused: Plans that would have broken a limit and were not made; the last one stands.
+
+    Args:
+        arm: The arm.
+        limits: Of its joints.
+        settings: Lead, spacing, reserves.
+    """
+
+    def __init__(
+        self, arm: SerialArm, limits: JointLimits, settings: StreamSettings | None = None
+    ) -> None:
+        self._arm = arm
+        self._limits = limits
+        self.settings = settings or StreamSettings()
+        self._dt_ns = round(self.settings.spacing_s * 1e9)
+        self._dt = self._dt_ns * 1e-9
+        self._lead = math.ceil(self.settings.lead_s / self._dt - 1e-9)
+        self._overlap = math.ceil(self.settings.overlap_s / self._dt - 1e-9)
+        self._history = math.ceil(self.settings.history_s / self._dt) + self._overlap
+        self.refused = 0
+        self._q: Floats | None = None
+        self._path: NormalPath | None = None
+        self._motion: MotionLimits | None = None
+        self._clear()
+
+    @property
+    def path(self) -> NormalPath | None:
+        """Joint path of the present normal; None before it is known."""
+        return self._path
+
+    @property
+    def motion_limits(self) -> MotionLimits | None:
+        """Limits of the advance along the path; None before the normal is known."""
+        return self._motion
+
+    @property
+    def target(self) -> float:
+        """Advance at which the last trajectory ends [m]."""
+        return float(self._states[-1, 0])
+
+    def reset(self, q: Floats, normal: Floats | None = None) -> None:
+        """Start over with advance zero, at rest.
+
+        Args:
+            q: Joint positions that the controller holds (n,) [rad]: the commanded ones, not the
+                measured. `settling_trajectory` makes the two equal.
+            normal: Direction of the advance (3,) in the base frame; given here, the first `plan`
+                need not compute the path.
+
+        Raises:
+            ArmError: Joint positions or a normal that are none.
+            UnreachableError: `max_advance` leaves the arm's reach or its joints' ranges.
+        """
+        self._q = self._arm.checked(q).copy()
+        self._path = self._motion = None
+        self._clear()
+        if normal is not None:
+            self._prepare(self._q, normal)
+
+    @property
+    def start(self) -> Floats:
+        """Joint positions at advance zero (n,) [rad].
+
+        Raises:
+            ArmError: Not reset yet.
+        """
+        if self._q is None:
+            raise ArmError('the advance has no start: reset the planner with joint positions')
+        return self._q
+
+    def restart(self) -> None:
+        """Start over from the joint positions and with the path of the last reset."""
+        self._clear()
+
+    def plan(self, now_s: float, advance_m: float, normal: Floats) -> PlannedTrajectory | None:
+        """Return the trajectory to a new target, or None where nothing new is to be sent.
+
+        None means that the target is as before, that the last trajectory was sent less than
+        `interval_s` ago (ask again with the next window), or that it was refused.
+
+        Args:
+            now_s: Present time [s].
+            advance_m: Advance to reach, since the reset [m].
+            normal: Direction of the advance (3,) in the base frame.
+
+        Raises:
+            ArmError: Not reset; a value that is not finite; time that runs backwards; a normal
+                other than that of this reset.
+            UnreachableError: An advance below zero or above `max_advance`.
+        """
+        path, motion = self._ready(normal)
+        if not math.isfinite(advance_m) or not math.isfinite(now_s):
+            raise ArmError(f'advance {advance_m} m at {now_s} s: give finite numbers')
+        if not -1e-9 <= advance_m <= self.settings.max_advance + 1e-9:
+            raise UnreachableError(
+                f'an advance of {advance_m * 1e3:.3f} mm is outside 0 to '
+                f'{self.settings.max_advance * 1e3:g} mm: limit it before, or raise max_advance'
+            )
+        now_ns = self._advance_clock(now_s)
+        if abs(advance_m - self.target) < self.settings.min_change or not self._due(now_ns):
+            return None
+        return self._continue(now_ns, advance_m, path, motion)
+
+    def stop(self, now_s: float) -> PlannedTrajectory | None:
+        """Return the trajectory that brakes as soon and as fast as the limits allow.
+
+        None where the arm rests or the last trajectory brings it to rest as soon.
+
+        Args:
+            now_s: Present time [s].
+
+        Raises:
+            ArmError: A time that is not finite or runs backwards.
+        """
+        if self._path is None or self._motion is None or self._epoch_ns is None:
+            return None
+        now_ns = self._advance_clock(now_s)
+        start = self._at(self._branch(now_ns))
+        if start[1] == 0.0 and start[2] == 0.0:
+            return None
+        target = start[0] + stopping_distance(start, self._motion.acceleration, self._motion.jerk)
+        ahead = self.target - start[0]
+        if ahead * (target - start[0]) > 0.0 and abs(target - start[0]) >= abs(ahead):
+            return None
+        return self._continue(now_ns, float(target), self._path, self._motion)
+
+    def advance_at(self, t_s: float) -> float:
+        """Return the advance [m] that is commanded at a time [s]."""
+        return self._sample(t_s)[0]
+
+    def advance_velocity_at(self, t_s: float) -> float:
+        """Return the velocity of the advance [m/s] that is commanded at a time [s]."""
+        return self._sample(t_s)[1]
+
+    def _clear(self) -> None:
+        self._epoch_ns: int | None = None
+        self._first = 0
+        self._states = np.zeros((1, 3))
+        self._now_ns = 0
+        self._sent_ns: int | None = None
+
+    def _prepare(self, q: Floats, normal: Floats) -> tuple[NormalPath, MotionLimits]:
+        high = self.settings.max_advance + PATH_MARGIN
+        path = fit_normal_path(self._arm, self._limits, q, normal, -PATH_MARGIN, high)
+        motion = path.limits(self._limits, self.settings.share, self.settings.max_speed)
+        self._path, self._motion = path, motion
+        return path, motion
+
+    def _ready(self, normal: Floats) -> tuple[NormalPath, MotionLimits]:
+        if self._path is None or self._motion is None:
+            return self._prepare(self.start, normal)
+        n = self._path.normal
+        x, y, z = float(normal[0]), float(normal[1]), float(normal[2])
+        length = math.sqrt(x * x + y * y + z * z)
+        if not abs(x * n[0] + y * n[1] + z * n[2] - length) <= 0.5 * SAME_NORMAL**2 * length:
+            raise ArmError(
+                f'the contact normal changed from {n.tolist()} to {[x, y, z]} during an advance: '
+                'reset the planner first'
+            )
+        return self._path, self._motion
+
+    def _advance_clock(self, now_s: float) -> int:
+        if not math.isfinite(now_s):
+            raise ArmError(f'time {now_s} s: give a finite number')
+        now_ns = round(now_s * 1e9)
+        if self._epoch_ns is None:
+            self._epoch_ns = now_ns // self._dt_ns * self._dt_ns
+        elif now_ns < self._now_ns:
+            raise ArmError(
+                f'time ran back by {(self._now_ns - now_ns) * 1e-9:.6f} s: reset the planner'
+            )
+        self._now_ns = now_ns
+        return now_ns
+
+    def _due(self, now_ns: int) -> bool:
+        interval_ns = round(self.settings.interval_s * 1e9)
+        # A caller at exactly this interval must not miss its turn by rounding.
+        return self._sent_ns is None or now_ns - self._sent_ns >= interval_ns - 1000
+
+    def _index(self, t_ns: int) -> int:
+        return (t_ns - (self._epoch_ns or 0)) // self._dt_ns
+
+    def _branch(self, now_ns: int) -> int:
+        """Return the first point of the grid at least the lead after a time."""
+        return self._index(now_ns + self._dt_ns - 1) + self._lead
+
+    def _rows(self, first: int, last: int) -> Floats:
+        """Return the states at points first to last, both included; at rest past the end."""
+        indices = np.clip(np.arange(first, last + 1) - self._first, 0, len(self._states) - 1)
+        return np.ascontiguousarray(self._states[indices])
+
+    def _at(self, index: int) -> Floats:
+        return np.asarray(self._rows(index, index)[0])
+
+    def _continue(
+        self, now_ns: int, target: float, path: NormalPath, motion: MotionLimits
+    ) -> PlannedTrajectory | None:
+        branch = self._branch(now_ns)
+        shape = (path.coefficients, path.centre, path.half)
+        new = replan(
+            *shape,
+            self._at(branch),
+            target,
+            (motion.speed, motion.acceleration, motion.jerk),
+            self._limits.acceleration * self.settings.share,
+            self._limits.jerk * self.settings.share,
+            self._dt,
+        )
+        if new.shape[0] == 0:
+            self.refused += 1
+            return None
+        now = self._index(now_ns)
+        begin = now - self._overlap
+        oldest = min(max(self._first, now - self._history), begin)
+        self._states = np.concatenate([self._rows(oldest, branch), new[1:]])
+        self._first = oldest
+        self._sent_ns = now_ns
+        states = self._states[begin + 1 - oldest :]
+        joints = joint_states(*shape, np.ascontiguousarray(states))
+        return PlannedTrajectory(
+            stamp_ns=(self._epoch_ns or 0) + begin * self._dt_ns,
+            times_s=np.arange(1, len(states) + 1, dtype=np.float64) * self._dt,
+            q=joints[:, 0],
+            dq=joints[:, 1],
+            ddq=joints[:, 2],
+            names=self._arm.names,
+            branch_s=(branch - begin) * self._dt,
+        )
+
+    def _sample(self, t_s: float) -> tuple[float, float]:
+        if self._epoch_ns is None:
+            return 0.0, 0.0
+        cells = (t_s - self._epoch_ns * 1e-9) / self._dt - self._first
+        if cells <= 0.0 or cells >= len(self._states) - 1:
+            s, v, _ = self._states[0 if cells <= 0.0 else -1]
+            return float(s), float(v)
+        k = int(cells)
+        t = (cells - k) * self._dt
+        s, v, a = self._states[k]
+        j = (self._states[k + 1, 2] - a) / self._dt
+        return (
+            float(s + t * (v + t * (0.5 * a + t * j / 6.0))),
+            float(v + t * (a + 0.5 * t * j)),
+        )
