@@ -10,7 +10,7 @@ FROM debian:${DEBIAN_TAG} AS build
 # Debian's archive keeps only the newest build of a package: the tag above is what is pinned.
 # hadolint ignore=DL3008
 RUN apt-get update \
-    && apt-get install -y --no-install-recommends build-essential cmake python3-dev python3-venv \
+    && apt-get install -y --no-install-recommends build-essential cmake make python3-dev python3-venv \
     && rm -rf /var/lib/apt/lists/*
 WORKDIR /opt/mixtac
 COPY requirements/ requirements/
@@ -24,8 +24,15 @@ COPY docker/await_force.py docker/
 COPY mixtac ./
 ENV PIP_NO_CACHE_DIR=1
 ARG VIEW=0
-RUN if [ "${VIEW}" = 1 ]; then set -- --with view; else set --; fi \
-    && python3 tools/setup.py --runtime "$@" \
+# The estimator needs no PyTorch; training and the paper's networks do: cpu (200 MB) or cuda (3 GB).
+ARG TORCH=none
+RUN case "${TORCH}" in \
+        none) set -- ;; \
+        cpu | cuda) export MIXTAC_TORCH="${TORCH}"; set -- --with learn ;; \
+        *) echo "TORCH=${TORCH}: use none, cpu or cuda" >&2; exit 1 ;; \
+    esac \
+    && if [ "${VIEW}" = 1 ]; then set -- "$@" --with view; fi \
+    && python3 tools/setup.py "$@" \
     && rm -rf build/*/test log
 
 FROM debian:${DEBIAN_TAG} AS runtime

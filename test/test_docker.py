@@ -74,19 +74,21 @@ def test_what_is_copied_is_there_and_in_the_context(path):
 @pytest.mark.parametrize('path', DOCKERFILES, ids=lambda p: p.name)
 def test_python_comes_from_the_same_tool_and_files_as_everywhere(path):
     runs = ' '.join(text for name, text in instructions(path) if name == 'RUN')
-    assert 'tools/setup.py --runtime' in runs
+    assert 'tools/setup.py' in runs
     assert 'pip install' not in runs
     for tool in re.findall(r'tools/\S+\.py', runs):
         help_text = subprocess.run(
             ['python3', str(ROOT / tool), '--help'], capture_output=True, text=True, check=True
         ).stdout
-        assert '--runtime' in help_text
         assert '--with' in help_text
+        assert 'learn' in help_text
 
 
-def test_the_torch_that_the_cpu_image_rewrites_is_in_the_requirements():
-    lines = (ROOT / 'requirements' / 'base.txt').read_text().splitlines()
-    assert [each for each in lines if re.fullmatch(r'torch==[0-9.]+', each)]
+def test_images_bring_torch_only_when_asked_for():
+    for name in ('Dockerfile', 'wheels.Dockerfile'):
+        assert ('ARG', 'TORCH=none') in instructions(ROOT / 'docker' / name)
+    run = ''.join((ROOT / 'requirements' / f'{name}.txt').read_text() for name in ('base', 'cli'))
+    assert 'torch' not in run
 
 
 def test_scripts_can_be_run_and_parse():

@@ -35,7 +35,7 @@ WITHOUT_KEY = {
     'libusb_package': 'requirements/base.txt',
     'lz4': 'requirements/base.txt',
     'safetensors': 'requirements/base.txt',
-    'threadpoolctl': 'requirements/base.txt',
+    'threadpoolctl': 'requirements/cli.txt',
     'dask': 'requirements/cluster.txt',
     'rerun': 'requirements/view.txt',
     'rerun_cli': 'requirements/view.txt',

@@ -55,8 +55,23 @@ def test_a_python_without_wheels_is_refused(tool, monkeypatch, version):
 
 def test_a_missing_compiler_names_its_package(tool, monkeypatch):
     monkeypatch.setattr('setup_checks.shutil.which', lambda _name: None)
-    with pytest.raises(tool.SetupError, match='build-essential cmake'):
+    with pytest.raises(tool.SetupError) as caught:
         tool.check_system()
+    for package in ('build-essential', 'cmake', 'make'):
+        assert package in str(caught.value).split()
+
+
+def test_a_path_with_white_space_is_refused(tool, monkeypatch, tmp_path):
+    monkeypatch.setattr('setup_checks.ROOT', tmp_path / 'my clone')
+    with pytest.raises(tool.SetupError):
+        tool.check_place('')
+
+
+def test_a_processor_without_wheels_is_refused_unless_ros_is_sourced(tool, monkeypatch):
+    monkeypatch.setattr('setup_checks.platform.machine', lambda: 'aarch64')
+    with pytest.raises(tool.SetupError):
+        tool.check_place('')
+    tool.check_place('jazzy')
 
 
 def test_an_unreachable_registry_is_named(tool, monkeypatch, tmp_path):
@@ -73,6 +88,45 @@ def test_steps_are_remembered_and_changed_inputs_run_again(tool, tmp_path):
     again = tool.Steps(tmp_path / 'record.json')
     assert again.is_done('install', 'a')
     assert not again.is_done('install', 'b')
+    again.forget('install')
+    assert not tool.Steps(tmp_path / 'record.json').is_done('install', 'a')
+
+
+def test_a_full_disk_is_named(tool, monkeypatch, tmp_path):
+    monkeypatch.setattr('setup_steps.ROOT', tmp_path)
+    with pytest.raises(tool.SetupError) as caught:
+        tool.call(['sh', '-c', 'echo No space left on device; exit 1'], tool.PIP_FAILED)
+    assert tool.PIP_FAILED not in str(caught.value)
+
+
+def test_packages_that_are_built_no_longer_leave_nothing(tool, monkeypatch, tmp_path):
+    monkeypatch.setattr(tool, 'ROOT', tmp_path)
+    (tmp_path / 'src' / 'mixtac_kept').mkdir(parents=True)
+    (tmp_path / 'src' / 'mixtac_kept' / 'setup.py').touch()
+    (tmp_path / 'src' / 'mixtac_msgs').mkdir()
+    for name in ('mixtac_kept', 'mixtac_gone', 'mixtac_msgs', 'event_camera_msgs'):
+        (tmp_path / 'install' / name).mkdir(parents=True)
+    tool.forget_python_packages()
+    left = {path.name for path in (tmp_path / 'install').iterdir()}
+    assert left == {'mixtac_msgs', 'event_camera_msgs'}
+
+
+def test_torch_without_cuda_is_tried_first(tool, monkeypatch, tmp_path):
+    calls = []
+
+    def call(command, _failure):
+        calls.append(command)
+        raise tool.SetupError('not there')
+
+    monkeypatch.setattr(tool, 'call', call)
+    monkeypatch.setattr(tool.platform, 'machine', lambda: 'x86_64')
+    monkeypatch.setattr(tool.sys, 'platform', 'linux')
+    monkeypatch.delenv('MIXTAC_TORCH', raising=False)
+    tool.install_torch(tmp_path)
+    assert calls[0][-1].endswith('+cpu')
+    monkeypatch.setenv('MIXTAC_TORCH', 'cuda')
+    tool.install_torch(tmp_path)
+    assert len(calls) == 1
 
 
 def test_a_damaged_record_starts_over(tool, tmp_path):

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import fcntl
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -21,10 +22,23 @@ import sysconfig
 import time
 from pathlib import Path
 
-from setup_checks import check_python, check_system, full_ros
+from setup_checks import check_place, check_python, check_system, full_ros
 from setup_steps import ROOT, SetupError, Steps, call, fingerprint, say
 
-EXTRAS = ('view', 'mujoco')
+EXTRAS = ('learn', 'dev', 'view', 'mujoco')
+PIP_FAILED = 'pip could not install the requirements: is a package registry reachable?'
+ROBOT_PACKAGES = (
+    'mixtac_msgs',
+    'mixtac_events',
+    'mixtac_node',
+    'mixtac_recordings',
+    'mixtac_driver',
+    'mixtac_alignment',
+    'mixtac_fger',
+    'mixtac_slip_control',
+    'mixtac_bringup',
+)
+TORCH_INDEX = 'https://download.pytorch.org/whl/cpu'
 
 
 def make_venv(venv: Path, *, system_packages: bool) -> None:
@@ -50,20 +64,31 @@ def install(venv: Path, steps: Steps, requirements: list[str], name: str = 'inst
     wanted = fingerprint(files)
     if steps.is_done(name, wanted):
         return
-    say(f'installing {", ".join(requirements)} (a few minutes the first time)')
+    say(f'installing {", ".join(requirements)} (some minutes the first time)')
+    if 'learn.txt' in requirements:
+        install_torch(venv)
     arguments = [part for path in files for part in ('-r', str(path))]
-    call(
-        [
-            str(venv / 'bin' / 'python'),
-            '-m',
-            'pip',
-            'install',
-            '--disable-pip-version-check',
-            *arguments,
-        ],
-        'pip could not install the requirements: is a package registry reachable?',
-    )
+    call([*pip_install(venv), *arguments], PIP_FAILED)
     steps.finish(name, wanted)
+
+
+def pip_install(venv: Path) -> list[str]:
+    """Return the command that installs into the environment, without what it installs."""
+    return [str(venv / 'bin' / 'python'), '-m', 'pip', 'install', '--disable-pip-version-check']
+
+
+def install_torch(venv: Path) -> None:
+    """Install PyTorch's build without CUDA where PyPI's comes with it, if that can be had."""
+    with_cuda = sys.platform == 'linux' and platform.machine() == 'x86_64'
+    if not with_cuda or os.environ.get('MIXTAC_TORCH') == 'cuda':
+        return
+    lines = (ROOT / 'requirements' / 'learn.txt').read_text().splitlines()
+    pinned = next(line for line in lines if line.startswith('torch=='))
+    patience = ['--retries', '0', '--timeout', '15', '--extra-index-url', TORCH_INDEX]
+    try:
+        call([*pip_install(venv), *patience, f'{pinned}+cpu'], PIP_FAILED)
+    except SetupError:
+        say(f'no build of {pinned} without CUDA at {TORCH_INDEX}: taking that of PyPI, 3 GB')
 
 
 def repair_wheels(venv: Path, steps: Steps) -> None:
@@ -110,12 +135,26 @@ def has_package(env: dict[str, str], name: str) -> bool:
     return any(p and (Path(p) / marker).exists() for p in prefixes)
 
 
-def build(venv: Path, steps: Steps, distro: str) -> None:
-    """Build the colcon workspace."""
-    wanted = fingerprint(workspace_inputs(), distro or 'wheels', str(ROOT), installed_names())
+def forget_python_packages() -> None:
+    """Remove what was built of Python packages: colcon keeps scripts that are no longer there."""
+    packages = {path.name for path in (ROOT / 'src').iterdir() if (path / 'setup.py').exists()}
+    for folder in ('build', 'install'):
+        built = ROOT / folder
+        for path in built.iterdir() if built.is_dir() else ():
+            stale = path.name.startswith('mixtac_') and not (ROOT / 'src' / path.name).exists()
+            if path.name in packages or stale:
+                shutil.rmtree(path)
+
+
+def build(venv: Path, steps: Steps, distro: str, *, robot: bool) -> None:
+    """Build the colcon workspace; for a robot, only the packages that run there."""
+    kind = 'robot' if robot else 'all'
+    wanted = fingerprint(workspace_inputs(), distro or 'wheels', str(ROOT), installed_names(), kind)
     if steps.is_done('build', wanted) and (ROOT / 'install' / 'setup.bash').exists():
         return
     say('building the workspace')
+    steps.forget('build')
+    forget_python_packages()
     env = dict(os.environ)
     env['VIRTUAL_ENV'] = str(venv)
     env['PATH'] = f'{venv / "bin"}:{env["PATH"]}'
@@ -125,6 +164,7 @@ def build(venv: Path, steps: Steps, distro: str) -> None:
         env['ROS_DISTRO'], env['ROS_VERSION'], env['ROS_PYTHON_VERSION'] = 'jazzy', '2', '3'
     if not has_package(env, 'event_camera_msgs'):
         paths.append('compat/event_camera_msgs')
+    selected = ['--packages-select', 'event_camera_msgs', *ROBOT_PACKAGES] if robot else []
     # Through the environment's own interpreter, so that the nodes start with it.
     program = shutil.which('colcon', path=env['PATH'])
     if program is None:
@@ -139,6 +179,7 @@ def build(venv: Path, steps: Steps, distro: str) -> None:
             'build',
             '--base-paths',
             *paths,
+            *selected,
             '--symlink-install',
             '--event-handlers',
             'console_direct+',
@@ -166,32 +207,37 @@ def forget_kernels(steps: Steps) -> None:
     steps.finish('kernels', wanted)
 
 
-def set_up(*, dev: bool, extras: list[str]) -> None:
+def set_up(*, robot: bool, extras: list[str]) -> None:
     """Do every step that is due.
 
     Args:
-        dev: With what tests and checks need.
+        robot: Without command line and simulator.
         extras: Optional parts to install as well, named as their files in requirements/.
     """
     check_python()
     distro = full_ros()
+    check_place(distro)
     venv = ROOT / ('.venv-ros' if distro else '.venv')
     steps = Steps(venv / 'mixtac-setup.json')
     started = time.monotonic()
-    requirements = ['base.txt', 'dev.txt'] if dev else ['base.txt']
-    requirements = requirements if distro else ['ros-jazzy-wheels.txt', *requirements]
-    if not all(steps.is_done(name, 'ok') for name in ('system', 'venv')):
+    if not steps.is_done('venv', str(ROOT)):
         check_system()
+        if (venv / 'mixtac-setup.json').exists() and not steps.is_done('venv', 'ok'):
+            say(f'{venv.name} was made elsewhere: making it anew')
+            shutil.rmtree(venv)
+            steps = Steps(venv / 'mixtac-setup.json')
         make_venv(venv, system_packages=bool(distro))
-        steps.finish('system', 'ok')
-        steps.finish('venv', 'ok')
-    install(venv, steps, requirements)
-    for extra in extras:
+        steps.finish('venv', str(ROOT))
+    requirements = [] if distro else ['ros-jazzy-wheels.txt']
+    install(venv, steps, [*requirements, 'base.txt'])
+    if not robot:
         # With the base, so that no extra moves what that pins.
-        install(venv, steps, ['base.txt', f'{extra}.txt'], name=extra)
+        install(venv, steps, ['base.txt', 'cli.txt'], name='cli')
+    for extra in extras:
+        install(venv, steps, ['base.txt', 'cli.txt', f'{extra}.txt'], name=extra)
     if not distro:
         repair_wheels(venv, steps)
-    build(venv, steps, distro)
+    build(venv, steps, distro, robot=robot)
     forget_kernels(steps)
     if time.monotonic() - started > 5:
         say(f'ready in {time.monotonic() - started:.0f} s')
@@ -206,10 +252,11 @@ def main() -> int:
         action='append',
         default=[],
         choices=EXTRAS,
-        help='an optional part: view is the live view in a browser, mujoco an FR3 for slip control',
+        help='an optional part: learn is PyTorch for training and experiments, dev what tests and '
+        'checks need, view the live view in a browser, mujoco an FR3 for slip control',
     )
     parser.add_argument(
-        '--runtime', action='store_true', help='without what only tests and checks need'
+        '--robot', action='store_true', help='only the nodes: no command line, no simulator'
     )
     options = parser.parse_args()
     (ROOT / 'log').mkdir(exist_ok=True)
@@ -220,7 +267,7 @@ def main() -> int:
             say('waiting for another set-up of this folder to finish')
             fcntl.flock(lock, fcntl.LOCK_EX)
         try:
-            set_up(dev=not options.runtime, extras=options.extras)
+            set_up(robot=options.robot, extras=options.extras)
         except SetupError as error:
             print(f'error: {error}', file=sys.stderr)
             return 1

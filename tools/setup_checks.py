@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -58,6 +59,8 @@ def check_system() -> None:
         SetupError: Names what is missing and the command that installs it.
     """
     missing = {}
+    if not shutil.which('make'):
+        missing['make'] = 'make'
     if not (shutil.which('cc') and shutil.which('c++')):
         missing['a C and C++ compiler'] = 'build-essential'
     if not shutil.which('cmake'):
@@ -72,4 +75,26 @@ def check_system() -> None:
         raise SetupError(
             f'missing: {", ".join(missing)}. Install with: sudo apt-get install -y '
             + ' '.join(missing.values())
+        )
+
+
+def check_place(distro: str) -> None:
+    """Refuse a folder or a processor on which the build is known to fail.
+
+    Args:
+        distro: ROS installation that is sourced, empty where ROS comes as wheels.
+
+    Raises:
+        SetupError: Names the folder or the processor and what to do.
+    """
+    if any(character.isspace() for character in str(ROOT)):
+        raise SetupError(
+            f'the path {str(ROOT)!r} contains white space, which the build of ROS packages cannot '
+            'handle: move the clone to a path without.'
+        )
+    machine = platform.machine()
+    if not distro and machine != 'x86_64':
+        raise SetupError(
+            f'the wheels of ROS 2 exist for x86_64 only, this machine is {machine}: install ROS 2 '
+            'Jazzy or newer, source it, and run the same command again.'
         )

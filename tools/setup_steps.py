@@ -40,9 +40,17 @@ class Steps:
         """Tell whether a step succeeded with these inputs."""
         return bool(self._done.get(name) == fingerprint)
 
+    def forget(self, name: str) -> None:
+        """Forget a step that is about to run again: should it fail, it is due the next time."""
+        if self._done.pop(name, None) is not None:
+            self._write()
+
     def finish(self, name: str, fingerprint: str) -> None:
         """Remember that a step succeeded."""
         self._done[name] = fingerprint
+        self._write()
+
+    def _write(self) -> None:
         self._record.parent.mkdir(parents=True, exist_ok=True)
         partial = self._record.with_suffix('.partial')
         partial.write_text(json.dumps(self._done, indent=1))
@@ -74,4 +82,6 @@ def call(command: list[str], failure: str, env: dict[str, str] | None = None) ->
         )
     if result.returncode:
         tail = '\n'.join(log.read_text(errors='replace').splitlines()[-15:])
+        if 'No space left on device' in tail:
+            failure = 'no space is left: free some on the disk, or set TMPDIR to a folder with more'
         raise SetupError(f'{failure}\n{tail}\n(the whole output is in {log.relative_to(ROOT)})')

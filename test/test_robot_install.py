@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A robot runs the sensor with neither PyTorch, matplotlib nor the simulator.
+
+By default the nodes run in this environment with those modules hidden. With
+`MIXTAC_TEST_INSTALL=1` (`.ci/run` sets it) they run in an environment of their own, made by
+`tools/setup.py --robot` in a copy of the sources.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+
+ROOT = Path(__file__).resolve().parents[1]
+HIDDEN = ('torch', 'matplotlib', 'mixtac_sim', 'mixtac_learning', 'mixtac_lab', 'mixtac_cli')
+NODES = {
+    'driver': 'mixtac_driver.node.driver_node',
+    'fger': 'mixtac_fger.fger_node',
+    'slip_control': 'mixtac_slip_control.slip_control_node',
+    'alignment': 'mixtac_alignment.alignment_node',
+}
+HIDE = textwrap.dedent(
+    """
+    import runpy, sys
+
+    class Hide:
+        def find_spec(self, name, path=None, target=None):
+            if name.partition('.')[0] in {hidden!r}:
+                raise ModuleNotFoundError(f'{{name}} is not installed on robots')
+
+    sys.meta_path.insert(0, Hide())
+    sys.argv = sys.argv[1:]
+    runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)
+    """
+).format(hidden=HIDDEN)
+
+
+def started(process: subprocess.Popen[str], node: str, env: dict[str, str]) -> bool:
+    """Wait until the node is in the graph; False when its process ends before."""
+    look = textwrap.dedent(
+        """
+        import sys, time, rclpy
+        rclpy.init()
+        node = rclpy.create_node('look')
+        end = time.monotonic() + 60
+        while sys.argv[1] not in node.get_node_names():
+            if time.monotonic() > end:
+                sys.exit(1)
+            rclpy.spin_once(node, timeout_sec=0.1)
+        """
+    )
+    looking = subprocess.Popen([sys.executable, '-c', look, node], env=env)
+    try:
+        while looking.poll() is None and process.poll() is None:
+            time.sleep(0.1)
+        return process.poll() is None and looking.wait() == 0
+    finally:
+        looking.kill()
+        looking.wait()
+
+
+@pytest.mark.dds
+@pytest.mark.parametrize('node', NODES)
+def test_nodes_start_with_nothing_that_robots_lack(node: str, ros_domain: dict[str, str]):
+    command = [sys.executable, '-c', HIDE, NODES[node], '--ros-args']
+    if node == 'driver':
+        # Without a camera the driver says so and ends.
+        command += ['-p', 'device:=davis346']
+    process = subprocess.Popen(
+        command, env=ros_domain, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    try:
+        if node == 'driver':
+            output, _ = process.communicate(timeout=120)
+            assert 'device:=virtual' in output
+            assert 'Traceback' not in output
+        else:
+            assert started(process, node, ros_domain)
+            process.send_signal(signal.SIGINT)
+            output, _ = process.communicate(timeout=60)
+            assert 'Traceback' not in output
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_an_environment_of_its_own(tmp_path: Path):
+    if not os.environ.get('MIXTAC_TEST_INSTALL'):
+        pytest.skip('downloads packages: set MIXTAC_TEST_INSTALL=1')
+    clone = tmp_path / 'mixtac'
+    left_out = shutil.ignore_patterns('.git', '.venv*', 'build', 'install', 'log', '__pycache__')
+    shutil.copytree(ROOT, clone, ignore=left_out, symlinks=True)
+    python = getattr(sys, '_base_executable', sys.executable)
+    kept = {k: v for k, v in os.environ.items() if k in ('PATH', 'HOME', 'TMPDIR', 'LANG')}
+    kept.update({k: v for k, v in os.environ.items() if k.startswith(('PIP_', 'SSL_'))})
+    kept['PATH'] = kept['PATH'].replace(f'{ROOT}/.venv/bin:', '')
+    subprocess.run([python, str(clone / 'tools' / 'setup.py'), '--robot'], env=kept, check=True)
+    listed = subprocess.run(
+        [clone / '.venv' / 'bin' / 'python', '-m', 'pip', 'list', '--format=freeze'],
+        env=kept,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    names = {line.partition('=')[0].lower() for line in listed.splitlines()}
+    assert not names & {'torch', 'matplotlib', 'mixtac-sim', 'mujoco', 'ruff', 'mypy'}
+    for module in NODES.values():
+        package = module.partition('.')[0]
+        name = module.rpartition('.')[2]
+        script = clone / 'install' / package / 'lib' / package / name
+        shell = f'. tools/env.sh && exec timeout -s INT 15 {script} --ros-args -p device:=davis346'
+        ended = subprocess.run(
+            ['bash', '-c', shell],
+            cwd=clone,
+            env=kept | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert 'Traceback' not in ended.stdout + ended.stderr
+    size = sum(p.lstat().st_size for p in (clone / '.venv').rglob('*') if not p.is_symlink())
+    print(f'{size / 1e6:.0f} MB installed')
