@@ -4,6 +4,7 @@
 
 import hashlib
 from dataclasses import fields, replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -15,16 +16,34 @@ from mixtac_sim.world.profiles import make_profile
 from mixtac_sim.world.sensor import TactileSensor
 from mixtac_sim.world.trial import simulate_trial
 
-# Of the simulator before presets existed: device seed, trial seed, profile, duration [s].
-DIGESTS = {
-    (3, 4, 'impact', 1.2): '92a24eff97f53303',
-    (5, 6, 'press', 1.8): '754f432b7794b400',
-    (7, 8, 'static', 1.0): '077db89b985e3e5c',
-    (9, 10, 'oscillation', 1.0): '02a4529d40f25658',
+
+class Pinned(NamedTuple):
+    """What a trial of the simulator gave before presets existed.
+
+    `digest` covers events, frames, stamps and reference readings; the rest is the number of events
+    and the sums of the frames [DN], of the true normal forces [N] and of the reference's [N].
+    """
+
+    digest: str
+    events: int
+    frames: int
+    truth: float
+    reference: float
+
+
+# Device seed, trial seed, profile, duration [s].
+PINNED = {
+    (3, 4, 'impact', 1.2): Pinned('6af81bb7e9fd5cdb', 237903, 356426834, 166.005929646, 139.96135),
+    (5, 6, 'press', 1.8): Pinned('85c951d56806a8e8', 74758, 295527670, 714.898051478, 597.7796),
+    (7, 8, 'static', 1.0): Pinned('ca060493e6cb7fef', 23618, 207639418, 326.032509407, 245.2915),
+    (9, 10, 'oscillation', 1.0): Pinned(
+        '0083094cbea4ddef', 41350, 298658734, 387.781585575, 298.92965
+    ),
 }
-# Of exp, log, sin and cos on this grid, where the digests were taken: other processors round
-# the last bit another way.
-MATHS = 'fcbb2901190becb4'
+# Digests of exp, log, sin and cos as NumPy computes them on x86-64, with AVX-512 and without. With
+# both, with every BLAS kernel and with Numba's `generic` code the trials are the same but for the
+# last bits of the true force (1e-12 N).
+MATHS = ('fcbb2901190becb4', 'b295be7bd5acb1b4')
 
 
 def maths():
@@ -34,21 +53,30 @@ def maths():
 
 
 def digest(trial):
+    """Return a digest of what the instruments gave: integers and the reference's readings."""
     found, e = hashlib.sha256(), trial.events
     for array in (
         *(e.t, e.x, e.y, e.polarity, trial.frames, trial.exposure_start_us, trial.arrival_us),
-        *(trial.truth, trial.reference_t_us, trial.reference_wrench),
+        *(trial.reference_t_us, trial.reference_wrench),
     ):
         found.update(np.ascontiguousarray(array).tobytes())
     return found.hexdigest()[:16]
 
 
-@pytest.mark.skipif(maths() != MATHS, reason='mathematical functions of another processor')
-@pytest.mark.parametrize('trial', DIGESTS)
-def test_easy_is_what_it_always_was(trial):
-    assert digest(simulate_trial(*trial)) == DIGESTS[trial]
-    if trial[2] == 'press':
-        assert digest(simulate_trial(*trial, preset=EASY)) == DIGESTS[trial]
+@pytest.mark.parametrize('arguments', PINNED)
+def test_easy_is_what_it_always_was(arguments):
+    trial, pinned = simulate_trial(*arguments), PINNED[arguments]
+    assert len(trial.events) == pytest.approx(pinned.events, rel=1e-4)
+    assert trial.frames.sum(dtype=np.int64) == pytest.approx(pinned.frames, rel=1e-6)
+    assert trial.truth['fz'].sum() == pytest.approx(pinned.truth, rel=1e-9)
+    assert trial.reference_wrench.sum() == pytest.approx(pinned.reference, rel=1e-6)
+    if maths() in MATHS:
+        assert digest(trial) == pinned.digest
+
+
+def test_easy_is_the_default():
+    arguments = (5, 6, 'press', 0.6)
+    assert digest(simulate_trial(*arguments, preset=EASY)) == digest(simulate_trial(*arguments))
 
 
 @pytest.mark.parametrize('name', ['paper_like', 'hard'])
