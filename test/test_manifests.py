@@ -32,6 +32,7 @@ KEYS = {
 """rosdep key of each module that has one (rosdep/python.yaml of rosdistro, August 2026)."""
 WITHOUT_KEY = {
     'backports': 'requirements/base.txt',
+    'cattrs': 'requirements/base.txt',
     'libusb_package': 'requirements/base.txt',
     'lz4': 'requirements/base.txt',
     'safetensors': 'requirements/base.txt',

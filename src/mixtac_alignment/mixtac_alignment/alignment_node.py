@@ -32,7 +32,7 @@ from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError
 from mixtac_msgs.msg import ClockFit as ClockFitMessage
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
-from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED, OverridableQos, declare, run
+from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED, BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.images import ImageConversionError, grey
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
@@ -44,14 +44,14 @@ if TYPE_CHECKING:
 MOST_EDGES = 10_000
 
 
-class AlignmentNode(OverridableQos, Node):  # type: ignore[misc]
+class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
     """Counts events, remembers force and frames, and fits both clocks when `~/fit` is called.
 
     From then on the reference force is republished on the camera clock as `~/reference`.
     """
 
     def __init__(self) -> None:
-        super().__init__('alignment', namespace='mixtac')
+        super().__init__('alignment')
         self._settings = declare(self, AlignmentParameters, self._apply)
         p = self._settings
         self._rate = EventRateHistory(p.history)

@@ -11,16 +11,16 @@ from rclpy.node import Node
 from std_msgs.msg import Float64
 
 from mixtac_alignment.force_error import ForceErrorParameters, ForcePairing
-from mixtac_node.base_node import QOS_FORCE, OverridableQos, declare, run
+from mixtac_node.base_node import QOS_FORCE, BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import stamp_to_ns
 
 
-class ForceErrorNode(OverridableQos, Node):  # type: ignore[misc]
+class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
     """Running mean absolute and root mean square error, as topics and diagnostics."""
 
     def __init__(self) -> None:
-        super().__init__('force_error', namespace='mixtac')
+        super().__init__('force_error')
         p = declare(self, ForceErrorParameters)
         self._sign = p.sign or 1
         self._pairing = ForcePairing(p.window)

@@ -7,16 +7,17 @@ bursts of events, loading and unloading, with a trough between them where the si
 at its largest deformation. Force peak and event trough are the same moment (paper, section Aligning
 Data). The events come later than that: the deformation of the silicone lags the force, and the
 darker a pixel, the later it responds. This latency is a constant of the sensor (`event_latency_s`)
-and is subtracted. The delay of the force sensor's filter (1.5 to 3 ms for a stream of 800 Hz) cannot
-be told from the offset `b` and stays in it: a camera time maps to the stamp of the sample that shows
-the force of that moment.
+and is subtracted. The delay of the force sensor's filter (1.5 to 3 ms for a stream of 800 Hz)
+cannot be told from the offset `b` and stays in it: a camera time maps to the stamp of the sample
+that shows the force of that moment.
 
 The moment of stillness is taken from the falling flank of the loading burst, not from the middle of
 the trough, which is late. A pixel that has fired on the way in must come back by two thresholds
 before it fires on the way out, so that the second burst starts late, by milliseconds for gentle or
-slow taps; and the way out is often slower than the way in. While the motion keeps its direction, the
-event rate is proportional to its speed, which falls linearly to zero at the largest deformation. The
-anchor is therefore where the falling flank of the first burst, extended, meets the rate at rest.
+slow taps; and the way out is often slower than the way in. While the motion keeps its direction,
+the event rate is proportional to its speed, which falls linearly to zero at the largest
+deformation. The anchor is therefore where the falling flank of the first burst, extended, meets the
+rate at rest.
 """
 
 from __future__ import annotations

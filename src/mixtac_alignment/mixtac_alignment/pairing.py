@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which impulse of one recording is which of the other, with nothing known about the clocks.
 
-`prefer_isolated` first leaves out impulses without stillness on both sides: a deliberate tap has it,
-a bouncing load has not. Every two impulses of one recording laid over two of the other then propose
-a map, if the time between them agrees within the drift that clocks may have. The map under which
-most impulses meet wins.
+`prefer_isolated` first leaves out impulses without stillness on both sides: a deliberate tap has
+it, a bouncing load has not. Every two impulses of one recording laid over two of the other then
+propose a map, if the time between them agrees within the drift that clocks may have. The map under
+which most impulses meet wins.
 """
 
 from __future__ import annotations

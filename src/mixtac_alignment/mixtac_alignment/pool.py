@@ -3,10 +3,10 @@
 """Constants of one sensor from several of its recordings: lag of its gel, latency of its events.
 
 A recording that shows them badly (slow motion) may stand beside another that shows them well (a
-dropped load). The weights of the gel's responses in each recording are taken as a measurement with a
-covariance; what the prior contributed is taken out again, so that the prior counts once. The latency
-is the mean of how late the taps are under the refined maps. `sensor_timings` groups bags by the
-sensor that `dataset.yaml` beside them names.
+dropped load). The weights of the gel's responses in each recording are taken as a measurement with
+a covariance; what the prior contributed is taken out again, so that the prior counts once. The
+latency is the mean of how late the taps are under the refined maps. `sensor_timings` groups bags by
+the sensor that `dataset.yaml` beside them names.
 """
 
 from __future__ import annotations

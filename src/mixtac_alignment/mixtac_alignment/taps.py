@@ -3,9 +3,9 @@
 r"""The clock map from whole taps: all their events against the whole course of the force.
 
 Bursts of the smoothed event rate are paired with force peaks to about 10 ms. This needs no trough,
-which pixels with unequal thresholds can hide or double. The frames, laid over the force by that map,
-say which parts of the image brighten under force. The signed events of each tap are then fitted with
-the events that the course of the force predicts.
+which pixels with unequal thresholds can hide or double. The frames, laid over the force by that
+map, say which parts of the image brighten under force. The signed events of each tap are then
+fitted with the events that the course of the force predicts.
 
 The force, through the lag of the gel, gives the depth of the tap, :math:`d \propto \sqrt{F_e}` (the
 force of a ball on a thin layer grows with the square of its depth). Pixels whose log brightness

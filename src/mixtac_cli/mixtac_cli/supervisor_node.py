@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from mixtac_cli.parameters import SupervisorParameters
 from mixtac_msgs.msg import SlipState
-from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, declare, run
+from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, BaseNode, declare, run
 
 HEARTBEAT_PERIOD_S = 0.1
 ASK_EVERY_S = 1.0
@@ -26,14 +26,14 @@ REARM_S = 3.0
 """So long after a blow slip control is enabled anew, with an advance of zero [s]."""
 
 
-class Supervisor(Node):  # type: ignore[misc]
+class Supervisor(BaseNode, Node):  # type: ignore[misc]
     """Keeps slip control of a simulation enabled, strikes the object and says what happens.
 
     For simulations only: on a real arm a person or a cell controller decides what is enabled.
     """
 
     def __init__(self) -> None:
-        super().__init__('supervisor', namespace='mixtac')
+        super().__init__('supervisor')
         self._settings = declare(self, SupervisorParameters, self._apply)
         self._state, self._seen, self._stopped = SlipState.DISABLED, False, False
         self._place_mm = self._start_mm = self._advance_mm = 0.0

@@ -15,7 +15,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from rosbags.highlevel import AnyReader
 
-from mixtac_node.topics import TOPICS, topic
+from mixtac_node.topics import EVENTS, FORCE, IMAGE_RAW, TOPICS
 from mixtac_recordings.bag import typestore
 
 if TYPE_CHECKING:
@@ -62,9 +62,9 @@ def test_the_bag_opens_in_another_reader_with_all_topics(run: Path):
         types = {c.topic: c.msgtype for c in reader.connections}
         assert types == {t.resolved('mixtac'): t.type_name for t in TOPICS}
         counts = {c.topic: c.msgcount for c in reader.connections}
-    assert counts[topic('force').resolved('mixtac')] > 500 * (SECONDS - 2)
-    assert counts[topic('events').resolved('mixtac')] > 900 * (SECONDS - 2)
-    assert counts[topic('image_raw').resolved('mixtac')] > 20 * (SECONDS - 2)
+    assert counts[FORCE.resolved('mixtac')] > 500 * (SECONDS - 2)
+    assert counts[EVENTS.resolved('mixtac')] > 900 * (SECONDS - 2)
+    assert counts[IMAGE_RAW.resolved('mixtac')] > 20 * (SECONDS - 2)
 
 
 @pytest.mark.dds

@@ -15,10 +15,7 @@ rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
 from mixtac_cli.monitor_node import Monitor  # noqa: E402
 from mixtac_node.graph import sensor_graph  # noqa: E402
 from mixtac_node.process import ProcessGroup  # noqa: E402
-from mixtac_node.topics import (
-    TOPICS,
-    message_class,
-)
+from mixtac_node.topics import TOPICS, message_class  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

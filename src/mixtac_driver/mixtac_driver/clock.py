@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Origin of the camera clock in host time, followed over clock resets, with a check for time jumps."""
+"""Origin of the camera clock in host time, followed over clock resets; check for time jumps."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps a source streaming: opens it, passes its batches on, and reopens it when the stream fails."""
+"""Keeps a source streaming: opens it, passes its batches on, reopens it when the stream fails."""
 
 from __future__ import annotations
 

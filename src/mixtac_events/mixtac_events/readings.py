@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a camera sends besides events: frames, inertial samples, edges; and all of a stretch together."""
+"""What a camera sends besides events: frames, inertial samples, edges."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_events.arrays import Events
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
 
 
 STANDARD_GRAVITY = 9.80665

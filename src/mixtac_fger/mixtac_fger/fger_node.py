@@ -31,7 +31,7 @@ from mixtac_node.base_node import (
     QOS_FORCE,
     QOS_LATCHED,
     QOS_SENSOR,
-    OverridableQos,
+    BaseNode,
     declare,
     run,
 )
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from mixtac_fger.weights import LoadedModel
 
 
-class FgerNode(OverridableQos, LifecycleNode):  # type: ignore[misc]
+class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
     """Estimates force while active.
 
     Configure loads the model and the reference and checks them against the camera; activate starts.

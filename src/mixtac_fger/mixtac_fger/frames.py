@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Camera frames: encoding against the no-contact reference, the thread for it, the reference file."""
+"""Camera frames: encoding against the no-contact reference, its thread, the reference file."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""FGER-Net in torch: the paper's Algorithm 1 over batches of sequences, with an uncertainty head."""
+"""FGER-Net in torch: the paper's Algorithm 1 over batches of sequences, with uncertainty."""
 
 from __future__ import annotations
 

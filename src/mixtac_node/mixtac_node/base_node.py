@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What every node shares: QoS profiles, declared parameters, the run loop."""
+"""What every node shares: namespace, topics with their QoS, declared parameters, the run loop."""
 
 from __future__ import annotations
 
@@ -25,43 +25,99 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 
 from mixtac_events.errors import MixtacError
+from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
+from mixtac_node.topics import message_class
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
+    from mixtac_node.topics import Topic
 
 
 T = TypeVar('T')
 
 
-def _best_effort(depth: int) -> QoSProfile:
+DEFAULT_NAMESPACE = 'mixtac'
+"""Namespace of all nodes unless the user gives another one (`__ns`)."""
+
+
+def qos(topic: Topic) -> QoSProfile:
+    """Return the QoS profile of a topic, for publishers and subscriptions alike."""
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT
+        history=HistoryPolicy.KEEP_LAST,
+        depth=topic.depth,
+        reliability=(
+            ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT
+        ),
+        durability=(
+            DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+        ),
     )
 
 
-QOS_EVENTS = _best_effort(1000)
+QOS_EVENTS = qos(topics.EVENTS)
 """Event packets: what every consumer of event_camera_msgs subscribes with."""
-QOS_FORCE = _best_effort(100)
+QOS_FORCE = qos(topics.FORCE)
 """Force, slip, reference wrench: 500 to 1000 Hz, too fast for the sensor-data depth of 5."""
-QOS_SENSOR = _best_effort(10)
+QOS_SENSOR = qos(topics.IMAGE_RAW)
 """Frames, camera information, IMU."""
-QOS_LATCHED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+QOS_LATCHED = qos(topics.CLOCK_FIT)
 """The latest value for late joiners (clock fit, camera clock)."""
 
 
-class OverridableQos:
-    """Mixin, before rclpy's node class: QoS of its topics can be set by parameters.
+class BaseNode:
+    """Mixin, before rclpy's node class (plain or lifecycle), of every Mixtac node.
 
-    Publishers and subscriptions take history, depth and reliability from the parameters
-    `qos_overrides.TOPIC.publisher.*` and `qos_overrides.TOPIC.subscription.*` where those are given
+    Nodes are in `DEFAULT_NAMESPACE` by default. Publishers and subscriptions take history, depth
+    and reliability from the parameters `qos_overrides.TOPIC.publisher.*` and
+    `qos_overrides.TOPIC.subscription.*` where those are given
     (https://design.ros2.org/articles/qos_configurability.html); lifecycle publishers as well.
+
+    Args:
+        name: Name of the node.
+        namespace: Its namespace; remapping (`__ns`) takes precedence.
+        options: Further arguments of rclpy's node class.
     """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        namespace: str = DEFAULT_NAMESPACE,
+        **options: Any,  # noqa: ANN401
+    ) -> None:
+        super().__init__(name, namespace=namespace, **options)  # type: ignore[call-arg]
+
+    def publish_topic(self, topic: Topic, *, name: str = '', managed: bool = False) -> Any:  # noqa: ANN401
+        """Create the publisher of a topic, with the topic's type and QoS.
+
+        Args:
+            topic: The topic.
+            name: Other name for it, for example from a parameter; empty for the topic's own.
+            managed: Create a lifecycle publisher, which publishes only while the node is active.
+        """
+        create = self.create_lifecycle_publisher if managed else self.create_publisher
+        return create(message_class(topic.type_name), name or topic.name, qos(topic))
+
+    def subscribe_topic(
+        self,
+        topic: Topic,
+        callback: Callable[[Any], None],
+        *,
+        name: str = '',
+        raw: bool = False,
+    ) -> Any:  # noqa: ANN401
+        """Create a subscription to a topic, with the topic's type and QoS.
+
+        Args:
+            topic: The topic.
+            callback: Called with each message.
+            name: Other name for it, for example from a parameter; empty for the topic's own.
+            raw: Pass the serialised message to the callback, as bytes.
+        """
+        kind = message_class(topic.type_name)
+        return self.create_subscription(kind, name or topic.name, callback, qos(topic), raw=raw)
 
     def create_publisher(self, kind: Any, topic: str, *args: Any, **options: Any) -> Any:  # noqa: ANN401
         """Create a publisher whose QoS can be overridden."""
@@ -77,17 +133,17 @@ class OverridableQos:
         return super().create_lifecycle_publisher(kind, topic, *_own(args), **options)  # type: ignore[misc]
 
 
-OWN_OF_RCLPY = ('/parameter_events', '/rosout', '/clock')
+_TOPICS_OF_RCLPY = ('/parameter_events', '/rosout', '/clock')
 
 
 def _own(values: Iterable[Any]) -> list[Any]:
-    # rclpy writes overrides into the profile that it is given: those of others stay as they are.
+    # rclpy writes overrides into the profile that it is given, so each topic gets a copy.
     return [copy.copy(value) if isinstance(value, QoSProfile) else value for value in values]
 
 
 def _overridable(topic: str, options: dict[str, Any]) -> dict[str, Any]:
-    if topic in OWN_OF_RCLPY:
-        # They come before a node can have parameters.
+    if topic in _TOPICS_OF_RCLPY:
+        # Created before the node can have parameters.
         return options
     own = dict(zip(options, _own(options.values()), strict=True))
     return {'qos_overriding_options': QoSOverridingOptions.with_default_policies(), **own}

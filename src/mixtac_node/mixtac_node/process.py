@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
+import queue
 import re
 import shutil
 import signal
@@ -177,6 +180,104 @@ class ProcessGroup:
                 self._members[each].process.terminate()
         deadline = time.monotonic() + STOP_GRACE_S
         return {each: _wait(self._members.pop(each), deadline) for each in names}
+
+
+class JsonProcess:
+    """A child process that writes one JSON object per line; other lines are ignored.
+
+    It ends with this process, or when the `with` block is left.
+
+    Args:
+        name: Its name in error messages.
+        command: Command line.
+        env: Environment; None for this process's own.
+    """
+
+    def __init__(self, name: str, command: list[str], env: dict[str, str] | None = None) -> None:
+        self._name = name
+        self._process = subprocess.Popen(
+            ending_with_parent(command),
+            env=env,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self._lines: queue.Queue[dict[str, Any]] = queue.Queue()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> JsonProcess:
+        """Return the process."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End it if it still runs."""
+        self.stop()
+
+    def send(self, **values: object) -> None:
+        """Write one JSON object to its standard input."""
+        assert self._process.stdin is not None  # noqa: S101  (always piped)
+        self._process.stdin.write(json.dumps(values) + '\n')
+        self._process.stdin.flush()
+
+    def expect(self, key: str, timeout_s: float) -> dict[str, Any]:
+        """Return the next object that has a key.
+
+        Args:
+            key: The key.
+            timeout_s: Longest time to wait [s].
+
+        Raises:
+            GraphError: None came in time, or the process ended first.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        while time.monotonic() < deadline_s:
+            ended = not self._thread.is_alive()
+            with contextlib.suppress(queue.Empty):
+                line = self._lines.get(timeout=0.1)
+                if key in line:
+                    return line
+                continue
+            if ended:
+                break
+        code = self._process.poll()
+        state = 'is still running' if code is None else f'ended with status {code}'
+        raise GraphError(f'{self._name} did not report {key!r} within {timeout_s:g} s; it {state}')
+
+    def latest(self, key: str, line: dict[str, Any]) -> dict[str, Any]:
+        """Return the newest object with a key among those received so far, or `line`."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                received = self._lines.get_nowait()
+                line = received if key in received else line
+        return line
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def stop(self) -> None:
+        """End it: SIGTERM, then SIGKILL after a grace time. Its output can still be read."""
+        if self._process.poll() is None:
+            self._process.terminate()
+            try:
+                self._process.wait(STOP_GRACE_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        self._thread.join(1.0)
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None  # noqa: S101  (always piped)
+        for line in self._process.stdout:
+            with contextlib.suppress(ValueError):
+                self._lines.put(json.loads(line))
 
 
 def _leave(number: int, _frame: FrameType | None) -> None:

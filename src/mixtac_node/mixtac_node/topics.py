@@ -48,163 +48,209 @@ class Topic:
 
 
 REFERENCE = '/ft_sensor/wrench'
-TOPICS = (
-    Topic(
-        'events',
-        'event_camera_msgs/msg/EventPacket',
-        reliable=False,
-        depth=1000,
-        description='Events, encoding `libcaer_cmp`, a packet every 1 ms or less; `time_base` on '
-        'the camera clock [ns], `header.stamp` the arrival on the host.',
-    ),
-    Topic(
-        'image_raw',
-        'sensor_msgs/msg/Image',
-        reliable=False,
-        depth=10,
-        description='APS frame, `mono16`, 10 bit left-aligned; stamp is mid-exposure on the camera '
-        'clock.',
-    ),
-    Topic(
-        'camera_info',
-        'sensor_msgs/msg/CameraInfo',
-        reliable=False,
-        depth=10,
-        description='Calibration of the lens, with the stamp of its frame.',
-    ),
-    Topic(
-        'image_rect',
-        'sensor_msgs/msg/Image',
-        reliable=False,
-        depth=10,
-        condition='undistort_frames',
-        description='With `undistort_frames`: the frame without the distortion of the lens, '
-        'pixels by P of `camera_info`.',
-    ),
-    Topic(
-        'events_rect',
-        'event_camera_msgs/msg/EventPacket',
-        reliable=False,
-        depth=1000,
-        condition='undistort_events',
-        description='With `undistort_events`: events at the pixels of `image_rect`; those outside '
-        'are left out.',
-    ),
-    Topic(
-        'image_exposure',
-        'mixtac_msgs/msg/FrameExposure',
-        reliable=False,
-        depth=10,
-        description='With the header of its frame: start and end of its exposure and of its '
-        'read-out on the camera clock.',
-    ),
-    Topic(
-        'imu',
-        'sensor_msgs/msg/Imu',
-        reliable=False,
-        depth=10,
-        description='Acceleration [m/s^2] and angular velocity [rad/s]; stamp on the camera clock.',
-    ),
-    Topic(
-        'temperature',
-        'sensor_msgs/msg/Temperature',
-        reliable=False,
-        depth=10,
-        description='Temperature of the inertial unit in the camera, 10 Hz; stamp on the camera '
-        'clock.',
-    ),
-    Topic(
-        'external_edges',
-        'mixtac_msgs/msg/ExternalEdge',
-        reliable=True,
-        depth=1000,
-        description='Edges and pulses at the synchronisation connector; stamp on the camera clock.',
-    ),
-    Topic(
-        'camera_clock',
-        'sensor_msgs/msg/TimeReference',
-        reliable=True,
-        depth=1,
-        latched=True,
-        description='Once a second: a host time in `header.stamp` and the camera clock at that '
-        'time in `time_ref`.',
-    ),
-    Topic(
-        'force',
-        'geometry_msgs/msg/WrenchStamped',
-        reliable=False,
-        depth=100,
-        description='Estimated force at 500 Hz, `force.z` the normal force [N]; stamp is the end '
-        'of the event window on the camera clock, frame `mixtac_contact`.',
-    ),
-    Topic(
-        'force_quality',
-        'mixtac_msgs/msg/ForceQuality',
-        reliable=False,
-        depth=100,
-        description='For each `force`, with the same stamp: its standard deviation [N], the age of '
-        'the latest frame, and whether all events of the window arrived.',
-    ),
-    Topic(
-        REFERENCE,
-        'geometry_msgs/msg/WrenchStamped',
-        reliable=False,
-        depth=100,
-        description='Reference force sensor, 800 Hz, on its own clock (the virtual one, or yours).',
-    ),
-    Topic(
-        'truth/wrench',
-        'geometry_msgs/msg/WrenchStamped',
-        reliable=False,
-        depth=100,
-        description='Virtual sensor only: the simulated force itself, 1 kHz, on the host clock.',
-    ),
-    Topic(
-        '/diagnostics',
-        'diagnostic_msgs/msg/DiagnosticArray',
-        reliable=True,
-        depth=10,
-        description='State of every node once a second.',
-    ),
-    Topic(
-        'clock_fit',
-        'mixtac_msgs/msg/ClockFit',
-        reliable=True,
-        depth=1,
-        latched=True,
-        description='Map from the camera clock to the reference clock (alignment node).',
-    ),
-    Topic(
-        'alignment/reference',
-        'geometry_msgs/msg/WrenchStamped',
-        reliable=False,
-        depth=100,
-        description='The reference force, stamps on the camera clock, once there is a fit '
-        '(alignment node).',
-    ),
-    Topic(
-        'force_error/mae',
-        'std_msgs/msg/Float64',
-        reliable=False,
-        depth=100,
-        description='Running mean absolute error of `force` against the aligned reference [N] '
-        '(force error node).',
-    ),
-    Topic(
-        'force_error/rmse',
-        'std_msgs/msg/Float64',
-        reliable=False,
-        depth=100,
-        description='Its root mean square [N].',
-    ),
-    Topic(
-        'slip',
-        'mixtac_msgs/msg/SlipState',
-        reliable=False,
-        depth=100,
-        description='Slip detection per 1 ms window (slip control node).',
-    ),
+EVENTS = Topic(
+    'events',
+    'event_camera_msgs/msg/EventPacket',
+    reliable=False,
+    depth=1000,
+    description='Events, encoding `libcaer_cmp`, a packet every 1 ms or less; `time_base` on '
+    'the camera clock [ns], `header.stamp` the arrival on the host.',
 )
+IMAGE_RAW = Topic(
+    'image_raw',
+    'sensor_msgs/msg/Image',
+    reliable=False,
+    depth=10,
+    description='APS frame, `mono16`, 10 bit left-aligned; stamp is mid-exposure on the camera '
+    'clock.',
+)
+CAMERA_INFO = Topic(
+    'camera_info',
+    'sensor_msgs/msg/CameraInfo',
+    reliable=False,
+    depth=10,
+    description='Calibration of the lens, with the stamp of its frame.',
+)
+IMAGE_RECT = Topic(
+    'image_rect',
+    'sensor_msgs/msg/Image',
+    reliable=False,
+    depth=10,
+    condition='undistort_frames',
+    description='With `undistort_frames`: the frame without the distortion of the lens, '
+    'pixels by P of `camera_info`.',
+)
+EVENTS_RECT = Topic(
+    'events_rect',
+    'event_camera_msgs/msg/EventPacket',
+    reliable=False,
+    depth=1000,
+    condition='undistort_events',
+    description='With `undistort_events`: events at the pixels of `image_rect`; those outside '
+    'are left out.',
+)
+IMAGE_EXPOSURE = Topic(
+    'image_exposure',
+    'mixtac_msgs/msg/FrameExposure',
+    reliable=False,
+    depth=10,
+    description='With the header of its frame: start and end of its exposure and of its '
+    'read-out on the camera clock.',
+)
+IMU = Topic(
+    'imu',
+    'sensor_msgs/msg/Imu',
+    reliable=False,
+    depth=10,
+    description='Acceleration [m/s^2] and angular velocity [rad/s]; stamp on the camera clock.',
+)
+TEMPERATURE = Topic(
+    'temperature',
+    'sensor_msgs/msg/Temperature',
+    reliable=False,
+    depth=10,
+    description='Temperature of the inertial unit in the camera, 10 Hz; stamp on the camera clock.',
+)
+EXTERNAL_EDGES = Topic(
+    'external_edges',
+    'mixtac_msgs/msg/ExternalEdge',
+    reliable=True,
+    depth=1000,
+    description='Edges and pulses at the synchronisation connector; stamp on the camera clock.',
+)
+CAMERA_CLOCK = Topic(
+    'camera_clock',
+    'sensor_msgs/msg/TimeReference',
+    reliable=True,
+    depth=1,
+    latched=True,
+    description='Once a second: a host time in `header.stamp` and the camera clock at that '
+    'time in `time_ref`.',
+)
+FORCE = Topic(
+    'force',
+    'geometry_msgs/msg/WrenchStamped',
+    reliable=False,
+    depth=100,
+    description='Estimated force at 500 Hz, `force.z` the normal force [N]; stamp is the end '
+    'of the event window on the camera clock, frame `mixtac_contact`.',
+)
+FORCE_QUALITY = Topic(
+    'force_quality',
+    'mixtac_msgs/msg/ForceQuality',
+    reliable=False,
+    depth=100,
+    description='For each `force`, with the same stamp: its standard deviation [N], the age of '
+    'the latest frame, and whether all events of the window arrived.',
+)
+REFERENCE_WRENCH = Topic(
+    REFERENCE,
+    'geometry_msgs/msg/WrenchStamped',
+    reliable=False,
+    depth=100,
+    description='Reference force sensor, 800 Hz, on its own clock (the virtual one, or yours).',
+)
+TRUTH_WRENCH = Topic(
+    'truth/wrench',
+    'geometry_msgs/msg/WrenchStamped',
+    reliable=False,
+    depth=100,
+    description='Virtual sensor only: the simulated force itself, 1 kHz, on the host clock.',
+)
+DIAGNOSTICS = Topic(
+    '/diagnostics',
+    'diagnostic_msgs/msg/DiagnosticArray',
+    reliable=True,
+    depth=10,
+    description='State of every node once a second.',
+)
+CLOCK_FIT = Topic(
+    'clock_fit',
+    'mixtac_msgs/msg/ClockFit',
+    reliable=True,
+    depth=1,
+    latched=True,
+    description='Map from the camera clock to the reference clock (alignment node).',
+)
+ALIGNMENT_REFERENCE = Topic(
+    'alignment/reference',
+    'geometry_msgs/msg/WrenchStamped',
+    reliable=False,
+    depth=100,
+    description='The reference force, stamps on the camera clock, once there is a fit '
+    '(alignment node).',
+)
+FORCE_ERROR_MAE = Topic(
+    'force_error/mae',
+    'std_msgs/msg/Float64',
+    reliable=False,
+    depth=100,
+    description='Running mean absolute error of `force` against the aligned reference [N] '
+    '(force error node).',
+)
+FORCE_ERROR_RMSE = Topic(
+    'force_error/rmse',
+    'std_msgs/msg/Float64',
+    reliable=False,
+    depth=100,
+    description='Its root mean square [N].',
+)
+SLIP = Topic(
+    'slip',
+    'mixtac_msgs/msg/SlipState',
+    reliable=False,
+    depth=100,
+    description='Slip detection per 1 ms window (slip control node).',
+)
+
+# Only in bags of simulated trials, and of the simulated grasp: no node of the sensor uses them.
+TRUTH_CONTACT = Topic(
+    'truth/contact',
+    'geometry_msgs/msg/PointStamped',
+    reliable=False,
+    depth=100,
+    description='Where the indenter meets the skin (x, y from the optical axis) and depth of the '
+    'dent (z) [m], 1 kHz, on the host clock.',
+)
+TRUTH_CLOCK_FIT = Topic(
+    'truth/clock_fit',
+    'mixtac_msgs/msg/ClockFit',
+    reliable=True,
+    depth=1,
+    latched=True,
+    description='True map from the camera clock to the reference clock.',
+)
+TRUTH_OBJECT = Topic(
+    'truth/object',
+    'geometry_msgs/msg/PointStamped',
+    reliable=False,
+    depth=100,
+    description='Position of the simulated grasped object, z upwards [m].',
+)
+
+TOPICS = (
+    EVENTS,
+    IMAGE_RAW,
+    CAMERA_INFO,
+    IMAGE_RECT,
+    EVENTS_RECT,
+    IMAGE_EXPOSURE,
+    IMU,
+    TEMPERATURE,
+    EXTERNAL_EDGES,
+    CAMERA_CLOCK,
+    FORCE,
+    FORCE_QUALITY,
+    REFERENCE_WRENCH,
+    TRUTH_WRENCH,
+    DIAGNOSTICS,
+    CLOCK_FIT,
+    ALIGNMENT_REFERENCE,
+    FORCE_ERROR_MAE,
+    FORCE_ERROR_RMSE,
+    SLIP,
+)
+"""What the nodes of a sensor publish and subscribe to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,8 +336,3 @@ SERVICES = (
         'Leaves a latched stop; refused while its cause lasts.',
     ),
 )
-
-
-def topic(name: str) -> Topic:
-    """Return a topic by its relative name."""
-    return next(each for each in TOPICS if each.name == name)

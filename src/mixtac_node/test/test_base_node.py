@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac_node.stamps import ns_to_stamp, stamp_to_ns, stamp_to_us, us_to_stamp
+from mixtac_node.stamps import ns_to_stamp, stamp_to_ns, stamp_to_us, us_to_stamp  # noqa: E402
 
 NODE = textwrap.dedent(
     """

@@ -18,9 +18,9 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 from builtin_interfaces.msg import Time
-from mixtac_node.base_node import QOS_EVENTS, OverridableQos
+from mixtac_node.base_node import QOS_EVENTS, BaseNode
 
-class Probe(OverridableQos, LifecycleNode):
+class Probe(BaseNode, LifecycleNode):
     pass
 
 overrides = {

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from mixtac_node.base_node import QOS_SENSOR, declare, run
+from mixtac_node.base_node import QOS_SENSOR, BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp, stamp_to_ns
 from mixtac_sim.arm.controller import JointTrajectoryController, Release, Trajectory
@@ -33,7 +33,7 @@ LIMITS_SEEN = 4
 """Commands that a jerk is computed from."""
 
 
-class VirtualArmNode(Node):  # type: ignore[misc]
+class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
     """Accepts trajectories, follows them with a lag and publishes joint states.
 
     Cycles of the controller are computed when joint states are due; they lie on their own grid of
@@ -41,7 +41,7 @@ class VirtualArmNode(Node):  # type: ignore[misc]
     """
 
     def __init__(self) -> None:
-        super().__init__('virtual_arm', namespace='mixtac')
+        super().__init__('virtual_arm')
         parameters = declare(self, VirtualArmParameters)
         release: Release = 'humble' if parameters.release == 'humble' else 'jazzy'
         self._period_s = 1.0 / parameters.update_rate

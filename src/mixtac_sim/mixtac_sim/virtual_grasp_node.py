@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from mixtac_msgs.msg import SlipState
-from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, declare, run
+from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, BaseNode, declare, run
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp, stamp_to_us
 from mixtac_sim.arm.fr3 import JOINT_NAMES, flange_place
@@ -57,7 +57,7 @@ STAMP_AT = 4
 encoding, which is little-endian on every machine this runs on."""
 
 
-class VirtualGraspNode(Node):  # type: ignore[misc]
+class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
     """Runs sensor and grasp, follows the arm's joint states, and strikes when asked to.
 
     Services: ``~/knock`` strikes the object, ``~/put_back`` begins the grasp anew. Topics:
@@ -65,7 +65,7 @@ class VirtualGraspNode(Node):  # type: ignore[misc]
     """
 
     def __init__(self) -> None:
-        super().__init__('virtual_grasp', namespace='mixtac')
+        super().__init__('virtual_grasp')
         self._settings = declare(self, VirtualGraspParameters, self._change)
         settings = self._settings
         self._normal = np.array([settings.normal_x, settings.normal_y, settings.normal_z])

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
-from mixtac_node.base_node import QOS_FORCE, OverridableQos, declare, run
+from mixtac_node.base_node import QOS_FORCE, BaseNode, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp
 from mixtac_sim.live.touch import TouchControl
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 PUBLISH_PERIOD_S: Final = 0.004
 
 
-class VirtualSensorNode(OverridableQos, Node):  # type: ignore[misc]
+class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
     """Runs a virtual sensor, serves its camera and publishes what a bench would measure.
 
     Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time), both best
@@ -50,7 +50,7 @@ class VirtualSensorNode(OverridableQos, Node):  # type: ignore[misc]
     """
 
     def __init__(self) -> None:
-        super().__init__('virtual_sensor', namespace='mixtac')
+        super().__init__('virtual_sensor')
         self._settings = declare(self, VirtualSensorParameters, self._change)
         self._plays = 0
         self._stop = Event()

@@ -19,7 +19,7 @@ from rclpy.qos import ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
 
-from mixtac_node.base_node import QOS_SENSOR
+from mixtac_node.base_node import QOS_SENSOR  # noqa: E402
 from mixtac_node.stamps import ns_to_stamp  # noqa: E402
 from mixtac_sim.arm.fr3 import JOINT_NAMES, READY  # noqa: E402
 

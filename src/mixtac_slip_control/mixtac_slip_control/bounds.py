@@ -3,9 +3,9 @@
 """How far the arm may advance: stiffness of the contact, the probe that measures it, the bound.
 
 The force is bounded ahead, not watched: an arm that is 10 ms late has pressed several newtons too
-hard before a measured force shows it. The bound is `ContactStiffness.largest_advance`, computed anew
-in every window. It is never below the advance already commanded, so a noisy force makes the arm
-wait, not retreat.
+hard before a measured force shows it. The bound is `ContactStiffness.largest_advance`, computed
+anew in every window. It is never below the advance already commanded, so a noisy force makes the
+arm wait, not retreat.
 
 The stiffness comes from the arm's own advance and the force that follows it: a Kalman filter on
 (f, k) with F = f + k x, where the force f at advance zero drifts as the gel relaxes and the

@@ -24,7 +24,7 @@ from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError
 from mixtac_msgs.msg import SlipState
-from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR, OverridableQos, declare, run
+from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR, BaseNode, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
 from mixtac_node.images import grey
 from mixtac_node.stamps import stamp_to_us, us_to_stamp
@@ -46,11 +46,11 @@ WATCH_PERIOD_S = 5e-3
 """How often the watchdogs look where nothing arrives [s]."""
 
 
-class SlipControlNode(OverridableQos, Node):  # type: ignore[misc]
+class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
     """Wires the slip controller to topics and services."""
 
     def __init__(self) -> None:
-        super().__init__('slip_control', namespace='mixtac')
+        super().__init__('slip_control')
         self._settings = declare(self, SlipControlParameters, self._apply)
         settings = _settings(self._settings)
         arm = self._arm = make_arm(self._settings)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of disk, topics and clocks before a recording, and the tables shown before and during it."""
+"""Checks of disk, topics and clocks before a recording, and tables shown before and during it."""
 
 from __future__ import annotations
 

@@ -16,6 +16,7 @@ from rclpy.serialization import deserialize_message
 
 from mixtac_cli.record.meter import EVEN, TopicMeter
 from mixtac_cli.record.summary import RecordingSummary
+from mixtac_node.base_node import DEFAULT_NAMESPACE, BaseNode
 from mixtac_node.topics import REFERENCE, TOPICS, Topic, message_class
 from mixtac_recordings.bag_writer import BagWriter
 
@@ -29,14 +30,14 @@ CAMERA_CLOCK = ('image_raw', 'imu', 'force')
 """Topics whose stamps are on the camera's clock, by which it is judged."""
 
 
-class Listener(Node):  # type: ignore[misc]
+class Listener(BaseNode, Node):  # type: ignore[misc]
     """Meters all topics; writes them to a bag between `start` and `finish`.
 
     Everything but construction is for the thread of its executor.
 
     Args:
         name: Name of the node.
-        namespace: Namespace of the sensor, empty for that of the command line.
+        namespace: Namespace of the sensor; one on the command line takes precedence.
 
     Attributes:
         meters: One per topic.
@@ -45,8 +46,8 @@ class Listener(Node):  # type: ignore[misc]
         serial: Hardware id of the driver, empty before it is known.
     """
 
-    def __init__(self, name: str, namespace: str = '') -> None:
-        super().__init__(name, **({'namespace': namespace} if namespace else {}))
+    def __init__(self, name: str, namespace: str = DEFAULT_NAMESPACE) -> None:
+        super().__init__(name, namespace=namespace)
         self.meters: list[TopicMeter] = []
         self.writer: BagWriter | None = None
         self.simulated = False

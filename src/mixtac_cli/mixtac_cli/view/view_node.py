@@ -22,7 +22,7 @@ from mixtac_cli.view.drawing import Drawing
 from mixtac_cli.view.server import ViewError, ViewerServer, require_rerun
 from mixtac_events.codec import warm_up
 from mixtac_msgs.msg import SlipState
-from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR, OverridableQos, declare, run
+from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR, BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 
 if TYPE_CHECKING:
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from mixtac_cli.view.page import Page
 
 
-class ViewNode(OverridableQos, Node):  # type: ignore[misc]
+class ViewNode(BaseNode, Node):  # type: ignore[misc]
     """Only listens: best-effort subscriptions, so that nobody ever waits for the view."""
 
     def __init__(self) -> None:
-        super().__init__('view', namespace='mixtac')
+        super().__init__('view')
         self._settings = declare(self, ViewParameters)
         self._server: ViewerServer | None = None
         self._failure: Exception | None = None

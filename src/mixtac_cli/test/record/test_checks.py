@@ -16,7 +16,7 @@ from mixtac_cli.record.checks import (
     free_bytes,
 )
 from mixtac_cli.record.meter import TopicMeter
-from mixtac_node.topics import topic
+from mixtac_node.topics import TOPICS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,7 +26,8 @@ GIB = 1 << 30
 
 
 def meter(name: str, messages: int, missing: int = 0) -> TopicMeter:
-    return TopicMeter(topic(name), even=False, messages=messages, missing=missing)
+    (topic,) = (each for each in TOPICS if each.name == name)
+    return TopicMeter(topic, even=False, messages=messages, missing=missing)
 
 
 def test_a_recording_that_does_not_fit_is_refused():

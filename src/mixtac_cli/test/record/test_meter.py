@@ -10,7 +10,7 @@ import pytest
 
 from mixtac_cli.record.meter import TopicMeter
 from mixtac_cli.record.summary import RecordingSummary
-from mixtac_node.topics import TOPICS, topic
+from mixtac_node.topics import EVENTS, FORCE, IMAGE_RAW, TOPICS
 
 
 def stamped(stamp_ns: int) -> bytes:
@@ -18,14 +18,14 @@ def stamped(stamp_ns: int) -> bytes:
 
 
 def test_packets_missing_by_number_are_counted(packet):
-    meter = TopicMeter(topic('events'), even=False)
+    meter = TopicMeter(EVENTS, even=False)
     for received, seq in enumerate([5, 6, 9, 10, 0, 1]):
         meter.add(10**9 + received, packet(seq, 'camera', 'libcaer_cmp', 1, 0, big=False))
     assert (meter.messages, meter.missing, meter.backwards) == (6, 2, 1)
 
 
 def test_frames_missing_by_their_stamps_are_counted():
-    meter = TopicMeter(topic('image_raw'), even=True)
+    meter = TopicMeter(IMAGE_RAW, even=True)
     numbers = [n for n in range(60) if n not in {30, 40, 41}]
     for n in numbers:
         meter.add(n, stamped(10**9 + n * 25_000_000 + (n % 3) * 10_000))
@@ -33,7 +33,7 @@ def test_frames_missing_by_their_stamps_are_counted():
 
 
 def test_a_slower_rate_is_learned_and_not_counted_for_ever():
-    meter = TopicMeter(topic('image_raw'), even=True)
+    meter = TopicMeter(IMAGE_RAW, even=True)
     stamps = [n * 25_000_000 for n in range(33)]
     stamps += [stamps[-1] + (n + 1) * 100_000_000 for n in range(200)]
     for stamp in stamps:
@@ -42,7 +42,7 @@ def test_a_slower_rate_is_learned_and_not_counted_for_ever():
 
 
 def test_a_restart_counts_from_zero():
-    meter = TopicMeter(topic('force'), even=True)
+    meter = TopicMeter(FORCE, even=True)
     for n in range(20):
         meter.add(1 + n, stamped(10**9 + n * 2_000_000))
     meter.restart()
@@ -51,7 +51,7 @@ def test_a_restart_counts_from_zero():
 
 
 def test_rate_is_that_of_the_arrivals():
-    meter = TopicMeter(topic('force'), even=True)
+    meter = TopicMeter(FORCE, even=True)
     for n in range(11):
         meter.add(10**9 + n * 2_000_000, stamped(10**9 + n * 2_000_000))
     assert meter.rate_hz == pytest.approx(500.0)
@@ -67,7 +67,7 @@ def test_every_topic_says_whether_it_has_a_header():
 
 
 def test_the_verdict_names_what_was_lost(packet):
-    meter = TopicMeter(topic('events'), even=False)
+    meter = TopicMeter(EVENTS, even=False)
     assert RecordingSummary.of([meter], 1.0, 0, simulated=True, serial='').verdict() == (
         'nothing was lost'
     )

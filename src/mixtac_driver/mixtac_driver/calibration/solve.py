@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration from views of a board: fit, rejection of bad views, acceptance criteria, rectification."""
+"""Calibration from views of a board: fit, rejection of bad views, acceptance, rectification."""
 
 from __future__ import annotations
 

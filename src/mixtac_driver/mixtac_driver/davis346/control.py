@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Thread-safe requests to an open camera: settings, exposure, single frames, clock reset, statistics."""
+"""Thread-safe requests to an open camera: settings, exposure, frames, clock reset, statistics."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about this computer: processor, kernel, clock, disk, network buffers, libusb, USB memory."""
+"""Findings about this computer: processor, kernel, clock, disk, network, libusb, USB memory."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import Supervisor, recovery_settings
 from mixtac_events.codec import warm_up
 from mixtac_events.errors import MixtacError
-from mixtac_node.base_node import QOS_LATCHED, OverridableQos, declare, run
+from mixtac_node.base_node import QOS_LATCHED, BaseNode, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
 from mixtac_recordings import messages
 
@@ -43,11 +43,11 @@ if TYPE_CHECKING:
 CLOCK_PERIOD_S = 1.0
 
 
-class DriverNode(OverridableQos, Node):  # type: ignore[misc]
+class DriverNode(BaseNode, Node):  # type: ignore[misc]
     """Publishes what a DAVIS346 sees, on topics that somebody subscribes to."""
 
     def __init__(self) -> None:
-        super().__init__('driver', namespace='mixtac')
+        super().__init__('driver')
         self._p = p = declare(self, DriverParameters, self._apply)
         self._kind = source_kind(p.device)
         self._settings = DriverSettings(p)

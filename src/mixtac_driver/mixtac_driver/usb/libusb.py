@@ -176,8 +176,8 @@ DRAIN_TIMEOUT_S = 2.0
 class AsynchronousReader:
     """Keeps reads waiting at the endpoint until stopped or until the camera goes away.
 
-    Has the interface of `mixtac_driver.usb.transport.BulkReader`. `get` is for one thread; `stop` may
-    be called from another. libusb may call back in any thread that makes a request of it.
+    Has the interface of `mixtac_driver.usb.transport.BulkReader`. `get` is for one thread; `stop`
+    may be called from another. libusb may call back in any thread that makes a request of it.
 
     Args:
         port: The camera, open and claimed.

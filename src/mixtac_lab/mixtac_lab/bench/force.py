@@ -24,10 +24,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from mixtac_lab.bench.harness import JsonProcess
+from mixtac_lab.bench.harness import cpu_s
 from mixtac_lab.bench.pipeline import Load, camera_command
 from mixtac_node.graph import in_one_process, sensor_graph
-from mixtac_node.process import GraphError
+from mixtac_node.process import GraphError, JsonProcess
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -97,11 +97,11 @@ def run_force(load: Load, seconds: float, *, together: bool) -> ForceRun:
         values = {'period_us': pattern['period_us'], 'events': pattern['events']}
         probe.send(pattern={'origin_ns': origin_ns, **values})
         probe.expect('measuring', START_TIMEOUT_S)
-        before = {name: process.cpu_s() for name, process in parts.items()}
+        before = {name: cpu_s(process) for name, process in parts.items()}
         began_s = time.monotonic()
         time.sleep(seconds)
         elapsed_s = time.monotonic() - began_s
-        cpu = {name: (p.cpu_s() - before[name]) / elapsed_s for name, p in parts.items()}
+        cpu = {name: (cpu_s(p) - before[name]) / elapsed_s for name, p in parts.items()}
         probe.stop()
         figures = probe.expect('forces', START_TIMEOUT_S)
     if not figures['forces']:
@@ -233,11 +233,11 @@ def run_two(seconds: float, *, together: bool) -> dict[str, Any]:
             command = [sys.executable, '-m', 'mixtac_lab.bench.programs.force_probe_node']
             probes[side] = stack.enter_context(JsonProcess(f'{side}/probe', command, env))
         _measure_from_now(probes)
-        before = {name: process.cpu_s() for name, process in parts.items()}
+        before = {name: cpu_s(process) for name, process in parts.items()}
         began_s = time.monotonic()
         time.sleep(seconds)
         elapsed_s = time.monotonic() - began_s
-        cpu = {name: (p.cpu_s() - before[name]) / elapsed_s for name, p in parts.items()}
+        cpu = {name: (cpu_s(p) - before[name]) / elapsed_s for name, p in parts.items()}
         report: dict[str, Any] = {
             'simulated': True,
             'single_process': together,

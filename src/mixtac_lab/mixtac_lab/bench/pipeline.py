@@ -24,8 +24,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from mixtac_lab.bench.harness import JsonProcess
+from mixtac_lab.bench.harness import cpu_s
 from mixtac_node.graph import config_file, executable
+from mixtac_node.process import JsonProcess
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -139,12 +140,12 @@ def run_pipeline(
                 'events': pattern['events'],
             },
         )
-        began_s, driver_s, probe_s = time.monotonic(), driver.cpu_s(), probe.cpu_s()
+        began_s, driver_s, probe_s = time.monotonic(), cpu_s(driver), cpu_s(probe)
         while (elapsed_s := time.monotonic() - began_s) < seconds:
             time.sleep(min(0.5, seconds - elapsed_s))
             progress(time.monotonic() - began_s)
         elapsed_s = time.monotonic() - began_s
-        driver_s, probe_s = driver.cpu_s() - driver_s, probe.cpu_s() - probe_s
+        driver_s, probe_s = cpu_s(driver) - driver_s, cpu_s(probe) - probe_s
         probe.stop()
         figures = probe.expect('events_lost', START_TIMEOUT_S)
         driver.stop()

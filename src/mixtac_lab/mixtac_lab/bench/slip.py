@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 import numpy as np
 import typer
 
-from mixtac_lab.bench.harness import JsonProcess
+from mixtac_lab.bench.harness import cpu_s
 from mixtac_node.graph import config_file, executable, yaml_value
-from mixtac_node.process import GraphError
+from mixtac_node.process import GraphError, JsonProcess
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -128,11 +128,11 @@ def measure(
         # A start sets the clock going and then resets it: only the last origin counts.
         origin_ns = int(camera.latest('origin_ns', first)['origin_ns'])
         _wait(WARM_UP_S)
-        before = {name: process.cpu_s() for name, process in started.items()}
+        before = {name: cpu_s(process) for name, process in started.items()}
         began_ns = time.monotonic_ns()
         _wait(seconds, progress)
         ended_ns = time.monotonic_ns()
-        used = {name: process.cpu_s() - before[name] for name, process in started.items()}
+        used = {name: cpu_s(process) - before[name] for name, process in started.items()}
         probe.stop()
         noted = probe.expect('slips_ns', START_S)
         camera.stop()

@@ -12,9 +12,8 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_lab.bench import pipeline as pipeline_report
-from mixtac_lab.bench.harness import JsonProcess
 from mixtac_lab.bench.pipeline import Load, PipelineRun, run_pipeline
-from mixtac_node.process import GraphError
+from mixtac_node.process import GraphError, JsonProcess
 
 
 @pytest.mark.dds

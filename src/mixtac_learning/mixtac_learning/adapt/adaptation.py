@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Adapting a model to a sensor: leave it unchanged, apply one gain, or tune its last layers.
 
-Each way is fitted to all presses but some and judged on those, in turn. The smallest error wins, and
-a larger change has to win by a margin. The winner is then fitted to all presses.
+Each way is fitted to all presses but some and judged on those, in turn. The smallest error wins,
+and a larger change has to win by a margin. The winner is then fitted to all presses.
 """
 
 from __future__ import annotations

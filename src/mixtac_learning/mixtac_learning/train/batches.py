@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Sequences side by side for training, in memory or in groups from disk, and their mirror images."""
+"""Sequences side by side for training, in memory or in groups from disk, and mirrored."""
 
 from __future__ import annotations
 

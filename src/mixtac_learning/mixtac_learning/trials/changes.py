@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Trials made worse on purpose: optics and pixels that differ from training, lost frames and packets.
+"""Trials made worse on purpose: other optics and pixels than in training, lost data.
 
 A network that reads events through the gradients of frames does well in a simulator, where both
 come from the same brightness. The mismatches here break that correspondence.

@@ -15,7 +15,7 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from mixtac_driver.parameters import DriverParameters
-from mixtac_node.topics import REFERENCE, Topic, topic
+from mixtac_node import topics
 from mixtac_recordings.bag import typestore
 from mixtac_recordings.bag_writer import offered_qos
 from mixtac_recordings.recording import BagError
@@ -35,33 +35,18 @@ if TYPE_CHECKING:
 
 
 NAMESPACE: Final = 'mixtac'
-TRUTH_CONTACT: Final = 'truth/contact'
-TRUTH_CLOCK: Final = 'truth/clock_fit'
-TRUTH_WRENCH: Final = 'truth/wrench'
 BAG_TOPICS: Final = (
-    *map(
-        topic,
-        (
-            *('events', 'image_raw', 'camera_info', 'image_exposure', 'imu', 'temperature'),
-            *('camera_clock', REFERENCE, TRUTH_WRENCH),
-        ),
-    ),
-    Topic(
-        TRUTH_CONTACT,
-        'geometry_msgs/msg/PointStamped',
-        reliable=False,
-        depth=100,
-        description='Where the indenter meets the skin (x, y from the optical axis) and how deep '
-        'the dent is (z) [m], 1 kHz, on the host clock.',
-    ),
-    Topic(
-        TRUTH_CLOCK,
-        'mixtac_msgs/msg/ClockFit',
-        reliable=True,
-        depth=1,
-        latched=True,
-        description='True map from the camera clock to the reference clock.',
-    ),
+    topics.EVENTS,
+    topics.IMAGE_RAW,
+    topics.CAMERA_INFO,
+    topics.IMAGE_EXPOSURE,
+    topics.IMU,
+    topics.TEMPERATURE,
+    topics.CAMERA_CLOCK,
+    topics.REFERENCE_WRENCH,
+    topics.TRUTH_WRENCH,
+    topics.TRUTH_CONTACT,
+    topics.TRUTH_CLOCK_FIT,
 )
 """Topics in the order in which they are announced in the bag."""
 
@@ -105,7 +90,9 @@ class TruthMessages:
         """Make what is said once."""
         truth = self._clocks.truth(self._trial.reference)
         epoch_ns = self._clocks.epoch_ns
-        self._sink.put(epoch_ns, TRUTH_CLOCK, self._factory.clock_fit(truth, epoch_ns))
+        self._sink.put(
+            epoch_ns, topics.TRUTH_CLOCK_FIT.name, self._factory.clock_fit(truth, epoch_ns)
+        )
 
     def add(self, stretch: Stretch) -> None:
         """Make the messages of the next stretch."""
@@ -123,8 +110,8 @@ class TruthMessages:
         point[:, 0], point[:, 1] = (1e-3 * place for place in self._trial.contact_mm)
         point[:, 2] = 1e-3 * truth['depth_mm']
         factory, put = self._factory, self._sink.put_rows
-        put(received, TRUTH_WRENCH, factory.true_wrenches.make(stamps_ns, wrench))
-        put(received, TRUTH_CONTACT, factory.contact_points.make(stamps_ns, point))
+        put(received, topics.TRUTH_WRENCH.name, factory.true_wrenches.make(stamps_ns, wrench))
+        put(received, topics.TRUTH_CONTACT.name, factory.contact_points.make(stamps_ns, point))
 
     def _add_reference(self, stretch: Stretch, latest_ns: int) -> None:
         samples, sensor = stretch.reference, self._trial.reference
@@ -133,7 +120,7 @@ class TruthMessages:
         received = np.minimum(-(-taken_ns // BATCH_NS) * BATCH_NS, latest_ns).tolist()
         stamps_ns = self._clocks.reference_stamps_ns(samples.t_ns)
         data = self._factory.reference_wrenches.make(stamps_ns, samples.wrench)
-        self._sink.put_rows(received, REFERENCE, data)
+        self._sink.put_rows(received, topics.REFERENCE, data)
 
 
 UNFINISHED: Final = '.unfinished'

@@ -14,10 +14,11 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.mechanics.indenters import IndenterName
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from mixtac_sim.mechanics.indenters import IndenterName
 
 
 Range = tuple[float, float]

@@ -7,9 +7,9 @@ output, as `pack` and `STATE` define them; a fault ends the process with one lin
 pylibfranka waits for the robot while it holds the interpreter lock, which would stall every other
 thread of a node. This module needs NumPy only, so that any interpreter with pylibfranka can run it.
 
-Commands are taken from the trajectory at the robot's own time, which advances by the period that the
-robot reports, so that they keep their distance in time however late this process wakes up. That time
-is set to the host's clock only while the arm rests, when this changes no command.
+Commands are taken from the trajectory at the robot's own time, which advances by the period that
+the robot reports, so that they keep their distance in time however late this process wakes up. That
+time is set to the host's clock only while the arm rests, when this changes no command.
 
 A Franka arm that misses commands goes on with constant acceleration. The next command from the
 trajectory would then be a step from where the arm has got to, so `GapBridge` leads it back to a

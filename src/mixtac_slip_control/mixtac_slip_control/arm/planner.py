@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The planner that streams an advance along the contact normal as jerk-limited joint trajectories."""
+"""The planner that streams an advance along the contact normal as jerk-limited trajectories."""
 
 from __future__ import annotations
 

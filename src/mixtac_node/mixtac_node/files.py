@@ -1,0 +1,188 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Files that people and programs read: written whole or not at all, read into checked dataclasses.
+
+Every error names the path.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import difflib
+import functools
+import json
+import secrets
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
+
+import cattrs
+import yaml
+from cattrs.errors import ForbiddenExtraKeysError
+from cattrs.gen import make_dict_structure_fn
+
+from mixtac_events.errors import MixtacError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+T = TypeVar('T')
+
+
+class FileError(MixtacError):
+    """A file that cannot be read or written, or whose content is not what it should be."""
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path`, with its suffix, and move it into place on success.
+
+    Makes the parent folder. When the block raises, `path` keeps what it held.
+
+    Raises:
+        FileError: The file cannot be written.
+    """
+    scratch = path.with_name(f'.{path.stem}.{secrets.token_hex(4)}{path.suffix}')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield scratch
+        scratch.replace(path)
+    except OSError as error:
+        reason = error.strerror or error
+        raise FileError(
+            f'cannot write {path}: {reason}', remedy='choose a writable place with free space'
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            scratch.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file in UTF-8, whole or not at all.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    with replacing(path) as scratch:
+        scratch.write_text(text, encoding='utf-8')
+
+
+def write_json(path: Path, data: object) -> None:
+    """Write a JSON file with an indent of 2, whole or not at all.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    write_text(path, json.dumps(data, indent=2) + '\n')
+
+
+def read_data(path: Path) -> Any:  # noqa: ANN401
+    """Return the content of a YAML file, or of a JSON file (by its suffix).
+
+    Raises:
+        FileError: It is missing, unreadable, or neither.
+    """
+    try:
+        text = path.read_text(encoding='utf-8')
+        return json.loads(text) if path.suffix == '.json' else yaml.safe_load(text)
+    except OSError as error:
+        raise FileError(f'cannot read {path}: {error.strerror or error}') from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        kind = 'JSON' if path.suffix == '.json' else 'YAML'
+        reason = ' '.join(str(error).split())
+        raise FileError(f'{path} is not valid {kind}: {reason}') from error
+
+
+def read_dataclass(path: Path, cls: type[T]) -> T:
+    """Return the content of a YAML or JSON file as a dataclass; see `structure`.
+
+    Raises:
+        FileError: The file cannot be read, or a value is not allowed.
+    """
+    return structure(read_data(path), cls, str(path))
+
+
+def structure(data: object, cls: type[T], where: str) -> T:
+    """Return a dataclass from mappings, lists and plain values, checked against its types.
+
+    Unknown keys are refused with the nearest known one. Values are not converted, except for
+    integers where floats are expected.
+
+    Args:
+        data: As YAML and JSON give it.
+        cls: The dataclass, or any type of its fields.
+        where: File or section, for the message.
+
+    Raises:
+        FileError: A key is unknown or missing, or a value has another type or is not allowed.
+    """
+    try:
+        return _converter().structure(data, cls)
+    except (
+        cattrs.BaseValidationError,
+        MixtacError,
+        ValueError,
+        TypeError,
+        AttributeError,
+    ) as error:
+        raise FileError(f'{where}: {_reason(error)}') from error
+
+
+@functools.cache
+def _converter() -> cattrs.Converter:
+    converter = cattrs.Converter(forbid_extra_keys=True)
+    for kind in (bool, int, float, str):
+        converter.register_structure_hook(kind, functools.partial(_plain, kind))
+    converter.register_structure_hook(Path, lambda value, _: Path(_plain(str, value)))
+    converter.register_structure_hook_factory(
+        dataclasses.is_dataclass, functools.partial(_of_mapping, converter)
+    )
+    converter.register_structure_hook_func(_is_literal, _choice)
+    return converter
+
+
+def _of_mapping(converter: cattrs.Converter, cls: type[Any]) -> Any:  # noqa: ANN401
+    build = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True)
+
+    def checked(value: object, kind: type[Any]) -> Any:  # noqa: ANN401
+        if not isinstance(value, dict):
+            raise TypeError(f'a mapping is expected, not {value!r}')
+        return build(value, kind)
+
+    return checked
+
+
+def _plain(kind: type[Any], value: object, _: object = None) -> Any:  # noqa: ANN401
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+        raise TypeError(f'{kind.__name__} is expected, not {value!r}')
+    return value
+
+
+def _is_literal(kind: object) -> bool:
+    return bool(get_origin(kind) == Literal)
+
+
+def _choice(value: object, kind: Any) -> Any:  # noqa: ANN401
+    if value not in get_args(kind):
+        raise ValueError(f'{value!r} is not one of {", ".join(map(repr, get_args(kind)))}')
+    return value
+
+
+def _reason(error: BaseException) -> str:
+    if isinstance(error, ForbiddenExtraKeysError):
+        known = [each.name for each in dataclasses.fields(error.cl)]
+        unknown = min(map(str, error.extra_fields))
+        near = difflib.get_close_matches(unknown, known, 1) or [', '.join(known)]
+        return f'unknown key {unknown!r}; did you mean {near[0]}?'
+    if isinstance(error, KeyError):
+        return f'key {error.args[0]!r} is missing'
+    if isinstance(error, cattrs.BaseValidationError):
+        # An unknown key first: it often is a key that is missing under another name.
+        first = min(error.exceptions, key=lambda e: not isinstance(e, ForbiddenExtraKeysError))
+        notes = getattr(first, '__notes__', [])
+        names = [note.name for note in notes if hasattr(note, 'name')]
+        inner = _reason(first)
+        return f'{names[0]}: {inner}' if names and not isinstance(first, KeyError) else inner
+    return str(error)

@@ -1,0 +1,122 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Files written whole or not at all, and read into checked dataclasses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import pytest
+
+from mixtac_node.files import (
+    FileError,
+    read_dataclass,
+    replacing,
+    structure,
+    write_json,
+    write_text,
+)
+
+
+@dataclass(frozen=True)
+class Part:
+    count: int = 1
+    mode: Literal['fast', 'slow'] = 'fast'
+
+
+@dataclass(frozen=True)
+class Config:
+    rate: float
+    part: Part = field(default_factory=Part)
+    steps: tuple[float, ...] = ()
+    limit: int | None = None
+    parts: list[Part] = field(default_factory=list)
+    gains: dict[str, float] = field(default_factory=dict)
+    folder: Path = Path()
+
+    def __post_init__(self) -> None:
+        if self.rate < 0:
+            raise ValueError(f'rate {self.rate} is negative')
+
+
+def test_a_file_appears_whole_with_its_folder(tmp_path):
+    path = tmp_path / 'new' / 'data.json'
+    write_json(path, {'a': [1, 2]})
+    assert json.loads(path.read_text()) == {'a': [1, 2]}
+    assert [each.name for each in path.parent.iterdir()] == ['data.json']
+
+
+def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / 'data.txt'
+    write_text(path, 'old')
+    with pytest.raises(TypeError), replacing(path) as scratch:
+        scratch.write_text(3)
+    assert path.read_text() == 'old'
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_temporary_file_keeps_the_suffix(tmp_path):
+    with replacing(tmp_path / 'x.npz') as scratch:
+        assert scratch.suffix == '.npz'
+        scratch.touch()
+
+
+def test_an_unwritable_place_is_named(tmp_path):
+    (tmp_path / 'file').touch()
+    path = tmp_path / 'file' / 'below.json'
+    with pytest.raises(FileError) as caught:
+        write_json(path, {})
+    assert str(path) in str(caught.value)
+    assert caught.value.remedy
+
+
+def test_yaml_becomes_a_dataclass(tmp_path):
+    path = tmp_path / 'config.yaml'
+    path.write_text(
+        'rate: 2\npart: {count: 3, mode: slow}\nsteps: [1, 2.5]\nlimit: 4\n'
+        'parts: [{count: 5}]\ngains: {a: 1}\nfolder: some/where\n'
+    )
+    assert read_dataclass(path, Config) == Config(
+        2.0, Part(3, 'slow'), (1.0, 2.5), 4, [Part(5)], {'a': 1.0}, Path('some/where')
+    )
+
+
+@pytest.mark.parametrize(
+    ('data', 'named'),
+    [
+        ({'rat': 1.0}, ('rat', 'rate')),
+        ({}, ('rate',)),
+        ({'rate': '1'}, ('rate', "'1'")),
+        ({'rate': True}, ('rate', 'True')),
+        ({'rate': -1.0}, ('-1.0',)),
+        ({'rate': 1.0, 'part': {'count': 2.5}}, ('part', 'count', '2.5')),
+        ({'rate': 1.0, 'part': {'cuont': 2}}, ('part', 'cuont', 'count')),
+        ({'rate': 1.0, 'part': {'mode': 'fsat'}}, ('mode', "'fsat'", "'fast'")),
+        ({'rate': 1.0, 'parts': [{'other': 1}]}, ('parts', 'other')),
+        ({'rate': 1.0, 'gains': [1]}, ('gains',)),
+        ({'rate': 1.0, 'steps': 3}, ('steps',)),
+        ([], ('[]',)),
+        (None, ('None',)),
+    ],
+)
+def test_wrong_content_is_refused_with_its_place(data, named):
+    with pytest.raises(FileError) as caught:
+        structure(data, Config, 'config.yaml')
+    assert all(each in str(caught.value) for each in ('config.yaml', *named))
+
+
+@pytest.mark.parametrize('content', [b'a: [', b'\xe9: 1', b'[' * 3000, b'a: b: c'])
+def test_a_file_that_is_not_yaml_is_refused(tmp_path, content):
+    path = tmp_path / 'config.yaml'
+    path.write_bytes(content)
+    with pytest.raises(FileError) as caught:
+        read_dataclass(path, Config)
+    assert str(path) in str(caught.value)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(FileError):
+        read_dataclass(tmp_path / 'none.yaml', Config)
