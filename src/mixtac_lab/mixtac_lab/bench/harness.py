@@ -10,7 +10,7 @@ import numpy as np
 import psutil
 
 from mixtac_events.sequence import SequenceCounter
-from mixtac_sim.usb.pattern import MARKER, MARKER_US
+from mixtac_lab.bench.pattern import MARKER, MARKER_US
 
 if TYPE_CHECKING:
     from mixtac_events.arrays import Events

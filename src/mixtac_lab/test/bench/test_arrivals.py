@@ -9,7 +9,7 @@ import pytest
 
 from mixtac_events.arrays import Events
 from mixtac_lab.bench.harness import Arrivals
-from mixtac_sim.usb.pattern import make_pattern
+from mixtac_lab.bench.pattern import make_pattern
 
 ORIGIN_US = 1_760_000_000_000_000
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import time
-from abc import ABC, abstractmethod
 from threading import Condition
 from typing import TYPE_CHECKING, Final
 
@@ -37,21 +36,42 @@ _IN: Final = 0x80
 _CLEAR_DATA_HALT: Final = (0x02, 1, descriptors.DATA_ENDPOINT)
 
 
-class HostSide(ABC):
-    """The USB of the device, with a lock that the rest of the device shares.
+_DEFAULT_FIFO: Final = 4 << 20
+
+
+def _monotonic_us() -> Callable[[], int]:
+    start = time.monotonic_ns()
+    return lambda: (time.monotonic_ns() - start) // 1000
+
+
+class VirtualDavis346:
+    """A DAVIS346 that exists in software only.
 
     Args:
         serial: Serial number, at most eight characters.
-        fifo_bytes: Output buffer.
+        board: Fixed properties of the camera.
+        skew_ppm: How much faster than true time the camera counts [1e-6].
+        fifo_bytes: Output buffer; events are dropped (and counted) beyond half of it.
+        clock: True time now [us]; by default the host's monotonic clock since construction.
 
     Attributes:
         serial: Serial number; may change while it is unplugged.
+        board: Fixed properties of the camera.
     """
 
-    _endpoint0: ControlEndpoint
-
-    def __init__(self, serial: str, fifo_bytes: int) -> None:
+    def __init__(
+        self,
+        serial: str,
+        *,
+        board: Board | None = None,
+        skew_ppm: float = 0.0,
+        fifo_bytes: int = _DEFAULT_FIFO,
+        clock: Callable[[], int] | None = None,
+    ) -> None:
         self.serial = serial
+        self.board = board or Board()
+        self._skew_ppm = skew_ppm
+        self._clock = clock or _monotonic_us()
         self._next_serial = ''
         self._condition = Condition()
         self._presence = Presence()
@@ -62,27 +82,7 @@ class HostSide(ABC):
         )
         self._power_up()
 
-    @abstractmethod
-    def _power_up(self) -> None:
-        """Bring registers, buffer and clock to their first state."""
-
-    @abstractmethod
-    def _restart_clock(self) -> None:
-        """Let the camera clock be zero and say so in the stream."""
-
-    def _before_read(  # noqa: B027 - most devices need none
-        self, endpoint: int, timeout_s: float | None
-    ) -> None:
-        """Prepare a read; for devices that make their data only when they are asked for.
-
-        Args:
-            endpoint: The endpoint.
-            timeout_s: How long the host waits [s]; none waits for ever.
-        """
-
-    @abstractmethod
-    def _early_packet_s(self) -> float:
-        """Return the early packet delay [s]."""
+    # The host's side.
 
     def unplug(self) -> None:
         """Remove the device: whatever is under way or asked later ends with `UsbGone`."""
@@ -112,7 +112,7 @@ class HostSide(ABC):
             elif fault.kind is FaultKind.CLEAR:
                 self._faults.clear()
             elif fault.kind is FaultKind.CLOCK_RESET:
-                self._restart_clock()
+                self._restart_time(announce=True)
             elif fault.kind is FaultKind.GARBAGE_WORDS:
                 rng = np.random.default_rng(fault.seed)
                 self._fifo.push(rng.integers(0, 1 << 16, fault.size // 2, np.uint16))
@@ -251,44 +251,6 @@ class HostSide(ABC):
             self._faults.clear()
             self._power_up()
 
-    def _plug_in_if_due(self) -> None:
-        if self._presence.is_due:
-            self.plug_in(self._next_serial)
-
-
-_DEFAULT_FIFO: Final = 4 << 20
-
-
-def _monotonic_us() -> Callable[[], int]:
-    start = time.monotonic_ns()
-    return lambda: (time.monotonic_ns() - start) // 1000
-
-
-class VirtualDavis346(HostSide):
-    """A DAVIS346 that exists in software only.
-
-    Args:
-        serial: Serial number, at most eight characters.
-        board: Fixed properties of the camera.
-        skew_ppm: How much faster than true time the camera counts [1e-6].
-        fifo_bytes: Output buffer; events are dropped (and counted) beyond half of it.
-        clock: True time now [us]; by default the host's monotonic clock since construction.
-    """
-
-    def __init__(
-        self,
-        serial: str,
-        *,
-        board: Board | None = None,
-        skew_ppm: float = 0.0,
-        fifo_bytes: int = _DEFAULT_FIFO,
-        clock: Callable[[], int] | None = None,
-    ) -> None:
-        self.board = board or Board()
-        self._skew_ppm = skew_ppm
-        self._clock = clock or _monotonic_us()
-        super().__init__(serial, fifo_bytes)
-
     # The producer's side.
 
     def submit(
@@ -374,7 +336,19 @@ class VirtualDavis346(HostSide):
                 'frames_late': self._stream.late_frames,
             }
 
-    # Inside; the lock is held.
+    # Internal; the lock is held.
+
+    def _before_read(self, endpoint: int, timeout_s: float | None) -> None:
+        """Prepare a read, without the lock; for cameras that make data only when asked for them.
+
+        Args:
+            endpoint: The endpoint.
+            timeout_s: How long the host waits [s]; None waits without limit.
+        """
+
+    def _plug_in_if_due(self) -> None:
+        if self._presence.is_due:
+            self.plug_in(self._next_serial)
 
     def _power_up(self) -> None:
         self._registers = RegisterFile(self.board)
@@ -386,9 +360,6 @@ class VirtualDavis346(HostSide):
     def _early_packet_s(self) -> float:
         cycles = self._registers.read(Module.USB, Usb.EARLY_PACKET_DELAY)
         return cycles * 1e-6 / (self.board.usb_mhz * self.board.deviation * 1e-3)
-
-    def _restart_clock(self) -> None:
-        self._restart_time(announce=True)
 
     def _restart_time(self, *, announce: bool) -> None:
         was_empty = not len(self._fifo)

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
+import os
 import select
 import socket
 import threading
@@ -30,8 +32,12 @@ if TYPE_CHECKING:
     from mixtac_sim.usb.device import VirtualDavis346
 
 
-# How long a read may sit in the device before the server looks whether the host still waits.
+# How long a read may wait in the device before the server checks that the host is still there.
 _SLICE_S: Final = 0.25
+# Pause after a connection could not be accepted, for example for lack of file descriptors.
+_RETRY_S: Final = 0.1
+# Connections that may wait to be accepted: without descriptors they wait until some are free.
+_BACKLOG: Final = 64
 _MAX_PATH: Final = 100
 _STATUS: Final = {
     UsbStall: errno.EPIPE,
@@ -46,15 +52,16 @@ _STATUS: Final = {
 class UsbServer:
     """Listens on a socket and answers the USB transfers of hosts.
 
-    The socket has mode 0600: only its owner can use the camera. A socket that a dead server left
-    is replaced; one that answers is not.
+    The socket has mode 0600: only its owner can use the camera. A file `PATH.lock` beside it shows
+    that a virtual sensor made the socket, and is locked while one serves it. A socket that a dead
+    server left is replaced; any other file or socket at the path is left alone.
 
     Args:
         device: The camera.
         path: Where to listen.
 
     Raises:
-        VirtualUsbError: Another server listens there or the path cannot be used.
+        VirtualUsbError: Another program uses the path, or it cannot be used.
     """
 
     def __init__(self, device: VirtualDavis346, path: str) -> None:
@@ -63,16 +70,17 @@ class UsbServer:
         self._lock = threading.Lock()
         self._connections: set[socket.socket] = set()
         self._sessions: dict[int, _Session] = {}
-        self._closing = False
-        self._listener = _listen(path)
+        self._closing = threading.Event()
+        self._owned = _OwnedSocket(path)
+        self._listener = self._owned.listener
         self._threads = [threading.Thread(target=self._accept, name='usb-accept', daemon=True)]
         self._threads[0].start()
 
     def close(self) -> None:
         """Unplug the camera, end all connections and remove the socket."""
-        if self._closing:
+        if self._closing.is_set():
             return
-        self._closing = True
+        self._closing.set()
         self._device.unplug()
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
@@ -82,23 +90,31 @@ class UsbServer:
         for connection in connections:
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
-        Path(self.path).unlink(missing_ok=True)
+        self._owned.remove()
         for thread in self._threads:
             thread.join(2.0)
 
     def _accept(self) -> None:
-        while not self._closing:
+        while not self._closing.is_set():
             try:
                 connection, _ = self._listener.accept()
             except OSError:
-                return
+                # Descriptors or memory ran out; the host waits in the backlog until some are free.
+                self._closing.wait(_RETRY_S)
+                continue
             with self._lock:
                 self._connections.add(connection)
             thread = threading.Thread(
                 target=self._serve, args=(connection,), name='usb-connection', daemon=True
             )
+            try:
+                thread.start()
+            except RuntimeError:  # no more threads; the host sees a closed connection
+                connection.close()
+                with self._lock:
+                    self._connections.discard(connection)
+                continue
             self._threads = [other for other in self._threads if other.is_alive()] + [thread]
-            thread.start()
 
     def _serve(self, connection: socket.socket) -> None:
         session = None
@@ -220,39 +236,114 @@ def _checked(length: int) -> int:
 
 
 def check_free(path: str) -> None:
-    """Refuse a path that cannot be served; worth asking before a long preparation.
+    """Refuse a path that cannot be served; call it before a long preparation.
 
     Raises:
-        VirtualUsbError: Another server listens there, or the path is too long.
+        VirtualUsbError: The path is too long, or another program uses it.
     """
     if len(path.encode()) > _MAX_PATH:
-        raise VirtualUsbError(f'the socket path {path} is too long; set XDG_RUNTIME_DIR shorter')
-    if _answers(path):
         raise VirtualUsbError(
-            f'another virtual sensor already listens on {path}; '
-            'stop it, or give this one another socket or ROS_DOMAIN_ID'
+            f'the socket path {path} is too long; set XDG_RUNTIME_DIR to a shorter path'
         )
+    handle = _take_lock(path)
+    # Without a socket behind it the lock file shows nothing.
+    _release_lock(path, handle, remove=not os.path.lexists(path))
 
 
-def _listen(path: str) -> socket.socket:
-    check_free(path)
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        if Path(path).is_socket():
-            Path(path).unlink()
-        listener.bind(path)
-        Path(path).chmod(0o600)
-        listener.listen(8)
-    except OSError as error:
-        listener.close()
-        raise VirtualUsbError(f'cannot listen on {path}: {error.strerror}') from error
-    return listener
+class _OwnedSocket:
+    """A listening socket, and the lock that shows who made it.
+
+    Args:
+        path: Where to listen.
+
+    Attributes:
+        listener: The socket.
+
+    Raises:
+        VirtualUsbError: As `UsbServer`.
+    """
+
+    def __init__(self, path: str) -> None:
+        check_free(path)
+        self._path = path
+        self._handle = _take_lock(path)
+        self.listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            Path(path).unlink(missing_ok=True)
+            self.listener.bind(path)
+            self._inode = os.lstat(path).st_ino
+            Path(path).chmod(0o600)
+            self.listener.listen(_BACKLOG)
+        except OSError as error:
+            self.listener.close()
+            _release_lock(path, self._handle, remove=True)
+            raise VirtualUsbError(
+                f'cannot listen on {path}: {error.strerror}; choose another socket'
+            ) from error
+
+    def remove(self) -> None:
+        """Remove socket and lock, unless another program has replaced the socket."""
+        with contextlib.suppress(OSError):
+            if os.lstat(self._path).st_ino == self._inode:
+                Path(self._path).unlink()
+        _release_lock(self._path, self._handle, remove=True)
 
 
-def _answers(path: str) -> bool:
+def _lock_path(path: str) -> str:
+    return f'{path}.lock'
+
+
+def _take_lock(path: str) -> int:
+    """Return a descriptor of the locked lock file of a path that is free or held by a dead server.
+
+    Raises:
+        VirtualUsbError: Another program uses the path, or the lock cannot be made.
+    """
+    left_over = os.path.lexists(_lock_path(path)) and not _in_use(path)
+    if os.path.lexists(path) and not left_over:
+        raise VirtualUsbError(
+            f'{path} is in use, or was not made by a virtual sensor; '
+            'stop the program that uses it, or give the virtual sensor another socket or '
+            'ROS_DOMAIN_ID'
+        )
+    while True:
+        try:
+            handle = os.open(_lock_path(path), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise VirtualUsbError(
+                f'cannot listen on {path}: {error.strerror}; choose another socket'
+            ) from error
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Whoever held the lock may have removed the file since it was opened here.
+            if os.fstat(handle).st_ino == Path(_lock_path(path)).stat().st_ino:
+                return handle
+        except BlockingIOError:
+            os.close(handle)
+            raise VirtualUsbError(
+                f'another virtual sensor is about to listen on {path}; '
+                'stop it, or give this one another socket or ROS_DOMAIN_ID'
+            ) from None
+        except FileNotFoundError:
+            pass
+        os.close(handle)
+
+
+def _release_lock(path: str, handle: int, *, remove: bool) -> None:
+    if remove:
+        with contextlib.suppress(OSError):
+            Path(_lock_path(path)).unlink()
+    os.close(handle)
+
+
+def _in_use(path: str) -> bool:
+    """Return whether a path is anything but free or the socket of a program that has ended."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
         try:
             probe.connect(path)
+        except (FileNotFoundError, ConnectionRefusedError):
+            return not (Path(path).is_socket() or not os.path.lexists(path))
         except OSError:
-            return False
+            return True
         return True

@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mixtac_events.arrays import Events
+from mixtac_lab.bench.pattern import STEP_US as WORD_STEP_US
+from mixtac_lab.bench.pattern import WRAP_US, Pattern, PatternCamera
 from mixtac_lab.bench.programs.pattern_camera import wake_in_time
 from mixtac_sim.grasp.slip_scene import SlipScene
 from mixtac_sim.grids import STEP_US
-from mixtac_sim.usb.pattern import STEP_US as WORD_STEP_US
-from mixtac_sim.usb.pattern import WRAP_US, Pattern, PatternCamera
 from mixtac_sim.usb.registers import HEIGHT, WIDTH
 from mixtac_sim.usb.server import UsbServer
 from mixtac_sim.usb.words import Blocks, ReadoutSettings, WordEncoder, frame_blocks

@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 
-from mixtac_sim.usb.pattern import PatternCamera, make_pattern
+from mixtac_lab.bench.pattern import PatternCamera, make_pattern
 from mixtac_sim.usb.server import UsbServer
 
 POLL_S = 0.02

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the helpers beside the tests importable."""
+"""Makes the helpers beside these tests importable, also for the scripts that run on their own."""
 
 from __future__ import annotations
 

@@ -7,9 +7,14 @@ from __future__ import annotations
 import array
 import errno
 import os
+import resource
+import socket
 import stat
 import struct
+import subprocess
+import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +27,7 @@ from mixtac_sim.usb import wire
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import NoVirtualSensorError, VirtualUsbError
 from mixtac_sim.usb.pyusb_backend import in_process_backend, open_backend
-from mixtac_sim.usb.server import UsbServer
+from mixtac_sim.usb.server import UsbServer, check_free
 
 
 @pytest.fixture
@@ -158,19 +163,86 @@ def test_a_closed_host_gives_the_camera_back(server):
         usb.util.dispose_resources(camera)
 
 
-def test_socket_is_private_and_stale_ones_are_replaced(device, path):
-    first = UsbServer(device, path)
+def test_socket_is_private_and_removed_with_its_lock(device, path):
+    server = UsbServer(device, path)
     assert stat.S_IMODE(Path(path).stat().st_mode) == 0o600
-    with pytest.raises(VirtualUsbError, match='already listens'):
-        UsbServer(device, path)
-    first.close()
-    import socket
+    with pytest.raises(VirtualUsbError):
+        UsbServer(VirtualDavis346('V0000043'), path)
+    with pytest.raises(VirtualUsbError):
+        check_free(path)
+    server.close()
+    assert not list(Path(path).parent.iterdir())
+    check_free(path)
+    assert not list(Path(path).parent.iterdir())
 
-    with socket.socket(socket.AF_UNIX) as dead:
-        dead.bind(path)
-    second = UsbServer(VirtualDavis346('V0000043'), path)
+
+def test_socket_of_a_killed_server_is_replaced(path):
+    script = (
+        'import os, sys\n'
+        'from mixtac_sim.usb.device import VirtualDavis346\n'
+        'from mixtac_sim.usb.server import UsbServer\n'
+        "server = UsbServer(VirtualDavis346('V0000042'), sys.argv[1])\n"
+        'os.kill(os.getpid(), 9)\n'
+    )
+    subprocess.run([sys.executable, '-c', script, path], check=False)
+    assert Path(path).is_socket()
+    server = UsbServer(VirtualDavis346('V0000043'), path)
     assert find(open_backend('virtual')).serial_number == 'V0000043'
-    second.close()
+    server.close()
+
+
+@pytest.mark.parametrize('kind', [socket.SOCK_STREAM, socket.SOCK_DGRAM])
+@pytest.mark.parametrize('left_over', [False, True])
+def test_sockets_of_other_programs_are_left_alone(path, kind, left_over):
+    if left_over:
+        Path(f'{path}.lock').touch()
+    with socket.socket(socket.AF_UNIX, kind) as other:
+        other.bind(path)
+        if kind == socket.SOCK_STREAM:
+            other.listen()
+        inode = Path(path).stat().st_ino
+        with pytest.raises(VirtualUsbError):
+            UsbServer(VirtualDavis346('V0000042'), path)
+        assert Path(path).stat().st_ino == inode
+
+
+@pytest.mark.parametrize('make', [Path.touch, Path.mkdir])
+def test_files_are_left_alone(path, make):
+    make(Path(path))
+    with pytest.raises(VirtualUsbError):
+        UsbServer(VirtualDavis346('V0000042'), path)
+    assert Path(path).exists()
+
+
+def test_closing_leaves_a_socket_that_replaced_its_own(server):
+    Path(server.path).unlink()
+    with socket.socket(socket.AF_UNIX) as other:
+        other.bind(server.path)
+        server.close()
+        assert Path(server.path).is_socket()
+
+
+def test_serves_again_after_descriptors_ran_out(server):
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    hosts = [socket.socket(socket.AF_UNIX) for _ in range(2)]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(256, limits[1]), limits[1]))
+    taken = []
+    try:
+        while True:
+            taken.append(os.dup(hosts[0].fileno()))
+    except OSError:
+        for host in hosts:
+            host.connect(server.path)
+        time.sleep(0.3)  # the server tries to accept meanwhile
+    finally:
+        for handle in taken:
+            os.close(handle)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    for host in hosts:
+        with host:
+            host.settimeout(10.0)
+            answer = wire.call(host, wire.CONTROL, kind=0x80, request=6, value=0x0100, wanted=18)
+        assert len(answer) == 18
 
 
 def test_without_a_server_one_clear_line(path):
@@ -188,8 +260,6 @@ def test_socket_path_names_user_and_domain(path):
 
 
 def test_garbage_on_the_socket_ends_only_that_connection(server):
-    import socket
-
     with socket.socket(socket.AF_UNIX) as rude:
         rude.connect(server.path)
         rude.sendall(b'\xff' * 64)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from usb_oracle import decode
 
+from mixtac_lab.bench.pattern import PatternCamera, make_pattern
 from mixtac_sim.usb import descriptors
 from mixtac_sim.usb.faults import UsbTimeout
-from mixtac_sim.usb.pattern import PatternCamera, make_pattern
 
 RUN = ((0, 3), (9, 0), (0, 1), (0, 0))
 BUFFER = 1 << 16

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from usb_oracle import decode
 
-from mixtac_sim.usb.pattern import MARKER, MARKER_US, PatternPlayer, make_pattern
+from mixtac_lab.bench.pattern import MARKER, MARKER_US, PatternPlayer, make_pattern
 
 
 @pytest.fixture(scope='module')
