@@ -84,6 +84,12 @@ class PendingEvents:
         self._arrays.polarity[start:end] = events.polarity
 
 
+ENCODING = 'libcaer_cmp'
+"""Default encoding of the driver."""
+PACKET_PERIOD_US = 1_000
+"""Default grid of the driver's packets [us]."""
+PACKET_BYTES = 300_000
+"""Default for the longest payload of the driver's packets [bytes]."""
 MOST_BYTES_PER_EVENT = 8
 """Either encoding: a time in two words, a column and a row; or 64 bits."""
 LONGEST_ANNOUNCEMENT_US = 1 << 23

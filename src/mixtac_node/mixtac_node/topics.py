@@ -47,6 +47,14 @@ class Topic:
         return self.name if self.name.startswith('/') else f'/{namespace.strip("/")}/{self.name}'
 
 
+CAMERA_FRAME = 'camera'
+"""Default frame of events and images."""
+IMU_FRAME = 'imu'
+"""Default frame of inertial samples."""
+REFERENCE_FRAME = 'ft_sensor'
+"""Default frame of the reference force sensor."""
+CONTACT_FRAME = 'mixtac_contact'
+"""Default frame of contact forces: z points from the contact into the gel."""
 REFERENCE = '/ft_sensor/wrench'
 EVENTS = Topic(
     'events',

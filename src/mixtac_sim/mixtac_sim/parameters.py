@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mixtac_node.parameters import parameter
+from mixtac_node.topics import CONTACT_FRAME, REFERENCE, REFERENCE_FRAME
 from mixtac_sim.mechanics.indenters import LIVE_INDENTERS
 from mixtac_sim.world.effects import PRESETS
 from mixtac_sim.world.profiles import PROFILES
@@ -88,13 +89,13 @@ class VirtualSensorParameters(TouchParameters):
         read_only=True,
     )
     reference_topic: str = parameter(
-        '/ft_sensor/wrench', 'Topic of the reference force sensor', read_only=True
+        REFERENCE, 'Topic of the reference force sensor', read_only=True
     )
     reference_frame_id: str = parameter(
-        'ft_sensor', 'Frame of the reference force sensor', read_only=True
+        REFERENCE_FRAME, 'Frame of the reference force sensor', read_only=True
     )
     truth_frame_id: str = parameter(
-        'mixtac_contact', 'Frame of the true contact force', read_only=True
+        CONTACT_FRAME, 'Frame of the true contact force', read_only=True
     )
 
 

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mixtac_driver.parameters import DriverParameters
 from mixtac_events.arrays import Events
 from mixtac_events.clock_map import ClockMap
-from mixtac_events.packetizer import Packetizer
+from mixtac_events.packetizer import ENCODING, PACKET_BYTES, PACKET_PERIOD_US, Packetizer
 from mixtac_events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_samples
 from mixtac_sim.usb.words import ImuReading, ImuSettings, raw_values
 
@@ -32,37 +31,21 @@ MPU9250: Final = 2
 _ANGULAR, _LINEAR = slice(13, 16), slice(25, 28)
 
 
-class InertialConverter:
-    """Turns readings into what the driver decodes from the camera's words.
+def decoded_samples(readings: list[ImuReading], camera_us: NDArray[np.int64]) -> InertialSamples:
+    """Return what the driver decodes from the camera's words, with its default settings.
 
-    The settings are the driver's defaults.
+    Args:
+        readings: What the unit measured.
+        camera_us: Times of the readings [n] [us, camera clock].
     """
-
-    def __init__(self) -> None:
-        p = DriverParameters()
-        self._settings = ImuSettings(
-            accel=p.imu_acc_enabled,
-            gyro=p.imu_gyro_enabled,
-            temperature=p.imu_temp_enabled,
-            accel_scale=p.imu_acc_scale,
-            gyro_scale=p.imu_gyro_scale,
-        )
-        self._info = 0xE0 | p.imu_acc_scale << 2 | p.imu_gyro_scale
-
-    def samples(self, readings: list[ImuReading], camera_us: NDArray[np.int64]) -> InertialSamples:
-        """Return samples in SI units.
-
-        Args:
-            readings: What the unit felt.
-            camera_us: Times of the readings [n] [us, camera clock].
-        """
-        if not readings:
-            return NO_SAMPLES
-        values = [raw_values(reading, self._settings) for reading in readings]
-        raw = np.empty((len(readings), 15), np.uint8)
-        raw[:, :14] = np.array(values, '>i2').view(np.uint8)
-        raw[:, 14] = self._info
-        return inertial_samples(camera_us, raw, (False, False, False), MPU9250)
+    if not readings:
+        return NO_SAMPLES
+    settings = ImuSettings()
+    raw = np.empty((len(readings), 15), np.uint8)
+    values = [raw_values(reading, settings) for reading in readings]
+    raw[:, :14] = np.array(values, '>i2').view(np.uint8)
+    raw[:, 14] = settings.info
+    return inertial_samples(camera_us, raw, (False, False, False), MPU9250)
 
 
 def imu_numbers(samples: InertialSamples, example: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -98,12 +81,8 @@ class CameraMessages:
     """
 
     def __init__(self, clocks: TrialClocks, factory: MessageFactory, sink: MessageSink) -> None:
-        p = DriverParameters()
-        period_us = round(1e6 * p.event_message_time_threshold)
-        self._packetizer = Packetizer(p.encoding, period_us, p.event_message_size_threshold)
-        self._adc_cycles = round(p.aps_exposure)
+        self._packetizer = Packetizer(ENCODING, PACKET_PERIOD_US, PACKET_BYTES)
         self._clocks, self._factory, self._sink = clocks, factory, sink
-        self._inertial = InertialConverter()
         self._map = ClockMap()
         self._clock_due_ns = 0
         self._temperature_due_us = 0
@@ -186,7 +165,7 @@ class CameraMessages:
             exposure_start_us=camera_us(frame.exposure_start_us),
             exposure_end_us=camera_us(frame.exposure_end_us),
             frame_end_us=camera_us(frame.frame_end_us),
-            exposure_cycles=self._adc_cycles,
+            exposure_cycles=0,
             global_shutter=True,
         )
 
@@ -194,7 +173,7 @@ class CameraMessages:
         self, stretch: Stretch, ends: NDArray[np.int64], arrivals: NDArray[np.int64]
     ) -> None:
         true_us = np.array([reading.t_us for reading in stretch.readings], np.int64)
-        samples = self._inertial.samples(stretch.readings, self._clocks.to_camera_us(true_us))
+        samples = decoded_samples(stretch.readings, self._clocks.to_camera_us(true_us))
         received = arrivals[np.searchsorted(ends, true_us, side='right')] + PUBLISH_NS
         rows = self._factory.imu_samples
         stamps_ns = 1000 * (samples.t + self._clocks.origin_us)

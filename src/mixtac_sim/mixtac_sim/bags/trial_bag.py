@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from mixtac_driver.parameters import DriverParameters
 from mixtac_node import topics
 from mixtac_recordings.bag import typestore
 from mixtac_recordings.bag_writer import offered_qos
 from mixtac_recordings.recording import BagError
 from mixtac_sim.bags.camera import CameraMessages
 from mixtac_sim.bags.messages import MessageFactory, MessageSink, TrialClocks
-from mixtac_sim.parameters import VirtualSensorParameters
 from mixtac_sim.usb.descriptors import serial_number
 from mixtac_sim.world.trial import TrialStream
 
@@ -36,30 +34,25 @@ if TYPE_CHECKING:
 
 NAMESPACE: Final = 'mixtac'
 BAG_TOPICS: Final = (
-    topics.EVENTS,
-    topics.IMAGE_RAW,
-    topics.CAMERA_INFO,
-    topics.IMAGE_EXPOSURE,
-    topics.IMU,
-    topics.TEMPERATURE,
-    topics.CAMERA_CLOCK,
-    topics.REFERENCE_WRENCH,
-    topics.TRUTH_WRENCH,
-    topics.TRUTH_CONTACT,
-    topics.TRUTH_CLOCK_FIT,
+    *(
+        topics.EVENTS,
+        topics.IMAGE_RAW,
+        topics.CAMERA_INFO,
+        topics.IMAGE_EXPOSURE,
+        topics.IMU,
+        topics.TEMPERATURE,
+        topics.CAMERA_CLOCK,
+    ),
+    *(topics.REFERENCE_WRENCH, topics.TRUTH_WRENCH, topics.TRUTH_CONTACT, topics.TRUTH_CLOCK_FIT),
 )
 """Topics in the order in which they are announced in the bag."""
-
-
-def frame_ids() -> dict[str, str]:
-    """Return the frames that the nodes publish in by default."""
-    driver, sensor = DriverParameters(), VirtualSensorParameters()
-    return {
-        'camera': driver.camera_frame_id,
-        'imu': driver.imu_frame_id,
-        'contact': sensor.truth_frame_id,
-        'reference': sensor.reference_frame_id,
-    }
+FRAMES: Final = {
+    'camera': topics.CAMERA_FRAME,
+    'imu': topics.IMU_FRAME,
+    'contact': topics.CONTACT_FRAME,
+    'reference': topics.REFERENCE_FRAME,
+}
+"""Frames that the nodes publish in by default."""
 
 
 BATCH_NS: Final = 4_000_000
@@ -135,7 +128,7 @@ def trial_messages(trial: TrialStream) -> Iterator[BagMessage]:
     """
     spec, sink = trial.spec, MessageSink()
     clocks = TrialClocks(spec.trial_seed)
-    factory = MessageFactory(typestore(), frame_ids(), serial_number(spec.device_seed))
+    factory = MessageFactory(typestore(), FRAMES, serial_number(spec.device_seed))
     camera = CameraMessages(clocks, factory, sink)
     truth = TruthMessages(trial, clocks, factory, sink)
     truth.begin()

@@ -276,7 +276,7 @@ class ImuReading:
 
 @dataclass(frozen=True, slots=True)
 class ImuSettings:
-    """The inertial registers that shape a sample.
+    """The inertial registers that shape a sample; the defaults are those of drivers.
 
     Attributes:
         accel: Send acceleration.
@@ -286,16 +286,22 @@ class ImuSettings:
         gyro_scale: 0 to 3 for 250, 500, 1000, 2000 deg/s.
     """
 
-    accel: bool
-    gyro: bool
-    temperature: bool
-    accel_scale: int
-    gyro_scale: int
+    accel: bool = True
+    gyro: bool = True
+    temperature: bool = True
+    accel_scale: int = 1
+    gyro_scale: int = 1
 
     @property
     def running(self) -> bool:
         """Whether any group is sent."""
         return self.accel or self.gyro or self.temperature
+
+    @property
+    def info(self) -> int:
+        """The info byte of a sample: which groups are present, and their scales."""
+        present = self.accel << 7 | self.gyro << 6 | self.temperature << 5
+        return present | self.accel_scale << 2 | self.gyro_scale
 
 
 def _raw(value: float) -> int:
@@ -328,11 +334,9 @@ def imu_blocks(reading: ImuReading, camera_us: int, settings: ImuSettings) -> Bl
         camera_us: Its time [us, camera clock].
         settings: Registers now; at least one group runs.
     """
-    present = settings.accel << 7 | settings.gyro << 6 | settings.temperature << 5
-    info = present | settings.accel_scale << 2 | settings.gyro_scale
     values = raw_values(reading, settings)
     data = struct.pack(f'>{len(values)}h', *values)
-    words = [_START, _INFO | info, *(_BYTE | byte for byte in data)]
+    words = [_START, _INFO | settings.info, *(_BYTE | byte for byte in data)]
     return Blocks.from_lists([camera_us, camera_us], [True, True], [words, [_END]])
 
 
