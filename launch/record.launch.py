@@ -1,13 +1,18 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Records a sensor to an MCAP bag: one that runs, or one that is started for it.
+"""Record a sensor to an MCAP bag: a running one, or one started for the recording.
 
-With `device:=` the sensor is started as by `sensor.launch.py`, without it the one that runs is
-recorded. After the checks of `mixtac record --check`, `ros2 bag record` writes the bag where it is
-installed, and the recorder of this package elsewhere. Ctrl-C closes the bag.
+With `device:=` the sensor is started as by `sensor.launch.py`; without it the running sensor is
+recorded. After the checks of `mixtac record --check`, the bag is written by `ros2 bag record` if it
+is installed, otherwise by the recorder of Mixtac. Ctrl-C closes the bag.
 """
 
+import tempfile
+from pathlib import Path
+
+import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     EmitEvent,
@@ -22,34 +27,36 @@ from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node
-from launch_ros.substitutions import FindPackagePrefix, FindPackageShare
+from launch_ros.substitutions import FindPackageShare
 
-from launch import LaunchDescription
-from mixtac_node.topics import REFERENCE, TOPICS
+from mixtac_node.graph import executable, recorder, rosbag2_qos
+from mixtac_node.launch_actions import BOOLEAN, environment, node_actions, shared_arguments, value
+from mixtac_node.topics import REFERENCE
 
-FORWARDED = ('device', 'serial', 'namespace', 'params_file', 'single_process', 'log_level')
+FORWARDED = (
+    'device',
+    'serial',
+    'namespace',
+    'params_file',
+    'single_process',
+    'reference_topic',
+    'log_level',
+)
+START_AFTER_S = 15.0
+"""Time for a sensor that is started here to publish: compiled code is loaded first."""
 ARGUMENTS = [
     DeclareLaunchArgument('output', description='Folder of the new bag'),
     DeclareLaunchArgument(
         'device',
         default_value='',
-        description='Start this device first: davis346, virtual, or the path of a recording; empty '
-        'records the sensor that runs',
+        description='Device to start first: davis346, virtual, or the path of a recording; empty '
+        'records the running sensor',
     ),
     DeclareLaunchArgument('serial', default_value='', description='Serial number of the camera'),
     DeclareLaunchArgument(
-        'namespace', default_value='mixtac', description='Namespace of the sensor'
-    ),
-    DeclareLaunchArgument(
-        'params_file',
-        default_value='',
-        description='Parameter file whose values win over the shipped ones',
-    ),
-    DeclareLaunchArgument(
         'single_process',
         default_value='false',
-        choices=['true', 'false'],
+        choices=BOOLEAN,
         description='Run driver and estimator in one process',
     ),
     DeclareLaunchArgument(
@@ -59,32 +66,26 @@ ARGUMENTS = [
         'recorder',
         default_value='auto',
         choices=['auto', 'rosbag2', 'mixtac'],
-        description='What writes the bag; auto takes rosbag2 where it is installed',
+        description='Program that writes the bag; auto prefers rosbag2 if it is installed',
     ),
     DeclareLaunchArgument(
         'check',
         default_value='true',
-        choices=['true', 'false'],
-        description='Check disk, topics and clocks first, and do not record where they are amiss',
+        choices=BOOLEAN,
+        description='Check disk, topics and clocks first; record only without errors',
     ),
     DeclareLaunchArgument(
         'start_after',
         default_value='',
-        description='Seconds until the checks begin; empty is 15 with a device of its own, else 0',
+        description=f'Seconds until the checks start; empty is {START_AFTER_S:g} with device, '
+        'otherwise 0',
     ),
-    DeclareLaunchArgument(
-        'log_level', default_value='info', description='Severity from which the nodes log'
-    ),
+    *shared_arguments('namespace', 'params_file', 'log_level'),
 ]
 
 
-def _value(context, name):
-    """Return the value of a launch argument as text."""
-    return LaunchConfiguration(name).perform(context)
-
-
 def _has_rosbag2():
-    """Tell whether `ros2 bag record` can write MCAP here."""
+    """Return whether `ros2 bag record` can write MCAP here."""
     try:
         get_package_prefix('ros2bag')
         get_package_prefix('rosbag2_storage_mcap')
@@ -95,79 +96,66 @@ def _has_rosbag2():
 
 def _recorder(context):
     """Return the process that writes the bag."""
-    output, namespace = _value(context, 'output'), _value(context, 'namespace')
-    reference = _value(context, 'reference_topic')
-    chosen = _value(context, 'recorder')
-    if chosen == 'rosbag2' or (chosen == 'auto' and _has_rosbag2()):
-        names = [
-            reference if each.name == REFERENCE else each.resolved(namespace) for each in TOPICS
-        ]
-        command = ['ros2', 'bag', 'record', '-s', 'mcap', '-o', output, *names]
-        return ExecuteProcess(cmd=command, output='screen')
-    return Node(
-        package='mixtac_cli',
-        executable='recorder_node',
-        name='recorder',
-        namespace=namespace,
-        output='screen',
-        parameters=[{'output': output, 'reference_topic': reference}],
-    )
+    output, reference = value(context, 'output'), value(context, 'reference_topic')
+    chosen = value(context, 'recorder')
+    if chosen == 'mixtac' or (chosen == 'auto' and not _has_rosbag2()):
+        return node_actions(context, recorder(Path(output), reference))[0]
+    qos = rosbag2_qos(value(context, 'namespace'), reference)
+    with tempfile.NamedTemporaryFile('w', suffix='.yaml', delete=False) as overrides:
+        yaml.safe_dump(qos, overrides)
+    command = ['ros2', 'bag', 'record', '-s', 'mcap', '-o', output]
+    command += ['--qos-profile-overrides-path', overrides.name, *qos]
+    return ExecuteProcess(cmd=command, output='screen')
 
 
-def _check():
+def _check(context):
     """Return the process that checks."""
-    program = PathJoinSubstitution([FindPackagePrefix('mixtac_cli'), 'lib', 'mixtac_cli', 'mixtac'])
-    options = [
-        *('--namespace', LaunchConfiguration('namespace')),
-        *('--reference-topic', LaunchConfiguration('reference_topic')),
-    ]
-    output = LaunchConfiguration('output')
-    return ExecuteProcess(cmd=[program, 'record', output, '--check', *options], output='screen')
+    command = [str(executable('mixtac_cli', 'mixtac')), 'record', value(context, 'output')]
+    command += ['--check', '--namespace', value(context, 'namespace')]
+    command += ['--reference-topic', value(context, 'reference_topic')]
+    return ExecuteProcess(cmd=command, output='screen')
 
 
 def _recording(context):
-    """Return what checks and then records."""
-    recorder = _recorder(context)
+    """Return the actions that check and then record."""
+    writer = _recorder(context)
     ended = RegisterEventHandler(
         OnProcessExit(
-            target_action=recorder,
+            target_action=writer,
             on_exit=[EmitEvent(event=Shutdown(reason='the recorder has ended'))],
         )
     )
-    if _value(context, 'check') == 'false':
-        return [ended, recorder]
-    check = _check()
+    if value(context, 'check') == 'false':
+        return [ended, writer]
+    check = _check(context)
 
-    def go_on(event, _context):
+    def after_check(event, _context):
         if event.returncode == 0:
-            return [recorder]
+            return [writer]
         return [
-            LogInfo(msg='not recorded: the error line above says why; check:=false records anyway'),
+            LogInfo(msg='not recorded (see the error above); check:=false records anyway'),
             EmitEvent(event=Shutdown(reason='the checks found an error')),
         ]
 
-    return [ended, RegisterEventHandler(OnProcessExit(target_action=check, on_exit=go_on)), check]
+    passed = RegisterEventHandler(OnProcessExit(target_action=check, on_exit=after_check))
+    return [ended, passed, check]
 
 
 def _sensor():
-    """Return the sensor, where one is to be started."""
+    """Return the sensor."""
     sensor = PathJoinSubstitution(
         [FindPackageShare('mixtac_bringup'), 'launch', 'sensor.launch.py']
     )
-    arguments = {name: LaunchConfiguration(name) for name in FORWARDED}
     return IncludeLaunchDescription(
         PythonLaunchDescriptionSource(sensor),
-        launch_arguments={
-            **arguments,
-            'reference_topic': LaunchConfiguration('reference_topic'),
-        }.items(),
+        launch_arguments={name: LaunchConfiguration(name) for name in FORWARDED}.items(),
     )
 
 
 def _actions(context):
-    """Return everything for the arguments that were given."""
-    own = bool(_value(context, 'device'))
-    delay_s = float(_value(context, 'start_after') or (15 if own else 0))
+    """Return the actions for the given arguments."""
+    own = bool(value(context, 'device'))
+    delay_s = float(value(context, 'start_after') or (START_AFTER_S if own else 0))
     recording = _recording(context)
     later = [TimerAction(period=delay_s, actions=recording)] if delay_s else recording
     return [*([_sensor()] if own else []), *later]
@@ -175,4 +163,4 @@ def _actions(context):
 
 def generate_launch_description():
     """Return the launch description of a recording."""
-    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=_actions)])
+    return LaunchDescription([*environment(), *ARGUMENTS, OpaqueFunction(function=_actions)])

@@ -11,11 +11,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from mixtac_alignment.force_error import ForceErrorParameters
 from mixtac_alignment.parameters import AlignmentParameters
-from mixtac_cli.parameters import RecorderParameters, ViewParameters
+from mixtac_cli.parameters import RecorderParameters, SupervisorParameters, ViewParameters
 from mixtac_driver.parameters import DriverParameters
 from mixtac_fger.parameters import FgerParameters
+from mixtac_node.graph import rosbag2_qos
 from mixtac_node.parameters import ParameterSpec, specs
 from mixtac_node.topics import SERVICES, TOPICS
 from mixtac_sim.parameters import (
@@ -37,6 +40,7 @@ SCHEMAS: dict[str, type[Any]] = {
     'slip_control': SlipControlParameters,
     'recorder': RecorderParameters,
     'view': ViewParameters,
+    'supervisor': SupervisorParameters,
 }
 HEADER = (
     '# SPDX-FileCopyrightText: 2026 Mixtac maintainers\n# SPDX-License-Identifier: Apache-2.0\n'
@@ -115,11 +119,20 @@ def reference() -> str:
     return '\n'.join(lines) + '\n'
 
 
+def rosbag2() -> str:
+    """Return the QoS overrides for `ros2 bag record`."""
+    text = (
+        '# For ros2 bag record --qos-profile-overrides-path: its queues of 10 lose event packets.'
+    )
+    return f'{HEADER}{text}\n{yaml.safe_dump(rosbag2_qos(), sort_keys=False)}'
+
+
 def pages() -> dict[Path, str]:
     """Return all generated files with their contents."""
     written = {
         ROOT / 'config' / f'{node}.yaml': config(node, schema) for node, schema in SCHEMAS.items()
     }
+    written[ROOT / 'config' / 'rosbag2_qos.yaml'] = rosbag2()
     written[ROOT / 'docs' / 'reference.md'] = reference()
     return written
 

@@ -52,7 +52,7 @@ setup(
             'experiments.difficulty = mixtac_lab.experiments.studies.difficulty:difficulty',
             'experiments.ablation = mixtac_lab.experiments.studies.difficulty:ablation',
             'experiments.models = mixtac_lab.experiments.studies.models:models',
-            'experiments.adaptation = mixtac_lab.experiments.studies.adaptation:adaptation',
+            'experiments.adaptation = mixtac_lab.experiments.studies.models:adaptation',
             'experiments.alignment = mixtac_lab.experiments.studies.alignment:alignment',
         ],
     },

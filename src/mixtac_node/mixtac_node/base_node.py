@@ -27,7 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
-from mixtac_node.topics import message_class
+from mixtac_node.topics import DEFAULT_NAMESPACE, message_class
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -36,10 +36,6 @@ if TYPE_CHECKING:
 
 
 T = TypeVar('T')
-
-
-DEFAULT_NAMESPACE = 'mixtac'
-"""Namespace of all nodes unless the user gives another one (`__ns`)."""
 
 
 def qos(topic: Topic) -> QoSProfile:

@@ -18,6 +18,7 @@ from ament_index_python.packages import (
 )
 
 from mixtac_node.process import GraphError
+from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,15 +32,54 @@ class NodeSpec:
         package: Package that installs the executable.
         executable: Name of the executable, which ends in `_node`.
         name: Node name.
-        lifecycle: True where the node waits to be configured and activated.
-        overrides: Parameter values that win over the parameter files.
+        lifecycle: True if the node waits to be configured and activated.
+        required: True if a launch file ends the graph when this process ends.
+        overrides: Parameter values that take precedence over the parameter files.
+        files: Nodes whose shipped parameter files the process reads; empty for its own only.
     """
 
     package: str
     executable: str
     name: str
     lifecycle: bool = False
+    required: bool = False
     overrides: Mapping[str, object] = field(default_factory=dict)
+    files: tuple[str, ...] = ()
+
+    def parameter_files(self, params_file: Path | None = None) -> list[Path]:
+        """Return the parameter files of this process; later ones take precedence.
+
+        Args:
+            params_file: File that overrides the shipped ones.
+
+        Raises:
+            GraphError: A file does not exist.
+        """
+        shipped = [config_file(f'{name}.yaml') for name in self.files or (self.name,)]
+        if params_file is None:
+            return shipped
+        if not params_file.is_file():
+            raise GraphError(f'no parameter file {params_file}')
+        return [*shipped, params_file]
+
+    def ros_arguments(self, params_file: Path | None = None, log_level: str = 'info') -> list[str]:
+        """Return the ROS arguments of this process except for its name and namespace.
+
+        Overrides are `-p` arguments, which reach every node of the process.
+
+        Args:
+            params_file: File that overrides the shipped ones.
+            log_level: Lowest severity that the node logs.
+
+        Raises:
+            GraphError: A parameter file does not exist.
+        """
+        arguments = ['--ros-args', '--log-level', log_level]
+        for file in self.parameter_files(params_file):
+            arguments += ['--params-file', str(file)]
+        for name, value in self.overrides.items():
+            arguments += ['-p', f'{name}:={yaml_value(value)}']
+        return arguments
 
     def command(
         self, namespace: str, params_file: Path | None = None, log_level: str = 'info'
@@ -48,22 +88,18 @@ class NodeSpec:
 
         Args:
             namespace: ROS namespace.
-            params_file: File whose values win over the shipped ones.
-            log_level: Severity from which the node logs.
+            params_file: File that overrides the shipped ones.
+            log_level: Lowest severity that the node logs.
 
         Raises:
-            GraphError: The package is not in the workspace.
+            GraphError: The package is not built, or a parameter file does not exist.
         """
-        files = [config_file(f'{self.name}.yaml')]
-        if params_file is not None:
-            files.append(params_file)
-        arguments = ['--ros-args', '-r', f'__ns:=/{namespace.strip("/")}']
-        arguments += ['-r', f'__node:={self.name}', '--log-level', log_level]
-        for file in files:
-            arguments += ['--params-file', str(file)]
-        for name, value in self.overrides.items():
-            arguments += ['-p', f'{name}:={yaml_value(value)}']
-        return [str(executable(self.package, self.executable)), *arguments]
+        names = ['-r', f'__ns:=/{namespace.strip("/")}', '-r', f'__node:={self.name}']
+        return [
+            str(executable(self.package, self.executable)),
+            *self.ros_arguments(params_file, log_level),
+            *names,
+        ]
 
 
 def executable(package: str, name: str) -> Path:
@@ -82,12 +118,21 @@ def executable(package: str, name: str) -> Path:
 
 
 def config_file(name: str) -> Path:
-    """Return the path of a shipped parameter file."""
-    return Path(get_package_share_directory('mixtac_bringup')) / 'config' / name
+    """Return the path of a shipped configuration file.
+
+    Raises:
+        GraphError: mixtac_bringup, which installs these files, is not built.
+    """
+    # Not in package.xml: mixtac_bringup depends on this package, colcon refuses circles.
+    try:
+        share = get_package_share_directory('mixtac_bringup')
+    except PackageNotFoundError as error:
+        raise GraphError('package mixtac_bringup is not built: run `make setup`') from error
+    return Path(share) / 'config' / name
 
 
 def is_virtual(device: str) -> bool:
-    """Tell whether a device is the virtual sensor."""
+    """Return whether a device is the virtual sensor."""
     return device.partition(':')[0] == 'virtual'
 
 
@@ -97,44 +142,162 @@ def sensor_graph(
     driver: Mapping[str, object] | None = None,
     estimator: Mapping[str, object] | None = None,
     virtual_sensor: Mapping[str, object] | None = None,
+    single_process: bool = False,
+    align: bool = False,
+    view: bool = False,
+    simulated_time: bool = False,
+    reference_topic: str = '',
 ) -> list[NodeSpec]:
-    """Return the nodes from the camera to the force.
+    """Return the nodes from the camera to the force, in the order in which they are started.
 
     Args:
-        device: `davis346` or `virtual`; the driver says what else it knows.
+        device: `davis346`, `virtual`, `virtual:SOCKET` or the path of a recording.
         driver: Overrides of the driver's parameters.
-        estimator: Overrides of FGER-Net's parameters.
+        estimator: Overrides of the force estimator's parameters.
         virtual_sensor: Overrides of the virtual sensor's parameters.
+        single_process: Run driver and estimator in one process.
+        align: Add the nodes that align the reference force and publish the error against it.
+        view: Add the live view.
+        simulated_time: The driver publishes `/clock` and the estimator follows it.
+        reference_topic: Topic of the reference force; empty keeps that of the parameter files.
+
+    Raises:
+        GraphError: The options contradict each other.
     """
+    reference = {'reference_topic': reference_topic} if reference_topic else {}
     nodes = []
     if is_virtual(device):
+        path = device.partition(':')[2]
+        socket = {'socket': path} if path else {}
         nodes.append(
             NodeSpec(
                 'mixtac_sim',
                 'virtual_sensor_node',
                 'virtual_sensor',
-                overrides={**_socket(device), **(virtual_sensor or {})},
+                required=True,
+                overrides={**socket, **reference, **(virtual_sensor or {})},
             )
         )
-    nodes.append(
+    if view:
+        nodes.append(live_view())
+    if align:
+        nodes += [
+            NodeSpec('mixtac_alignment', 'alignment_node', 'alignment', overrides=reference),
+            NodeSpec('mixtac_alignment', 'force_error_node', 'force_error'),
+        ]
+    clock = {'playback_clock': True} if simulated_time else {}
+    follow = {'use_sim_time': True} if simulated_time else {}
+    estimation = [
         NodeSpec(
             'mixtac_driver',
             'driver_node',
             'driver',
-            overrides={'device': device, **(driver or {})},
-        )
-    )
-    nodes.append(
+            required=True,
+            overrides={'device': device, **clock, **(driver or {})},
+        ),
         NodeSpec(
-            'mixtac_fger', 'fger_node', 'fger', lifecycle=True, overrides=dict(estimator or {})
+            'mixtac_fger',
+            'fger_node',
+            'fger',
+            lifecycle=True,
+            required=True,
+            overrides={**follow, **(estimator or {})},
+        ),
+    ]
+    if single_process and simulated_time:
+        raise GraphError(
+            'simulated time needs driver and estimator in two processes: the driver publishes the '
+            'clock and cannot follow it; leave out single_process'
         )
+    return [*nodes, *([_in_one_process(estimation)] if single_process else estimation)]
+
+
+def _in_one_process(nodes: Sequence[NodeSpec]) -> NodeSpec:
+    """Return one process for driver and estimator; every node takes the overrides it declares."""
+    overrides: dict[str, object] = {}
+    for node in nodes:
+        if twice := sorted(set(overrides) & set(node.overrides)):
+            raise GraphError(
+                f'parameter {twice[0]} is set for two nodes of one process: set it in a '
+                'parameter file, below the name of its node'
+            )
+        overrides |= node.overrides
+    return NodeSpec(
+        'mixtac_cli',
+        'sensor_node',
+        'fger',
+        lifecycle=True,
+        required=True,
+        overrides=overrides,
+        files=tuple(node.name for node in nodes),
     )
-    return nodes
 
 
-def _socket(device: str) -> dict[str, object]:
-    path = device.partition(':')[2]
-    return {'socket': path} if path else {}
+def slip_control(overrides: Mapping[str, object]) -> NodeSpec:
+    """Return the slip control node.
+
+    Args:
+        overrides: Parameters, such as `arm` and `detector`.
+    """
+    return NodeSpec(
+        'mixtac_slip_control',
+        'slip_control_node',
+        'slip_control',
+        required=True,
+        overrides=overrides,
+    )
+
+
+def recorder(output: Path, reference_topic: str = '') -> NodeSpec:
+    """Return the node that records the sensor's topics to a new bag.
+
+    Args:
+        output: Folder of the bag.
+        reference_topic: Topic of the reference force; empty keeps that of the parameter files.
+    """
+    overrides = {'output': str(output)}
+    if reference_topic:
+        overrides['reference_topic'] = reference_topic
+    return NodeSpec('mixtac_cli', 'recorder_node', 'recorder', overrides=overrides)
+
+
+ROSBAG2_DEPTH = 1000
+"""Least queue depth of `ros2 bag record` for the sensor's topics; its default is 10."""
+
+
+def rosbag2_qos(
+    namespace: str = DEFAULT_NAMESPACE, reference_topic: str = REFERENCE
+) -> dict[str, dict[str, object]]:
+    """Return the QoS overrides with which `ros2 bag record` loses no messages, by topic.
+
+    Args:
+        namespace: ROS namespace of the sensor.
+        reference_topic: Topic of the reference force.
+    """
+    overrides: dict[str, dict[str, object]] = {}
+    for topic in TOPICS:
+        name = reference_topic if topic.name == REFERENCE else topic.resolved(namespace)
+        overrides[name] = {
+            'history': 'keep_last',
+            'depth': 1 if topic.latched else max(ROSBAG2_DEPTH, 5 * topic.depth),
+            'reliability': 'reliable' if topic.reliable else 'best_effort',
+            'durability': 'transient_local' if topic.latched else 'volatile',
+        }
+    return overrides
+
+
+def live_view(port: int | None = None, save: Path | None = None) -> NodeSpec:
+    """Return the node of the live view.
+
+    Args:
+        port: Port of the page on 127.0.0.1, 0 for any free one; None keeps that of the parameter
+            files.
+        save: New .rrd file to write instead of serving a page.
+    """
+    overrides: dict[str, object] = {} if port is None else {'port': port}
+    if save is not None:
+        overrides['save'] = str(save)
+    return NodeSpec('mixtac_cli', 'view_node', 'view', overrides=overrides)
 
 
 def yaml_value(value: object) -> str:
@@ -145,66 +308,3 @@ def yaml_value(value: object) -> str:
         escaped = value.replace("'", "''")
         return f"'{escaped}'"
     return repr(value)
-
-
-MEMBERS = ('driver', 'fger')
-
-
-@dataclass(frozen=True)
-class SensorProcess(NodeSpec):
-    """Driver and estimator in one process.
-
-    Attributes:
-        members: Its nodes as they would be in processes of their own.
-    """
-
-    members: tuple[NodeSpec, ...] = ()
-
-    def command(
-        self, namespace: str, params_file: Path | None = None, log_level: str = 'info'
-    ) -> list[str]:
-        """Return the command line of the process; see `NodeSpec.command`.
-
-        Raises:
-            GraphError: See there, or two nodes have an override of the same name.
-        """
-        arguments = ['--ros-args', '-r', f'__ns:=/{namespace.strip("/")}']
-        arguments += ['--log-level', log_level]
-        files = [config_file(f'{member.name}.yaml') for member in self.members]
-        for file in [*files, params_file] if params_file is not None else files:
-            arguments += ['--params-file', str(file)]
-        for name, value in self._overrides().items():
-            arguments += ['-p', f'{name}:={yaml_value(value)}']
-        return [str(executable(self.package, self.executable)), *arguments]
-
-    def _overrides(self) -> dict[str, object]:
-        """Return what all nodes of the process are told; each takes what it declares."""
-        every: dict[str, object] = {}
-        for member in self.members:
-            twice = sorted(set(every) & set(member.overrides))
-            if twice:
-                raise GraphError(
-                    f'parameter {twice[0]} is set for two nodes of one process: set it in a '
-                    'parameter file, under the name of its node'
-                )
-            every |= member.overrides
-        return every
-
-
-def in_one_process(nodes: Sequence[NodeSpec]) -> list[NodeSpec]:
-    """Return a graph with driver and estimator in one process.
-
-    The virtual sensor stays a process of its own: it stands for a device, and its computations
-    would take the interpreter's lock from the nodes.
-
-    Args:
-        nodes: Graph of separate processes, see `mixtac_node.graph.sensor_graph`.
-    """
-    members = tuple(node for node in nodes if node.name in MEMBERS)
-    together = SensorProcess('mixtac_cli', 'sensor_node', 'fger', lifecycle=True, members=members)
-    return [*(node for node in nodes if node not in members), together]
-
-
-def recorder(output: Path) -> NodeSpec:
-    """Return the node that records the sensor's topics to a new bag."""
-    return NodeSpec('mixtac_cli', 'recorder_node', 'recorder', overrides={'output': str(output)})

@@ -8,6 +8,9 @@ import importlib
 from dataclasses import dataclass
 from typing import Any
 
+DEFAULT_NAMESPACE = 'mixtac'
+"""Namespace of all nodes unless the user gives another one (`__ns`)."""
+
 
 def message_class(type_name: str) -> Any:  # noqa: ANN401
     """Return the class of, for example, `sensor_msgs/msg/Image`."""

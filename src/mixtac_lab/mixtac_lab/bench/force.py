@@ -26,7 +26,7 @@ from rich.table import Table
 
 from mixtac_lab.bench.harness import cpu_s
 from mixtac_lab.bench.pipeline import Load, camera_command
-from mixtac_node.graph import in_one_process, sensor_graph
+from mixtac_node.graph import sensor_graph
 from mixtac_node.process import GraphError, JsonProcess
 
 if TYPE_CHECKING:
@@ -82,8 +82,8 @@ def run_force(load: Load, seconds: float, *, together: bool) -> ForceRun:
         module = 'mixtac_lab.bench.programs.force_probe_node'
         probe = stack.enter_context(JsonProcess('subscriber', [sys.executable, '-m', module], env))
         probe.expect('ready', START_TIMEOUT_S)
-        nodes = [n for n in sensor_graph(f'virtual:{socket}') if n.name != 'virtual_sensor']
-        nodes = in_one_process(nodes) if together else nodes
+        graph = sensor_graph(f'virtual:{socket}', single_process=together)
+        nodes = [node for node in graph if node.name != 'virtual_sensor']
         parts = {
             node.name: stack.enter_context(
                 JsonProcess(node.name, node.command(NAMESPACE, log_level='warn'), env)
@@ -225,8 +225,10 @@ def run_two(seconds: float, *, together: bool) -> dict[str, Any]:
                 'scenario': 'idle',
                 'reference_topic': f'/{side}/ft_sensor/wrench',
             }
-            graph = sensor_graph(f'virtual:{folder}/{side}.sock', virtual_sensor=virtual)
-            for node in in_one_process(graph) if together else graph:
+            graph = sensor_graph(
+                f'virtual:{folder}/{side}.sock', virtual_sensor=virtual, single_process=together
+            )
+            for node in graph:
                 command = node.command(side, log_level='warn')
                 process = JsonProcess(f'{side}/{node.name}', command, env)
                 parts[side, node.name] = stack.enter_context(process)

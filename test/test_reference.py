@@ -13,7 +13,7 @@ import yaml
 from mixtac_node.parameters import build
 
 pytest.importorskip('diagnostic_msgs', reason='needs ROS 2')
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[1]
 TOOL = runpy.run_path(str(ROOT / 'tools' / 'write_reference.py'))
 
 
