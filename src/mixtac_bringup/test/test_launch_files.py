@@ -1,118 +1,172 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The launch files, and that they start the same graph as the command line."""
+"""The launch files: their arguments, and the processes that they start."""
 
 from __future__ import annotations
 
-import ast
-import importlib.util
+import runpy
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac_node.graph import in_one_process, sensor_graph
+from mixtac_node.graph import config_file, sensor_graph
+from mixtac_node.process import GraphError
 
 LAUNCH = Path(__file__).resolve().parents[3] / 'launch'
-SENSOR = LAUNCH / 'sensor.launch.py'
 FILES = ('sensor', 'replay', 'record')
-
-
-def arguments_of(path: Path) -> set[str]:
-    """Return the names of the launch arguments that are declared literally."""
-    return {
-        node.args[0].value
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Call)
-        and isinstance(node.func, ast.Name)
-        and node.func.id == 'DeclareLaunchArgument'
-        and node.args
-        and isinstance(node.args[0], ast.Constant)
-    }
-
-
-def test_the_launch_file_names_the_nodes_of_the_graph():
-    literals = {
-        node.value
-        for node in ast.walk(ast.parse(SENSOR.read_text()))
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-    }
-    graph = sensor_graph('virtual')
-    for spec in [*graph, *in_one_process(graph)]:
-        assert {spec.package, spec.executable, spec.name} <= literals
+SINGLE = {'true': True, 'false': False}
 
 
 @pytest.mark.parametrize('name', FILES)
-def test_every_launch_file_takes_the_usual_arguments(name: str):
+def test_every_launch_file_takes_the_usual_arguments(launch_arguments, name):
     usual = {'device', 'namespace', 'params_file', 'log_level'}
-    assert usual <= arguments_of(LAUNCH / f'{name}.launch.py')
-
-
-def load(path: Path):
-    spec = importlib.util.spec_from_file_location('launch_file', path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.generate_launch_description()
+    assert usual <= set(launch_arguments(LAUNCH / f'{name}.launch.py'))
 
 
 def processes(name: str, **values: str):
-    """Return package and executable of each node that a launch file starts, in order."""
+    """Return the processes that a launch file starts, in order, and the launch context."""
     launch = pytest.importorskip('launch', reason='launch is not installed')
     pytest.importorskip('launch_ros', reason='launch_ros is not installed')
     from launch.actions import ExecuteProcess
-    from launch_ros.actions import Node
 
     context = launch.LaunchContext()
     context.launch_configurations.update(values)
-    found, queue = [], list(load(LAUNCH / f'{name}.launch.py').entities)
+    description = runpy.run_path(str(LAUNCH / f'{name}.launch.py'))['generate_launch_description']()
+    found, queue = [], list(description.entities)
     while queue:
         entity = queue.pop(0)
         if isinstance(entity, ExecuteProcess):
-            found.append(
-                (entity.node_package, entity.node_executable) if isinstance(entity, Node) else ''
-            )
+            found.append(entity)
             continue
         queue = [*(entity.visit(context) or []), *queue]
     return found, context
 
 
+def names(found) -> list[tuple[str, str] | str]:
+    """Return package and executable of each node, an empty text for other processes."""
+    return [
+        (each.node_package, each.node_executable) if hasattr(each, 'node_package') else ''
+        for each in found
+    ]
+
+
+def graph_names(*args, **options) -> list[tuple[str, str]]:
+    return [(spec.package, spec.executable) for spec in sensor_graph(*args, **options)]
+
+
+def words(process) -> list[str]:
+    """Return the command line, without what launch substitutes."""
+    return [part[0].text for part in process.cmd if hasattr(part[0], 'text')]
+
+
 @pytest.mark.parametrize('device', ['davis346', 'virtual', 'virtual:/some/where.sock'])
-@pytest.mark.parametrize('together', ['false', 'true'])
-def test_the_launch_description_starts_the_graph(device: str, together: str):
-    found, _ = processes('sensor', device=device, single_process=together)
-    graph = sensor_graph(device)
-    wanted = in_one_process(graph) if together == 'true' else graph
-    assert found == [(spec.package, spec.executable) for spec in wanted]
+@pytest.mark.parametrize('single', SINGLE)
+def test_the_launch_file_starts_the_graph(device, single):
+    found, _ = processes('sensor', device=device, single_process=single)
+    assert names(found) == graph_names(device, single_process=SINGLE[single])
 
 
-def test_align_adds_both_nodes_of_the_alignment_on_the_same_reference():
-    added = {('mixtac_alignment', 'alignment_node'), ('mixtac_alignment', 'force_error_node')}
-    plain, _ = processes('sensor', device='virtual')
-    aligned, _ = processes('sensor', device='virtual', align='true', reference_topic='/other')
-    assert set(aligned) - set(plain) == added
-    assert len(aligned) == len(plain) + len(added)
+@pytest.mark.parametrize('single', SINGLE)
+def test_overrides_reach_every_node_of_a_process(single):
+    values = {'device': '/some/bag', 'serial': '0042', 'playback_rate': '2.5'}
+    found, _ = processes('sensor', single_process=single, **values)
+    given = words(found[0])
+    assert {"device:='/some/bag'", "serial:='0042'", 'playback_rate:=2.5'} <= set(given)
+    assert str(config_file('driver.yaml')) in given
+
+
+def test_parameters_of_the_user_are_read_after_the_shipped_ones(tmp_path):
+    own = tmp_path / 'own.yaml'
+    own.write_text('{}')
+    found, _ = processes('sensor', device='davis346', params_file=str(own))
+    for process, name in zip(found, ('driver', 'fger'), strict=True):
+        given = words(process)
+        assert given.index(str(own)) > given.index(str(config_file(f'{name}.yaml')))
+    with pytest.raises(GraphError):
+        processes('sensor', device='davis346', params_file=str(tmp_path / 'none.yaml'))
+
+
+def test_align_and_view_add_their_nodes():
+    values = {'align': 'true', 'view': 'true', 'reference_topic': '/other'}
+    found, _ = processes('sensor', device='virtual', **values)
+    assert names(found) == graph_names('virtual', align=True, view=True)
 
 
 def test_a_replay_is_the_sensor_on_a_recording_in_its_own_time():
     found, context = processes('replay', device='/some/bag', rate='2.5')
-    assert found == [('mixtac_driver', 'driver_node'), ('mixtac_fger', 'fger_node')]
+    assert names(found) == graph_names('/some/bag')
     given = context.launch_configurations
     assert (given['use_sim_time'], given['playback_rate']) == ('true', '2.5')
+    assert 'playback_clock:=true' in words(found[0])
+    assert 'use_sim_time:=true' in words(found[1])
 
 
 def test_one_process_cannot_be_source_and_follower_of_the_clock():
-    pytest.importorskip('launch', reason='launch is not installed')
-    with pytest.raises(RuntimeError, match='single_process'):
+    with pytest.raises(GraphError):
         processes('sensor', device='/bag', use_sim_time='true', single_process='true')
 
 
-@pytest.mark.parametrize(('device', 'sensors'), [('', 0), ('davis346', 2)])
-def test_a_recording_checks_first_and_brings_its_sensor(device: str, sensors: int):
+@pytest.mark.parametrize('device', ['', 'davis346'])
+def test_a_recording_checks_first_and_brings_its_sensor(device):
     found, _ = processes('record', output='/some/new', device=device, start_after='0')
-    assert (
-        found[:sensors]
-        == [(spec.package, spec.executable) for spec in sensor_graph('davis346')][:sensors]
-    )
+    sensor = graph_names(device) if device else []
     # The check only: the recorder follows when it has passed.
-    assert found[sensors:] == ['']
+    assert names(found) == [*sensor, '']
+
+
+@pytest.mark.parametrize('recorder', ['mixtac', 'rosbag2'])
+def test_a_recording_without_checks_starts_its_recorder(recorder):
+    found, _ = processes('record', output='/some/new', check='false', recorder=recorder)
+    if recorder == 'mixtac':
+        assert names(found) == [('mixtac_cli', 'recorder_node')]
+        return
+    command = words(found[0])
+    assert command[:3] == ['ros2', 'bag', 'record']
+    overrides = Path(command[command.index('--qos-profile-overrides-path') + 1])
+    assert '/mixtac/events' in overrides.read_text()
+    overrides.unlink()
+
+
+def test_slip_control_takes_its_arm_and_detector():
+    found, _ = processes('slip_control', arm='fr3', detector='count')
+    assert names(found) == [('mixtac_slip_control', 'slip_control_node')]
+    assert {"arm:='fr3'", "detector:='count'"} <= set(words(found[0]))
+
+
+@pytest.mark.dds
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize('single', SINGLE)
+@pytest.mark.usefixtures('ros_domain')
+def test_a_launched_virtual_sensor_gives_forces(tmp_path, single):
+    launch = pytest.importorskip('launch', reason='launch is not installed')
+    pytest.importorskip('launch_ros', reason='launch_ros is not installed')
+    from launch.actions import IncludeLaunchDescription
+    from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+    from mixtac_cli.monitor_node import Monitor
+
+    source = PythonLaunchDescriptionSource(str(LAUNCH / 'sensor.launch.py'))
+    arguments = [('device', f'virtual:{tmp_path}/usb.sock'), ('single_process', single)]
+    service = launch.LaunchService(argv=[])
+    include = IncludeLaunchDescription(source, launch_arguments=arguments)
+    service.include_launch_description(launch.LaunchDescription([include]))
+    forces = []
+
+    def watch() -> None:
+        with Monitor('mixtac', 60) as monitor:
+            monitor.listen()
+            deadline = time.monotonic() + 120
+            while monitor.force_count < 100 and time.monotonic() < deadline:
+                time.sleep(0.1)
+            forces.append(monitor.force_count)
+        service.shutdown()
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    service.run()
+    watcher.join()
+    assert forces[0] >= 100

@@ -1,12 +1,20 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Messages handed over within a process."""
+"""Driver and estimator in one process: messages handed over, and the running process."""
 
 from __future__ import annotations
 
 import threading
+import time
 
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+
+from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.sensor_node import DirectPublisher, DirectTopic
+from mixtac_node.graph import sensor_graph
+from mixtac_node.process import ProcessGroup
 
 
 class RosPublisher:
@@ -57,3 +65,31 @@ def test_a_callback_may_end_itself_and_others():
     topic.hand_over(1)
     topic.hand_over(2)
     assert seen == [('first', 1), ('second', 1), ('second', 2)]
+
+
+@pytest.mark.dds
+def test_one_process_has_the_nodes_topics_and_force_of_two(ros_domain, tmp_path):
+    graph = sensor_graph(
+        f'virtual:{tmp_path}/usb.sock', virtual_sensor={'scenario': 'idle'}, single_process=True
+    )
+    with ProcessGroup(tmp_path / 'log') as processes, Monitor('one', 60) as monitor:
+        for node in graph:
+            processes.start(node.name, node.command('one'))
+        monitor.bring_up('fger', processes)
+        monitor.listen()
+        deadline = time.monotonic() + 60
+        while monitor.force_count < 250 and time.monotonic() < deadline:
+            time.sleep(0.05)
+            processes.check()
+        assert monitor.force_count >= 250
+        _, stamps, _ = monitor.force()
+        steps = stamps[1:] - stamps[:-1]
+        assert (steps > 0).all()
+        assert (steps % 2_000_000 == 0).all()
+        monitor.trigger('fger/tare', processes.check)
+        assert monitor.publishers('/one/events')
+        assert monitor.publishers('/one/image_raw')
+        while {'one/driver', 'one/fger'} - set(monitor.diagnostics):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        assert monitor.diagnostics['one/fger']['lost_packets'] == '0'

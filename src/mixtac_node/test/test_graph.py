@@ -1,0 +1,139 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The description of the graph: which nodes, in which order, with which arguments."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+
+from mixtac_node.graph import (
+    config_file,
+    live_view,
+    recorder,
+    rosbag2_qos,
+    sensor_graph,
+    slip_control,
+)
+from mixtac_node.process import GraphError
+from mixtac_node.topics import TOPICS
+
+
+def names(nodes) -> list[str]:
+    return [node.name for node in nodes]
+
+
+def overrides(nodes) -> dict[str, dict[str, object]]:
+    return {node.name: dict(node.overrides) for node in nodes}
+
+
+def test_a_camera_needs_driver_and_estimator():
+    nodes = sensor_graph('davis346')
+    assert names(nodes) == ['driver', 'fger']
+    assert [node.name for node in nodes if node.lifecycle] == ['fger']
+    assert all(node.required for node in nodes)
+
+
+def test_the_virtual_sensor_comes_first_and_shares_its_socket():
+    nodes = sensor_graph('virtual:/a/b.sock', virtual_sensor={'device_seed': 5})
+    assert names(nodes) == ['virtual_sensor', 'driver', 'fger']
+    assert overrides(nodes)['virtual_sensor'] == {'socket': '/a/b.sock', 'device_seed': 5}
+    assert overrides(nodes)['driver'] == {'device': 'virtual:/a/b.sock'}
+
+
+def test_additions_stand_between_sensor_and_driver():
+    nodes = sensor_graph('virtual', align=True, view=True, reference_topic='/left/ft')
+    assert names(nodes) == ['virtual_sensor', 'view', 'alignment', 'force_error', 'driver', 'fger']
+    reference = {'reference_topic': '/left/ft'}
+    assert overrides(nodes)['virtual_sensor'] == overrides(nodes)['alignment'] == reference
+    # It compares with the topic that the alignment publishes.
+    assert overrides(nodes)['force_error'] == {}
+
+
+def test_simulated_time_comes_from_the_driver():
+    found = overrides(sensor_graph('/some/bag', simulated_time=True))
+    assert found == {
+        'driver': {'device': '/some/bag', 'playback_clock': True},
+        'fger': {'use_sim_time': True},
+    }
+    with pytest.raises(GraphError):
+        sensor_graph('/some/bag', simulated_time=True, single_process=True)
+
+
+def test_one_process_reads_the_files_and_overrides_of_both_nodes():
+    options = {'estimator': {'force_scale': 2.0}, 'single_process': True}
+    nodes = sensor_graph('virtual:/a/b.sock', **options)
+    # The virtual sensor stands for a device.
+    assert names(nodes) == ['virtual_sensor', 'fger']
+    arguments = nodes[1].ros_arguments()
+    assert "device:='virtual:/a/b.sock'" in arguments
+    assert 'force_scale:=2.0' in arguments
+    assert nodes[1].parameter_files() == [config_file('driver.yaml'), config_file('fger.yaml')]
+
+
+def test_an_override_of_both_nodes_is_refused():
+    both = {'driver': {'frame_id': 'a'}, 'estimator': {'frame_id': 'b'}}
+    with pytest.raises(GraphError) as caught:
+        sensor_graph('davis346', **both, single_process=True)
+    assert 'frame_id' in str(caught.value)
+
+
+def test_overrides_come_after_the_files_and_reach_every_node_of_a_process(tmp_path):
+    own = tmp_path / 'own.yaml'
+    own.write_text('{}')
+    (driver, _) = sensor_graph('davis346', driver={'serial': "00'1", 'playback_loop': True})
+    arguments = driver.ros_arguments(own, 'debug')
+    files = [value for key, value in pairwise(arguments) if key == '--params-file']
+    assert files == [str(config_file('driver.yaml')), str(own)]
+    values = [value for key, value in pairwise(arguments) if key == '-p']
+    # Neither a node's name nor a namespace before them: `-p` is for all nodes of the process.
+    assert values == ["device:='davis346'", "serial:='00''1'", 'playback_loop:=true']
+    assert arguments.index('-p') > arguments.index(str(own))
+
+
+def test_a_command_names_node_and_namespace():
+    command = sensor_graph('davis346')[0].command('left/')
+    assert command[0].endswith('driver_node')
+    assert '__ns:=/left' in command
+    assert '__node:=driver' in command
+
+
+def test_a_parameter_file_that_does_not_exist_is_refused(tmp_path):
+    with pytest.raises(GraphError) as caught:
+        sensor_graph('davis346')[0].command('mixtac', tmp_path / 'none.yaml')
+    assert 'none.yaml' in str(caught.value)
+
+
+def test_every_node_is_installed_and_has_a_parameter_file(tmp_path):
+    more = [slip_control({'arm': 'none'}), recorder(tmp_path / 'bag'), live_view(0)]
+    for device, options in (('virtual', {'align': True}), ('x', {'single_process': True})):
+        for node in [*sensor_graph(device, **options), *more]:
+            assert node.command('mixtac')
+            assert all(path.is_file() for path in node.parameter_files())
+
+
+def test_unset_options_leave_the_parameter_files_alone(tmp_path):
+    assert live_view().overrides == {}
+    assert live_view(0, tmp_path / 'a.rrd').overrides == {
+        'port': 0,
+        'save': str(tmp_path / 'a.rrd'),
+    }
+    assert recorder(tmp_path).overrides == {'output': str(tmp_path)}
+
+
+def test_rosbag2_subscribes_compatibly_and_with_long_queues():
+    found = rosbag2_qos('left', '/left/ft')
+    assert len(found) == len(TOPICS)
+    assert found['/left/events']['depth'] >= 5000
+    assert found['/left/ft']['reliability'] == 'best_effort'
+    assert found['/left/camera_clock']['durability'] == 'transient_local'
+    for topic in TOPICS:
+        if topic.name == '/ft_sensor/wrench':
+            continue
+        chosen = found[topic.resolved('left')]
+        # A subscriber may ask for no more than its publisher offers.
+        assert chosen['reliability'] == 'best_effort' or topic.reliable
+        assert chosen['durability'] == 'volatile' or topic.latched
