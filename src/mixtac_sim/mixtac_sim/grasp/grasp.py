@@ -16,13 +16,11 @@ import numpy as np
 from numba import njit
 
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.grasp.camera import SkinBlock, SkinCamera, on_day
 from mixtac_sim.grasp.objects import OBJECTS
-from mixtac_sim.grasp.skin import Skin, SkinBeads, slide
+from mixtac_sim.grasp.skin import Skin, SkinCamera, slide
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Contact, Mode
 from mixtac_sim.mechanics.elastomer import ForceLaw, Layer, force_law
-from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.random_streams import stream
 from mixtac_sim.world.device import draw_conditions, draw_device
 from mixtac_sim.world.effects import PAPER_LIKE
@@ -297,7 +295,8 @@ class Grasp:
         device: The sensor.
         critical_n: Smallest normal force that holds the object, to 2 % [N].
         grasp_n: Normal force of the grasp [N]: the margin times that.
-        stiffness_n_per_mm: Of the contact at the grasp force [N/mm].
+        stiffness_n_per_mm: Stiffness of the contact at the grasp force [N/mm].
+        camera: The camera, None without one.
     """
 
     def __init__(
@@ -326,23 +325,22 @@ class Grasp:
         self._hanging = (self._skin.shear_mm.copy(), self._skin.age_s.copy())
         self._body = np.zeros(3)
         self._fixed = setup.constants()
-        self._camera: SkinCamera | None = None
+        self.camera: SkinCamera | None = None
         if camera:
-            today = on_day(device, conditions)
-            beads = BeadMotion(today, layer, conditions.contact_mm, [face], [self._press.gel])
-            moved = SkinBeads(today, layer, conditions.contact_mm, self._skin.places_mm, radius)
-            self._camera = SkinCamera(
-                today, conditions, preset, seed, beads, moved, DOWN, self._start()
+            self.camera = SkinCamera(
+                device,
+                conditions,
+                preset,
+                seed,
+                layer,
+                face,
+                self._press.gel,
+                self._press.elastic_n,
+                self._skin,
+                radius,
+                DOWN,
             )
         self.device: DeviceModel = device
-
-    def _start(self) -> SkinBlock:
-        return SkinBlock(np.array([self._press.elastic_n]), self._skin.shear_mm[None].copy())
-
-    @property
-    def camera(self) -> SkinCamera | None:
-        """Return the camera, None without one."""
-        return self._camera
 
     def strike(self, speed_mm_s: float) -> None:
         """Let a blow come at the next step, beside that of the setup.
@@ -373,8 +371,8 @@ class Grasp:
         fall(self._body, self._fixed, state, gel, self._skin.surface, law, normal, path, patches)
         events: Events | None = None
         frames: list[ApsFrame] = []
-        if self._camera is not None:
-            events, frames = self._camera.advance(SkinBlock(elastic, patches))
+        if self.camera is not None:
+            events, frames = self.camera.advance(elastic, patches)
         return GraspBlock(
             first_us + (np.arange(count, dtype=np.int64) + 1) * STEP_US,
             path[:, 0],

@@ -20,7 +20,7 @@ from mixtac_events.arrays import Events
 from mixtac_sim.grasp.grasp import Grasp
 from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US
 from mixtac_sim.live.virtual_sensor import SimulationClock
-from mixtac_sim.world.sensor import TRUTH_DTYPE, TRUTH_EVERY, SensorOutput
+from mixtac_sim.world.sensor import SensorOutput, truth_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -246,10 +246,7 @@ class LiveGrasp:
         times = [b.t_us for b in blocks] or [np.empty(0, np.int64)]
         wrenches = [_wrench(b) for b in blocks] or [np.empty((0, 6))]
         t_us, wrench = np.concatenate(times), np.concatenate(wrenches)
-        truth = np.zeros(len(t_us) // TRUTH_EVERY, TRUTH_DTYPE)
-        chosen = slice(TRUTH_EVERY - 1, None, TRUTH_EVERY)
-        truth['t_us'], truth['depth_mm'] = t_us[chosen], np.nan
-        truth['fy'], truth['fz'] = wrench[chosen, 1], wrench[chosen, 2]
+        truth = truth_rows(t_us, wrench, np.full(len(t_us), np.nan))
         return SensorOutput(events, ready, truth, t_us, wrench)
 
     def _advance_block(self) -> GraspBlock:

@@ -18,13 +18,19 @@ from numba import njit
 
 from mixtac_sim.grasp.objects import REFERENCE_MM_S
 from mixtac_sim.grids import STEP_US
+from mixtac_sim.world.camera import Camera
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mixtac_events.arrays import Events
     from mixtac_sim.grasp.objects import Friction
-    from mixtac_sim.mechanics.elastomer import Layer
-    from mixtac_sim.world.device import DeviceModel
+    from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
+    from mixtac_sim.mechanics.indenters import Indenter
+    from mixtac_sim.optics.scene import Flicker, Markers
+    from mixtac_sim.pixels.aps import ApsFrame
+    from mixtac_sim.world.device import Conditions, DeviceModel
+    from mixtac_sim.world.effects import Preset
 
 
 RINGS = ((0.0, 1), (0.4, 5), (0.8, 10))
@@ -262,8 +268,8 @@ class SkinBeads:
     shear wave takes from the skin to it; reflections are not modelled.
 
     Args:
-        device: The sensor.
-        layer: Its layer on the day.
+        beads: The beads at rest.
+        layer: The layer on the day.
         contact_mm: Centre of the contact from the optical axis [mm].
         places_mm: Centres of the patches from the contact's [patch, 2] [mm].
         radius_mm: Contact radius [mm].
@@ -271,13 +277,12 @@ class SkinBeads:
 
     def __init__(
         self,
-        device: DeviceModel,
+        beads: Markers,
         layer: Layer,
         contact_mm: tuple[float, float],
         places_mm: NDArray[np.float64],
         radius_mm: float,
     ) -> None:
-        beads = device.markers
         at = np.stack([beads.x_mm, beads.y_mm], axis=1) - np.array(contact_mm)
         width = max(0.35 * radius_mm, 0.5 * layer.thickness_mm, SMALLEST_MM)
         distance = np.linalg.norm(at[:, None] - places_mm, axis=2)
@@ -306,3 +311,86 @@ class SkinBeads:
         for past, rows in zip(self._past, self._rows, strict=True):
             self.amount_mm[rows] = self._weights[rows] @ past
         return self.amount_mm
+
+
+class SkinCamera:
+    """The sensor's camera over a skin that sticks and slips, in blocks of any length.
+
+    Blocks may be as short as 1 ms, so that an arm can answer within the next one.
+
+    Args:
+        device: The sensor.
+        conditions: Conditions of the trial.
+        preset: Difficulty of the sensor.
+        seed: Seed of the trial.
+        layer: The layer on the day.
+        face: Face of the object.
+        law: Force law of that face on the gel.
+        elastic_n: Elastic part of the normal force at the start [N].
+        skin: The skin at the start.
+        radius_mm: Contact radius [mm].
+        direction: Direction of the pull on the skin in the image, right and down, of length 1.
+        flicker: Flicker of the lamp; drawn from the preset by default.
+    """
+
+    def __init__(
+        self,
+        device: DeviceModel,
+        conditions: Conditions,
+        preset: Preset,
+        seed: int,
+        layer: Layer,
+        face: Indenter,
+        law: ForceLaw,
+        elastic_n: float,
+        skin: Skin,
+        radius_mm: float,
+        direction: tuple[float, float],
+        flicker: Flicker | None = None,
+    ) -> None:
+        device, contact_mm = device.on_day(conditions), conditions.contact_mm
+        self._beads = device.beads(layer, contact_mm, [face], [law])
+        self._moved = SkinBeads(device.markers, layer, contact_mm, skin.places_mm, radius_mm)
+        self._moved.settle(skin.shear_mm)
+        self._direction = direction
+        self._elastic_n, self._patches_mm = elastic_n, skin.shear_mm.copy()
+        self._camera = Camera(
+            device, conditions, preset, seed, self._place(elastic_n), elastic_n, flicker=flicker
+        )
+        self.configure_aps = self._camera.configure_aps
+        self.configure_pixels = self._camera.configure_pixels
+
+    @property
+    def now_us(self) -> int:
+        """Time up to which it has been advanced [us of true time]."""
+        return self._camera.now_us
+
+    @property
+    def lost(self) -> int:
+        """Number of events that pixels and readout had to drop so far."""
+        return self._camera.lost
+
+    def _place(self, elastic_n: float) -> NDArray[np.float64]:
+        return self._beads.place_sheared(0, elastic_n, self._direction, self._moved.amounts())
+
+    def advance(
+        self, elastic_n: NDArray[np.float64], patches_mm: NDArray[np.float64]
+    ) -> tuple[Events, list[ApsFrame]]:
+        """Return the events and the frames that ended over a block; times as of `Camera.advance`.
+
+        Args:
+            elastic_n: Elastic part of the normal force at the end of each step of 125 us [n] [N].
+            patches_mm: Shear displacement of the patches there [n, patch] [mm].
+        """
+
+        def place(first: int, last: int) -> NDArray[np.float64]:
+            for k in range(first, last):
+                self._moved.push(patches_mm[k])
+            return self._place(float(elastic_n[last - 1]))
+
+        pressed = self._beads.reach_px(0, np.append(self._elastic_n, elastic_n))
+        slid = np.abs(np.diff(np.vstack([self._patches_mm, patches_mm]), axis=0)).max(axis=1)
+        travel = np.abs(np.diff(pressed)) + self._beads.px_per_mm * slid
+        output = self._camera.advance(elastic_n, travel, len(elastic_n), place)
+        self._elastic_n, self._patches_mm = float(elastic_n[-1]), patches_mm[-1]
+        return output

@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.grasp.camera import SkinBlock, SkinCamera, on_day
 from mixtac_sim.grasp.grasp import SETTLE_S, Press
 from mixtac_sim.grasp.objects import draw_friction
-from mixtac_sim.grasp.skin import Skin, SkinBeads
+from mixtac_sim.grasp.skin import Skin, SkinCamera
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.elastomer import Layer
 from mixtac_sim.mechanics.indenters import Indenter
-from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.random_streams import stream
 from mixtac_sim.world.device import draw_conditions, draw_device
 from mixtac_sim.world.effects import PAPER_LIKE
@@ -97,7 +95,7 @@ class SlipScene:
         load_ratio: float = FRICTION_RATIO,
     ) -> None:
         conditions = draw_conditions(seed, preset)
-        device = on_day(draw_device(device_seed, preset), conditions)
+        device = draw_device(device_seed, preset)
         layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
         rng = stream(seed, 'slip scene')
         law = friction or draw_friction(rng)
@@ -105,8 +103,6 @@ class SlipScene:
         radius = self._press.radius_mm()
         self._skin = Skin(layer, radius, law, rng, round_face=face.shape == 'sphere')
         self._skin.rest(load_ratio * law.static(SETTLE_S) * force_n, SETTLE_S)
-        beads = BeadMotion(device, layer, conditions.contact_mm, [face], [self._press.gel])
-        moved = SkinBeads(device, layer, conditions.contact_mm, self._skin.places_mm, radius)
         angle = rng.normal(0.5 * np.pi, 0.15)
         self._force_n, self._object_mm = force_n, 0.0
         self._camera = SkinCamera(
@@ -114,10 +110,13 @@ class SlipScene:
             conditions,
             preset,
             seed,
-            beads,
-            moved,
+            layer,
+            face,
+            self._press.gel,
+            self._press.elastic_n,
+            self._skin,
+            radius,
             (float(np.cos(angle)), float(np.sin(angle))),
-            SkinBlock(np.array([self._press.elastic_n]), self._skin.shear_mm[None].copy()),
             flicker=flicker,
         )
 
@@ -145,7 +144,7 @@ class SlipScene:
             self._skin.drag(speeds, forces, 1e-6 * STEP_US / SUBSTEPS)
             patches[k] = self._skin.shear_mm
         self._object_mm += 1e-6 * STEP_US * float(np.sum(speed_mm_s))
-        events, frames = self._camera.advance(SkinBlock(elastic, patches))
+        events, frames = self._camera.advance(elastic, patches)
         return SceneBlock(
             self._camera.now_us,
             events,

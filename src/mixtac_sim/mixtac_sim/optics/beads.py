@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from mixtac_sim.grids import PITCH_MM
 from mixtac_sim.mechanics.layer import displacement_field, solve_edge
 from mixtac_sim.optics.scene import DIAMETER_MM
 
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 
     from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
     from mixtac_sim.mechanics.indenters import Indenter
-    from mixtac_sim.world.device import DeviceModel
+    from mixtac_sim.optics.lens import Lens
+    from mixtac_sim.optics.scene import Markers
 
 
 ROWS = 193
@@ -35,11 +37,13 @@ SHEAR_MM = 2.5
 
 
 class BeadMotion:
-    """Images of the beads of a device under its contact.
+    """Images of the beads of a sensor under its contact.
 
     Args:
-        device: The device.
-        layer: Its layer on the day of the trial.
+        beads: The beads at rest.
+        lens: The lens.
+        mesh_n_per_mm: Stiffness of the mesh [N/mm].
+        layer: The layer on the day of the trial.
         contact_mm: Where the contact is, from the optical axis [mm].
         indenters: What may touch.
         laws: Force law of each indenter.
@@ -47,14 +51,15 @@ class BeadMotion:
 
     def __init__(
         self,
-        device: DeviceModel,
+        beads: Markers,
+        lens: Lens,
+        mesh_n_per_mm: float,
         layer: Layer,
         contact_mm: tuple[float, float],
         indenters: Sequence[Indenter],
         laws: Sequence[ForceLaw],
     ) -> None:
-        beads = device.markers
-        self._lens = device.lens
+        self._lens = lens
         self._rest = np.stack([beads.x_mm, beads.y_mm, beads.depth_mm])
         away = self._rest[:2] - np.array(contact_mm)[:, None]
         self._axis_mm = np.hypot(*away)
@@ -62,14 +67,14 @@ class BeadMotion:
         self._tops = np.array([law.force_n[-1] for law in laws])
         self._tables = np.stack(
             [
-                self._table(layer, device.mesh_n_per_mm, tool, law)
+                self._table(layer, mesh_n_per_mm, tool, law)
                 for tool, law in zip(indenters, laws, strict=True)
             ]
         )
         height = 1.0 - beads.depth_mm / layer.thickness_mm
         reach = SHEAR_MM + 0.6 * layer.thickness_mm
         self._shear = height * np.exp(-((self._axis_mm / reach) ** 2))
-        self._optics = _optics_row(device)
+        self._optics = _optics_row(lens)
         self._reach = np.stack([self._largest(table) for table in self._tables])
         self.spots = np.empty((len(beads.x_mm), 4))
 
@@ -176,9 +181,8 @@ def _moved(rest: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.fl
     return np.asarray(rest + row.T)
 
 
-def _optics_row(device: DeviceModel) -> NDArray[np.float64]:
+def _optics_row(lens: Lens) -> NDArray[np.float64]:
     """Return what the projection needs as one array; see ``_place``."""
-    lens = device.lens
     return np.array(
         [
             lens.image_distance_px,
@@ -189,7 +193,7 @@ def _optics_row(device: DeviceModel) -> NDArray[np.float64]:
             float(lens.distance_mm(0.0)),
             float(lens.distance_mm(1.0) - lens.distance_mm(0.0)),
             float(lens.distance_mm(lens.focus_depth_mm)),
-            float(lens.focal_mm / lens.f_number * lens.magnification / 0.0185),
+            float(lens.focal_mm / lens.f_number * lens.magnification / PITCH_MM),
             lens.softness_px,
             np.cos(lens.roll_rad),
             np.sin(lens.roll_rad),

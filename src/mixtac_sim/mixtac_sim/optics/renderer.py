@@ -4,7 +4,7 @@
 
 Beads are blurred discs in a sum kept in fixed point, so removing a disc restores every bit of what
 was there before: only beads that moved are redrawn, and no error grows. How the sum covers what
-lies behind it is up to the pixels (`mixtac_sim.pixels.biases.dvs`).
+lies behind it is up to the pixels (`mixtac_sim.pixels.dvs`).
 
 The light of the mesh is tabulated over its sag and blended between the tables, as its wires move by
 less than their blur from one table to the next.
@@ -24,8 +24,8 @@ from mixtac_sim.optics.scene import build_sagging
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_sim.pixels.dvs import Dvs
-    from mixtac_sim.world.device import DeviceModel
+    from mixtac_sim.optics.lens import Lens
+    from mixtac_sim.optics.scene import Lighting
 
 
 ONE = 65536
@@ -116,28 +116,39 @@ VISIBLE = 0.02
 
 
 class MeshMotion:
-    """Moves the mesh in the light of the pixels.
+    """Light on the array behind a mesh that sags.
 
     Args:
-        device: The sensor.
+        lens: The lens.
+        lighting: Light and mesh.
+        mesh_n_per_mm: Stiffness of the mesh [N/mm].
         contact_mm: Where it is pressed, from the optical axis [mm].
+
+    Attributes:
+        floors: Light without beads at each of `LEVELS_MM` [level, tile, 64] [lx].
+        gains: Change from no bead to bead [level, tile, 64] [lx].
+        tiles: Tiles in which the mesh can be seen to move [n].
     """
 
-    def __init__(self, device: DeviceModel, contact_mm: tuple[float, float]) -> None:
-        scenes = build_sagging(device.lens, device.lighting, contact_mm, LEVELS_MM, SAG_MM)
-        self._floor = np.stack([scene.floor.reshape(TILES, TILE) for scene in scenes])
-        self._gain = np.stack([scene.gain.reshape(TILES, TILE) for scene in scenes])
-        change = np.abs(self._floor[-1] / self._floor[0] - 1.0).max(axis=1)
-        self._tiles: NDArray[np.int64] = np.flatnonzero(change > VISIBLE).astype(np.int64)
-        self._per_n = 1.0 / device.mesh_n_per_mm
+    def __init__(
+        self,
+        lens: Lens,
+        lighting: Lighting,
+        mesh_n_per_mm: float,
+        contact_mm: tuple[float, float],
+    ) -> None:
+        scenes = build_sagging(lens, lighting, contact_mm, LEVELS_MM, SAG_MM)
+        self.floors = np.stack([scene.floor.reshape(TILES, TILE) for scene in scenes])
+        self.gains = np.stack([scene.gain.reshape(TILES, TILE) for scene in scenes])
+        change = np.abs(self.floors[-1] / self.floors[0] - 1.0).max(axis=1)
+        self.tiles: NDArray[np.int64] = np.flatnonzero(change > VISIBLE).astype(np.int64)
+        self._per_n = 1.0 / mesh_n_per_mm
         self._shown_mm = 0.0
 
-    def show(self, dvs: Dvs, dirty: NDArray[np.uint8], elastic_n: float) -> None:
-        """Let the pixels see the mesh under an elastic force [N]; tiles that change get dirty."""
+    def level(self, elastic_n: float) -> float | None:
+        """Return the place among the levels under an elastic force [N], None if as shown before."""
         sag = min(elastic_n * self._per_n, float(LEVELS_MM[-1]))
         if abs(sag - self._shown_mm) < TOLERANCE_MM:
-            return
+            return None
         self._shown_mm = sag
-        place = sag / float(LEVELS_MM[1])
-        dvs.blend(self._floor, self._gain, self._tiles, place)
-        dirty[self._tiles] = 1
+        return sag / float(LEVELS_MM[1])

@@ -11,13 +11,11 @@ import numpy as np
 
 from mixtac_sim.grids import BLOCK_STEPS, HEIGHT, PADDED, PIXELS, STEP_US, WIDTH
 from mixtac_sim.random_streams import stream
-from mixtac_sim.world.effects import EASY
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_sim.optics.lens import Lens
-    from mixtac_sim.world.effects import LightEffects, OpticsEffects
 
 
 DIAMETER_MM = 0.8
@@ -44,17 +42,17 @@ class Markers:
 
 
 def scatter_markers(
-    device_seed: int, thickness_mm: float, optics: OpticsEffects = EASY.optics
+    device_seed: int, thickness_mm: float, number: tuple[int, int], apart_mm: float
 ) -> Markers:
     """Return the beads of a device: uniform in the layer, none inside another.
 
     Args:
         device_seed: Seed of the device.
         thickness_mm: Thickness of the layer [mm].
-        optics: Number of beads (estimate: 450 are about 5 % of the volume), and how far apart
-            they are for the lens.
+        number: Least and largest number of beads (estimate: 450 are about 5 % of the volume).
+        apart_mm: Least distance of two beads across the optical axis [mm].
     """
-    few, many = optics.beads
+    few, many = number
     beads = int(stream(device_seed, 'number of markers').integers(few, many + 1))
     rng = stream(device_seed, 'markers')
     margin = 0.5 * DIAMETER_MM + 0.1
@@ -66,7 +64,7 @@ def scatter_markers(
         spot = rng.uniform(low, high)
         square = (placed[:count] - spot) ** 2
         apart, aside = np.sum(square, axis=1), np.sum(square[:, :2], axis=1)
-        if count == 0 or (apart.min() > DIAMETER_MM**2 and aside.min() >= optics.apart_mm**2):
+        if count == 0 or (apart.min() > DIAMETER_MM**2 and aside.min() >= apart_mm**2):
             placed[count] = spot
             count += 1
     opacity = rng.uniform(1.2, 3.0, size=beads)
@@ -276,12 +274,3 @@ class Flicker:
             return 1.0
         edges = np.linspace(start_us, end_us, 513)
         return float(np.mean(self.light(0.5 * (edges[1:] + edges[:-1]))))
-
-
-def draw_flicker(trial_seed: int, light: LightEffects) -> Flicker:
-    """Return the flicker of a trial's light."""
-    rng = stream(trial_seed, 'flicker')
-    depth, phase = rng.uniform(*light.ripple), rng.random()
-    if light.pwm_hz > 0.0:
-        return Flicker(0.0, light.pwm_hz, phase, switched=True)
-    return Flicker(depth, light.ripple_hz, phase)

@@ -15,9 +15,11 @@ import numpy as np
 
 from mixtac_sim.mechanics.contact import PronySeries
 from mixtac_sim.mechanics.elastomer import Layer
+from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.optics.lens import SILICONE_INDEX, Lens
 from mixtac_sim.optics.scene import (
     MESH_WIRE_MM,
+    Flicker,
     Lighting,
     Markers,
     Scene,
@@ -29,9 +31,13 @@ from mixtac_sim.random_streams import log_uniform, stream
 from mixtac_sim.world.effects import EASY
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.random import Generator
 
-    from mixtac_sim.world.effects import OpticsEffects, Preset
+    from mixtac_sim.mechanics.elastomer import ForceLaw
+    from mixtac_sim.mechanics.indenters import Indenter
+    from mixtac_sim.world.effects import LightEffects, OpticsEffects, Preset
     from mixtac_sim.world.instruments import ReferenceSensor
 
 
@@ -88,6 +94,15 @@ def draw_conditions(trial_seed: int, preset: Preset = EASY) -> Conditions:
     )
 
 
+def draw_flicker(trial_seed: int, light: LightEffects) -> Flicker:
+    """Return the flicker of the lamp in a trial."""
+    rng = stream(trial_seed, 'flicker')
+    depth, phase = rng.uniform(*light.ripple), rng.random()
+    if light.pwm_hz > 0.0:
+        return Flicker(0.0, light.pwm_hz, phase, switched=True)
+    return Flicker(depth, light.ripple_hz, phase)
+
+
 @dataclass(frozen=True, slots=True)
 class DeviceModel:
     """One sensor.
@@ -136,6 +151,25 @@ class DeviceModel:
         """Return the serial number of the device's camera: eight digits from the seed."""
         return f'{self.seed % 100_000_000:08d}'
 
+    def on_day(self, conditions: Conditions) -> DeviceModel:
+        """Return the sensor with its camera where it is on the day of a trial."""
+        lens = conditions.lens(self.lens)
+        if lens == self.lens:
+            return self
+        return replace(self, lens=lens, scene=build_scene(lens, self.lighting))
+
+    def beads(
+        self,
+        layer: Layer,
+        contact_mm: tuple[float, float],
+        indenters: Sequence[Indenter],
+        laws: Sequence[ForceLaw],
+    ) -> BeadMotion:
+        """Return how the beads move under a contact; arguments as of `BeadMotion`."""
+        return BeadMotion(
+            self.markers, self.lens, self.mesh_n_per_mm, layer, contact_mm, indenters, laws
+        )
+
     def pixel_settings(self, nominal: PixelSettings) -> PixelSettings:
         """Return what a nominal chip's settings become on this chip."""
         return replace(
@@ -180,7 +214,9 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
         mesh_n_per_mm=np.exp(rng.uniform(*np.log(gel.mesh_n_per_mm))),
         prony=_draw_prony(rng, seed, preset),
         friction=rng.uniform(*preset.contact.friction),
-        markers=scatter_markers(seed, layer.thickness_mm, preset.optics),
+        markers=scatter_markers(
+            seed, layer.thickness_mm, preset.optics.beads, preset.optics.apart_mm
+        ),
         lens=lens,
         lighting=lighting,
         scene=build_scene(lens, lighting),

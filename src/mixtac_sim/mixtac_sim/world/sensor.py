@@ -4,30 +4,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mixtac_events.arrays import Events
 from mixtac_sim.errors import SimulationError
-from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US, PIXELS, STEP_US, cut_block
+from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US, STEP_US
 from mixtac_sim.mechanics.contact import Contact
 from mixtac_sim.mechanics.elastomer import Layer, Shear, force_law
-from mixtac_sim.optics.beads import BeadMotion
-from mixtac_sim.optics.renderer import MeshMotion, Renderer
-from mixtac_sim.optics.scene import build_scene, draw_flicker
-from mixtac_sim.pixels.aps import Aps, ApsFrame, ApsSettings
-from mixtac_sim.pixels.biases import PixelSettings
-from mixtac_sim.pixels.dvs import Dvs
-from mixtac_sim.pixels.noise import NoiseSource, Readout
-from mixtac_sim.random_streams import BlockStreams, stream
+from mixtac_sim.world.camera import Camera
 from mixtac_sim.world.device import Conditions, DeviceModel, draw_conditions, draw_device
 from mixtac_sim.world.effects import EASY
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
+    from mixtac_sim.pixels.biases import PixelSettings
     from mixtac_sim.world.effects import Preset
     from mixtac_sim.world.profiles import CommandSource
 
@@ -67,15 +62,23 @@ class ContactBlock:
     travel_px: NDArray[np.float64]
     longest: int
 
-    def truth(self) -> NDArray[np.void]:
-        """Return the rows of truth in the block [4], ``TRUTH_DTYPE``."""
-        rows = np.zeros(BLOCK_STEPS // TRUTH_EVERY, TRUTH_DTYPE)
-        chosen = slice(TRUTH_EVERY - 1, None, TRUTH_EVERY)
-        rows['t_us'] = self.t_us[chosen]
-        for axis, name in enumerate(('fx', 'fy', 'fz')):
-            rows[name] = self.wrench[chosen, axis]
-        rows['depth_mm'] = self.depth_mm[chosen]
-        return rows
+
+def truth_rows(
+    t_us: NDArray[np.int64], wrench: NDArray[np.float64], depth_mm: NDArray[np.float64]
+) -> NDArray[np.void]:
+    """Return the rows of truth in some grid steps, ``TRUTH_DTYPE``.
+
+    Args:
+        t_us: True time at the end of each step [n] [us].
+        wrench: Force [N] and torque [Nm] [n, 6].
+        depth_mm: Dent [n] [mm].
+    """
+    chosen = slice(TRUTH_EVERY - 1, None, TRUTH_EVERY)
+    rows = np.zeros(len(t_us[chosen]), TRUTH_DTYPE)
+    rows['t_us'], rows['depth_mm'] = t_us[chosen], depth_mm[chosen]
+    for axis, name in enumerate(('fx', 'fy', 'fz')):
+        rows[name] = wrench[chosen, axis]
+    return rows
 
 
 class Touch:
@@ -112,7 +115,7 @@ class Touch:
         )
         self._place = conditions.contact_mm
         self._last: tuple[float, NDArray[np.float64]] = (0.0, np.zeros(2))
-        self.beads = BeadMotion(device, layer, conditions.contact_mm, tools, self._laws)
+        self._beads = device.beads(layer, conditions.contact_mm, tools, self._laws)
 
     def block(self, index: int) -> ContactBlock:
         """Return the contact over block ``index``; blocks must be asked for in order."""
@@ -132,6 +135,15 @@ class Touch:
             t_us, wrench, path.depth_mm, path.elastic_n, shear_mm, tools, travel, longest
         )
 
+    def rest(self) -> NDArray[np.float64]:
+        """Return the images of the beads at rest, as of `BeadMotion.place`."""
+        return self._beads.place(0, 0.0, (0.0, 0.0))
+
+    def place(self, block: ContactBlock, k: int) -> NDArray[np.float64]:
+        """Return the images of the beads at the end of step `k` of a block."""
+        shear = (float(block.shear_mm[k, 0]), float(block.shear_mm[k, 1]))
+        return self._beads.place(int(block.indenter[k]), float(block.elastic_n[k]), shear)
+
     def _travel(
         self,
         tools: NDArray[np.int8],
@@ -140,9 +152,9 @@ class Touch:
     ) -> NDArray[np.float64]:
         """Return the motion of the fastest bead per step [px]."""
         tool = int(tools[-1])
-        reach = self.beads.reach_px(tool, np.append(self._last[0], elastic_n))
+        reach = self._beads.reach_px(tool, np.append(self._last[0], elastic_n))
         slide = np.diff(np.vstack([self._last[1], shear_mm]), axis=0)
-        across = self.beads.px_per_mm * np.hypot(slide[:, 0], slide[:, 1])
+        across = self._beads.px_per_mm * np.hypot(slide[:, 0], slide[:, 1])
         return np.asarray(np.abs(np.diff(reach)) + across)
 
     def _wrench(
@@ -156,30 +168,27 @@ class Touch:
 
 
 class Outbox:
-    """Output that is ready but may not be due; all times are true time [us].
-
-    Attributes:
-        frames: Frames in order of their ends; append to it.
-    """
+    """Output that is ready but may not be due; all times are true time [us]."""
 
     def __init__(self) -> None:
-        self.frames: list[ApsFrame] = []
+        self._frames: list[ApsFrame] = []
         self._events: list[Events] = []
         self._truth = [np.empty(0, TRUTH_DTYPE)]
         self._times = [np.empty(0, np.int64)]
         self._wrenches = [np.empty((0, 6))]
 
-    def put(self, events: Events, contact: ContactBlock) -> None:
-        """Add the events and the contact of a block."""
+    def put(self, events: Events, frames: list[ApsFrame], contact: ContactBlock) -> None:
+        """Add events, frames and contact of a block."""
         self._events.append(events)
-        self._truth.append(contact.truth())
+        self._frames += frames
+        self._truth.append(truth_rows(contact.t_us, contact.wrench, contact.depth_mm))
         self._times.append(contact.t_us)
         self._wrenches.append(contact.wrench)
 
     def take(self, until_us: int) -> _Taken:
         """Return and forget events, frames, truth, wrench times and wrenches before a time."""
-        frames = [frame for frame in self.frames if frame.frame_end_us < until_us]
-        self.frames = self.frames[len(frames) :]
+        frames = [frame for frame in self._frames if frame.frame_end_us < until_us]
+        self._frames = self._frames[len(frames) :]
         return (self._take_events(until_us), frames, *self._take_contact(until_us))
 
     def _take_events(self, until_us: int) -> Events:
@@ -196,16 +205,6 @@ class Outbox:
         self._truth, self._times = [truth[row:]], [times[split:]]
         self._wrenches = [wrenches[split:]]
         return truth[:row], times[:split], wrenches[:split]
-
-
-__all__ = [
-    'TRUTH_DTYPE',
-    'ApsFrame',
-    'ApsSettings',
-    'PixelSettings',
-    'SensorOutput',
-    'TactileSensor',
-]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,55 +253,34 @@ class TactileSensor:
         *,
         preset: Preset = EASY,
     ) -> None:
-        self._conditions = draw_conditions(trial_seed, preset)
-        self.device: DeviceModel = _on_day(draw_device(device_seed, preset), self._conditions)
-        self._touch = Touch(self.device, self._conditions, profile, preset)
-        self._renderer = Renderer(self.device.markers.opacity)
-        settings = aps or ApsSettings(exposure_us=round(7_000 * self._conditions.exposure))
-        self._aps = Aps(self.device.seed, trial_seed, self.device.dn_per_lux_ms, settings)
-        self._build_pixels(trial_seed, pixels or PixelSettings())
-        self._flicker = draw_flicker(trial_seed, preset.light)
-        self._dvs.light_by(self._flicker)
-        moves = preset.optics.mesh_moves
-        self._mesh = MeshMotion(self.device, self._conditions.contact_mm) if moves else None
-        speed = preset.bandwidth
-        self._readout = Readout(speed.service_ns, speed.latency_ns, speed.jitter_ns)
-        self._latency = BlockStreams(trial_seed, 'event latency')
+        conditions = draw_conditions(trial_seed, preset)
+        self.device: DeviceModel = draw_device(device_seed, preset).on_day(conditions)
+        self._touch = Touch(self.device, conditions, profile, preset)
+        self._camera = Camera(
+            self.device,
+            conditions,
+            preset,
+            trial_seed,
+            self._touch.rest(),
+            aps=aps,
+            pixels=pixels,
+        )
         self._block = 0
         self._now_us = 0
         self._outbox = Outbox()
 
-    def _build_pixels(self, trial_seed: int, nominal: PixelSettings) -> None:
-        """Let the pixels settle on the beads at rest."""
-        device, settings = self.device, self.device.pixel_settings(nominal)
-        rng = stream(trial_seed, 'pixel state')
-        self._dvs = Dvs(device.scene, device.spread, settings, rng)
-        self._renderer.draw(self._touch.beads.place(0, 0.0, (0.0, 0.0)))
-        self._dvs.settle(self._renderer.cover)
-        self._trial_seed = trial_seed
-        self._rest_light = self._dvs.light.ravel()[:PIXELS]
-        self._noise = self._noise_source(settings)
-
-    def _noise_source(self, settings: PixelSettings) -> NoiseSource:
-        device = self.device
-        return NoiseSource(
-            self._rest_light, settings, device.spread, device.frame_burst, self._trial_seed
-        )
-
     @property
     def events_lost(self) -> int:
-        """Return how many events pixels and readout had to drop so far."""
-        return self._dvs.lost + self._readout.lost
+        """Number of events that pixels and readout had to drop so far."""
+        return self._camera.lost
 
     def configure_pixels(self, nominal: PixelSettings) -> None:
         """Change the DVS settings from the next block of 4 ms on, as new biases would."""
-        settings = self.device.pixel_settings(nominal)
-        self._dvs.configure(settings)
-        self._noise = self._noise_source(settings)
+        self._camera.configure_pixels(nominal)
 
     def configure_aps(self, settings: ApsSettings) -> None:
         """Change the frame settings from the next exposure that has not begun."""
-        self._aps.configure(settings)
+        self._camera.configure_aps(settings)
 
     def advance(self, until_us: int) -> SensorOutput:
         """Return what happened from the last call's time to before ``until_us``.
@@ -323,52 +301,12 @@ class TactileSensor:
 
     def _run_block(self) -> None:
         """Compute the next 4 ms."""
-        index, start_us = self._block, self._block * BLOCK_US
-        contact = self._touch.block(index)
-        bursts = self._aps.disturbances_us(start_us, start_us + BLOCK_US)
-        first = 0
-        for last in cut_block(contact.travel_px, min(contact.longest, self._flicker.longest_step)):
-            self._step(contact, start_us, first, last)
-            first = last
-        noise = self._noise.block(index, 1000 * BLOCK_US, [1000 * (t - start_us) for t in bursts])
-        keys = np.concatenate([self._dvs.take(), noise])
-        rng = self._latency.block(index)
-        events = self._readout.read(keys, 1000 * start_us, 1000 * BLOCK_US, rng)
-        self._outbox.put(events, contact)
+        contact = self._touch.block(self._block)
+        events, frames = self._camera.advance(
+            contact.elastic_n,
+            contact.travel_px,
+            contact.longest,
+            lambda _, last: self._touch.place(contact, last - 1),
+        )
+        self._outbox.put(events, frames, contact)
         self._block += 1
-
-    def _step(self, contact: ContactBlock, block_us: int, first: int, last: int) -> None:
-        """Advance pixels and frames over some grid steps of a block."""
-        start_us, end_us = block_us + first * STEP_US, block_us + last * STEP_US
-        self._aps.expose_before(self._dvs.light, start_us, end_us)
-        k = last - 1
-        shear = (float(contact.shear_mm[k, 0]), float(contact.shear_mm[k, 1]))
-        spots = self._touch.beads.place(
-            int(contact.indenter[k]), float(contact.elastic_n[k]), shear
-        )
-        renderer = self._renderer
-        renderer.draw(spots)
-        if self._mesh is not None:
-            self._mesh.show(self._dvs, renderer.dirty, float(contact.elastic_n[k]))
-        self._dvs.step(
-            renderer.cover, renderer.dirty, 1000 * start_us, 1000 * end_us, 1000 * block_us
-        )
-        self._aps.expose_after(self._dvs.light, start_us, end_us)
-        frame = self._aps.finish(end_us, self._brightness(end_us))
-        if frame is not None:
-            self._outbox.frames.append(frame)
-
-    def _brightness(self, now_us: int) -> float:
-        """Return the lamps' light over the device's, during the exposure that may end now."""
-        day = self._conditions
-        steady = day.light * (1.0 + day.light_drift_per_s * 1e-6 * now_us)
-        start_us, end_us = self._aps.exposure_us
-        return steady if end_us > now_us else steady * self._flicker.mean(start_us, end_us)
-
-
-def _on_day(device: DeviceModel, conditions: Conditions) -> DeviceModel:
-    """Return a device with its camera where it is on the day of the trial."""
-    lens = conditions.lens(device.lens)
-    if lens == device.lens:
-        return device
-    return replace(device, lens=lens, scene=build_scene(lens, device.lighting))

@@ -8,7 +8,6 @@ import pytest
 from mixtac_sim.mechanics.contact import Contact, Mode
 from mixtac_sim.mechanics.elastomer import Layer, force_law
 from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G
-from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.world.device import draw_device
 from mixtac_sim.world.effects import preset
 
@@ -49,7 +48,7 @@ def test_same_dent_moves_beads_alike():
     depth = linear.depth_at(1.0)
 
     def moved(law):
-        beads = BeadMotion(device, device.layer, (0.0, 0.0), (HEMISPHERE,), [law])
+        beads = device.beads(device.layer, (0.0, 0.0), (HEMISPHERE,), [law])
         rest = beads.place(0, 0.0, (0.0, 0.0)).copy()
         return beads.place(0, law.force_at(depth), (0.0, 0.0)) - rest
 

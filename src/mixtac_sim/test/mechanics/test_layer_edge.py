@@ -10,7 +10,6 @@ from mixtac_sim.mechanics import layer as edge_contact
 from mixtac_sim.mechanics.elastomer import Layer, force_law
 from mixtac_sim.mechanics.indenters import HEMISPHERE, INDENTERS, Indenter
 from mixtac_sim.mechanics.layer import solve_edge
-from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.world.device import draw_device
 
 EDGE = INDENTERS['edge']
@@ -90,7 +89,7 @@ def test_volume_is_kept(contact):
 def test_beads_move_by_the_field():
     device = draw_device(3)
     law = force_law(device.layer, EDGE, device.mesh_n_per_mm)
-    beads = BeadMotion(device, device.layer, (0.0, 0.0), (EDGE,), [law])
+    beads = device.beads(device.layer, (0.0, 0.0), (EDGE,), [law])
     moved = beads.place(0, 1.0, (0.0, 0.0)).copy() - beads.place(0, 0.0, (0.0, 0.0))
     m = device.markers
     beside = (np.abs(m.x_mm) < 3.0) & (np.abs(m.y_mm) < 4.0) & (np.abs(m.y_mm) > 1.0)

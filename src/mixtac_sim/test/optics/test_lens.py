@@ -7,7 +7,6 @@ import pytest
 
 from mixtac_sim.mechanics.elastomer import force_law
 from mixtac_sim.mechanics.indenters import HEMISPHERE
-from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.optics.lens import Lens
 from mixtac_sim.world.device import draw_device
 
@@ -42,7 +41,7 @@ def test_pixel_slopes_undo_the_projection():
 def motion():
     device = draw_device(5)
     law = force_law(device.layer, HEMISPHERE, device.mesh_n_per_mm)
-    return device, BeadMotion(device, device.layer, (0.5, -0.8), (HEMISPHERE,), [law])
+    return device, device.beads(device.layer, (0.5, -0.8), (HEMISPHERE,), [law])
 
 
 def test_beads_at_rest_are_where_the_lens_puts_them(motion):

@@ -9,7 +9,6 @@ import pytest
 from mixtac_sim.grids import PADDED, PIXELS, TILE, TILES
 from mixtac_sim.mechanics.elastomer import force_law
 from mixtac_sim.mechanics.indenters import HEMISPHERE
-from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.optics.renderer import ONE
 from mixtac_sim.optics.scene import Scene
 from mixtac_sim.pixels.biases import PixelSettings
@@ -52,7 +51,7 @@ def test_moved_camera_is_opencvs(name):
     moved = TactileSensor(2, 5, make_profile('idle', 1, 1.0), preset=preset(name)).device
     assert moved.lens == lens
     law = force_law(moved.layer, HEMISPHERE)
-    beads = BeadMotion(moved, moved.layer, (0.0, 0.0), (HEMISPHERE,), [law])
+    beads = moved.beads(moved.layer, (0.0, 0.0), (HEMISPHERE,), [law])
     np.testing.assert_allclose(beads.place(0, 0.0, (0.0, 0.0))[:, :2], expected.T, atol=1e-6)
 
 

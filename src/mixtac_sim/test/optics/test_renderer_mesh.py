@@ -50,22 +50,27 @@ def test_scene_without_sag_is_the_one_at_rest():
 def parts():
     device = draw_device(4)
     dvs = Dvs(device.scene, device.spread, PixelSettings(), np.random.default_rng(0))
-    return device, dvs, MeshMotion(device, (1.0, 0.5))
+    return device, dvs, MeshMotion(device.lens, device.lighting, device.mesh_n_per_mm, (1.0, 0.5))
+
+
+def show(mesh, dvs, dirty, elastic_n):
+    dvs.blend(mesh.floors, mesh.gains, mesh.tiles, mesh.level(elastic_n))
+    dirty[mesh.tiles] = 1
 
 
 def test_pixels_see_the_mesh_where_the_load_puts_it(parts):
     device, dvs, mesh = parts
     dirty = np.zeros(TILES, np.uint8)
     force = 0.22 * device.mesh_n_per_mm
-    mesh.show(dvs, dirty, force)
+    show(mesh, dvs, dirty, force)
     assert 0.3 < dirty.mean() < 1.0
     dvs.settle(np.zeros(TILES * TILE, np.int32))
     sagged = build_sagging(device.lens, device.lighting, (1.0, 0.5), np.array([0.22]), 8.0)[0]
     seen = dvs.light.ravel()[:PIXELS]
     np.testing.assert_allclose(seen, sagged.floor[:PIXELS], rtol=0.02, atol=0.3)
     dirty[:] = 0
-    mesh.show(dvs, dirty, force + 0.004 * device.mesh_n_per_mm)
+    assert mesh.level(force + 0.004 * device.mesh_n_per_mm) is None
     assert not dirty.any()
-    mesh.show(dvs, dirty, 0.0)
+    show(mesh, dvs, dirty, 0.0)
     dvs.settle(np.zeros(TILES * TILE, np.int32))
     np.testing.assert_allclose(dvs.light.ravel()[:PIXELS], device.scene.floor[:PIXELS], rtol=1e-6)

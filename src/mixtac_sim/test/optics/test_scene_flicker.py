@@ -7,10 +7,11 @@ import pytest
 
 from mixtac_sim.grids import BLOCK_STEPS, PADDED, PIXELS, TILES
 from mixtac_sim.optics import scene as flicker
-from mixtac_sim.optics.scene import Flicker, Scene, draw_flicker
+from mixtac_sim.optics.scene import Flicker, Scene
 from mixtac_sim.pixels.aps import ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
 from mixtac_sim.pixels.dvs import Dvs
+from mixtac_sim.world.device import draw_flicker
 from mixtac_sim.world.effects import EASY, preset
 from mixtac_sim.world.profiles import make_profile
 from mixtac_sim.world.sensor import TactileSensor
