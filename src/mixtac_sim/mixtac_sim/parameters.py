@@ -6,32 +6,69 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mixtac_node import topics
 from mixtac_node.parameters import parameter
-from mixtac_node.topics import CONTACT_FRAME, REFERENCE, REFERENCE_FRAME
 from mixtac_sim.mechanics.indenters import LIVE_INDENTERS
 from mixtac_sim.world.effects import PRESETS
 from mixtac_sim.world.profiles import PROFILES
 
 
 @dataclass(frozen=True)
+class VirtualCameraParameters:
+    """The simulated sensor and its camera."""
+
+    device_seed: int = parameter(
+        1,
+        'Seed of the simulated sensor: beads, gel, mesh, lens, lamp, pixels, and the serial number '
+        'of its camera',
+        minimum=0,
+        maximum=9_999_999,
+        read_only=True,
+    )
+    seed: int = parameter(
+        1, 'Seed of the trial: contact point, noise, drifts and clocks', minimum=0, read_only=True
+    )
+    preset: str = parameter(
+        'easy',
+        'Difficulty preset of the simulated sensor: paper_like and hard add effects of a real '
+        'bench',
+        choices=tuple(PRESETS),
+        read_only=True,
+    )
+    skew_ppm: float = parameter(
+        17.0,
+        "Rate of the camera's clock over the host's, less one",
+        unit='ppm',
+        minimum=-500.0,
+        maximum=500.0,
+        read_only=True,
+    )
+    socket: str = parameter(
+        '',
+        'Socket on which the virtual camera listens; empty for the one that device:=virtual opens',
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
 class TouchParameters:
-    """What the services press, load, drop and vibrate do; all of it may change at run time."""
+    """The contacts that the services of the virtual sensor make; all may change at run time."""
 
     object: str = parameter(
         'hemisphere',
-        'What touches the sensor on request; only objects with a mass can be put down or dropped',
+        'Object that touches the sensor on request; ~/load and ~/drop need one with a mass',
         choices=tuple(LIVE_INDENTERS),
     )
     press_force: float = parameter(0.5, 'Force of ~/press', unit='N', minimum=0.0, maximum=20.0)
     hold_seconds: float = parameter(
         2.0,
-        'How long the object stays; 0 for until ~/release',
+        'Duration of the contact; 0 holds it until ~/release',
         unit='s',
         minimum=0.0,
         maximum=3600.0,
     )
     drop_height: float = parameter(
-        50.0, 'Height from which ~/drop lets the object fall', unit='mm', minimum=0.0, maximum=200.0
+        50.0, 'Height from which ~/drop releases the object', unit='mm', minimum=0.0, maximum=200.0
     )
     vibration_frequency: float = parameter(
         100.0, 'Frequency of ~/vibrate', unit='Hz', minimum=1.0, maximum=500.0
@@ -45,144 +82,113 @@ class TouchParameters:
 
 
 @dataclass(frozen=True)
-class VirtualSensorParameters(TouchParameters):
-    """What the virtual sensor is, what touches it and where it is found."""
+class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
+    """The virtual sensor, what touches it, and the topics of its bench."""
 
-    device_seed: int = parameter(
-        1,
-        'Which sensor: fixes what a rebuild would change (beads, stiffness, lamp, pixels) and the '
-        'serial number of the camera',
-        minimum=0,
-        maximum=9_999_999,
-        read_only=True,
-    )
-    seed: int = parameter(
-        1, 'Which day: fixes contact, noise, drifts and clocks', minimum=0, read_only=True
-    )
-    preset: str = parameter(
-        'easy',
-        'How hard the sensor is: paper_like and hard add effects of a real bench',
-        choices=tuple(PRESETS),
-        read_only=True,
-    )
     scenario: str = parameter(
         'demo',
-        'What ~/play plays; demo begins and ends with the two synchronising impulses',
+        'Force profile that ~/play starts; demo begins and ends with two synchronising impulses',
         choices=tuple(PROFILES),
     )
     seconds: float = parameter(
         25.0, 'Length of the scenario', unit='s', minimum=10.0, maximum=3600.0
     )
-    play_on_start: bool = parameter(False, 'Play the scenario as soon as a driver reads the camera')
-    loop: bool = parameter(False, 'Play the scenario again and again, each time with a new seed')
-    socket: str = parameter(
-        '',
-        'Where the virtual camera listens; empty for the path that device:=virtual looks at',
-        read_only=True,
-    )
-    skew_ppm: float = parameter(
-        17.0,
-        'How much faster than the host the clock of the camera runs',
-        unit='ppm',
-        minimum=-500.0,
-        maximum=500.0,
-        read_only=True,
-    )
+    play_on_start: bool = parameter(False, 'Play the scenario once a driver reads the camera')
+    loop: bool = parameter(False, 'Repeat the scenario without end, each time with a new seed')
     reference_topic: str = parameter(
-        REFERENCE, 'Topic of the reference force sensor', read_only=True
+        topics.REFERENCE, 'Topic of the reference force sensor', read_only=True
     )
     reference_frame_id: str = parameter(
-        REFERENCE_FRAME, 'Frame of the reference force sensor', read_only=True
+        topics.REFERENCE_FRAME, 'Frame of the reference force sensor', read_only=True
     )
     truth_frame_id: str = parameter(
-        CONTACT_FRAME, 'Frame of the true contact force', read_only=True
+        topics.CONTACT_FRAME, 'Frame of the true contact force', read_only=True
     )
 
 
 @dataclass(frozen=True)
-class VirtualGraspParameters:
-    """Which object is held by which sensor, and what hits it."""
+class VirtualGraspParameters(VirtualCameraParameters):
+    """The object held by the simulated sensor, and the impacts on it."""
 
-    object: str = parameter('box', 'What is held.', choices=('box', 'cup', 'ball'), read_only=True)
+    preset: str = parameter(
+        'paper_like',
+        'Difficulty preset of the simulated sensor',
+        choices=tuple(PRESETS),
+        read_only=True,
+    )
+    object: str = parameter(
+        'box', 'Object held by the gripper', choices=('box', 'cup', 'ball'), read_only=True
+    )
     margin: float = parameter(
         1.05,
-        'Grasp force over the smallest that holds.',
+        'Grasp force over the smallest force that holds the object',
         minimum=1.0,
         maximum=5.0,
         read_only=True,
     )
     knock: float = parameter(
         50.0,
-        'Speed that a blow gives the object.',
+        'Speed that an impact (~/knock) gives the object',
         unit='mm/s',
         minimum=0.0,
         maximum=500.0,
     )
     knock_every: float = parameter(
         0.0,
-        'Time between blows; 0 for only those that ~/knock asks for.',
+        'Time between impacts; 0 for only those that ~/knock asks for',
         unit='s',
         minimum=0.0,
         maximum=3600.0,
     )
-    device_seed: int = parameter(1, 'Which sensor.', minimum=0, maximum=9_999_999, read_only=True)
-    seed: int = parameter(1, 'Which day, and which object of its kind.', minimum=0, read_only=True)
-    preset: str = parameter(
-        'paper_like', 'How hard the sensor is.', choices=tuple(PRESETS), read_only=True
-    )
-    skew_ppm: float = parameter(
-        17.0,
-        'How much faster than the host the clock of the camera runs.',
-        unit='ppm',
-        minimum=-500.0,
-        maximum=500.0,
-        read_only=True,
-    )
-    socket: str = parameter(
-        '',
-        'Where the virtual camera listens; empty for the path that device:=virtual looks at.',
-        read_only=True,
-    )
     joint_state_topic: str = parameter(
-        '/joint_states', 'Where the joint positions of the arm come from.', read_only=True
+        '/joint_states', "Topic of the arm's joint positions", read_only=True
     )
     normal_x: float = parameter(
-        0.0, 'Contact normal in the base frame, of length 1.', read_only=True
+        0.0, 'Contact normal (unit vector) in the base frame, x component', read_only=True
     )
-    normal_y: float = parameter(1.0, 'The same along y.', read_only=True)
-    normal_z: float = parameter(0.0, 'The same along z.', read_only=True)
+    normal_y: float = parameter(
+        1.0, 'Contact normal (unit vector) in the base frame, y component', read_only=True
+    )
+    normal_z: float = parameter(
+        0.0, 'Contact normal (unit vector) in the base frame, z component', read_only=True
+    )
     publish_force: bool = parameter(
         True,
-        'Publish the true normal force on `force`, in place of an estimator: none is trained on '
-        'these objects.',
+        'Publish the true normal force on `force` instead of an estimate: no estimator is trained '
+        'on these objects',
         read_only=True,
     )
     publish_clock: bool = parameter(
         False,
         'Publish simulated time on /clock, for nodes with use_sim_time, and let it wait for the '
-        'answers on `slip`: a host that cannot keep up then slows down everything alike.',
+        'answers on `slip`, so that a slow host slows down all nodes alike',
         read_only=True,
     )
 
 
 @dataclass(frozen=True)
 class VirtualArmParameters:
-    """How the simulated FR3 follows the trajectories it is sent."""
+    """How the simulated FR3 follows the trajectories that it receives."""
 
     trajectory_topic: str = parameter(
         '/fr3_arm_controller/joint_trajectory',
-        'Where trajectories come from, as those of a joint_trajectory_controller.',
+        'Topic of the trajectories, as for a joint_trajectory_controller',
         read_only=True,
     )
     joint_state_topic: str = parameter(
-        '/joint_states', 'Where the joint states go.', read_only=True
+        '/joint_states', 'Topic of the published joint states', read_only=True
     )
     state_rate: float = parameter(
-        250.0, 'Joint states per second.', unit='Hz', minimum=1.0, maximum=1000.0, read_only=True
+        250.0,
+        'Rate of the published joint states',
+        unit='Hz',
+        minimum=1.0,
+        maximum=1000.0,
+        read_only=True,
     )
     update_rate: float = parameter(
         1000.0,
-        'Cycles of the emulated controller per second.',
+        'Update rate of the emulated controller',
         unit='Hz',
         minimum=100.0,
         maximum=4000.0,
@@ -190,20 +196,20 @@ class VirtualArmParameters:
     )
     release: str = parameter(
         'jazzy',
-        'Whose joint_trajectory_controller is emulated; Humble samples one cycle later.',
+        'ROS release of the emulated joint_trajectory_controller; humble samples one cycle later',
         choices=('humble', 'jazzy'),
         read_only=True,
     )
     plant: str = parameter(
         'lag',
-        'What follows the commands: lag is a first-order lag of each joint; mujoco is the arm in '
-        'MuJoCo (requirements/mujoco.txt), with servos of that lag.',
+        'Model of the arm: lag is a first-order lag of each joint, mujoco is the arm in MuJoCo '
+        '(requirements/mujoco.txt) with servos of that lag',
         choices=('lag', 'mujoco'),
         read_only=True,
     )
     tracking_lag: float = parameter(
         3.5e-3,
-        'Time constant with which the arm follows its commands (estimate).',
+        'Time constant with which the arm follows its commands (estimate)',
         unit='s',
         minimum=0.0,
         maximum=0.1,

@@ -17,32 +17,30 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, WrenchStamped
+from geometry_msgs.msg import PointStamped
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from mixtac_msgs.msg import SlipState
-from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, BaseNode, declare, run
+from mixtac_node import topics
+from mixtac_node.base_node import QOS_SENSOR, BaseNode, declare, run
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp, stamp_to_us
 from mixtac_sim.arm.fr3 import JOINT_NAMES, flange_place
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock, PacedSimulation
 from mixtac_sim.grasp.objects import OBJECTS, ObjectName, draw_setup
-from mixtac_sim.live.touch import LiveProfile
-from mixtac_sim.live.virtual_sensor import VirtualSensor
+from mixtac_sim.live.virtual_sensor import make_virtual_sensor
 from mixtac_sim.parameters import VirtualGraspParameters
 from mixtac_sim.random_streams import stream
-from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
+from mixtac_sim.virtual_sensor_node import publish_wrenches
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
 
 if TYPE_CHECKING:
-    from mixtac_sim.live.virtual_sensor import WrenchBatch
+    from mixtac_sim.live.virtual_sensor import VirtualSensor, WrenchBatch
 
 
 PUBLISH_PERIOD_S = 2e-3
@@ -58,10 +56,10 @@ encoding, which is little-endian on every machine this runs on."""
 
 
 class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
-    """Runs sensor and grasp, follows the arm's joint states, and strikes when asked to.
+    """Runs sensor and grasp, follows the arm's joint states, and strikes the object on request.
 
-    Services: ``~/knock`` strikes the object, ``~/put_back`` begins the grasp anew. Topics:
-    ``truth/wrench``, ``truth/object`` (its place, z in m, downwards negative), and ``force``.
+    Services: ``~/knock`` strikes the object, ``~/put_back`` starts the grasp again. Topics:
+    ``truth/wrench``, ``truth/object`` (its position, z upwards in m), and ``force``.
     """
 
     def __init__(self) -> None:
@@ -90,18 +88,14 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         self._thread.start()
 
     def _wire(self, settings: VirtualGraspParameters) -> None:
-        self._truth = self.create_publisher(WrenchStamped, 'truth/wrench', QOS_FORCE)
-        self._place = self.create_publisher(PointStamped, 'truth/object', QOS_FORCE)
-        self._force = (
-            self.create_publisher(WrenchStamped, 'force', QOS_FORCE)
-            if settings.publish_force
-            else None
-        )
+        self._truth = self.publish_topic(topics.TRUTH_WRENCH)
+        self._place = self.publish_topic(topics.TRUTH_OBJECT)
+        self._force = self.publish_topic(topics.FORCE) if settings.publish_force else None
         self._clock_topic = None
         if settings.publish_clock:
             self._clock_topic = self.create_publisher(Clock, '/clock', 1)
             # Serialised: only the stamp matters, a thousand times a second.
-            self.create_subscription(SlipState, 'slip', self._on_slip, QOS_FORCE, raw=True)
+            self.subscribe_topic(topics.SLIP, self._on_slip, raw=True)
         self.create_subscription(
             JointState, settings.joint_state_topic, self._on_joints, QOS_SENSOR
         )
@@ -149,7 +143,7 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
     def _on_put_back(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        # The wall comes along: the object is held as at the start wherever the fingertip is now.
+        # The wall moves with the fingertip: the object is held as at the start.
         self._start_m = None
         self._grasp.put_back()
         response.success = True
@@ -168,13 +162,7 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
                 self._strike()
 
     def _hand_out(self, batch: WrenchBatch) -> None:
-        message = WrenchStamped()
-        message.header.frame_id = 'mixtac_contact'
-        for stamp_ns, wrench in zip(batch.stamp_ns.tolist(), batch.wrench.tolist(), strict=True):
-            message.header.stamp = ns_to_stamp(stamp_ns)
-            force = message.wrench.force
-            force.x, force.y, force.z = wrench[:3]
-            self._truth.publish(message)
+        message = publish_wrenches(self._truth, batch, topics.CONTACT_FRAME)
         if len(batch.stamp_ns):
             if self._force is not None:
                 self._force.publish(message)
@@ -186,7 +174,7 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
     def _status(self) -> Status:
         state = self._sensor.state()
         if not state.running:
-            return Status(ERROR, 'SIMULATED grasp, stopped by a defect: see its output', {})
+            return Status(ERROR, 'SIMULATED grasp, stopped by an internal error: see the log', {})
         speed = self._speed()
         return Status(
             OK,
@@ -217,15 +205,13 @@ def _make(settings: VirtualGraspParameters, clock: PacedClock) -> tuple[LiveGras
     rng = stream(settings.seed, 'virtual grasp')
     setup = draw_setup(name, rng, margin=settings.margin)
     grasp = LiveGrasp(setup, settings.device_seed, settings.seed, level)
-    serial = f'{settings.device_seed:08d}'
-    device = VirtualDavis346(serial, skew_ppm=settings.skew_ppm, clock=clock.now_us)
-    sensor = VirtualSensor(
-        PacedSimulation(grasp, clock),
-        LiveProfile(),
-        device,
-        ReferenceSensor(settings.seed, preset=level),
-        InertialUnit(settings.device_seed),
-        clock,
+    sensor = make_virtual_sensor(
+        device_seed=settings.device_seed,
+        seed=settings.seed,
+        skew_ppm=settings.skew_ppm,
+        preset=level,
+        simulation=PacedSimulation(grasp, clock),
+        clock=clock,
     )
     return grasp, sensor
 

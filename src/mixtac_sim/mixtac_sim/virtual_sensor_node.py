@@ -15,11 +15,11 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
+from mixtac_node import topics
 from mixtac_node.base_node import QOS_FORCE, BaseNode, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp
-from mixtac_sim.live.touch import TouchControl
-from mixtac_sim.live.virtual_sensor import make_virtual_sensor
+from mixtac_sim.live.virtual_sensor import TouchControl, make_virtual_sensor
 from mixtac_sim.parameters import VirtualSensorParameters
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
@@ -38,7 +38,7 @@ PUBLISH_PERIOD_S: Final = 0.004
 
 
 class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
-    """Runs a virtual sensor, serves its camera and publishes what a bench would measure.
+    """Runs a virtual sensor, serves its camera and publishes the measurements of a bench.
 
     Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time), both best
     effort. Service ``~/play`` plays the scenario; ``~/press``, ``~/load``, ``~/drop``,
@@ -63,13 +63,11 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             skew_ppm=self._settings.skew_ppm,
             preset=preset(self._settings.preset),
         )
-        self._scenario(self._settings)
-        path = self._settings.socket or default_socket_path()
         self._server = UsbServer(self._sensor.device, path)
-        self._reference = self.create_publisher(
-            WrenchStamped, self._settings.reference_topic, QOS_FORCE
+        self._reference = self.publish_topic(
+            topics.REFERENCE_WRENCH, name=self._settings.reference_topic
         )
-        self._truth = self.create_publisher(WrenchStamped, 'truth/wrench', QOS_FORCE)
+        self._truth = self.publish_topic(topics.TRUTH_WRENCH)
         self._service = self.create_service(Trigger, '~/play', self._on_play)
         self._touch = TouchControl(self._sensor)
         self._touch_services = [
@@ -96,7 +94,7 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         self._server.close()
 
     def _scenario(self, parameters: VirtualSensorParameters) -> Any:  # noqa: ANN401
-        # Every repetition is another trial, as it would be on a bench.
+        # Each repetition is another trial, as on a bench.
         seed = parameters.seed + self._plays
         return make_profile(
             parameters.scenario,
@@ -107,7 +105,7 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
 
     def _change(self, parameters: VirtualSensorParameters) -> None:
         self._scenario(parameters)
-        self._settings = dataclasses.replace(parameters)
+        self._settings = parameters
 
     def _play(self) -> None:
         self._sensor.play(self._scenario(self._settings))
@@ -144,12 +142,12 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
     def _publish_all(self) -> None:
         while not self._stop.wait(PUBLISH_PERIOD_S):
             for batch in self._sensor.take_reference():
-                _publish(self._reference, batch, self._settings.reference_frame_id)
+                publish_wrenches(self._reference, batch, self._settings.reference_frame_id)
             for batch in self._sensor.take_truth():
-                _publish(self._truth, batch, self._settings.truth_frame_id)
-            self._play_by_itself()
+                publish_wrenches(self._truth, batch, self._settings.truth_frame_id)
+            self._play_if_due()
 
-    def _play_by_itself(self) -> None:
+    def _play_if_due(self) -> None:
         state = self._sensor.state()
         first = self._settings.play_on_start and not self._plays and state.streaming
         again = self._settings.loop and self._plays and not state.playing
@@ -160,14 +158,14 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         state = self._sensor.state()
         losses = self._sensor.device.losses
         if not state.running:
-            return Status(ERROR, 'SIMULATED sensor, stopped by a defect: see its output', {})
+            return Status(ERROR, 'SIMULATED sensor, stopped by an internal error: see the log', {})
         lossless = not any(losses.values()) and not state.overruns
         doing = f'playing {self._settings.scenario}' if state.playing else 'idle'
         host = 'camera read by a host' if state.streaming else 'camera not read'
         return Status(
             OK if lossless else WARN,
             f'SIMULATED sensor, {doing}, {host}'
-            + ('' if lossless else '; this machine did not keep up, see the figures'),
+            + ('' if lossless else '; host too slow, see overruns and losses'),
             {
                 'simulated': True,
                 'scenario': self._settings.scenario,
@@ -180,7 +178,8 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         )
 
 
-def _publish(publisher: Any, batch: WrenchBatch, frame_id: str) -> None:  # noqa: ANN401
+def publish_wrenches(publisher: Any, batch: WrenchBatch, frame_id: str) -> WrenchStamped:  # noqa: ANN401
+    """Publish the samples of a batch; return the last message, empty if there is none."""
     message = WrenchStamped()
     message.header.frame_id = frame_id
     force, torque = message.wrench.force, message.wrench.torque
@@ -188,6 +187,7 @@ def _publish(publisher: Any, batch: WrenchBatch, frame_id: str) -> None:  # noqa
         message.header.stamp = ns_to_stamp(stamp_ns)
         force.x, force.y, force.z, torque.x, torque.y, torque.z = wrench
         publisher.publish(message)
+    return message
 
 
 def main(args: list[str] | None = None) -> int:

@@ -8,26 +8,22 @@ the place of the fixed profile of a trial, and nothing touches the sensor until 
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from threading import Lock
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.grids import STEP_US
-from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.mechanics.indenters import HEMISPHERE, LIVE_INDENTERS, WEIGHT_20_G
+from mixtac_sim.mechanics.contact import GRAVITY, Mode
+from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G
 from mixtac_sim.world.profiles import Profile, Segment, Tone
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from mixtac_sim.mechanics.indenters import Indenter
-    from mixtac_sim.parameters import TouchParameters
 
 
 RAMP_S: Final = 0.2
@@ -38,7 +34,6 @@ FOLLOW_TIMEOUT_S: Final = 0.25
 """How long a commanded force holds without a new one [s]."""
 APART_MM: Final = 0.3
 """How far a vibrating object comes and goes from the skin [mm]."""
-GRAVITY: Final = 9.81
 
 
 def press(tool: Indenter, force_n: float, hold_s: float) -> Profile:
@@ -240,103 +235,3 @@ class LiveProfile:
         """Drop scenarios that were replaced before the simulation's present."""
         while len(self._plays) > 1 and self._plays[1].start <= self._asked:
             del self._plays[0]
-
-
-LARGEST_N: Final = 20.0
-"""Largest force that may be commanded [N]; the layer's model ends about there."""
-ENDLESS_S: Final = 86_400.0
-"""How long something is held that is held until released [s]."""
-
-
-class Touchable(Protocol):
-    """What is needed of `mixtac_sim.live.virtual_sensor.VirtualSensor`."""
-
-    def play(self, scenario: Profile) -> int:
-        """Play a scenario as soon as possible."""
-
-    def commanded_force(self) -> tuple[float, Indenter | None]:
-        """Return the force [N] in force when a scenario would begin now, and of what."""
-
-
-class TouchControl:
-    """Carries out requests with the settings of the moment.
-
-    Args:
-        sensor: The live sensor.
-    """
-
-    def __init__(self, sensor: Touchable) -> None:
-        self._sensor = sensor
-        self.gestures: dict[str, Callable[[TouchParameters], str]] = {
-            'press': self.press,
-            'load': self.load,
-            'drop': self.drop,
-            'vibrate': self.vibrate,
-            'release': self.release,
-        }
-
-    def press(self, p: TouchParameters) -> str:
-        """Press the object on the skin; return what is done, for people."""
-        self._sensor.play(press(LIVE_INDENTERS[p.object], p.press_force, _hold_s(p)))
-        return f'pressing {p.object} with {p.press_force} N {_for(p)}'
-
-    def load(self, p: TouchParameters) -> str:
-        """Put the object down; return what is done.
-
-        Raises:
-            SimulationError: The object has no mass.
-        """
-        self._sensor.play(load(LIVE_INDENTERS[p.object], _hold_s(p)))
-        return f'putting {p.object} down {_for(p)}'
-
-    def drop(self, p: TouchParameters) -> str:
-        """Drop the object; return what is done.
-
-        Raises:
-            SimulationError: The object has no mass.
-        """
-        self._sensor.play(drop(LIVE_INDENTERS[p.object], p.drop_height, _hold_s(p)))
-        return f'dropping {p.object} from {p.drop_height} mm'
-
-    def vibrate(self, p: TouchParameters) -> str:
-        """Let the object vibrate in the skin; return what is done.
-
-        Raises:
-            SimulationError: It would leave the skin.
-        """
-        gesture = vibrate(
-            LIVE_INDENTERS[p.object],
-            p.vibration_depth,
-            p.vibration_amplitude,
-            p.vibration_frequency,
-            _hold_s(p),
-        )
-        self._sensor.play(gesture)
-        return f'vibrating {p.object} at {p.vibration_frequency} Hz {_for(p)}'
-
-    def release(self, p: TouchParameters) -> str:
-        """Take off what touches; return what is done."""
-        force_n, tool = self._sensor.commanded_force()
-        self._sensor.play(release(tool or LIVE_INDENTERS[p.object], force_n))
-        return 'released'
-
-    def follow(self, p: TouchParameters, force_n: float) -> None:
-        """Press the object with a force [N] until the next one is commanded, for a moment at most.
-
-        Raises:
-            SimulationError: The force is not a number, or out of range.
-        """
-        if not math.isfinite(force_n) or not 0.0 <= force_n <= LARGEST_N:
-            raise SimulationError(f'commanded force {force_n} N: 0 to {LARGEST_N} N are possible')
-        wanted = LIVE_INDENTERS[p.object]
-        before_n, tool = self._sensor.commanded_force()
-        start_n = before_n if tool == wanted else 0.0
-        self._sensor.play(follow(wanted, start_n, force_n))
-
-
-def _hold_s(p: TouchParameters) -> float:
-    return p.hold_seconds or ENDLESS_S
-
-
-def _for(p: TouchParameters) -> str:
-    return f'for {p.hold_seconds} s' if p.hold_seconds else 'until released'

@@ -9,14 +9,17 @@ keep up, simulated time stands still for a while, and the loss is counted.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from dataclasses import dataclass
 from threading import Event, Lock, Thread
-from typing import TYPE_CHECKING, Any, Final, Protocol, cast
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
+from mixtac_sim.errors import SimulationError
+from mixtac_sim.live import touch
 from mixtac_sim.live.touch import LiveProfile
 from mixtac_sim.mechanics.indenters import LIVE_INDENTERS
 from mixtac_sim.pixels.aps import READOUT_US, RESET_US, ApsSettings
@@ -34,8 +37,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_sim.mechanics.indenters import Indenter
+    from mixtac_sim.parameters import TouchParameters
     from mixtac_sim.world.effects import Preset
-    from mixtac_sim.world.instruments import ReferenceSamples
     from mixtac_sim.world.profiles import Profile
     from mixtac_sim.world.sensor import SensorOutput
 
@@ -111,13 +114,6 @@ class Simulation(Protocol):
         """Change the event pixels, as new biases would."""
 
 
-class Reference(Protocol):
-    """What is needed of `mixtac_sim.world.instruments.ReferenceSensor`."""
-
-    def process(self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]) -> ReferenceSamples:
-        """Return the samples that the true wrench up to ``t_us[-1]`` allows."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class WrenchBatch:
     """A few wrench samples.
@@ -174,7 +170,7 @@ class VirtualSensor:
         simulation: Simulation,
         profile: LiveProfile,
         device: VirtualDavis346,
-        reference: Reference,
+        reference: ReferenceSensor,
         inertial: InertialUnit,
         clock: SimulationClock,
     ) -> None:
@@ -337,25 +333,121 @@ class VirtualSensor:
         return batches
 
 
+LARGEST_N: Final = 20.0
+"""Largest force that may be commanded [N]; the layer's model ends about there."""
+ENDLESS_S: Final = 86_400.0
+"""Duration of a contact that is held until it is released [s]."""
+
+
+class TouchControl:
+    """Carries out requests with the current parameters.
+
+    Args:
+        sensor: The live sensor.
+    """
+
+    def __init__(self, sensor: VirtualSensor) -> None:
+        self._sensor = sensor
+        self.gestures: dict[str, Callable[[TouchParameters], str]] = {
+            'press': self.press,
+            'load': self.load,
+            'drop': self.drop,
+            'vibrate': self.vibrate,
+            'release': self.release,
+        }
+
+    def press(self, p: TouchParameters) -> str:
+        """Press the object on the skin; return a description for the user."""
+        self._sensor.play(touch.press(LIVE_INDENTERS[p.object], p.press_force, _hold_s(p)))
+        return f'pressing {p.object} with {p.press_force} N {_for(p)}'
+
+    def load(self, p: TouchParameters) -> str:
+        """Put the object down; return a description for the user.
+
+        Raises:
+            SimulationError: The object has no mass.
+        """
+        self._sensor.play(touch.load(LIVE_INDENTERS[p.object], _hold_s(p)))
+        return f'putting {p.object} down {_for(p)}'
+
+    def drop(self, p: TouchParameters) -> str:
+        """Drop the object; return a description for the user.
+
+        Raises:
+            SimulationError: The object has no mass.
+        """
+        self._sensor.play(touch.drop(LIVE_INDENTERS[p.object], p.drop_height, _hold_s(p)))
+        return f'dropping {p.object} from {p.drop_height} mm'
+
+    def vibrate(self, p: TouchParameters) -> str:
+        """Let the object vibrate in the skin; return a description for the user.
+
+        Raises:
+            SimulationError: It would leave the skin.
+        """
+        gesture = touch.vibrate(
+            LIVE_INDENTERS[p.object],
+            p.vibration_depth,
+            p.vibration_amplitude,
+            p.vibration_frequency,
+            _hold_s(p),
+        )
+        self._sensor.play(gesture)
+        return f'vibrating {p.object} at {p.vibration_frequency} Hz {_for(p)}'
+
+    def release(self, p: TouchParameters) -> str:
+        """Take off what touches; return a description for the user."""
+        force_n, tool = self._sensor.commanded_force()
+        self._sensor.play(touch.release(tool or LIVE_INDENTERS[p.object], force_n))
+        return 'released'
+
+    def follow(self, p: TouchParameters, force_n: float) -> None:
+        """Press the object with a force [N] until the next one is commanded, for a moment at most.
+
+        Raises:
+            SimulationError: The force is not a number, or out of range.
+        """
+        if not math.isfinite(force_n) or not 0.0 <= force_n <= LARGEST_N:
+            raise SimulationError(f'commanded force {force_n} N: 0 to {LARGEST_N} N are possible')
+        wanted = LIVE_INDENTERS[p.object]
+        before_n, tool = self._sensor.commanded_force()
+        start_n = before_n if tool == wanted else 0.0
+        self._sensor.play(touch.follow(wanted, start_n, force_n))
+
+
+def _hold_s(p: TouchParameters) -> float:
+    return p.hold_seconds or ENDLESS_S
+
+
+def _for(p: TouchParameters) -> str:
+    return f'for {p.hold_seconds} s' if p.hold_seconds else 'until released'
+
+
 def make_virtual_sensor(
-    *, device_seed: int, seed: int, skew_ppm: float = 0.0, preset: Preset = EASY
+    *,
+    device_seed: int,
+    seed: int,
+    skew_ppm: float = 0.0,
+    preset: Preset = EASY,
+    simulation: Simulation | None = None,
+    clock: SimulationClock | None = None,
 ) -> VirtualSensor:
     """Return a virtual sensor that nothing touches yet; `VirtualSensor.start` lets it run.
 
     Args:
-        device_seed: Which sensor: beads, stiffness, lamp, pixels, and the camera's serial number.
-        seed: Which day: contact point, noise, drifts, and the clock of the reference sensor.
-        skew_ppm: How much faster than the host the camera's clock runs [ppm].
-        preset: How hard the sensor is.
+        device_seed: Seed of the sensor: beads, stiffness, lamp, pixels, serial number of the
+            camera.
+        seed: Seed of the trial: contact point, noise, drifts, clock of the reference sensor.
+        skew_ppm: Rate of the camera's clock over the host's, less one [ppm].
+        preset: Difficulty of the sensor.
+        simulation: Simulation to run instead of a tactile sensor.
+        clock: Simulated time; by default that of the host.
     """
-    profile, clock = LiveProfile(tuple(LIVE_INDENTERS.values())), SimulationClock()
-    device = VirtualDavis346(serial_number(device_seed), skew_ppm=skew_ppm, clock=clock.now_us)
-    # The simulation only asks for what a live profile has: indenters and commands.
-    simulation = TactileSensor(device_seed, seed, cast('Profile', profile), preset=preset)
+    profile, clock = LiveProfile(tuple(LIVE_INDENTERS.values())), clock or SimulationClock()
     return VirtualSensor(
-        simulation,
+        simulation or TactileSensor(device_seed, seed, profile, preset=preset),
         profile,
-        device,
+        VirtualDavis346(serial_number(device_seed), skew_ppm=skew_ppm, clock=clock.now_us),
         ReferenceSensor(seed, preset=preset),
         InertialUnit(device_seed),
         clock,

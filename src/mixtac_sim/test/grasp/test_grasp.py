@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mixtac_node.parameters import specs
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.grasp.grasp import Grasp
 from mixtac_sim.grasp.objects import (
@@ -18,6 +19,7 @@ from mixtac_sim.grasp.objects import (
     draw_setup,
 )
 from mixtac_sim.mechanics.contact import GRAVITY
+from mixtac_sim.parameters import VirtualGraspParameters
 
 SETUP = GraspSetup('box', 80.0, 50.0, Friction(roughness=0.0), 0.5, 1.05, 50.0, 1e-3, 0.01, 5.0)
 
@@ -98,3 +100,8 @@ def test_same_trial_however_it_is_cut(cut: int) -> None:
     grasp = Grasp(SETUP, 1, 1, camera=False)
     parts = [grasp.advance(np.zeros(cut)).object_mm for _ in range(160 // cut)]
     assert np.array_equal(np.concatenate(parts), whole)
+
+
+def test_every_object_can_be_chosen_by_parameter():
+    choices = {spec.name: spec.choices for spec in specs(VirtualGraspParameters)}
+    assert choices['object'] == tuple(OBJECTS)

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.live import touch as live_gestures
-from mixtac_sim.live.touch import ENDLESS_S, LARGEST_N, LiveProfile, TouchControl
+from mixtac_sim.live.touch import LiveProfile
+from mixtac_sim.live.virtual_sensor import ENDLESS_S, LARGEST_N, TouchControl
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.mechanics.indenters import LIVE_INDENTERS
 from mixtac_sim.parameters import TouchParameters
@@ -77,7 +78,7 @@ def test_a_press_reaches_its_force_and_goes_away(sensor, control):
 def test_a_load_is_the_weight_of_the_object(sensor, control):
     control.load(replace(P, object='weight_50_g', hold_seconds=0.0))
     _, targets = sensor.commands(60_000_000)
-    assert targets[-1] == pytest.approx(0.05 * 9.81)
+    assert targets[-1] == pytest.approx(0.05 * 9.80665)
     control.release(P)
     modes, targets = sensor.commands(61_000_000)
     assert not modes[-100:].any()
