@@ -3,9 +3,8 @@
 """How far the arm may advance: stiffness of the contact, the probe that measures it, the bound.
 
 The force is bounded ahead, not watched: an arm that is 10 ms late has pressed several newtons too
-hard before a measured force shows it. The bound is `ContactStiffness.largest_advance`, computed
-anew in every window. It is never below the advance already commanded, so a noisy force makes the
-arm wait, not retreat.
+hard before a measured force shows it. `AdvanceBound` alone decides how far the arm may advance,
+anew in every window: by the measured stiffness, by `max_force` and by `max_total`.
 
 The stiffness comes from the arm's own advance and the force that follows it: a Kalman filter on
 (f, k) with F = f + k x, where the force f at advance zero drifts as the gel relaxes and the
@@ -19,16 +18,12 @@ well enough, and returns.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from mixtac_slip_control.errors import SlipControlError
 
 if TYPE_CHECKING:
-    from mixtac_slip_control.arm.planner import Planner
-    from mixtac_slip_control.detectors import SlipJudge
-    from mixtac_slip_control.law import AdvanceLaw
-    from mixtac_slip_control.safety import SafetyWatch
+    from mixtac_slip_control.parameters import SlipControlParameters
 
 
 LEAST_FORCE: Final = 1e-4
@@ -36,39 +31,13 @@ LEAST_FORCE: Final = 1e-4
 LEAST_STIFFNESS: Final = 1.0
 """Least standard deviation of the stiffness [N/m]."""
 MOST_RATIO: Final = 20.0
-"""Forces are taken as no further apart: towards zero force, spheres have no stiffness."""
-
-
-@dataclass(frozen=True, slots=True)
-class StiffnessSettings:
-    """What is assumed before anything was measured.
-
-    Attributes:
-        stiffest: Stiffest plausible contact of gel and object [N/m].
-        force_noise: Standard deviation of a force estimate [N].
-        drift: Random walk of the force at rest [N/sqrt(s)].
-        sigmas: Standard deviations by which bounds lie above estimates.
-        reserve: Stiffness of a fast step over that of a slow one, in which the gel relaxes.
-    """
-
-    stiffest: float = 2e4
-    force_noise: float = 0.03
-    drift: float = 0.03
-    sigmas: float = 3.0
-    reserve: float = 1.1
-
-    def __post_init__(self) -> None:
-        """Refuse settings without a meaning.
-
-        Raises:
-            SlipControlError: A value that is not positive, or a stiffening below 1.
-        """
-        numbers = (self.stiffest, self.force_noise, self.drift, self.sigmas, self.reserve)
-        if not all(math.isfinite(v) and v > 0.0 for v in numbers) or self.reserve < 1.0:
-            raise SlipControlError(
-                'stiffness settings (stiffest, force_noise, drift, sigmas, reserve) = '
-                f'{numbers}: give positive finite numbers, reserve at least 1'
-            )
+"""Largest ratio of two forces: towards zero force, spheres have no stiffness."""
+DRIFT: Final = 0.03
+"""Random walk of the force at rest [N/sqrt(s)]: relaxation of the simulated gels."""
+SIGMAS: Final = 3.0
+"""Standard deviations by which bounds lie above estimates."""
+RESERVE: Final = 1.1
+"""Stiffness of a fast step over that of a slow one, in which the simulated gels relax."""
 
 
 def stiffening(from_n: float, to_n: float) -> float:
@@ -86,7 +55,8 @@ class ContactStiffness:
     """Estimates the stiffness of the contact and how far it may be pressed.
 
     Args:
-        settings: What is assumed at first.
+        parameters: What is assumed before anything was measured.
+        drift: Random walk of the force at rest [N/sqrt(s)].
 
     Attributes:
         force: f, force at advance zero [N].
@@ -94,13 +64,18 @@ class ContactStiffness:
         known: Whether a force was seen.
     """
 
-    def __init__(self, settings: StiffnessSettings | None = None) -> None:
-        self.settings = settings or StiffnessSettings()
+    def __init__(self, parameters: SlipControlParameters, drift: float = DRIFT) -> None:
+        self._drift = drift
+        self.configure(parameters)
         self.force = 0.0
         self.known = False
         self._stamp_us = 0
         self._advance = 0.0
-        self._assume(self.settings.force_noise**2)
+        self._assume(self._noise**2)
+
+    def configure(self, parameters: SlipControlParameters) -> None:
+        """Use other parameters; what was measured stays."""
+        self._stiffest, self._noise = parameters.stiffest_contact, parameters.force_noise
 
     @property
     def present(self) -> float:
@@ -115,7 +90,7 @@ class ContactStiffness:
     @property
     def bound(self) -> float:
         """Upper bound of the stiffness [N/m]."""
-        return max(self.stiffness, 0.0) + self.settings.sigmas * self.deviation
+        return max(self.stiffness, 0.0) + SIGMAS * self.deviation
 
     def restart(self) -> float:
         """Count advances from here on and assume a stiff contact; return the force [N]."""
@@ -127,23 +102,23 @@ class ContactStiffness:
         return self.force
 
     def on_force(self, force_n: float, stamp_us: int, advance_m: tuple[float, float]) -> None:
-        """Take a force and the advance that it belongs to.
+        """Learn from a force and the advance that it belongs to.
 
         Args:
             force_n: Normal force [N].
             stamp_us: Its time, camera clock [us].
             advance_m: Least and most that the fingertip may have advanced at that time [m].
         """
-        noise = self.settings.force_noise**2
+        noise = self._noise**2
         if not self.known:
             self.known, self.force, self._ff, self._stamp_us = True, force_n, noise, stamp_us
             return
         seconds = min(max(1e-6 * (stamp_us - self._stamp_us), 0.0), 1.0)
         self._stamp_us = stamp_us
-        self._ff += self.settings.drift**2 * seconds
+        self._ff += self._drift**2 * seconds
         low, high = advance_m
         x = self._advance = 0.5 * (low + high)
-        # A place known to half the way between its ends, two standard deviations of it.
+        # The advance is known to half the distance between both, two standard deviations of it.
         noise += (0.25 * (high - low) * self.bound) ** 2
         self._correct(force_n, x, noise)
 
@@ -156,10 +131,9 @@ class ContactStiffness:
         The smallest A >= 0 with f + s k A + z sqrt(var(f + k A)) = F, s the reserve times how much
         a round contact stiffens on the way; 0 if there is none.
         """
-        settings = self.settings
         room = force_n - self.force
-        slope = settings.reserve * stiffening(self.force, force_n) * max(self.stiffness, 0.0)
-        z2 = settings.sigmas**2
+        slope = RESERVE * stiffening(self.force, force_n) * max(self.stiffness, 0.0)
+        z2 = SIGMAS**2
         # (room - slope A)^2 = z^2 (ff + 2 A fk + A^2 kk), at slope A <= room.
         a = slope * slope - z2 * self._kk
         b = -2.0 * (room * slope + z2 * self._fk)
@@ -173,9 +147,9 @@ class ContactStiffness:
 
     def _assume(self, variance: float) -> None:
         """Forget the stiffness: half the stiffest, its bound the stiffest."""
-        self.stiffness = 0.5 * self.settings.stiffest
+        self.stiffness = 0.5 * self._stiffest
         self._ff, self._fk = variance, 0.0
-        self._kk = (self.stiffness / self.settings.sigmas) ** 2
+        self._kk = (self.stiffness / SIGMAS) ** 2
 
     def _correct(self, force_n: float, x: float, noise: float) -> None:
         """Apply one measurement F = f + k x."""
@@ -190,187 +164,135 @@ class ContactStiffness:
         self._kk = max(self._kk - gain_k * gain_k / variance, LEAST_STIFFNESS**2)
 
 
-@dataclass(frozen=True, slots=True)
-class ProbeSettings:
-    """How far, how fast and how long is probed.
-
-    Attributes:
-        advance: Largest advance [m]; 0 does not probe.
-        force: Growth of the force that is enough [N]: it then waits for the estimate.
-        step: Advance per window, both ways [m].
-        precision: Relative standard deviation of the stiffness that is good enough.
-        windows: After so many windows it returns, whatever was learned.
-    """
-
-    advance: float = 5e-5
-    force: float = 0.1
-    step: float = 5e-7
-    precision: float = 0.06
-    windows: int = 150
-
-    def __post_init__(self) -> None:
-        """Refuse settings without a meaning.
-
-        Raises:
-            SlipControlError: An advance or time below zero, or a step or precision of zero.
-        """
-        numbers = (self.advance, self.force, self.step, self.precision)
-        finite = all(math.isfinite(v) for v in numbers)
-        if not finite or self.advance < 0.0 or self.windows < 0:
-            raise SlipControlError(f'{self}: give finite numbers >= 0')
-        if min(self.force, self.step, self.precision) <= 0.0:
-            raise SlipControlError(f'{self}: force, step and precision must be above 0')
+PRECISION: Final = 0.06
+"""Relative standard deviation of the stiffness at which the probe returns."""
+PROBE_WINDOWS: Final = 150
+"""Windows after which the probe returns, whatever was learned."""
 
 
 class StiffnessProbe:
-    """Says where the fingertip shall be while it probes.
+    """The wanted advance of the fingertip while the stiffness is probed.
 
     Args:
-        settings: How far, how fast and how long.
+        parameters: How far and how fast.
+        precision: Relative standard deviation of the stiffness that is good enough.
+        windows: Windows after which it returns, whatever was learned.
 
     Attributes:
-        place: Wanted advance of the probe [m].
+        advance: Wanted advance of the probe [m].
         active: Whether it is under way.
     """
 
-    def __init__(self, settings: ProbeSettings | None = None) -> None:
-        self.settings = settings or ProbeSettings()
-        self.place = 0.0
+    def __init__(
+        self,
+        parameters: SlipControlParameters,
+        precision: float = PRECISION,
+        windows: int = PROBE_WINDOWS,
+    ) -> None:
+        self._parameters = parameters
+        self._precision, self._most = precision, windows
+        self.advance = 0.0
         self.active = False
         self._windows = 0
 
+    def configure(self, parameters: SlipControlParameters) -> None:
+        """Use other parameters from the next window on."""
+        self._parameters = parameters
+
     def start(self) -> None:
         """Begin with the next window."""
-        self.place = 0.0
+        self.advance = 0.0
         self._windows = 0
-        self.active = self.settings.advance > 0.0
+        self.active = self._parameters.probe_advance > 0.0
 
-    def end(self) -> float:
-        """End at once and return where it was [m]."""
-        place, self.place, self.active = self.place, 0.0, False
-        return place
+    def take_over(self) -> float:
+        """End at once and return the advance reached [m]."""
+        advance, self.advance, self.active = self.advance, 0.0, False
+        return advance
 
     def update(self, stiffness: float, deviation: float, limit: float) -> None:
         """Go on by a window.
 
         Args:
-            stiffness: As estimated so far [N/m].
+            stiffness: Estimate so far [N/m].
             deviation: Its standard deviation [N/m].
             limit: Largest advance that the force allows [m].
         """
         if not self.active:
             return
-        settings = self.settings
+        p = self._parameters
         self._windows += 1
-        known = deviation <= settings.precision * stiffness
-        if known or self._windows > settings.windows:
-            self._windows = settings.windows
-            self.place = max(self.place - settings.step, 0.0)
-            self.active = self.place > 0.0
+        known = deviation <= self._precision * stiffness
+        if known or self._windows > self._most:
+            self._windows = self._most
+            self.advance = max(self.advance - p.probe_step, 0.0)
+            self.active = self.advance > 0.0
             return
-        step = settings.step if stiffness * self.place < settings.force else 0.0
-        self.place = min(self.place + step, settings.advance, max(limit, 0.0))
+        step = p.probe_step if stiffness * self.advance < p.probe_force else 0.0
+        self.advance = min(self.advance + step, p.probe_advance, max(limit, 0.0))
 
 
 GOAL_SHARE: Final = 0.9
-"""Share of the force ceiling up to which advances are planned."""
-MAX_AGE_S: Final = 0.2
-"""A force older than this is taken as so old [s]; the planner remembers no longer."""
+"""Share of `max_force` up to which advances are planned."""
+SOFT_SHARE: Final = 0.95
+"""Share of `max_force` from which the arm advances no further, so as not to reach it."""
 
 
-class Advancer:
-    """Decides how far the arm shall be.
+class AdvanceBound:
+    """Decides how far the arm may advance.
 
     Args:
-        planner: Knows where the arm was told to be.
-        law: Answers slip and keeps the preload.
-        stiffness: Of the contact.
-        probe: Learns it.
-        arm_lag_s: From a commanded to the arm's true place [s].
+        parameters: Force ceiling, largest total, stiffness and probe.
+
+    Attributes:
+        stiffness: Estimate of the contact's stiffness.
+        probe: The press that measures it.
     """
 
-    def __init__(
-        self,
-        planner: Planner,
-        law: AdvanceLaw,
-        stiffness: ContactStiffness,
-        probe: StiffnessProbe,
-        arm_lag_s: float,
-    ) -> None:
-        self._planner = planner
-        self._law = law
-        self._stiffness = stiffness
-        self._probe = probe
-        self.arm_lag_s = arm_lag_s
-        self._window: tuple[int, float] | None = None
+    def __init__(self, parameters: SlipControlParameters) -> None:
+        self._parameters = parameters
+        self.stiffness = ContactStiffness(parameters)
+        self.probe = StiffnessProbe(parameters)
 
-    @property
-    def total(self) -> float:
-        """Wanted advance since the start [m]."""
-        return self._law.total + self._probe.place
+    def configure(self, parameters: SlipControlParameters) -> None:
+        """Use other parameters from the next window on."""
+        self._parameters = parameters
+        self.stiffness.configure(parameters)
+        self.probe.configure(parameters)
 
-    @property
-    def limit(self) -> float:
-        """Largest advance at present [m]."""
-        return self._law.limit + self._probe.place
-
-    def start(self, max_force: float) -> None:
-        """Start over with the planner at advance zero.
-
-        Args:
-            max_force: Force ceiling [N].
+    def start(self) -> tuple[float, float]:
+        """Start over at advance zero; return the preload [N] and the largest advance [m].
 
         Raises:
             SlipControlError: The force leaves no room for an advance.
         """
-        preload = self._stiffness.restart()
-        limit = self._stiffness.largest_advance(GOAL_SHARE * max_force)
+        p = self._parameters
+        preload = self.stiffness.restart()
+        limit = self.stiffness.largest_advance(GOAL_SHARE * p.max_force)
         if limit <= 0.0:
             raise SlipControlError(
-                f'the force is {preload:.2f} N already and max_force {max_force:.2f} N: lower the '
-                'preload or raise max_force'
+                f'the force is {preload:.2f} N already and max_force {p.max_force:.2f} N',
+                remedy='lower the preload or raise max_force',
             )
-        self._law.reset(limit, preload)
-        self._probe.start()
+        self.probe.start()
+        return preload, min(limit, p.max_total)
 
-    def on_window(self, end_us: int, now_s: float) -> None:
-        """Take note of when a window that ends at `end_us` [us] of the camera clock was heard."""
-        self._window = (end_us, now_s)
+    def limit(self, reached: float, force_n: float | None) -> float:
+        """Return the largest advance in this window [m].
 
-    def on_force(self, force_n: float, stamp_us: int, now_s: float) -> None:
-        """Learn from a force [N]; its stamp on the camera clock [us], heard at `now_s` [s]."""
-        age = 0.0
-        if self._window is not None:
-            end_us, heard_s = self._window
-            age = now_s - heard_s + 1e-6 * (end_us - stamp_us)
-        at = now_s - min(max(age, 0.0), MAX_AGE_S)
-        then = self._planner.advance_at(at), self._planner.advance_at(at - 2.0 * self.arm_lag_s)
-        self._stiffness.on_force(force_n, stamp_us, (min(then), max(then)))
-
-    def moved(self, now_s: float, window_s: float) -> float:
-        """Return how far the arm was told to move in the window that ends now [m]."""
-        end = now_s - self.arm_lag_s
-        return self._planner.advance_at(end) - self._planner.advance_at(end - window_s)
-
-    def update(self, count: int, judge: SlipJudge, watch: SafetyWatch, now_s: float) -> float:
-        """Return the change of the wanted advance by a window [m].
+        It is never below the advance already commanded, so that a noisy force makes the arm wait,
+        not retreat.
 
         Args:
-            count: Events in the window.
-            judge: What the detectors say of it.
-            watch: Knows the force.
-            now_s: Host time [s].
+            reached: Advance commanded so far [m].
+            force_n: Latest normal force [N], None before the first.
         """
-        before, law = self.total, self._law
-        reached = self._planner.advance_at(now_s)
-        goal = GOAL_SHARE * watch.settings.max_force
-        limit = max(self._stiffness.largest_advance(goal), reached)
-        if watch.pressed:
-            limit = reached
-        if judge.slipping and self._probe.active:
-            law.add(self._probe.end())
-        self._probe.update(self._stiffness.stiffness, self._stiffness.deviation, limit - law.total)
-        law.limit = max(min(limit - self._probe.place, law.settings.max_total), 0.0)
-        force = None if self._probe.active else self._stiffness.present
-        law.update(count, judge.law_threshold, force, slipping=judge.slipping)
-        return self.total - before
+        p = self._parameters
+        if force_n is not None and force_n >= SOFT_SHARE * p.max_force:
+            return reached
+        largest = self.stiffness.largest_advance(GOAL_SHARE * p.max_force)
+        return max(min(largest, p.max_total), reached)
+
+    def update_probe(self, room: float) -> None:
+        """Let the probe go on by a window, within an advance [m] that is left to it."""
+        self.probe.update(self.stiffness.stiffness, self.stiffness.deviation, room)

@@ -14,17 +14,17 @@ it sooner. `node_status` summarises the controller for diagnostics.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mixtac_slip_control.bounds import Advancer, ContactStiffness, StiffnessProbe
-from mixtac_slip_control.detectors import SlipJudge
+from mixtac_events.sequence import SequenceCounter
+from mixtac_slip_control.detectors import Detectors
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.features import SlipFeatures, SlipWindow
-from mixtac_slip_control.law import AdvanceLaw
-from mixtac_slip_control.parameters import SlipSettings
+from mixtac_slip_control.law import Advance
+from mixtac_slip_control.parameters import ADJUSTABLE_WHILE_ENABLED, SlipControlParameters
 from mixtac_slip_control.safety import (
     EVENTS,
     FORCE,
@@ -41,32 +41,31 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_events.arrays import Events
-    from mixtac_slip_control.arm.planner import Planner
+    from mixtac_slip_control.arm.planner import AdvancePlanner
     from mixtac_slip_control.arm.trajectory import PlannedTrajectory
-    from mixtac_slip_control.features import FlowGuide
 
     Normal = Sequence[float] | Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, slots=True)
 class SlipStep:
-    """What one window led to; the fields are those of `mixtac_msgs/SlipState`.
+    """Result of one window; the fields are those of `mixtac_msgs/SlipState`.
 
     Attributes:
         end_us: End of the window, camera clock [us].
         count: Events in the window.
-        background: Middle of the counts at rest.
+        background: Median of the counts at rest.
         background_sigma: Scale of the tail of the counts at rest.
-        threshold: Count above which the paper's law says slip.
-        count_slipping: What the paper's law says.
+        threshold: Count above which the paper's law detects slip.
+        count_slipping: Decision of the paper's law.
         flow: Translation of the skin [px per contrast threshold].
-        flow_threshold: Translation above which the flow detector says slip.
-        flow_slipping: What the flow detector says.
-        slipping: What counts, by the choice of detector.
+        flow_threshold: Translation above which the flow detector detects slip.
+        flow_slipping: Decision of the flow detector.
+        slipping: Decision of the chosen detector.
         state: Number of the `InterlockState`.
         enabled: Whether the arm may follow slip.
-        advance: Asked for by this window, along the contact normal [m].
-        total_advance: Since enabling [m].
+        advance: Wanted because of this window, along the contact normal [m].
+        total_advance: Wanted since enabling [m].
     """
 
     end_us: int
@@ -89,44 +88,36 @@ class SlipController:
     """Watches for slip and, when enabled, advances the arm against it.
 
     Args:
-        settings: Settings of all parts.
+        parameters: Settings of all parts.
         planner: Plans the arm's motion; None only reports.
         normal: Contact normal (3,) in the arm's base frame, along which the arm advances, or a
-            function that tells it of the joint positions at enabling.
-        check_state: Tells what is wrong with joint positions [rad], None if nothing is.
+            function that returns it for the joint positions at enabling.
+        check_state: Returns what is wrong with joint positions [rad], None if nothing is.
 
     Attributes:
         interlock: Whether the arm may follow.
         watch: Ages and limits.
-        judge: The detectors.
-        stiffness: What is known of the contact's stiffness.
+        detectors: Both slip detectors.
+        features: Cuts the event stream into windows.
     """
 
     def __init__(
         self,
-        settings: SlipSettings | None = None,
-        planner: Planner | None = None,
+        parameters: SlipControlParameters,
+        planner: AdvancePlanner | None = None,
         normal: Normal = (0.0, 0.0, 1.0),
-        check_state: Callable[[Sequence[float]], str | None] | None = None,
+        check_state: Callable[[Sequence[float]], str | None] = lambda _q: None,
     ) -> None:
-        self._settings = settings or SlipSettings()
+        self._parameters = parameters
         self.interlock = Interlock()
-        self.watch = SafetyWatch(self._settings.safety)
-        if check_state is not None:
-            self.watch.check_state = check_state
-        self.judge = SlipJudge(self._settings.judge)
-        self.features = SlipFeatures(self._settings.window_us, self._settings.guide)
-        self._law = AdvanceLaw(self._settings.advance)
-        self.stiffness = ContactStiffness(self._settings.stiffness)
-        self._probe = StiffnessProbe(self._settings.probe)
+        self.watch = SafetyWatch(parameters, check_state)
+        self.detectors = Detectors(parameters)
+        self.features = SlipFeatures(parameters)
         self._planner = planner
-        self._advancer: Advancer | None = None
-        if planner is not None:
-            lag_s = self._settings.arm_lag_s
-            self._advancer = Advancer(planner, self._law, self.stiffness, self._probe, lag_s)
+        self._advance = None if planner is None else Advance(parameters, planner)
         self._normal_source = normal
         self._normal = np.zeros(3)
-        self._settled_s = 0.0
+        self._settling = (0.0, 0.0)
 
     @property
     def enabled(self) -> bool:
@@ -141,38 +132,49 @@ class SlipController:
     @property
     def total_advance(self) -> float:
         """Wanted advance since enabling [m]."""
-        return self._advancer.total if self._advancer else 0.0
+        return self._advance.total if self._advance else 0.0
 
     @property
     def advance_limit(self) -> float:
         """Largest advance at present [m]."""
-        return self._advancer.limit if self._advancer else 0.0
+        return self._advance.limit if self._advance else 0.0
+
+    @property
+    def stiffness(self) -> float:
+        """Estimated stiffness of the contact [N/m]; 0 without an arm."""
+        return self._advance.bound.stiffness.stiffness if self._advance else 0.0
 
     @property
     def probing(self) -> bool:
-        """Whether the stiffness of the contact is being learned by a small press."""
-        return self.enabled and self._probe.active
+        """Whether the stiffness of the contact is being measured by a small press."""
+        return self.enabled and self._advance is not None and self._advance.bound.probe.active
 
-    def configure(self, settings: SlipSettings) -> None:
-        """Take over new settings, except the window and where the contact is."""
-        self._settings = settings
-        self.judge.configure(settings.judge)
-        self._law.settings = settings.advance
-        self.watch.settings = settings.safety
-        self.stiffness.settings = settings.stiffness
-        self._probe.settings = settings.probe
-        if self._advancer is not None:
-            self._advancer.arm_lag_s = settings.arm_lag_s
+    def configure(self, parameters: SlipControlParameters) -> None:
+        """Use other parameters, except the window and where the contact is.
 
-    def guide(self, guide: FlowGuide) -> None:
-        """Tell motion by this frame from now on."""
-        self.features.guide(guide)
+        Raises:
+            SlipControlError: Slip control is enabled, and a parameter other than those of
+                `ADJUSTABLE_WHILE_ENABLED` changes.
+        """
+        old = self._parameters
+        changed = {f.name for f in fields(old) if getattr(parameters, f.name) != getattr(old, f.name)}
+        fixed = sorted(changed - ADJUSTABLE_WHILE_ENABLED)
+        if self.enabled and fixed:
+            raise SlipControlError(
+                f'parameter {fixed[0]} is fixed while slip control is enabled',
+                remedy='disable it before the change',
+            )
+        self._parameters = parameters
+        self.detectors.configure(parameters)
+        self.watch.configure(parameters)
+        if self._advance is not None:
+            self._advance.configure(parameters)
 
     def on_force(self, force_n: float, stamp_us: int, now_s: float) -> None:
         """Take a normal force [N]; its stamp on the camera clock [us]."""
         new = self.watch.on_force(force_n, stamp_us, now_s)
-        if new and self._advancer is not None:
-            self._advancer.on_force(force_n, stamp_us, now_s)
+        if new and self._advance is not None:
+            self._advance.on_force(force_n, stamp_us, now_s)
         self.tick(now_s)
 
     def on_joint_state(self, positions: Sequence[float], now_s: float) -> None:
@@ -181,13 +183,13 @@ class SlipController:
         self.tick(now_s)
 
     def on_heartbeat(self, now_s: float) -> None:
-        """Take a sign of life of whoever supervises."""
+        """Take a heartbeat of the supervisor."""
         self.watch.on_heartbeat(now_s)
 
     def on_events(
         self, events: Events, complete_until: int, now_s: float, *, lost: bool = False
     ) -> list[SlipStep]:
-        """Take the next packet and return what the windows that it closes led to.
+        """Take the next packet and return the results of the windows that it closes.
 
         Args:
             events: Camera clock [us].
@@ -214,7 +216,7 @@ class SlipController:
             return None
 
     def tick(self, now_s: float) -> str | None:
-        """Stop if anything speaks against going on; return what does, enabled or not."""
+        """Stop if there is a fault; return it, enabled or not."""
         fault = self.watch.fault(now_s)
         if fault is not None:
             self.interlock.stop(fault)
@@ -223,28 +225,48 @@ class SlipController:
     def braking(self, now_s: float) -> PlannedTrajectory | None:
         """Return the trajectory that ends a motion early, or None where nothing moves.
 
-        To be asked for once after a stop or a disabling.
+        To be asked for once after a stop or a disabling. Where it cannot be planned, the last
+        trajectory brings the arm to rest.
         """
-        return None if self._planner is None else self._planner.stop(now_s)
+        if self._planner is None:
+            return None
+        try:
+            return self._planner.stop(now_s)
+        except SlipControlError:
+            return None
 
-    def enable(self, now_s: float) -> None:
+    def enable(
+        self,
+        now_s: float,
+        *,
+        commanded: NDArray[np.float64] | None = None,
+        settling_s: float = 0.0,
+    ) -> None:
         """Let slip move the arm, from where it is and from an advance of zero.
 
+        Args:
+            now_s: Host time [s].
+            commanded: Joint positions (n,) [rad] that the arm's controller commands; None where it
+                is led to the measured ones.
+            settling_s: How long that takes [s]; slip is answered afterwards.
+
         Raises:
-            SlipControlError: No arm, nothing learned, slip at present, a watchdog, a limit, or a
-                stop that was not reset.
+            SlipControlError: No arm, nothing learned, slip at present, an arm that still moves, a
+                watchdog, a limit, or a stop that was not reset.
         """
-        if self._planner is None or self._advancer is None:
-            raise SlipControlError('slip control has no arm: start it with one to move it')
+        if self._planner is None or self._advance is None:
+            raise SlipControlError(
+                'slip control has no arm', remedy='start it with the parameter arm'
+            )
         if self.enabled:
             return
-        self.interlock.enable(self._against(now_s))
+        self.interlock.enable(self._reason_not_to_enable(now_s))
         try:
-            self._start(self._planner, self._advancer)
-            self._settled_s = now_s + self._settings.settling_s
+            self._start(self._planner, self._advance, commanded)
         except SlipControlError:
             self.interlock.disable()
             raise
+        self._settling = (now_s, now_s + settling_s)
 
     def disable(self) -> None:
         """Let nothing move; the sum stays on record until the next enabling."""
@@ -254,56 +276,66 @@ class SlipController:
         """Leave a stop; the arm stays disabled.
 
         Raises:
-            SlipControlError: The cause is still there.
+            SlipControlError: Slip control is enabled, or the cause of the stop is still there.
         """
+        if self.enabled:
+            raise SlipControlError(
+                'slip control is enabled and not stopped: nothing to reset',
+                remedy='call ~/enable with data false to disable it',
+            )
         fault = self.watch.fault(now_s)
-        if fault is not None:
+        if self.interlock.state is InterlockState.STOPPED and fault is not None:
             raise SlipControlError(f'slip control stays stopped: {fault}')
         self.interlock.reset()
 
     def tare(self) -> None:
-        """Learn the background anew, from the next windows.
+        """Learn the background again, from the next windows.
 
         Raises:
             SlipControlError: Slip control is enabled.
         """
         if self.enabled:
-            raise SlipControlError('slip control is enabled: disable it before taring')
-        self.judge.reset()
+            raise SlipControlError('slip control is enabled', remedy='disable it before taring')
+        self.detectors.reset()
 
-    def _against(self, now_s: float) -> str | None:
-        if not self.judge.learned:
-            windows = self._settings.judge.count.background.learning_windows
+    def _reason_not_to_enable(self, now_s: float) -> str | None:
+        if not self.detectors.learned:
             return (
-                f'the background is not learned yet: keep the contact still for {windows} windows, '
-                'with events and frames arriving'
+                'the background is not learned yet: keep the contact still for '
+                f'{self._parameters.learning_windows} windows, with events and frames arriving'
             )
-        if self.judge.slipping:
+        if self.detectors.slipping:
             return 'the object slips: wait until it is still, or tare'
+        start, end = self._settling
+        # A trajectory from the measured positions would cut a motion that has not ended.
+        if start <= now_s < end or (self._planner is not None and self._planner.moving(now_s)):
+            return 'the arm still comes to rest from the last motion: try again in a moment'
         return self.watch.fault(now_s)
 
-    def _start(self, planner: Planner, advancer: Advancer) -> None:
-        watch = self.watch
-        assert watch.joints is not None  # noqa: S101  (a fault before the first ones)
-        joints = np.array(watch.joints)
+    def _start(
+        self, planner: AdvancePlanner, advance: Advance, commanded: NDArray[np.float64] | None
+    ) -> None:
+        measured = self.watch.joints
+        assert measured is not None  # noqa: S101  (a fault before the first ones)
+        joints = np.array(measured) if commanded is None else commanded
         source = self._normal_source
         self._normal = np.asarray(source(joints) if callable(source) else source, np.float64)
-        planner.reset(joints, self._normal)
-        advancer.start(watch.settings.max_force)
+        planner.reset(joints, self._normal, self._parameters.max_total)
+        advance.start()
 
     def _may_move(self, now_s: float) -> bool:
-        return self.enabled and now_s >= self._settled_s and self.tick(now_s) is None
+        return self.enabled and now_s >= self._settling[1] and self.tick(now_s) is None
 
     def _step(self, window: SlipWindow, now_s: float) -> SlipStep:
         self.watch.on_window(window.count, complete=window.complete, now_s=now_s)
-        judge, count, advancer = self.judge, self.judge.count, self._advancer
-        moved = advance = 0.0
-        if advancer is not None:
-            advancer.on_window(window.end_us, now_s)
-            moved = advancer.moved(now_s, 1e-6 * self._settings.window_us)
-        slipping = judge.update(window, moved)
-        if advancer is not None and self._may_move(now_s):
-            advance = advancer.update(window.count, judge, self.watch, now_s)
+        detectors, count = self.detectors, self.detectors.count
+        motion = wanted = 0.0
+        if self._advance is not None:
+            self._advance.on_window(window.end_us, now_s)
+            motion = self._advance.commanded_motion(now_s)
+        slipping = detectors.update(window, motion)
+        if self._advance is not None and self._may_move(now_s):
+            wanted = self._advance.update(window.count, detectors, self.watch.force, now_s)
         return SlipStep(
             end_us=window.end_us,
             count=window.count,
@@ -311,13 +343,13 @@ class SlipController:
             background_sigma=count.background.scale,
             threshold=count.threshold,
             count_slipping=count.slipping,
-            flow=judge.flow.flow,
-            flow_threshold=judge.flow.threshold,
-            flow_slipping=judge.flow.slipping,
+            flow=detectors.flow.flow,
+            flow_threshold=detectors.flow.threshold,
+            flow_slipping=detectors.flow.slipping,
             slipping=slipping,
             state=int(self.interlock.state),
             enabled=self.enabled,
-            advance=advance,
+            advance=wanted,
             total_advance=self.total_advance,
         )
 
@@ -329,19 +361,17 @@ AGES: Final = (EVENTS, FORCE, JOINTS, HEARTBEAT)
 
 @dataclass(slots=True)
 class FeedCounts:
-    """What came in and went out.
+    """Messages of the node, in and out.
 
     Attributes:
-        packets: Event packets.
-        lost: Packets missing by their sequence numbers.
+        packets: Event packets received and missing, by their sequence numbers.
         refused: Messages that could not be read.
-        problem: The latest reason for one, empty if there was none.
+        problem: Why the latest of them could not, empty if there was none.
         windows: Slip states published.
-        trajectories: Trajectories published.
+        trajectories: Trajectories sent to the arm.
     """
 
-    packets: int = 0
-    lost: int = 0
+    packets: SequenceCounter = field(default_factory=SequenceCounter)
     refused: int = 0
     problem: str = ''
     windows: int = 0
@@ -351,26 +381,27 @@ class FeedCounts:
 def node_status(
     controller: SlipController, counts: FeedCounts, latest: SlipStep | None, now_s: float
 ) -> tuple[int, str, dict[str, object]]:
-    """Return level, one line for people, and figures by name.
+    """Return level, a one-line summary, and figures by name.
 
     Args:
         controller: The controller.
-        counts: Of the node.
-        latest: The latest window, None before the first.
+        counts: Messages of the node.
+        latest: Result of the latest window, None before the first.
         now_s: Host time [s].
     """
+    slicer = controller.features.slicer
     values: dict[str, object] = {
         'state': controller.interlock.state.name.lower(),
-        'packets': counts.packets,
-        'lost packets': counts.lost,
+        'packets': counts.packets.received,
+        'lost packets': counts.packets.lost,
         'unreadable messages': counts.refused,
         'windows': counts.windows,
-        'skipped windows': controller.features.slicer.skipped_windows,
-        'late events': controller.features.slicer.late_events,
-        'clock restarts': controller.features.slicer.restarts,
+        'skipped windows': slicer.skipped_windows,
+        'late events': slicer.late_events,
+        'clock restarts': slicer.restarts,
         'trajectories': counts.trajectories,
         'advance limit [m]': controller.advance_limit,
-        **{f'{name} age [s]': _age_of(controller, name, now_s) for name in AGES},
+        **{f'{name} age [s]': _age(controller, name, now_s) for name in AGES},
     }
     if latest is not None:
         values |= {
@@ -378,15 +409,15 @@ def node_status(
             'flow threshold [px]': latest.flow_threshold,
             'total advance [m]': latest.total_advance,
         }
-    return *_level(controller, counts, latest, now_s), values
+    return *_summary(controller, counts, latest, now_s), values
 
 
-def _age_of(controller: SlipController, name: str, now_s: float) -> object:
+def _age(controller: SlipController, name: str, now_s: float) -> object:
     age = controller.watch.age(name, now_s)
     return age if math.isfinite(age) else 'never'
 
 
-def _level(
+def _summary(
     controller: SlipController, counts: FeedCounts, latest: SlipStep | None, now_s: float
 ) -> tuple[int, str]:
     if controller.interlock.state is InterlockState.STOPPED:
@@ -394,7 +425,7 @@ def _level(
     if latest is None:
         problem = counts.problem or 'check that the driver runs'
         return WARN, f'no events yet: {problem}'
-    if not controller.judge.learned:
+    if not controller.detectors.learned:
         return WARN, 'learning the background: keep the contact still'
     if controller.enabled:
         return OK, 'enabled'

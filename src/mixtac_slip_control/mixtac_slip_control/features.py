@@ -25,45 +25,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_events.arrays import Events
+    from mixtac_slip_control.parameters import SlipControlParameters
 
 
 BIN: Final = 2
 """Pixels along a bin of the gradient: bead edges are wider, and noise is halved."""
 LOG_FLOOR: Final = 0.05
-"""Added to the relative intensity before the logarithm: dark pixels say little."""
+"""Added to the relative intensity before the logarithm, so that dark pixels count little."""
 RIDGE: Final = 1e-3
 """Regularisation over the mean of the normal matrix' diagonal."""
 MODES: Final = 3
 """Translation along x and y, and pressing."""
-
-
-@dataclass(frozen=True, slots=True)
-class GuideSettings:
-    """The fields of motion.
-
-    Attributes:
-        width: Columns of the sensor.
-        height: Rows.
-        centre_px: Contact, column and row; None for the middle of the array.
-        reach_px: Distance from the contact over which motion falls to 1/e.
-    """
-
-    width: int = 346
-    height: int = 260
-    centre_px: tuple[float, float] | None = None
-    reach_px: float = 90.0
-
-    def __post_init__(self) -> None:
-        """Refuse sizes without a meaning.
-
-        Raises:
-            SlipControlError: A size or reach that is not positive.
-        """
-        if min(self.width, self.height) < 4 * BIN or not self.reach_px > 0.0:
-            raise SlipControlError(
-                f'sensor of {self.width} x {self.height} px, reach {self.reach_px:g} px: give the '
-                'size of the camera and a positive reach'
-            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,15 +57,15 @@ class FlowGuide:
 class GuideMaker:
     """Makes guides of frames; holds scratch memory, so one per thread.
 
+    The size of the sensor is that of the frames.
+
     Args:
-        settings: The fields of motion.
+        parameters: Where the contact is in the image.
     """
 
-    def __init__(self, settings: GuideSettings | None = None) -> None:
-        self._settings = settings or GuideSettings()
-        self._shape = (self._settings.height // BIN, self._settings.width // BIN)
-        self._work = [np.empty(self._shape, np.float32) for _ in range(4)]
-        self._away_x, self._away_y, self._weight = _geometry(self._settings, self._shape)
+    def __init__(self, parameters: SlipControlParameters) -> None:
+        self.parameters = parameters
+        self._size = (0, 0)
 
     def make(self, image: NDArray[np.uint8] | NDArray[np.uint16], frame_us: int) -> FlowGuide:
         """Return the guide of a frame.
@@ -103,40 +75,43 @@ class GuideMaker:
             frame_us: Centre of its exposure, camera clock [us].
 
         Raises:
-            SlipControlError: Another size than the sensor's.
+            SlipControlError: An image that is too small or has more than one channel.
         """
-        expected = (self._settings.height, self._settings.width)
-        if image.shape != expected:
-            raise SlipControlError(
-                f'image of shape {image.shape}: slip control reads {expected}; set the camera to '
-                'full resolution'
-            )
+        if image.shape != self._size:
+            self._resize(image.shape)
         binned, logs, along_x, along_y = self._work
         bin_mean(image, BIN, binned)
         log_contrast(binned, LOG_FLOOR, logs)
         gradients(logs, BIN, along_x, along_y)
-        fields = np.empty((MODES, *self._shape), np.float32)
+        fields = np.empty((MODES, *binned.shape), np.float32)
         np.multiply(along_x, self._weight, out=fields[0])
         np.multiply(along_y, self._weight, out=fields[1])
         np.multiply(fields[0], self._away_x, out=fields[2])
         fields[2] += fields[1] * self._away_y
         return FlowGuide(fields, _solver(fields), int(frame_us))
 
-
-def _geometry(
-    settings: GuideSettings, shape: tuple[int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Return the way from the contact along x and y over the reach, and the weight, per bin."""
-    column, row = settings.centre_px or (settings.width / 2.0, settings.height / 2.0)
-    across = (BIN * np.arange(shape[1]) + 0.5 * (BIN - 1) - column) / settings.reach_px
-    down = (BIN * np.arange(shape[0]) + 0.5 * (BIN - 1) - row) / settings.reach_px
-    away_x, away_y = np.meshgrid(across, down)
-    weight = np.exp(-(away_x**2 + away_y**2))
-    return (
-        away_x.astype(np.float32),
-        away_y.astype(np.float32),
-        weight.astype(np.float32),
-    )
+    def _resize(self, size: tuple[int, ...]) -> None:
+        """Make scratch memory and the geometry of the contact for images [height, width]."""
+        if len(size) != 2 or min(size) < 4 * BIN:
+            raise SlipControlError(
+                f'image of shape {size}: slip control needs grey images of at least '
+                f'{4 * BIN} x {4 * BIN} pixels'
+            )
+        height, width = size
+        shape = (height // BIN, width // BIN)
+        p = self.parameters
+        column = p.contact_column if p.contact_column >= 0.0 else width / 2.0
+        row = p.contact_row if p.contact_row >= 0.0 else height / 2.0
+        # 90 px on the DAVIS346, for which it was chosen; the same part of any other image.
+        reach = p.contact_reach or 9.0 * min(size) / 26.0
+        across = (BIN * np.arange(shape[1]) + 0.5 * (BIN - 1) - column) / reach
+        down = (BIN * np.arange(shape[0]) + 0.5 * (BIN - 1) - row) / reach
+        away_x, away_y = np.meshgrid(across, down)
+        weight = np.exp(-(away_x**2 + away_y**2))
+        self._away_x, self._away_y = away_x.astype(np.float32), away_y.astype(np.float32)
+        self._weight = weight.astype(np.float32)
+        self._work = [np.empty(shape, np.float32) for _ in range(4)]
+        self._size = (height, width)
 
 
 def _solver(fields: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -155,7 +130,7 @@ def window_sums(
     fields: NDArray[np.float32],
     bin_size: int,
     sums: NDArray[np.float64],
-) -> int:
+) -> None:
     """Write the signed sums of the fields over some events; events outside are left out.
 
     Args:
@@ -165,29 +140,22 @@ def window_sums(
         fields: Of a `FlowGuide`, float32 [modes, rows, columns] of bins.
         bin_size: Pixels along a bin.
         sums: Written, float64 [modes].
-
-    Returns:
-        Number of ON events.
     """
     modes, rows, columns = fields.shape
-    on = 0
     sums[:] = 0.0
     for index in range(x.shape[0]):
-        brighter = polarity[index]
-        on += brighter
         row, column = y[index] // bin_size, x[index] // bin_size
         if row >= rows or column >= columns:
             continue
-        sign = 1.0 if brighter else -1.0
+        sign = 1.0 if polarity[index] else -1.0
         for mode in range(modes):
             sums[mode] += sign * fields[mode, row, column]
-    return on
 
 
 MAX_EMPTY_RUN: Final = 20
-"""After a gap only this many empty windows are handed out: old news helps nobody."""
+"""Most empty windows that are returned after a gap; older ones are skipped."""
 STALE_GUIDE_US: Final = 500_000
-"""A frame older than this guides no more."""
+"""A frame older than this is not used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,17 +165,15 @@ class SlipWindow:
     Attributes:
         end_us: Its end, camera clock [us].
         count: Events in it.
-        on: ON events in it.
         flow_x: Translation of the skin at the contact to the right [px per contrast threshold].
-        flow_y: The same downwards.
-        pressing: Motion away from the contact, at the reach of the guide, same unit.
-        guided: Whether a frame was there to tell motion by; else the three above are 0.
+        flow_y: Translation of the skin at the contact downwards, same unit.
+        pressing: Motion away from the contact, at its reach, same unit.
+        guided: Whether a recent frame was there to measure motion with; else the three above are 0.
         complete: False where packets of the window were lost.
     """
 
     end_us: int
     count: int
-    on: int
     flow_x: float
     flow_y: float
     pressing: float
@@ -219,30 +185,52 @@ class SlipFeatures:
     """Cuts an event stream into windows and computes their features.
 
     Args:
-        window_us: Width of a window [us].
-        settings: Of the guides that will come.
+        parameters: Width of a window, and where the contact is in the image.
 
     Attributes:
         slicer: Counts what was late, skipped or restarted.
     """
 
-    def __init__(self, window_us: int = 1000, settings: GuideSettings | None = None) -> None:
-        shape = settings or GuideSettings()
-        self.slicer = WindowSlicer(window_us, max_empty_run=MAX_EMPTY_RUN)
+    def __init__(self, parameters: SlipControlParameters) -> None:
+        self.slicer = WindowSlicer(parameters.window_us, max_empty_run=MAX_EMPTY_RUN)
+        self._maker = GuideMaker(parameters)
         self._guide: FlowGuide | None = None
-        self._blank = np.zeros((MODES, shape.height // BIN, shape.width // BIN), np.float32)
+        self._size: tuple[int, int] | None = None
+        # Without a frame every event lies outside the fields, and the sums stay 0.
+        self._blank = np.zeros((MODES, 1, 1), np.float32)
         self._sums = np.zeros(MODES)
         self._lost_until_us = 0
-        self.warm_up()
 
     def warm_up(self) -> None:
-        """Compile (or load) the kernel."""
+        """Compile (or load) the kernels, for frames of 8 and of 16 bits."""
         none16, none = np.empty(0, np.uint16), np.empty(0, np.bool_)
         window_sums(none16, none16, none, self._blank, BIN, self._sums)
+        maker = GuideMaker(self._maker.parameters)
+        for bits in (np.uint8, np.uint16):
+            maker.make(np.ones((4 * BIN, 4 * BIN), bits), 0)
 
-    def guide(self, guide: FlowGuide | None) -> None:
-        """Use a frame's guide from now on; None goes on without."""
-        self._guide = guide
+    def resize(self, width: int, height: int) -> None:
+        """Set the size of the sensor, as its event packets state it."""
+        if self._size != (height, width):
+            self._size = (height, width)
+            self._guide = None
+
+    def frame(self, image: NDArray[np.uint8] | NDArray[np.uint16], frame_us: int) -> None:
+        """Measure motion by a frame from now on.
+
+        Args:
+            image: Intensity [height, width], any number of bits.
+            frame_us: Centre of its exposure, camera clock [us].
+
+        Raises:
+            SlipControlError: Too small, or of another size than the events.
+        """
+        if self._size is not None and image.shape != self._size:
+            raise SlipControlError(
+                f'frames of shape {image.shape}, events of a sensor of {self._size} rows and '
+                'columns: set the camera to full resolution'
+            )
+        self._guide = self._maker.make(image, frame_us)
 
     def lost_before(self, time_us: int) -> None:
         """Note that events before a time (camera clock [us]) are missing."""
@@ -264,12 +252,11 @@ class SlipFeatures:
         guide = self._guide
         fresh = guide is not None and abs(end_us - guide.frame_us) <= STALE_GUIDE_US
         fields = guide.fields if guide is not None and fresh else self._blank
-        on = window_sums(events.x, events.y, events.polarity, fields, BIN, self._sums)
+        window_sums(events.x, events.y, events.polarity, fields, BIN, self._sums)
         motion = -(guide.solver @ self._sums) if guide is not None and fresh else self._sums
         return SlipWindow(
             end_us=end_us,
             count=len(events),
-            on=int(on),
             flow_x=float(motion[0]),
             flow_y=float(motion[1]),
             pressing=float(motion[2]),

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -25,24 +25,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-class Planner(Protocol):
-    """What the controller needs of `arm.advance_planner.AdvancePlanner`."""
-
-    def reset(self, q: NDArray[np.float64], normal: NDArray[np.float64] | None = None) -> None:
-        """Start over with advance zero at joint positions [rad]."""
-
-    def plan(
-        self, now_s: float, advance_m: float, normal: NDArray[np.float64]
-    ) -> PlannedTrajectory | None:
-        """Return the trajectory to an advance [m], or None where nothing is to be sent."""
-
-    def stop(self, now_s: float) -> PlannedTrajectory | None:
-        """Return the trajectory that brakes, or None at rest."""
-
-    def advance_at(self, t_s: float) -> float:
-        """Return the advance commanded at a time [m]."""
-
-
 @dataclass(frozen=True, slots=True)
 class StreamSettings:
     """Settings of the advance planner.
@@ -57,8 +39,7 @@ class StreamSettings:
         spacing_s: Time between points [s].
         share: Of the joints' rate limits that may be used; the rest is reserve.
         max_speed: Largest speed of the tip [m/s].
-        max_advance: Largest advance since the reset [m].
-        min_change: Changes of the target below this are waited with [m].
+        min_change: Smaller changes of the target are not sent [m].
         history_s: How long past advances are remembered [s].
     """
 
@@ -68,7 +49,6 @@ class StreamSettings:
     spacing_s: float = 1e-3
     share: float = 0.95
     max_speed: float = 0.25
-    max_advance: float = 0.02
     min_change: float = 1e-7
     history_s: float = 0.25
 
@@ -86,16 +66,15 @@ class StreamSettings:
             raise ArmError(f'spacing_s = {self.spacing_s}: give 0.0002 to 0.01 s')
         if not 0.0 < self.share <= 1.0:
             raise ArmError(f'share = {self.share}: give more than 0, at most 1')
-        if self.max_speed == 0.0 or not 0.0 < self.max_advance <= 0.1:
-            raise ArmError(
-                f'max_speed = {self.max_speed} m/s, max_advance = {self.max_advance} m: give a '
-                'speed above 0 and an advance above 0, at most 0.1 m'
-            )
+        if self.max_speed == 0.0:
+            raise ArmError(f'max_speed = {self.max_speed} m/s: give a speed above 0')
 
 
-PATH_MARGIN = 1e-3
-"""By which the path is longer than any target at both ends [m]: room to turn round in."""
-SAME_NORMAL = 1e-3
+MAX_ADVANCE: Final = 0.02
+"""Largest advance since a reset where none is given [m]; the largest `max_total`."""
+PATH_MARGIN: Final = 1e-3
+"""By which the path is longer than any target at both ends [m]: room to reverse."""
+SAME_NORMAL: Final = 1e-3
 """Largest difference between unit normals that count as the same."""
 
 
@@ -133,6 +112,7 @@ class AdvancePlanner:
         self._q: Floats | None = None
         self._path: NormalPath | None = None
         self._motion: MotionLimits | None = None
+        self._max_advance = MAX_ADVANCE
         self._clear()
 
     @property
@@ -150,7 +130,9 @@ class AdvancePlanner:
         """Advance at which the last trajectory ends [m]."""
         return float(self._states[-1, 0])
 
-    def reset(self, q: Floats, normal: Floats | None = None) -> None:
+    def reset(
+        self, q: Floats, normal: Floats | None = None, max_advance: float = MAX_ADVANCE
+    ) -> None:
         """Start over with advance zero, at rest.
 
         Args:
@@ -158,11 +140,15 @@ class AdvancePlanner:
                 measured. `settling_trajectory` makes the two equal.
             normal: Direction of the advance (3,) in the base frame; given here, the first `plan`
                 need not compute the path.
+            max_advance: Largest advance that will be asked for [m].
 
         Raises:
-            ArmError: Joint positions or a normal that are none.
+            ArmError: Joint positions, a normal or a largest advance that are none.
             UnreachableError: `max_advance` leaves the arm's reach or its joints' ranges.
         """
+        if not 0.0 <= max_advance <= 0.1:
+            raise ArmError(f'max_advance = {max_advance} m: give 0 to 0.1 m')
+        self._max_advance = max_advance
         self._q = self._arm.checked(q).copy()
         self._path = self._motion = None
         self._clear()
@@ -179,10 +165,6 @@ class AdvancePlanner:
         if self._q is None:
             raise ArmError('the advance has no start: reset the planner with joint positions')
         return self._q
-
-    def restart(self) -> None:
-        """Start over from the joint positions and with the path of the last reset."""
-        self._clear()
 
     def plan(self, now_s: float, advance_m: float, normal: Floats) -> PlannedTrajectory | None:
         """Return the trajectory to a new target, or None where nothing new is to be sent.
@@ -203,10 +185,10 @@ class AdvancePlanner:
         path, motion = self._ready(normal)
         if not math.isfinite(advance_m) or not math.isfinite(now_s):
             raise ArmError(f'advance {advance_m} m at {now_s} s: give finite numbers')
-        if not -1e-9 <= advance_m <= self.settings.max_advance + 1e-9:
+        if not -1e-9 <= advance_m <= self._max_advance + 1e-9:
             raise UnreachableError(
                 f'an advance of {advance_m * 1e3:.3f} mm is outside 0 to '
-                f'{self.settings.max_advance * 1e3:g} mm: limit it before, or raise max_advance'
+                f'{self._max_advance * 1e3:g} mm: limit it, or reset the planner for more'
             )
         now_ns = self._advance_clock(now_s)
         if abs(advance_m - self.target) < self.settings.min_change or not self._due(now_ns):
@@ -216,17 +198,21 @@ class AdvancePlanner:
     def stop(self, now_s: float) -> PlannedTrajectory | None:
         """Return the trajectory that brakes as soon and as fast as the limits allow.
 
-        None where the arm rests or the last trajectory brings it to rest as soon.
+        None where the arm rests or the last trajectory brings it to rest as soon. A clock that was
+        set back is no obstacle: the motion is ended from where the arm is by the new time, or, if
+        that is no longer remembered, from the oldest time that is.
 
         Args:
             now_s: Present time [s].
 
         Raises:
-            ArmError: A time that is not finite or runs backwards.
+            ArmError: A time that is not finite.
         """
         if self._path is None or self._motion is None or self._epoch_ns is None:
             return None
-        now_ns = self._advance_clock(now_s)
+        oldest_ns = self._epoch_ns + (self._first + self._overlap) * self._dt_ns
+        self._now_ns = min(self._now_ns, max(self._checked_ns(now_s), oldest_ns))
+        now_ns = self._advance_clock(max(now_s, 1e-9 * self._now_ns))
         start = self._at(self._branch(now_ns))
         if start[1] == 0.0 and start[2] == 0.0:
             return None
@@ -240,6 +226,13 @@ class AdvancePlanner:
         """Return the advance [m] that is commanded at a time [s]."""
         return self._sample(t_s)[0]
 
+    def moving(self, now_s: float) -> bool:
+        """Return whether the arm is commanded to move, now or later [s]."""
+        if self._epoch_ns is None:
+            return False
+        start_s = (self._epoch_ns + self._first * self._dt_ns) * 1e-9
+        return start_s <= now_s < start_s + (len(self._states) - 1) * self._dt
+
     def advance_velocity_at(self, t_s: float) -> float:
         """Return the velocity of the advance [m/s] that is commanded at a time [s]."""
         return self._sample(t_s)[1]
@@ -252,7 +245,7 @@ class AdvancePlanner:
         self._sent_ns: int | None = None
 
     def _prepare(self, q: Floats, normal: Floats) -> tuple[NormalPath, MotionLimits]:
-        high = self.settings.max_advance + PATH_MARGIN
+        high = self._max_advance + PATH_MARGIN
         path = fit_normal_path(self._arm, self._limits, q, normal, -PATH_MARGIN, high)
         motion = path.limits(self._limits, self.settings.share, self.settings.max_speed)
         self._path, self._motion = path, motion
@@ -272,9 +265,7 @@ class AdvancePlanner:
         return self._path, self._motion
 
     def _advance_clock(self, now_s: float) -> int:
-        if not math.isfinite(now_s):
-            raise ArmError(f'time {now_s} s: give a finite number')
-        now_ns = round(now_s * 1e9)
+        now_ns = self._checked_ns(now_s)
         if self._epoch_ns is None:
             self._epoch_ns = now_ns // self._dt_ns * self._dt_ns
         elif now_ns < self._now_ns:
@@ -283,6 +274,12 @@ class AdvancePlanner:
             )
         self._now_ns = now_ns
         return now_ns
+
+    @staticmethod
+    def _checked_ns(now_s: float) -> int:
+        if not math.isfinite(now_s):
+            raise ArmError(f'time {now_s} s: give a finite number')
+        return round(now_s * 1e9)
 
     def _due(self, now_ns: int) -> bool:
         interval_ns = round(self.settings.interval_s * 1e9)
