@@ -157,7 +157,9 @@ class SlipController:
                 `ADJUSTABLE_WHILE_ENABLED` changes.
         """
         old = self._parameters
-        changed = {f.name for f in fields(old) if getattr(parameters, f.name) != getattr(old, f.name)}
+        changed = {
+            f.name for f in fields(old) if getattr(parameters, f.name) != getattr(old, f.name)
+        }
         fixed = sorted(changed - ADJUSTABLE_WHILE_ENABLED)
         if self.enabled and fixed:
             raise SlipControlError(

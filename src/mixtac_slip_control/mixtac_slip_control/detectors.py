@@ -56,8 +56,10 @@ class Background:
     def __init__(self, parameters: SlipControlParameters, resolution: float = 1.0) -> None:
         self._resolution = resolution
         self._first: list[float] = []
+        self.median = self.start = 0.0
+        self.scale = resolution
+        self.learned = False
         self.configure(parameters)
-        self.reset()
 
     @property
     def threshold(self) -> float:
@@ -69,7 +71,7 @@ class Background:
         self._parameters = parameters
         ratio, shape = TAIL / parameters.alarm_probability, parameters.tail_shape
         # Distance of the threshold from the start of the tail, in scales.
-        self._reach = math.log(ratio) if shape == 0.0 else (ratio**shape - 1.0) / shape
+        self._reach = math.log(ratio) if shape == 0.0 else (math.pow(ratio, shape) - 1.0) / shape
 
     def update(self, value: float) -> None:
         """Learn from a window at rest."""

@@ -206,8 +206,8 @@ class SlipFeatures:
         none16, none = np.empty(0, np.uint16), np.empty(0, np.bool_)
         window_sums(none16, none16, none, self._blank, BIN, self._sums)
         maker = GuideMaker(self._maker.parameters)
-        for bits in (np.uint8, np.uint16):
-            maker.make(np.ones((4 * BIN, 4 * BIN), bits), 0)
+        maker.make(np.ones((4 * BIN, 4 * BIN), np.uint8), 0)
+        maker.make(np.ones((4 * BIN, 4 * BIN), np.uint16), 0)
 
     def resize(self, width: int, height: int) -> None:
         """Set the size of the sensor, as its event packets state it."""

@@ -195,8 +195,6 @@ class Advance:
         bound.update_probe(limit - self._law.total)
         force = None if probe.active else bound.stiffness.present
         room = limit - probe.advance
-        self._law.update(
-            count, detectors.law_threshold, force, room, slipping=detectors.slipping
-        )
+        self._law.update(count, detectors.law_threshold, force, room, slipping=detectors.slipping)
         self._limit = max(limit, 0.0)
         return self.total - before

@@ -106,8 +106,7 @@ class SlipControlParameters:
     )
     workspace: str = parameter(
         '-0.8 0.8 -0.8 0.8 0.0 1.2',
-        'Allowed region of the last link: limits of a box along x, y and z of the base frame '
-        '[m].',
+        'Allowed region of the last link: limits of a box along x, y and z of the base frame [m].',
         read_only=True,
     )
     settling_time: float = parameter(

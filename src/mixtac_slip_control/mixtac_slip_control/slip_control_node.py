@@ -12,10 +12,8 @@ import dataclasses
 import sys
 from typing import TYPE_CHECKING, Any
 
-from event_camera_msgs.msg import EventPacket
-from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -24,72 +22,96 @@ from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError
 from mixtac_msgs.msg import SlipState
-from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR, BaseNode, declare, run
+from mixtac_node import topics
+from mixtac_node.base_node import QOS_SENSOR, BaseNode, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
 from mixtac_node.images import grey
 from mixtac_node.stamps import stamp_to_us, us_to_stamp
-from mixtac_slip_control.arm.model import JointOrder, make_arm
+from mixtac_slip_control.arm.backends import TRAJECTORY, TrajectoryBackend, open_backend
+from mixtac_slip_control.arm.model import make_arm
 from mixtac_slip_control.arm.trajectory import TrajectoryMessage
 from mixtac_slip_control.controller import FeedCounts, SlipController, SlipStep, node_status
-from mixtac_slip_control.features import GuideMaker
-from mixtac_slip_control.parameters import SlipControlParameters, slip_settings
+from mixtac_slip_control.errors import BackendError
+from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.safety import InterlockState
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from event_camera_msgs.msg import EventPacket
+    from geometry_msgs.msg import WrenchStamped
+    from sensor_msgs.msg import Image
+
+    from mixtac_slip_control.arm.backends import ArmBackend
+    from mixtac_slip_control.arm.model import ArmParts
     from mixtac_slip_control.arm.trajectory import PlannedTrajectory
-    from mixtac_slip_control.parameters import SlipSettings
 
 
 STEP_FIELDS = tuple(f.name for f in dataclasses.fields(SlipStep) if f.name != 'end_us')
 WATCH_PERIOD_S = 5e-3
-"""How often the watchdogs look where nothing arrives [s]."""
+"""Period of the watchdogs while nothing arrives [s]."""
 
 
 class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
-    """Wires the slip controller to topics and services."""
+    """Connects the slip controller with topics, services and the arm."""
 
     def __init__(self) -> None:
         super().__init__('slip_control')
-        self._settings = declare(self, SlipControlParameters, self._apply)
-        settings = _settings(self._settings)
-        arm = self._arm = make_arm(self._settings)
-        self._trajectory = TrajectoryMessage(JointTrajectory, JointTrajectoryPoint)
-        self._joints = JointOrder(arm.arm.names if arm else ())
+        p = self._settings = declare(self, SlipControlParameters, self._apply)
+        arm = self._arm = make_arm(p)
         self._controller = (
-            SlipController(settings)
+            SlipController(p)
             if arm is None
-            else SlipController(settings, arm.planner, arm.normal, arm.check)
+            else SlipController(p, arm.planner, arm.normal, arm.check)
         )
-        self._guides = GuideMaker(settings.guide)
-        self._sequence: int | None = None
         self._latest: SlipStep | None = None
         self._counts = FeedCounts()
         self._moving = False
         warm_up()
-        self._wire()
-        self._diagnostics = DiagnosticsPublisher(self, 'slip_control', self._status)
-
-    def _wire(self) -> None:
-        parameters = self._settings
-        self._slip = self.create_publisher(SlipState, 'slip', QOS_FORCE)
+        self._controller.features.warm_up()
+        self._backend = None if arm is None else self._open_backend(arm)
+        self._arm_stamp_s: float | None = None
+        self._slip = self.publish_topic(topics.SLIP)
         self._message = SlipState()
-        topic = parameters.trajectory_topic
-        self._trajectories = self.create_publisher(JointTrajectory, topic, 10)
+        self._message.header.frame_id = p.frame_id
         self.create_service(SetBool, '~/enable', self._on_enable)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/tare', self._on_tare)
-        self.create_subscription(EventPacket, 'events', self._on_events, QOS_EVENTS)
-        self.create_subscription(Image, 'image_raw', self._on_image, QOS_SENSOR)
-        self.create_subscription(WrenchStamped, 'force', self._on_force, QOS_FORCE)
-        self.create_subscription(
-            JointState, parameters.joint_state_topic, self._on_joints, QOS_SENSOR
-        )
-        self.create_subscription(Empty, parameters.heartbeat_topic, self._on_heartbeat, QOS_SENSOR)
+        self.subscribe_topic(topics.EVENTS, self._on_events)
+        self.subscribe_topic(topics.IMAGE_RAW, self._on_image)
+        self.subscribe_topic(topics.FORCE, self._on_force)
+        self.create_subscription(Empty, p.heartbeat_topic, self._on_heartbeat, QOS_SENSOR)
         self.create_timer(WATCH_PERIOD_S, self._watch)
+        self._diagnostics = DiagnosticsPublisher(self, 'slip_control', self._status)
+
+    def _open_backend(self, arm: ArmParts) -> ArmBackend:
+        p = self._settings
+        if p.arm_backend != TRAJECTORY:
+            if self.get_parameter('use_sim_time').value:
+                raise BackendError(
+                    f'arm_backend {p.arm_backend} runs on the clock of the host',
+                    remedy='set use_sim_time to false',
+                )
+            return open_backend(p, arm.arm)
+        publisher = self.create_publisher(JointTrajectory, p.trajectory_topic, 10)
+        message = TrajectoryMessage(JointTrajectory, JointTrajectoryPoint)
+        backend = TrajectoryBackend(arm.arm.names, lambda t: publisher.publish(message.fill(t)))
+
+        def on_joints(joints: JointState) -> None:
+            if backend.on_joint_state(joints.name, joints.position, self._now_s()):
+                self._read_arm()
+                self._brake()
+
+        self.create_subscription(JointState, p.joint_state_topic, on_joints, QOS_SENSOR)
+        return backend
+
+    def close(self) -> None:
+        """Bring the arm to rest and release it."""
+        if self._backend is not None:
+            self._backend.stop()
 
     def _apply(self, parameters: SlipControlParameters) -> None:
-        self._controller.configure(_settings(parameters))
+        self._controller.configure(parameters)
         self._settings = parameters
 
     def _now_s(self) -> float:
@@ -102,20 +124,17 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             self._refuse(str(error))
             return
         now_s = self._now_s()
-        lost = self._missing(message.seq)
-        steps = self._controller.on_events(packet.events, packet.complete_until, now_s, lost=lost)
+        packets = self._counts.packets
+        packets.update(message.seq)
+        self._controller.features.resize(message.width, message.height)
+        steps = self._controller.on_events(
+            packet.events, packet.complete_until, now_s, lost=not packets.continuous
+        )
         self._send(self._controller.plan(now_s))
         self._moving = self._moving or self._controller.enabled
         for step in steps:
             self._publish(step)
         self._brake()
-
-    def _missing(self, sequence: int) -> bool:
-        missing = 0 if self._sequence is None else sequence - self._sequence - 1
-        self._sequence = sequence
-        self._counts.packets += 1
-        self._counts.lost += max(missing, 0)
-        return missing != 0
 
     def _refuse(self, problem: str) -> None:
         self._counts.refused += 1
@@ -124,9 +143,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
 
     def _on_image(self, message: Image) -> None:
         try:
-            self._controller.guide(
-                self._guides.make(grey(message), stamp_to_us(message.header.stamp))
-            )
+            self._controller.features.frame(grey(message), stamp_to_us(message.header.stamp))
         except MixtacError as error:
             self._refuse(str(error))
 
@@ -135,26 +152,38 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._controller.on_force(message.wrench.force.z, stamp_us, self._now_s())
         self._brake()
 
-    def _on_joints(self, message: JointState) -> None:
-        positions = self._joints.pick(message.name, message.position)
-        if positions:
-            self._controller.on_joint_state(positions, self._now_s())
-            self._brake()
-
     def _on_heartbeat(self, _message: Empty) -> None:
         self._controller.on_heartbeat(self._now_s())
 
     def _watch(self) -> None:
         now_s = self._now_s()
+        self._read_arm()
         self._controller.tick(now_s)
         # Without events nothing is planned; a target that waited for its turn still goes out.
         self._send(self._controller.plan(now_s))
         self._brake()
 
-    def _send(self, trajectory: PlannedTrajectory | None) -> None:
-        if trajectory is None:
+    def _read_arm(self) -> None:
+        """Hand a new state of the arm to the controller; a fault of the arm stops."""
+        if self._backend is None:
             return
-        self._trajectories.publish(self._trajectory.fill(trajectory))
+        try:
+            state = self._backend.state()
+        except BackendError as error:
+            self._controller.interlock.stop(str(error))
+            return
+        if state is not None and state.stamp_s != self._arm_stamp_s:
+            self._arm_stamp_s = state.stamp_s
+            self._controller.on_joint_state(state.q.tolist(), self._now_s())
+
+    def _send(self, trajectory: PlannedTrajectory | None) -> None:
+        if trajectory is None or self._backend is None:
+            return
+        try:
+            self._backend.send(trajectory)
+        except BackendError as error:
+            self._controller.interlock.stop(str(error))
+            return
         self._counts.trajectories += 1
 
     def _brake(self) -> None:
@@ -178,51 +207,57 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._counts.windows += 1
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if not request.data:
-            return self._answer(response, self._disable, 'slip control disabled')
-        return self._answer(response, self._enable, 'slip control enabled')
+        action = self._enable if request.data else self._disable
+        return self._answer(response, action)
 
-    def _enable(self) -> None:
-        now_s = self._now_s()
-        self._controller.enable(now_s)
+    def _enable(self) -> str:
+        now_s, settling_s = self._now_s(), self._settings.settling_time
+        state = self._backend.state() if self._backend is not None else None
+        if state is None or state.commanded is not None:
+            commanded = None if state is None else state.commanded
+            self._controller.enable(now_s, commanded=commanded)
+        elif not self._controller.enabled:
+            self._controller.enable(now_s, settling_s=settling_s)
+            if self._arm is not None:
+                self._send(self._arm.settling(state.q, now_s, settling_s))
         self._moving = True
-        joints = self._controller.watch.joints
-        if self._arm is not None and joints is not None:
-            self._send(self._arm.settling(joints, now_s, self._settings.settling_time))
+        return 'slip control enabled'
 
-    def _disable(self) -> None:
+    def _disable(self) -> str:
         self._controller.disable()
         self._brake()
+        return 'slip control disabled'
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        def reset() -> None:
+        def reset() -> str:
+            stopped = self._controller.interlock.state is InterlockState.STOPPED
             self._controller.reset(self._now_s())
+            what = 'stop reset' if stopped else 'nothing to reset'
+            return f'{what}; slip control is disabled'
 
-        return self._answer(response, reset, 'stop reset; slip control is disabled')
+        return self._answer(response, reset)
 
     def _on_tare(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        seconds = self._settings.learning_time
-        text = f'learning the background: keep the contact still for {seconds:g} s'
-        return self._answer(response, self._controller.tare, text)
+        def tare() -> str:
+            self._controller.tare()
+            seconds = self._settings.learning_time
+            return f'learning the background: keep the contact still for {seconds:g} s'
+
+        return self._answer(response, tare)
 
     @staticmethod
-    def _answer(response: Any, action: Callable[[], None], text: str) -> Any:  # noqa: ANN401
+    def _answer(response: Any, action: Callable[[], str]) -> Any:  # noqa: ANN401
         try:
-            action()
+            response.message = action()
         except MixtacError as error:
             response.success, response.message = False, str(error)
         else:
-            response.success, response.message = True, text
+            response.success = True
         return response
 
     def _status(self) -> Status:
         now_s = self._now_s()
         return Status(*node_status(self._controller, self._counts, self._latest, now_s))
-
-
-def _settings(parameters: SlipControlParameters) -> SlipSettings:
-    """Return the settings for an arm whose controller may be off its measured positions."""
-    return dataclasses.replace(slip_settings(parameters), settling_s=parameters.settling_time)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -9,6 +9,22 @@ from typing import Any
 import numpy as np
 
 from mixtac_slip_control.features import SlipWindow
+from mixtac_slip_control.parameters import SlipControlParameters
+
+LEARNED = 200
+"""Windows in which `parameters` learn the background."""
+
+
+def parameters(**changes: Any) -> SlipControlParameters:
+    """Parameters that learn fast and answer each window by itself, as the paper's law does."""
+    chosen: dict[str, Any] = {
+        'learning_time': 1e-3 * LEARNED,
+        'false_alarms_per_hour': 0.36,
+        'gain': 0.7,
+        'memory_time': 0.0,
+        'max_step': 5e-5,
+    }
+    return SlipControlParameters(**{**chosen, **changes})
 
 
 def window(
@@ -19,7 +35,7 @@ def window(
     guided: bool = True,
     complete: bool = True,
 ) -> SlipWindow:
-    return SlipWindow(1000 * (index + 1), count, count // 2, *flow, 0.0, guided, complete)
+    return SlipWindow(1000 * (index + 1), count, *flow, 0.0, guided, complete)
 
 
 def quiet_windows(number: int, seed: int = 0) -> list[SlipWindow]:
@@ -41,9 +57,15 @@ class FakePlanner:
         self.stopped = 0
         self.velocity = 0.0
         self.error: Exception | None = None
+        self.moves = False
+        self.max_advance = 0.0
 
-    def reset(self, q: Any, normal: Any = None) -> None:
+    def reset(self, q: Any, normal: Any = None, max_advance: float = 0.02) -> None:
         self.resets.append((tuple(q), tuple(normal)))
+        self.max_advance = max_advance
+
+    def moving(self, now_s: float) -> bool:
+        return self.moves
 
     def plan(self, now_s: float, advance_m: float, normal: Any) -> Any:
         if self.error is not None:
@@ -52,6 +74,8 @@ class FakePlanner:
         return (now_s, advance_m)
 
     def stop(self, now_s: float) -> Any:
+        if self.error is not None:
+            raise self.error
         self.stopped += 1
         return (now_s, 'stop')
 

@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.safety import Interlock, InterlockState, SafetySettings, SafetyWatch
+from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.safety import Interlock, InterlockState, SafetyWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+PARAMETERS = SlipControlParameters()
 NOW = 1_700_000_000.0
 READY = (0.0, -0.8, 0.0, -2.3, 0.0, 1.6, 0.8)
 
 
 def heard(now_s: float = NOW) -> SafetyWatch:
-    watch = SafetyWatch(check_state=lambda q: 'joint 1 is at its end' if q[0] > 2.0 else None)
+    watch = SafetyWatch(PARAMETERS, lambda q: 'joint 1 is at its end' if q[0] > 2.0 else None)
     watch.on_window(30, complete=True, now_s=now_s)
     watch.on_force(0.5, 1000, now_s)
     watch.on_joint_state(READY, now_s)
@@ -57,7 +59,7 @@ def test_each_input_is_watched_by_its_own_age(name: str, age: float) -> None:
 
 @pytest.mark.parametrize('name', ['events', 'force', 'joint states', 'heartbeat'])
 def test_an_input_never_heard_of_stops(name: str) -> None:
-    watch = SafetyWatch()
+    watch = SafetyWatch(PARAMETERS)
     refresh(watch, NOW, without=name)
     assert watch.fault(NOW) == f'no {name} so far'
 
@@ -111,17 +113,11 @@ def test_a_clock_that_jumps_stops(now: float) -> None:
 
 
 def test_only_a_new_force_is_news() -> None:
-    watch = SafetyWatch()
+    watch = SafetyWatch(PARAMETERS)
     assert watch.on_force(0.5, 1000, NOW)
     assert not watch.on_force(0.5, 1000, NOW + 0.01)
     assert not watch.on_force(math.nan, 2000, NOW + 0.01)
     assert watch.on_force(0.6, 3000, NOW + 0.02)
-
-
-@pytest.mark.parametrize('bad', [{'max_force': 0.0}, {'max_joint_age': math.nan}])
-def test_settings_that_watch_nothing_are_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(SlipControlError, match='positive'):
-        SafetySettings(**bad)
 
 
 def test_the_interlock_starts_disabled_and_latches_the_first_fault() -> None:
@@ -129,15 +125,16 @@ def test_the_interlock_starts_disabled_and_latches_the_first_fault() -> None:
     assert lock.state is InterlockState.DISABLED
     lock.stop('while disabled')
     assert lock.state is InterlockState.DISABLED
-    with pytest.raises(SlipControlError, match='no heartbeat'):
+    with pytest.raises(SlipControlError):
         lock.enable('no heartbeat so far')
     lock.enable(None)
     assert lock.enabled
     lock.stop('first')
     lock.stop('second')
     assert (lock.state, lock.reason) == (InterlockState.STOPPED, 'first')
-    with pytest.raises(SlipControlError, match=r'first.*reset'):
+    with pytest.raises(SlipControlError) as caught:
         lock.enable(None)
+    assert 'reset' in caught.value.remedy
     lock.disable()
     assert lock.state is InterlockState.STOPPED
     lock.reset()

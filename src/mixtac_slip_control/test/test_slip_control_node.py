@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
 import sys
 import time
@@ -22,6 +24,7 @@ pytest.importorskip('event_camera_msgs.msg', reason='needs the built workspace')
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 pytestmark = pytest.mark.dds
 EPOCH_US = 1_700_000_000_000_000
@@ -30,10 +33,51 @@ NAMES = [f'fr3_joint{k}' for k in range(1, 8)]
 TOPIC = '/fr3_arm_controller/joint_trajectory'
 
 
+# An arm backend of another package: it writes down what it is sent, and fails where it is told to.
+BACKEND = """
+import json, time
+from pathlib import Path
+import numpy as np
+from mixtac_slip_control.arm.backends import ArmState
+from mixtac_slip_control.errors import BackendError
+
+HERE = Path(__file__).parent
+
+class Arm:
+    def __init__(self, parameters, arm):
+        self.log = (HERE / 'log').open('a', buffering=1)
+
+    def state(self):
+        if (HERE / 'broken').exists():
+            raise BackendError('the arm is broken')
+        q = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
+        return ArmState(time.time(), q, np.zeros(7), q + 1e-3)
+
+    def send(self, trajectory):
+        print(json.dumps(trajectory.q[[0, -1]].tolist()), file=self.log)
+
+    def stop(self):
+        print('stopped', file=self.log)
+"""
+
+
 @pytest.fixture
-def process(ros_domain: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+def arm(request: pytest.FixtureRequest, tmp_path: Path) -> Path | None:
+    """Return the folder of a package with a backend, or None for trajectories."""
+    if getattr(request, 'param', '') != 'recorded':
+        return None
+    (tmp_path / 'recorded_arm.py').write_text(BACKEND)
+    info = tmp_path / 'recorded_arm-1.0.dist-info'
+    info.mkdir()
+    (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: recorded-arm\nVersion: 1.0\n')
+    (info / 'entry_points.txt').write_text('[mixtac.arm_backends]\nrecorded = recorded_arm:Arm\n')
+    return tmp_path
+
+
+@pytest.fixture
+def process(ros_domain: dict[str, str], arm: Path | None) -> Iterator[subprocess.Popen[str]]:
     """Run the node with a short learning time and ages for a loaded machine; ended by its pid."""
-    values = {
+    values: dict[str, object] = {
         'arm': 'fr3',
         'detector': 'count',
         'learning_time': 0.2,
@@ -46,7 +90,11 @@ def process(ros_domain: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, '-m', 'mixtac_slip_control.slip_control_node', '--ros-args']
     for name, value in values.items():
         command += ['-p', f'{name}:={value}']
-    started = subprocess.Popen(command, env=ros_domain, text=True, stderr=subprocess.PIPE)
+    environment = dict(ros_domain)
+    if arm is not None:
+        command += ['-p', 'arm_backend:=recorded']
+        environment['PYTHONPATH'] = os.pathsep.join([str(arm), os.environ.get('PYTHONPATH', '')])
+    started = subprocess.Popen(command, env=environment, text=True, stderr=subprocess.PIPE)
     yield started
     started.terminate()
     _, errors = started.communicate(timeout=40)
@@ -103,13 +151,15 @@ class Peer:
         self._sent = 0
         self.force = 0.5
 
-    def ready(self) -> bool:
+    def ready(self, *, trajectories: bool = True) -> bool:
         deadline = time.monotonic() + 100.0
-        inputs = (self._events, self._force, self._joints, self._heartbeat, self._images)
+        inputs = [self._events, self._force, self._heartbeat, self._images]
+        inputs += [self._joints] * trajectories
         while time.monotonic() < deadline:
             self.executor.spin_once(timeout_sec=0.1)
             matched = all(each.get_subscription_count() for each in inputs)
-            answers = self.node.count_publishers('slip') and self.node.count_publishers(TOPIC)
+            answers = self.node.count_publishers('slip')
+            answers = answers and (self.node.count_publishers(TOPIC) or not trajectories)
             if matched and answers and self._enable.service_is_ready():
                 time.sleep(0.5)  # the other side may not have matched yet
                 return True
@@ -205,7 +255,7 @@ def test_slip_moves_the_arm_when_enabled_and_a_fault_stops_it(
 ) -> None:
     assert peer.ready()
     assert process.poll() is None
-    assert 'not learned' in peer.enable(wanted=True).message
+    assert not peer.enable(wanted=True).success
     states = peer.send(quiet(400))
     assert len(states) > 300
     assert states[-1].background == pytest.approx(32.0, abs=2.0)
@@ -230,14 +280,16 @@ def test_slip_moves_the_arm_when_enabled_and_a_fault_stops_it(
     assert slips[-1].total_advance > 0.0
     assert peer.wait(lambda: len(peer.trajectories) > 1)
     check_trajectory(peer.trajectories[-1])
-    assert 'disable' in peer.trigger('tare').message
+    assert not peer.trigger('tare').success
+    assert not peer.trigger('reset').success
+    assert slips[-1].header.frame_id == 'mixtac_contact'
 
     peer.force = 3.0
     peer.send(quiet(10))
     stopped = peer.send([600] * 3)
     assert stopped[-1].state == stopped[-1].STOPPED
     assert stopped[-1].advance == 0.0
-    assert 'max_force' in peer.enable(wanted=True).message
+    assert not peer.enable(wanted=True).success
     assert not peer.trigger('reset').success
     peer.force = 0.5
     peer.rest(0.3)  # the filtered force comes back after some samples
@@ -245,6 +297,30 @@ def test_slip_moves_the_arm_when_enabled_and_a_fault_stops_it(
     assert peer.enable(wanted=True).success
     assert peer.enable(wanted=False).success
     assert peer.trigger('tare').success
+
+
+@pytest.mark.parametrize('arm', ['recorded'], indirect=True)
+def test_a_backend_of_another_package_drives_the_arm_and_its_fault_stops(
+    process: subprocess.Popen[str], peer: Peer, arm: Path
+) -> None:
+    assert peer.ready(trajectories=False)
+    assert process.poll() is None
+    peer.send(quiet(400))
+    answer = peer.enable(wanted=True)
+    assert answer.success, answer.message
+
+    def sent() -> list[Any]:
+        return [json.loads(line) for line in (arm / 'log').read_text().splitlines()]
+
+    # It reports commanded positions: no trajectory leads to the measured ones.
+    assert sent() == []
+    states = peer.send([30, 600, 600, *quiet(40)])
+    assert states[-1].total_advance > 0.0
+    assert np.allclose(sent()[0][0], np.array(READY) + 1e-3, atol=1e-6)
+    (arm / 'broken').touch()
+    assert peer.wait(lambda: peer.send(quiet(20))[-1].state == states[-1].STOPPED)
+    assert 'broken' in peer.enable(wanted=True).message
+    assert peer.trajectories == []
 
 
 def check_trajectory(message: Any) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
-from mixtac_slip_control.arm.planner import AdvancePlanner
+from mixtac_slip_control.arm.planner import MAX_ADVANCE, AdvancePlanner
 from mixtac_slip_control.errors import ArmError, UnreachableError
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ class _Trial:
 
     def play(self, windows: int) -> None:
         """Play counting windows of 1 ms, then let the arm come to rest."""
-        rng, limit = self._rng, self.planner.settings.max_advance
+        rng, limit = self._rng, MAX_ADVANCE
         gain = 10.0 ** rng.uniform(-9.0, -5.5)
         advance, ends_s, slipping = 0.0, self._now_s, False
         for _ in range(windows):

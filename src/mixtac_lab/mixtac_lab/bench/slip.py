@@ -302,12 +302,13 @@ def slip(
     from rich.console import Console
 
     from mixtac_lab.slip.loop import ArmSetup
-    from mixtac_lab.slip.trials import TrialPlan, shipped_settings
+    from mixtac_lab.slip.trials import TrialPlan
     from mixtac_lab.store import Kept
     from mixtac_sim.arm.plant import Tracking
+    from mixtac_slip_control.parameters import SlipControlParameters
 
     console, kept = Console(), Kept(keep)
-    settings = shipped_settings()
+    settings = SlipControlParameters()
     arm = ArmSetup(Tracking(lag))
     plan = TrialPlan(margin=margin, knock_mm_s=knock, preset=preset, arm=arm, settings=settings)
     results = _box_trials(console, plan, trials, kept)

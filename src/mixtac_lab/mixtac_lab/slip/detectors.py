@@ -21,16 +21,10 @@ from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.optics.scene import Flicker
 from mixtac_sim.world.effects import preset
-from mixtac_slip_control.detectors import (
-    DETECTORS,
-    CountDetector,
-    CountSettings,
-    FlowDetector,
-    FlowSettings,
-    SlipJudge,
-)
+from mixtac_slip_control.detectors import CountDetector, Detectors, FlowDetector
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.features import GuideMaker, SlipFeatures
+from mixtac_slip_control.features import SlipFeatures
+from mixtac_slip_control.parameters import DETECTORS, SlipControlParameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -39,7 +33,6 @@ if TYPE_CHECKING:
 
     from mixtac_sim.grasp.slip_scene import SceneBlock
     from mixtac_slip_control.features import SlipWindow
-    from mixtac_slip_control.parameters import SlipSettings
 
     Floats = NDArray[np.float64]
 
@@ -84,21 +77,20 @@ class DetectorCurve:
 def score_trial(
     windows: Sequence[SlipWindow],
     learning: int,
-    count: CountSettings | None = None,
-    flow: FlowSettings | None = None,
+    settings: SlipControlParameters | None = None,
 ) -> ScoredTrial:
     """Return the scores of a trial.
 
     Args:
         windows: All windows of the trial, the first ones at rest.
         learning: How many of them the detectors learn from; they are not scored.
-        count: Settings of the paper's law.
-        flow: Settings of the flow detector.
+        settings: Settings of the detectors.
 
     Raises:
         SlipControlError: Too few windows to learn from.
     """
-    by_count, by_flow = CountDetector(count), FlowDetector(flow)
+    chosen = settings or SlipControlParameters()
+    by_count, by_flow = CountDetector(chosen), FlowDetector(chosen)
     for window in windows[:learning]:
         by_count.update(window)
         by_flow.update(window)
@@ -269,19 +261,20 @@ def slip_blocks(
     return scene.play(knock_profile(speed_mm_s, onset_s, seconds - onset_s, seconds))
 
 
-def windows_of(blocks: Iterator[SceneBlock], settings: SlipSettings) -> Iterator[SlipWindow]:
+def windows_of(
+    blocks: Iterator[SceneBlock], settings: SlipControlParameters
+) -> Iterator[SlipWindow]:
     """Yield the windows of a scene, as the controller's core cuts them.
 
     Args:
         blocks: Of the scene.
         settings: Of the controller.
     """
-    features = SlipFeatures(settings.window_us, settings.guide)
-    guides = GuideMaker(settings.guide)
+    features = SlipFeatures(settings)
     for block in blocks:
         for frame in block.frames:
             middle = (frame.exposure_start_us + frame.exposure_end_us) // 2
-            features.guide(guides.make(frame.intensity, middle))
+            features.frame(frame.intensity, middle)
         yield from features.push(block.events, block.end_us)
 
 
@@ -320,7 +313,7 @@ class Alarms:
 def count_alarms(
     name: QuietName,
     seconds: float,
-    settings: SlipSettings,
+    settings: SlipControlParameters,
     preset_name: str,
     kept: Kept | None = None,
 ) -> Alarms:
@@ -334,7 +327,7 @@ def count_alarms(
         kept: Holds the pieces that were measured before.
     """
     pieces, store = [], kept or Kept()
-    watched = digest(settings.window_us, settings.guide, settings.judge, preset_name)
+    watched = digest(settings, preset_name)
     number = max(round(seconds / PIECE_S), 1)
     for k in range(number):
         length = seconds / number
@@ -352,29 +345,29 @@ def count_alarms(
 
 
 def _quiet_piece(
-    name: QuietName, number: int, seconds: float, settings: SlipSettings, preset_name: str
+    name: QuietName, number: int, seconds: float, settings: SlipControlParameters, preset_name: str
 ) -> dict[str, Any]:
     """Return the alarms of one sensor on one day, for JSON."""
-    judge, was = SlipJudge(settings.judge), dict.fromkeys(DETECTORS, False)
+    both, was = Detectors(settings), dict.fromkeys(DETECTORS, False)
     alarms = dict.fromkeys(DETECTORS, 0)
     counts = windows = saturated = 0
     blocks = quiet_blocks(name, LEARN_S + seconds, QUIET_SEED + number, preset_name)
     for window in windows_of(blocks, settings):
-        judge.update(window, 0.0)
-        says = {'flow': judge.flow.slipping, 'count': judge.count.slipping}
+        both.update(window, 0.0)
+        now = {'flow': both.flow.slipping, 'count': both.count.slipping}
         if window.end_us > 1e6 * LEARN_S:
             for each in DETECTORS:
-                alarms[each] += says[each] and not was[each]
+                alarms[each] += now[each] and not was[each]
             counts, windows = counts + window.count, windows + 1
-            saturated += window.count >= settings.safety.saturation_count
-        was = says
+            saturated += window.count >= settings.saturation_count
+        was = now
     mean = counts / max(windows, 1)
     return asdict(Alarms(name, seconds, alarms['flow'], alarms['count'], mean, saturated))
 
 
 def curves(
     trials: int,
-    settings: SlipSettings,
+    settings: SlipControlParameters,
     preset_name: str,
     progress: Callable[[Sequence[int]], Sequence[int]] = lambda numbers: numbers,
 ) -> dict[str, Any]:
@@ -406,15 +399,15 @@ def curves(
 
 
 def _scored_quiet(
-    name: QuietName, number: int, settings: SlipSettings, preset_name: str
+    name: QuietName, number: int, settings: SlipControlParameters, preset_name: str
 ) -> ScoredTrial:
     blocks = quiet_blocks(name, LEARN_S + QUIET_TRIAL_S, QUIET_SEED + 100 + number, preset_name)
     return _scored(list(windows_of(blocks, settings)), settings)
 
 
-def _scored(windows: list[Any], settings: SlipSettings) -> ScoredTrial:
+def _scored(windows: list[Any], settings: SlipControlParameters) -> ScoredTrial:
     learning = round(1e6 * LEARN_S / settings.window_us)
-    return score_trial(windows, learning, settings.judge.count, settings.judge.flow)
+    return score_trial(windows, learning, settings)
 
 
 def _curve(

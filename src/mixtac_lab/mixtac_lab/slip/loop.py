@@ -22,7 +22,6 @@ from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.controller import SlipController
-from mixtac_slip_control.features import GuideMaker
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from mixtac_slip_control.arm.planner import StreamSettings
     from mixtac_slip_control.arm.trajectory import PlannedTrajectory
     from mixtac_slip_control.controller import SlipStep
-    from mixtac_slip_control.parameters import SlipSettings
+    from mixtac_slip_control.parameters import SlipControlParameters
 
     Floats = NDArray[np.float64]
 
@@ -244,7 +243,7 @@ class ClosedLoop:
     def __init__(
         self,
         grasp: Grasp,
-        settings: SlipSettings | None,
+        settings: SlipControlParameters | None,
         arm: ArmSetup | None = None,
         transport: Transport | None = None,
         seed: int = 0,
@@ -258,7 +257,6 @@ class ClosedLoop:
         self._controller = None
         if settings is not None:
             self._controller = SlipController(settings, planner, setup.normal)
-            self._guides = GuideMaker(settings.guide)
         self._tip = _tip(setup, grasp)
         self._rng = np.random.default_rng(seed)
         self._under_way: list[tuple[float, PlannedTrajectory]] = []
@@ -325,7 +323,7 @@ class ClosedLoop:
         while self._frames and self._frames[0].frame_end_us + 1e6 * FRAME_DELAY_S <= now_us:
             frame = self._frames.pop(0)
             middle = (frame.exposure_start_us + frame.exposure_end_us) // 2
-            controller.guide(self._guides.make(frame.intensity, middle))
+            controller.features.frame(frame.intensity, middle)
 
     def _ask(self, block: GraspBlock, controller: SlipController) -> None:
         """Hand over the events and send what the controller asks for."""

@@ -22,7 +22,7 @@ from mixtac_sim.world.effects import preset
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
-from mixtac_slip_control.parameters import SlipControlParameters, slip_settings
+from mixtac_slip_control.parameters import SlipControlParameters
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from mixtac_lab.slip.loop import LoopRecord
     from mixtac_lab.store import Kept
-    from mixtac_slip_control.parameters import SlipSettings
 
 
 KNOCK_S = 1.45
@@ -44,11 +43,6 @@ MOVED_MM = 5e-3
 """Moved by more in the look-back, an object has slipped by itself: held with little margin, some do
 before the blow [mm]."""
 SECONDS = 1.8
-
-
-def shipped_settings() -> SlipSettings:
-    """Return the settings that the slip control node ships with."""
-    return slip_settings(SlipControlParameters())
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +70,7 @@ class TrialPlan:
     preset: str = 'paper_like'
     arm: ArmSetup = field(default_factory=ArmSetup)
     transport: Transport = field(default_factory=Transport)
-    settings: SlipSettings = field(default_factory=shipped_settings)
+    settings: SlipControlParameters = field(default_factory=SlipControlParameters)
 
     def grasp(self, *, camera: bool, knock_s: float = KNOCK_S) -> Grasp:
         """Return the grasp of this trial, from its beginning."""
@@ -94,11 +88,11 @@ class TrialPlan:
     def reach(self, *, ideal: bool) -> ArmReach:
         """Return what the arm can do along the normal; ideal: without lag."""
         planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), StreamSettings(share=1.0))
-        planner.reset(READY, np.array(self.arm.normal))
+        planner.reset(READY, np.array(self.arm.normal), self.settings.max_total)
         motion = planner.motion_limits
         assert motion is not None  # noqa: S101  (known after a reset with a normal)
         lag = 0.0 if ideal else self.arm.tracking.lag_s
-        force = self.settings.safety.max_force
+        force = self.settings.max_force
         return ArmReach(motion.acceleration, motion.jerk, lag, force)
 
     def chain_s(self) -> float:

@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 
 from mixtac_lab.slip.loop import ClosedLoop
-from mixtac_lab.slip.trials import ENABLE_S, KNOCK_S, TrialPlan, run_trial, shipped_settings
+from mixtac_lab.slip.trials import ENABLE_S, KNOCK_S, TrialPlan, run_trial
 from mixtac_slip_control.errors import SlipControlError
+from mixtac_slip_control.parameters import SlipControlParameters
 
 PLAN = TrialPlan('box', 3, knock_mm_s=40.0, stiffness_n_per_mm=5.0, preset='easy')
 
@@ -30,12 +31,12 @@ def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None
     assert 1e-3 < record.advance_mm[record.t_us < 1e6 * KNOCK_S].max() < 0.051
     assert result.knock_share == pytest.approx(1.0, abs=0.02)
     assert record.advance_mm[-1] > 5e-3
-    assert result.peak_n < PLAN.settings.safety.max_force
+    assert result.peak_n < PLAN.settings.max_force
     assert result.stopped == ''
 
 
 def test_enabling_before_the_background_is_known_is_refused() -> None:
-    loop = ClosedLoop(replace(PLAN).grasp(camera=True), shipped_settings())
+    loop = ClosedLoop(replace(PLAN).grasp(camera=True), SlipControlParameters())
     with pytest.raises(SlipControlError, match='not learned'):
         loop.run(0.2, 0.1)
     assert ENABLE_S > 0.1

@@ -13,8 +13,9 @@ import pytest
 
 from mixtac_lab.slip import detectors
 from mixtac_lab.slip.detectors import flicker_of
-from mixtac_lab.slip.trials import draw_objects, shipped_settings
+from mixtac_lab.slip.trials import draw_objects
 from mixtac_lab.store import Kept, digest
+from mixtac_slip_control.parameters import SlipControlParameters
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,9 +40,9 @@ def test_what_was_measured_is_not_measured_again(tmp_path: Path) -> None:
 
 
 def test_other_settings_have_another_name() -> None:
-    settings = shipped_settings()
+    settings = SlipControlParameters()
     other = dataclasses.replace(settings, arm_lag_s=5e-3)
-    assert digest(settings, 'easy') == digest(shipped_settings(), 'easy')
+    assert digest(settings, 'easy') == digest(SlipControlParameters(), 'easy')
     assert len({digest(settings, 'easy'), digest(settings, 'full'), digest(other, 'easy')}) == 3
 
 
@@ -49,12 +50,12 @@ def test_pieces_are_summed_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(detectors, 'PIECE_S', 0.05)
     monkeypatch.setattr(detectors, 'LEARN_S', 0.02)
     kept = Kept(tmp_path / 'kept.jsonl')
-    found = detectors.count_alarms('flicker', 0.1, shipped_settings(), 'easy', kept)
+    found = detectors.count_alarms('flicker', 0.1, SlipControlParameters(), 'easy', kept)
     assert found.seconds == pytest.approx(0.1)
     assert found.flow == 0
     assert found.mean_count > 0.0
     assert len((tmp_path / 'kept.jsonl').read_text().splitlines()) == 2
-    again = detectors.count_alarms('flicker', 0.1, shipped_settings(), 'easy', kept)
+    again = detectors.count_alarms('flicker', 0.1, SlipControlParameters(), 'easy', kept)
     assert again == found
 
 

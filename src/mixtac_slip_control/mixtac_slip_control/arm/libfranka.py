@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The arm backend for a Franka arm without ros2_control, through pylibfranka."""
+"""The arm backend for a Franka arm without ros2_control, through pylibfranka. Experimental.
+
+It is tested against Franka's own client with an independent simulation of the control unit, and has
+not driven a real arm yet.
+"""
 
 from __future__ import annotations
 
@@ -16,18 +20,20 @@ import numpy as np
 
 import mixtac_events
 import mixtac_slip_control
+from mixtac_slip_control.arm.backends import ArmState
 from mixtac_slip_control.arm.libfranka_loop import JOINTS, STATE, STOP, pack
-from mixtac_slip_control.arm.trajectory import ArmState
 from mixtac_slip_control.errors import BackendError
 
 if TYPE_CHECKING:
     from types import ModuleType
 
+    from mixtac_slip_control.arm.kinematics import SerialArm
     from mixtac_slip_control.arm.trajectory import PlannedTrajectory
+    from mixtac_slip_control.parameters import SlipControlParameters
 
 
 STOP_S = 5.0
-"""Longest wait for the arm to come to rest when told to."""
+"""Longest wait for the arm to come to rest on request."""
 
 
 class LibfrankaBackend:
@@ -78,7 +84,7 @@ class LibfrankaBackend:
         """Return the latest state, or None before the first.
 
         Raises:
-            BackendError: The robot or the way to it reports a fault.
+            BackendError: The robot or the connection to it reports a fault.
         """
         self._check()
         latest = self._latest
@@ -88,9 +94,8 @@ class LibfrankaBackend:
         if late > self._late:
             self._late = late
             raise BackendError(
-                'a trajectory arrived after the point at which it changes course and was not '
-                'followed; the arm comes to rest: reset the planner; if it happens again, raise '
-                'lead_s'
+                'a trajectory arrived too late to continue the motion; the arm comes to rest',
+                remedy='enable again; if it happens again, use a host with less load',
             )
         q, dq, commanded = np.array(values).reshape(3, JOINTS)
         return ArmState(stamp_ns * 1e-9, q, dq, commanded)
@@ -99,7 +104,7 @@ class LibfrankaBackend:
         """Replace the trajectory being carried out by another, at once.
 
         Raises:
-            BackendError: The robot or the way to it reports a fault; another number of joints.
+            BackendError: A fault of the robot or of the connection, or another number of joints.
         """
         self._check()
         if trajectory.q.shape[1] != JOINTS:
@@ -107,7 +112,7 @@ class LibfrankaBackend:
         self._write(pack(trajectory))
 
     def stop(self) -> None:
-        """Let the trajectory end, bring the arm to rest and let go of it."""
+        """Let the trajectory end, bring the arm to rest and release it."""
         try:
             self._write(STOP)
             self._process.wait(STOP_S)
@@ -165,6 +170,23 @@ class LibfrankaBackend:
         stream = self._process.stderr
         while stream is not None and (data := stream.read(4096)):
             self._words = (self._words + data.decode(errors='replace'))[-4096:]
+
+
+def open_libfranka(parameters: SlipControlParameters, arm: SerialArm) -> LibfrankaBackend:
+    """Return the backend that the parameters describe, connected to its arm.
+
+    Raises:
+        BackendError: An arm of another number of joints, no address, or what `LibfrankaBackend`
+            raises.
+    """
+    if arm.dof != JOINTS:
+        raise BackendError(f'a Franka arm has {JOINTS} joints, the arm of the parameters {arm.dof}')
+    if not parameters.arm_address:
+        raise BackendError(
+            'the libfranka backend has no address', remedy='set arm_address, for example 172.16.0.2'
+        )
+    interpreter = parameters.arm_python or sys.executable
+    return LibfrankaBackend(parameters.arm_address, interpreter, realtime=parameters.arm_realtime)
 
 
 def _search_path() -> str:

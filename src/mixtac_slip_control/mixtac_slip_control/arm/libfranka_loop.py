@@ -26,12 +26,12 @@ import struct
 import sys
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from types import ModuleType
 
     from numpy.typing import NDArray
@@ -277,28 +277,6 @@ BRIDGE_JERK = 4750.0
 """Of the way back to the trajectory then [rad/s2], [rad/s3]: libfranka's limits less a reserve."""
 
 
-class _State(Protocol):
-    q: Sequence[float]
-    dq: Sequence[float]
-    q_d: Sequence[float]
-    dq_d: Sequence[float]
-    ddq_d: Sequence[float]
-
-
-class _Period(Protocol):
-    def to_sec(self) -> float: ...
-
-
-class _Command(Protocol):
-    motion_finished: bool
-
-
-class _Control(Protocol):
-    def readOnce(self) -> tuple[_State, _Period]: ...  # noqa: N802
-
-    def writeOnce(self, command: _Command) -> None: ...  # noqa: N802
-
-
 class ControlLoop:
     """Follows the trajectories it is sent until it is told to stop.
 
@@ -312,8 +290,8 @@ class ControlLoop:
 
     def __init__(
         self,
-        control: _Control,
-        command: Callable[[list[float]], _Command],
+        control: Any,  # noqa: ANN401
+        command: Callable[[list[float]], Any],
         read: Callable[[], bytes | None],
         write: Callable[[bytes], None],
         clock_ns: Callable[[], int] = time.time_ns,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -181,13 +181,6 @@ class JointLimits:
         )
 
 
-class Workspace(Protocol):
-    """A region of space in the frame of the arm's base."""
-
-    def violation(self, position: Floats) -> str | None:
-        """Return why a position (3,) [m] is outside, in words, or None."""
-
-
 @dataclass(frozen=True, slots=True)
 class BoxWorkspace:
     """A box along the axes of the base frame.
@@ -217,35 +210,6 @@ class BoxWorkspace:
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class SphereWorkspace:
-    """A ball.
-
-    Attributes:
-        centre: Its centre [m].
-        radius: Its radius [m].
-    """
-
-    centre: Point
-    radius: float
-
-    def __post_init__(self) -> None:
-        """Refuse an empty ball.
-
-        Raises:
-            ArmError: The radius is not positive and finite.
-        """
-        if not 0.0 < self.radius < math.inf:
-            raise ArmError(f'workspace radius {self.radius} m: give a positive number')
-
-    def violation(self, position: Floats) -> str | None:
-        """Return why a position (3,) [m] is outside, in words, or None."""
-        distance = math.dist(position, self.centre)
-        if distance <= self.radius:
-            return None
-        return f'tip is {distance:.4f} m from {self.centre} m, farther than {self.radius:g} m'
-
-
 SAME_PLACE_RAD = 1e-4
 """Joint positions nearer than this to good ones are good: small beside every margin here, and an
 arm that rests reports its positions hundreds of times a second."""
@@ -270,7 +234,7 @@ class StateChecks:
         self,
         arm: SerialArm,
         limits: JointLimits,
-        workspace: Workspace | None = None,
+        workspace: BoxWorkspace | None = None,
         joint_margin: float = 0.02,
         speed_share: float = 1.0,
         min_singular: float = 0.05,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The arm that the parameters name: its kinematics, limits, planner, checks and joint order."""
+"""The arm that the parameters name: its kinematics, limits, planner and checks."""
 
 from __future__ import annotations
 
@@ -26,40 +26,15 @@ if TYPE_CHECKING:
     from mixtac_slip_control.parameters import SlipControlParameters
 
 
-class JointOrder:
-    """Picks the joints of an arm out of joint states, whatever their order.
-
-    Args:
-        names: Of the arm's joints.
-    """
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = tuple(names)
-        self._seen: tuple[str, ...] | None = None
-        self._places: tuple[int, ...] | None = None
-
-    def pick(self, names: Sequence[str], positions: Sequence[float]) -> tuple[float, ...] | None:
-        """Return the arm's joint positions [rad], or None where some are missing."""
-        key = tuple(names)
-        if key != self._seen:
-            self._seen = key
-            known = {name: place for place, name in enumerate(key)}
-            complete = all(name in known for name in self._names)
-            self._places = tuple(known[name] for name in self._names) if complete else None
-        if self._places is None or len(positions) < len(key):
-            return None
-        return tuple(float(positions[place]) for place in self._places)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmParts:
-    """What slip control needs of an arm.
+    """Everything about an arm that slip control uses.
 
     Attributes:
         arm: Its kinematics.
-        limits: Of its joints.
+        limits: Limits of its joints.
         planner: Turns advances into trajectories.
-        checks: Of ranges, workspace and singularities.
+        checks: Checks ranges, workspace and singularities.
         in_tool: Whether `direction` is in the frame of the last link.
         direction: Unit vector of the contact normal (3,).
     """
@@ -81,14 +56,17 @@ class ArmParts:
         """Return what is wrong with joint positions [rad], or None."""
         return self.checks.check(np.asarray(q, np.float64))
 
-    def settling(self, q: Sequence[float], now_s: float, duration_s: float) -> PlannedTrajectory:
-        """Return what leads the controller's command to the measured joint positions [rad]."""
-        return settling_trajectory(self.arm, np.asarray(q, np.float64), now_s, duration_s)
+    def settling(
+        self, q: NDArray[np.float64], now_s: float, duration_s: float
+    ) -> PlannedTrajectory:
+        """Return the trajectory from the controller's command to joint positions [rad]."""
+        return settling_trajectory(self.arm, q, now_s, duration_s)
 
     def warm_up(self) -> None:
         """Compile (or load) what runs in real time, so that the first trajectory is not late."""
         middle = 0.5 * (self.limits.lower + self.limits.upper)
-        # The middle of the joints' ranges may be no place to advance from; the compiling counts.
+        # Advancing from the middle of the joints' ranges may be impossible; only the compilation
+        # matters.
         with contextlib.suppress(SlipControlError):
             normal = self.normal(middle)
             self.planner.reset(middle, normal)
@@ -109,7 +87,7 @@ def make_arm(parameters: SlipControlParameters) -> ArmParts | None:
     direction = np.array(parameters.normal)
     length = float(np.linalg.norm(direction))
     if length == 0.0:
-        raise SlipControlError('normal_x, normal_y, normal_z are all 0: give a direction')
+        raise SlipControlError('normal_x, normal_y and normal_z are all 0: give a direction')
     arm, limits = _model(parameters)
     planner = AdvancePlanner(arm, limits)
     in_tool = parameters.normal_frame == 'tool'
@@ -124,7 +102,7 @@ def _workspace(text: str) -> BoxWorkspace:
         x0, x1, y0, y1, z0, z1 = (float(number) for number in text.split())
     except ValueError as error:
         raise SlipControlError(
-            f'workspace {text!r}: give six numbers, the ends along x, y and z [m]'
+            f'workspace {text!r}: give six numbers, the limits along x, y and z [m]'
         ) from error
     return BoxWorkspace((x0, y0, z0), (x1, y1, z1))
 

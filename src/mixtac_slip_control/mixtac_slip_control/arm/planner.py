@@ -166,6 +166,10 @@ class AdvancePlanner:
             raise ArmError('the advance has no start: reset the planner with joint positions')
         return self._q
 
+    def restart(self) -> None:
+        """Start over from the joint positions and with the path of the last reset."""
+        self._clear()
+
     def plan(self, now_s: float, advance_m: float, normal: Floats) -> PlannedTrajectory | None:
         """Return the trajectory to a new target, or None where nothing new is to be sent.
 
@@ -211,10 +215,9 @@ class AdvancePlanner:
         if self._path is None or self._motion is None or self._epoch_ns is None:
             return None
         oldest_ns = self._epoch_ns + (self._first + self._overlap) * self._dt_ns
-        self._now_ns = min(self._now_ns, max(self._checked_ns(now_s), oldest_ns))
-        now_ns = self._advance_clock(max(now_s, 1e-9 * self._now_ns))
+        now_ns = self._now_ns = max(self._checked_ns(now_s), oldest_ns)
         start = self._at(self._branch(now_ns))
-        if start[1] == 0.0 and start[2] == 0.0:
+        if not (self._rows(self._branch(now_ns), self._first + len(self._states))[:, 1:]).any():
             return None
         target = start[0] + stopping_distance(start, self._motion.acceleration, self._motion.jerk)
         ahead = self.target - start[0]

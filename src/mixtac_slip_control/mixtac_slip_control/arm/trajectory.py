@@ -1,31 +1,24 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories of stamped joint states: the type, its message, what carries it out, and approaches.
+"""Trajectories of stamped joint states: the type, its message, and settling at the measured place.
 
-`TrajectoryMessage` fills `trajectory_msgs/JointTrajectory` without importing ROS. `ArmBackend` is
-the interface of whatever drives the arm along trajectories. `approach_trajectory` and
-`settling_trajectory` are motions from rest to rest before slip control: to the object, and onto the
-commanded state.
+`TrajectoryMessage` fills `trajectory_msgs/JointTrajectory` without importing ROS.
 """
 
 from __future__ import annotations
 
-import math
 from array import array
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mixtac_slip_control.errors import ArmError, UnreachableError
+from mixtac_slip_control.errors import ArmError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, MutableSequence, Sequence
-
     from numpy.typing import NDArray
 
     from mixtac_slip_control.arm.kinematics import SerialArm
-    from mixtac_slip_control.arm.limits import JointLimits
 
     Floats = NDArray[np.float64]
 
@@ -43,8 +36,8 @@ class PlannedTrajectory:
         dq: Joint velocities (m, n) [rad/s].
         ddq: Joint accelerations (m, n) [rad/s2].
         names: Of the joints.
-        branch_s: From here on, in seconds since the stamp, it differs from the trajectory before
-            it: it must be in effect by then.
+        branch_s: Time since the stamp [s] from which it differs from the trajectory before it: it
+            must be in effect by then.
     """
 
     stamp_ns: int
@@ -66,43 +59,10 @@ class PlannedTrajectory:
         return self.stamp_s + float(self.times_s[-1])
 
 
-NS_PER_S = 1_000_000_000
+NS_PER_S: Final = 1_000_000_000
 
 
-class _Time(Protocol):
-    sec: int
-    nanosec: int
-
-
-class _Header(Protocol):
-    @property
-    def stamp(self) -> _Time: ...
-
-
-class _Point(Protocol):
-    positions: MutableSequence[float]
-    velocities: MutableSequence[float]
-    accelerations: MutableSequence[float]
-
-    @property
-    def time_from_start(self) -> _Time: ...
-
-
-Point = TypeVar('Point', bound=_Point)
-
-
-class _Message(Protocol, Generic[Point]):
-    joint_names: Sequence[str]
-    points: Sequence[Point]
-
-    @property
-    def header(self) -> _Header: ...
-
-
-Message = TypeVar('Message', bound=_Message)  # type: ignore[type-arg]
-
-
-class TrajectoryMessage(Generic[Message]):
+class TrajectoryMessage:
     """One message that is filled again and again: creating points costs more than filling them.
 
     Attributes:
@@ -113,25 +73,18 @@ class TrajectoryMessage(Generic[Message]):
         point_type: `trajectory_msgs.msg.JointTrajectoryPoint`.
     """
 
-    def __init__(
-        self, message_type: Callable[[], Message], point_type: Callable[[], Point]
-    ) -> None:
+    def __init__(self, message_type: type[Any], point_type: type[Any]) -> None:
         self.message = message_type()
-        self._point_type: Callable[[], _Point] = point_type
-        self._pool: list[_Point] = []
+        self._point_type = point_type
+        self._pool: list[Any] = []
 
-    def fill(self, trajectory: PlannedTrajectory, *, stamped: bool = True) -> Message:
-        """Return the message with the fields of a trajectory.
-
-        Args:
-            trajectory: What to send.
-            stamped: False leaves the stamp zero, which controllers read as "from now on".
-        """
+    def fill(self, trajectory: PlannedTrajectory) -> Any:  # noqa: ANN401
+        """Return the message with the fields of a trajectory."""
         count = len(trajectory.times_s)
         while len(self._pool) < count:
             self._pool.append(self._point_type())
         stamp = self.message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(trajectory.stamp_ns if stamped else 0, NS_PER_S)
+        stamp.sec, stamp.nanosec = divmod(trajectory.stamp_ns, NS_PER_S)
         self.message.joint_names = list(trajectory.names)
         rows = (trajectory.times_s, trajectory.q, trajectory.dq, trajectory.ddq)
         for point, t, q, dq, ddq in zip(self._pool, *rows, strict=False):
@@ -143,96 +96,9 @@ class TrajectoryMessage(Generic[Message]):
         return self.message
 
 
-def _doubles(values: NDArray[np.float64]) -> MutableSequence[float]:
-    # rclpy takes an array('d') as it is and copies anything else number by number.
+def _doubles(values: Floats) -> array[float]:
+    # rclpy uses an array('d') without a copy and copies anything else number by number.
     return array('d', values.tobytes())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ArmState:
-    """Where an arm is.
-
-    Attributes:
-        stamp_s: Time of the measurement [s], on the host's clock.
-        q: Measured joint positions (n,) [rad].
-        dq: Measured joint velocities (n,) [rad/s].
-        commanded: Commanded joint positions (n,) [rad]; None where the backend cannot tell.
-    """
-
-    stamp_s: float
-    q: Floats
-    dq: Floats
-    commanded: Floats | None = None
-
-
-class ArmBackend(Protocol):
-    """Drives an arm along planned trajectories.
-
-    Implementations: the node's publisher of `trajectory_msgs/JointTrajectory`, and
-    `LibfrankaBackend`, which needs no ros2_control.
-    """
-
-    def state(self) -> ArmState | None:
-        """Return the latest state, or None before the first.
-
-        Raises:
-            BackendError: The arm or the way to it reports a fault.
-        """
-
-    def send(self, trajectory: PlannedTrajectory) -> None:
-        """Replace the trajectory being carried out by another, at once.
-
-        Raises:
-            BackendError: The arm or the way to it reports a fault.
-        """
-
-    def stop(self) -> None:
-        """Bring the arm to rest and let go of it."""
-
-
-# Largest derivatives of the quintic from rest to rest over a unit distance in a unit time.
-PEAK_VELOCITY = 1.875
-PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
-PEAK_JERK = 60.0
-
-
-def approach_trajectory(
-    arm: SerialArm,
-    limits: JointLimits,
-    start: Floats,
-    goal: Floats,
-    share: float = 0.3,
-    spacing_s: float = 0.02,
-) -> PlannedTrajectory:
-    """Return a quintic in joint space from rest to rest, all joints together.
-
-    The stamp is zero: it begins when the controller takes it up. It serves as the trajectory of a
-    FollowJointTrajectory goal.
-
-    Args:
-        arm: The arm, for the names of its joints.
-        limits: Of its joints.
-        start: Joint positions at the start (n,) [rad].
-        goal: Joint positions at the end (n,) [rad].
-        share: Of the velocity, acceleration and jerk limits that may be used.
-        spacing_s: Time between points [s].
-
-    Raises:
-        ArmError: Positions or a share that are none.
-        UnreachableError: Start or goal outside the joints' ranges.
-    """
-    a, b = arm.checked(start), arm.checked(goal)
-    for name, q in (('start', a), ('goal', b)):
-        problem = limits.violation(q, arm.names)
-        if problem is not None:
-            raise UnreachableError(f'the {name} of the approach: {problem}')
-    if not 0.0 < share <= 1.0 or not spacing_s > 0.0:
-        raise ArmError(
-            f'share = {share}, spacing_s = {spacing_s}: give 0 < share <= 1, spacing > 0'
-        )
-    duration = max(_duration(limits, np.abs(b - a), np.linspace(a, b, 50), share), spacing_s)
-    count = math.ceil(duration / spacing_s)
-    return _quintic(a, b, duration, np.arange(1, count + 1) / count, arm.names)
 
 
 def settling_trajectory(
@@ -251,7 +117,7 @@ def settling_trajectory(
         duration_s: Time until it is there [s].
 
     Raises:
-        ArmError: Joint positions or a duration that are none.
+        ArmError: Invalid joint positions, or a duration out of range.
     """
     if not 0.05 <= duration_s <= 10.0:
         raise ArmError(f'settling in {duration_s} s: give 0.05 to 10 s')
@@ -263,38 +129,4 @@ def settling_trajectory(
         dq=rest,
         ddq=rest.copy(),
         names=arm.names,
-    )
-
-
-def _duration(limits: JointLimits, distance: Floats, line: Floats, share: float) -> float:
-    """Return the shortest time [s] of the quintic within a share of the limits."""
-    bounds = [limits.velocity_bounds(q) for q in line]
-    speed = share * np.min([np.minimum(-low, high) for low, high in bounds], axis=0)
-    moving = distance > 0.0
-    if (speed[moving] <= 0.0).any():
-        raise UnreachableError(
-            'the approach starts or ends where the velocity limit of a joint is zero: keep away '
-            'from the ends of the joints'
-        )
-    times = (
-        PEAK_VELOCITY * distance[moving] / speed[moving],
-        np.sqrt(PEAK_ACCELERATION * distance[moving] / (share * limits.acceleration[moving])),
-        np.cbrt(PEAK_JERK * distance[moving] / (share * limits.jerk[moving])),
-    )
-    return max((float(t.max()) for t in times if t.size), default=0.0)
-
-
-def _quintic(
-    start: Floats, goal: Floats, duration: float, u: Floats, names: tuple[str, ...]
-) -> PlannedTrajectory:
-    """Return points at shares u (m,) of the duration [s]."""
-    x = u[:, None]
-    step = goal - start
-    return PlannedTrajectory(
-        stamp_ns=0,
-        times_s=u * duration,
-        q=start + step * x**3 * (10.0 + x * (6.0 * x - 15.0)),
-        dq=step * 30.0 * x**2 * (1.0 - x) ** 2 / duration,
-        ddq=step * 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2,
-        names=names,
     )

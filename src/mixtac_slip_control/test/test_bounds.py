@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The stiffness of the contact: against batch least squares, and bounds that hold."""
+"""The stiffness of the contact against batch least squares, its probe, and the bound."""
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -11,16 +12,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_slip_control.bounds import ContactStiffness, StiffnessSettings, stiffening
+from mixtac_slip_control.bounds import (
+    DRIFT,
+    RESERVE,
+    SIGMAS,
+    AdvanceBound,
+    ContactStiffness,
+    StiffnessProbe,
+    stiffening,
+)
 from mixtac_slip_control.errors import SlipControlError
+from mixtac_slip_control.parameters import SlipControlParameters
 
-STILL = StiffnessSettings(drift=1e-9)
+PARAMETERS = SlipControlParameters(probe_advance=1e-5, probe_force=0.1, probe_speed=1e-3)
+STILL = 1e-9
 
 
-def fed(
-    places: np.ndarray, forces: np.ndarray, chosen: StiffnessSettings = STILL
-) -> ContactStiffness:
-    stiffness = ContactStiffness(chosen)
+def fed(places: np.ndarray, forces: np.ndarray, drift: float = STILL) -> ContactStiffness:
+    stiffness = ContactStiffness(PARAMETERS, drift)
     for k, (place, force) in enumerate(zip(places, forces, strict=True)):
         stiffness.on_force(float(force), 2000 * k, (float(place), float(place)))
     return stiffness
@@ -51,12 +60,11 @@ def test_the_largest_advance_is_where_the_upper_bound_meets_the_force(
     x = np.linspace(0.0, 3e-5, number)
     stiffness = fed(x, force + k * x)
     found = stiffness.largest_advance(goal)
-    chosen = stiffness.settings
     grid = np.linspace(0.0, 2.0 * min(found, 1e-2) + 1e-6, 4001)
     spread = stiffness._ff + 2.0 * grid * stiffness._fk + grid**2 * stiffness._kk
-    slope = chosen.reserve * stiffening(stiffness.force, goal) * stiffness.stiffness
+    slope = RESERVE * stiffening(stiffness.force, goal) * stiffness.stiffness
     bound = stiffness.force + slope * grid
-    bound += chosen.sigmas * np.sqrt(spread)
+    bound += SIGMAS * np.sqrt(spread)
     above = np.flatnonzero(bound >= goal)
     assert len(above)
     assert found == pytest.approx(grid[above[0]], abs=2.0 * grid[1])
@@ -81,13 +89,13 @@ def test_nothing_measured_counts_as_the_stiffest_contact() -> None:
 def test_a_soft_contact_gives_more_room_once_it_is_known() -> None:
     x = np.concatenate([np.zeros(50), np.linspace(0.0, 5e-5, 50), np.full(50, 5e-5)])
     noise = np.random.default_rng(1).normal(0.0, 0.03, len(x))
-    stiffness = fed(x, 0.6 + 1e3 * x + noise, StiffnessSettings())
+    stiffness = fed(x, 0.6 + 1e3 * x + noise, DRIFT)
     assert 1e3 < stiffness.bound < 2.5e3
     assert stiffness.largest_advance(1.3) > 2e-4
 
 
 def test_a_place_that_is_not_sure_says_less() -> None:
-    sure, unsure = ContactStiffness(STILL), ContactStiffness(STILL)
+    sure, unsure = (ContactStiffness(PARAMETERS, STILL) for _ in range(2))
     for k in range(20):
         sure.on_force(0.6, 2000 * k, (1e-5, 1e-5))
         unsure.on_force(0.6, 2000 * k, (0.0, 2e-5))
@@ -108,7 +116,78 @@ def test_no_room_is_no_advance() -> None:
     assert stiffness.largest_advance(1.4001) == 0.0
 
 
-@pytest.mark.parametrize('bad', [{'stiffest': 0.0}, {'force_noise': math.nan}, {'reserve': 0.9}])
-def test_bad_settings_are_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(SlipControlError, match='give'):
-        StiffnessSettings(**bad)
+def started() -> StiffnessProbe:
+    probe = StiffnessProbe(PARAMETERS, precision=0.1, windows=30)
+    probe.start()
+    return probe
+
+
+def test_it_goes_out_waits_and_comes_back_in_its_steps() -> None:
+    probe, places = started(), [0.0]
+    while probe.active:
+        probe.update(1e3, 1e3, 1.0)
+        places.append(probe.advance)
+    assert max(places) == pytest.approx(1e-5)
+    assert max(abs(b - a) for a, b in itertools.pairwise(places)) <= 1.0001e-6
+    assert len(places) == pytest.approx(1 + 30 + 10, abs=1)
+    assert places[-1] == 0.0
+
+
+def test_it_returns_as_soon_as_the_stiffness_is_known() -> None:
+    probe = started()
+    for _ in range(4):
+        probe.update(1e3, 200.0, 1.0)
+    probe.update(1e3, 99.0, 1.0)
+    # What is less sure while it returns does not turn it round.
+    places = [probe.advance]
+    while probe.active:
+        probe.update(1e3, 200.0, 1.0)
+        places.append(probe.advance)
+    assert places == sorted(places, reverse=True)
+
+
+def test_it_waits_where_the_force_has_grown_enough() -> None:
+    probe = started()
+    for _ in range(20):
+        probe.update(2e4, 1e4, 1.0)
+    assert 5e-6 <= probe.advance <= 6.1e-6
+
+
+def test_it_stays_within_what_the_force_allows() -> None:
+    probe = started()
+    for _ in range(10):
+        probe.update(1e3, 1e3, 3.5e-6)
+    assert probe.advance == pytest.approx(3.5e-6)
+
+
+def test_taking_over_ends_it_and_returns_its_advance() -> None:
+    probe = started()
+    probe.update(1e3, 1e3, 1.0)
+    assert probe.take_over() == pytest.approx(1e-6)
+    assert (probe.advance, probe.active) == (0.0, False)
+
+
+def test_an_advance_of_zero_does_not_probe() -> None:
+    probe = StiffnessProbe(SlipControlParameters(probe_advance=0.0))
+    probe.start()
+    assert not probe.active
+
+
+def test_the_bound_never_falls_below_what_is_commanded_and_ends_at_max_total() -> None:
+    bound = AdvanceBound(SlipControlParameters(max_total=2e-5))
+    bound.stiffness.on_force(0.5, 0, (0.0, 0.0))
+    preload, start = bound.start()
+    assert preload == pytest.approx(0.5)
+    assert start == bound.limit(0.0, 0.5) == 2e-5
+    # A smaller max_total, or a force near the ceiling, makes the arm wait where it is.
+    bound.configure(SlipControlParameters(max_total=1e-5))
+    assert bound.limit(1.5e-5, 0.5) == 1.5e-5
+    assert bound.limit(3e-6, 0.95 * 1.5) == 3e-6
+
+
+def test_a_force_without_room_is_refused() -> None:
+    bound = AdvanceBound(SlipControlParameters())
+    bound.stiffness.on_force(1.4, 0, (0.0, 0.0))
+    with pytest.raises(SlipControlError) as caught:
+        bound.start()
+    assert 'max_force' in caught.value.remedy

@@ -9,7 +9,8 @@ import pytest
 
 from mixtac_events.arrays import Events
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.features import GuideMaker, GuideSettings, SlipFeatures, SlipWindow
+from mixtac_slip_control.features import SlipFeatures, SlipWindow
+from mixtac_slip_control.parameters import SlipControlParameters
 
 HEIGHT, WIDTH = 260, 346
 CONTRAST = 0.05
@@ -49,8 +50,8 @@ def events_of(move_x: np.ndarray, move_y: np.ndarray) -> Events:
 
 
 def seen(move_x: np.ndarray, move_y: np.ndarray) -> SlipWindow:
-    features = SlipFeatures()
-    features.guide(GuideMaker().make(np.round(REST).astype(np.uint16), 0))
+    features = SlipFeatures(SlipControlParameters())
+    features.frame(np.round(REST).astype(np.uint16), 0)
     (window,) = features.push(events_of(move_x, move_y), 1000)
     return window
 
@@ -84,43 +85,89 @@ def test_flicker_makes_events_but_no_motion() -> None:
         y.ravel().astype(np.uint16),
         np.ones(n, np.bool_),
     )
-    features = SlipFeatures()
-    features.guide(GuideMaker().make(np.round(REST).astype(np.uint16), 0))
+    features = SlipFeatures(SlipControlParameters())
+    features.frame(np.round(REST).astype(np.uint16), 0)
     (window,) = features.push(flash, 1000)
-    assert window.count == window.on == n
+    assert window.count == n
     assert np.hypot(window.flow_x, window.flow_y) < 0.25
 
 
 def test_counts_come_without_frames_and_lost_packets_are_marked() -> None:
-    features = SlipFeatures()
+    features = SlipFeatures(SlipControlParameters())
     t = np.array([100, 1200, 1300, 2900])
     place = np.array([1, 345, 0, 5], np.uint16)
     events = Events(t, place, place // 2, np.array([True, False, False, True]))
     features.lost_before(1100)
     windows = features.push(events, 3000)
     assert [w.count for w in windows] == [1, 2, 1]
-    assert [w.on for w in windows] == [1, 0, 1]
     assert [w.end_us for w in windows] == [1000, 2000, 3000]
     assert [w.complete for w in windows] == [False, False, True]
     assert not any(w.guided or w.flow_x or w.flow_y for w in windows)
 
 
-def test_an_old_frame_guides_no_more() -> None:
-    features = SlipFeatures()
-    features.guide(GuideMaker().make(np.round(REST).astype(np.uint16), 0))
+def test_an_old_frame_is_not_used() -> None:
+    features = SlipFeatures(SlipControlParameters())
+    features.frame(np.round(REST).astype(np.uint16), 0)
     assert features.push(events_of(STILL, STILL + 0.3), 1000)[0].guided
     assert not features.push(Events.empty(), 900_000)[-1].guided
 
 
 def test_a_black_frame_gives_no_motion() -> None:
-    features = SlipFeatures()
-    features.guide(GuideMaker().make(np.zeros((HEIGHT, WIDTH), np.uint16), 0))
+    features = SlipFeatures(SlipControlParameters())
+    features.frame(np.zeros((HEIGHT, WIDTH), np.uint16), 0)
     (window,) = features.push(events_of(0.4 * PATCH, STILL), 1000)
     assert window.flow_x == window.flow_y == 0.0
 
 
-def test_another_size_is_refused() -> None:
-    with pytest.raises(SlipControlError, match='full resolution'):
-        GuideMaker().make(np.zeros((100, 100), np.uint16), 0)
-    with pytest.raises(SlipControlError, match='reach'):
-        GuideSettings(reach_px=0.0)
+@pytest.mark.parametrize('size', [(480, 640), (180, 240)])
+def test_a_sensor_of_any_size_is_measured_alike(size: tuple[int, int]) -> None:
+    """The same picture, larger or smaller: the contact is in its middle, its reach follows."""
+    rows, columns = size
+    y, x = np.mgrid[0:rows, 0:columns].astype(float)
+    scale = rows / HEIGHT
+
+    def picture(shift: np.ndarray | float) -> np.ndarray:
+        total = np.full(size, 150.0)
+        for column, row in BEADS * scale:
+            near = (x - shift - column) ** 2 + (y - row) ** 2
+            total += 500.0 * np.exp(-near / (2.0 * (3.5 * scale) ** 2))
+        return total
+
+    away = ((x - columns / 2.0) ** 2 + (y - rows / 2.0) ** 2) / (90.0 * scale) ** 2
+    change = (np.log(picture(0.4 * scale * np.exp(-away))) - np.log(picture(0.0))) / CONTRAST
+    number = np.floor(change + RNG.random(size)).astype(int)
+    at_y, at_x = np.nonzero(number)
+    times = np.abs(number[at_y, at_x])
+    events = Events(
+        np.zeros(int(times.sum()), np.int64),
+        np.repeat(at_x, times).astype(np.uint16),
+        np.repeat(at_y, times).astype(np.uint16),
+        np.repeat(number[at_y, at_x] > 0, times),
+    )
+    features = SlipFeatures(SlipControlParameters())
+    features.resize(columns, rows)
+    features.frame(np.round(picture(0.0)).astype(np.uint16), 0)
+    (window,) = features.push(events, 1000)
+    assert window.flow_x == pytest.approx(0.4 * scale / CONTRAST, rel=0.2)
+    assert abs(window.flow_y) < 0.15 * window.flow_x
+
+
+def test_a_frame_of_another_size_than_the_events_is_refused() -> None:
+    features = SlipFeatures(SlipControlParameters())
+    features.resize(640, 480)
+    with pytest.raises(SlipControlError) as caught:
+        features.frame(np.zeros((240, 320), np.uint16), 0)
+    assert '(240, 320)' in str(caught.value)
+    features.frame(np.full((480, 640), 7, np.uint8), 0)
+    place = np.array([639], np.uint16)
+    event = Events(np.array([100]), place, place // 2, np.array([True]))
+    assert features.push(event, 1000)[0].guided
+    # Another camera: its first frame has yet to come.
+    features.resize(240, 180)
+    assert not features.push(Events.empty(), 2000)[0].guided
+
+
+@pytest.mark.parametrize('shape', [(4, 300), (300, 4), (300, 300, 3)])
+def test_images_without_room_for_a_gradient_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(SlipControlError):
+        SlipFeatures(SlipControlParameters()).frame(np.zeros(shape, np.uint8), 0)

@@ -4,8 +4,17 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
-from mixtac_slip_control.arm.trajectory import PlannedTrajectory, TrajectoryMessage
+from mixtac_sim.arm.controller import JointTrajectoryController
+from mixtac_sim.arm.fr3 import READY, violations
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.trajectory import (
+    PlannedTrajectory,
+    TrajectoryMessage,
+    settling_trajectory,
+)
+from mixtac_slip_control.errors import ArmError
 
 
 def message():
@@ -42,9 +51,8 @@ def test_every_field_is_filled():
 def test_points_are_used_again_and_a_shorter_trajectory_is_shorter():
     filler = TrajectoryMessage(message, point)
     first = list(filler.fill(trajectory(5)).points)
-    again = filler.fill(trajectory(2), stamped=False)
+    again = filler.fill(trajectory(2))
     assert [id(p) for p in again.points] == [id(p) for p in first[:2]]
-    assert (again.header.stamp.sec, again.header.stamp.nanosec) == (0, 0)
 
 
 def test_it_fills_the_messages_of_ros():
@@ -53,3 +61,15 @@ def test_it_fills_the_messages_of_ros():
     filled = TrajectoryMessage(JointTrajectory, JointTrajectoryPoint).fill(trajectory(3))
     assert filled.points[2].positions.tolist() == [4.0, 5.0]
     assert filled.points[2].time_from_start.nanosec == 1_000_000
+
+
+def test_settling_leads_a_sagging_command_onto_the_measured_positions():
+    arm, sagged = SerialArm.fr3(), READY + 2e-3
+    controller = JointTrajectoryController()
+    controller.reset(READY, 1.0)
+    assert controller.accept(settling_trajectory(arm, sagged, 1.0), 1.0) is None
+    q = np.array([controller.sample(1.0 + k * 1e-3)[0] for k in range(600)])
+    assert violations(q, 1e-3) == 0
+    assert np.allclose(q[-1], sagged, atol=1e-12)
+    with pytest.raises(ArmError):
+        settling_trajectory(arm, READY, 1.0, 0.0)

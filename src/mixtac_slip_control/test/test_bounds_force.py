@@ -13,17 +13,14 @@ from mixtac_events.arrays import Events
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.planner import AdvancePlanner
-from mixtac_slip_control.background import BackgroundSettings
-from mixtac_slip_control.bounds import ProbeSettings
 from mixtac_slip_control.controller import SlipController
-from mixtac_slip_control.detectors import CountSettings, JudgeSettings
-from mixtac_slip_control.parameters import SlipSettings
+from mixtac_slip_control.parameters import SlipControlParameters
 from mixtac_slip_control.safety import InterlockState
 
 READY = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
 SIDEWAYS = (0.0, 1.0, 0.0)
 CEILING_N = 1.5
-LEARNED_MS = 90
+LEARNED_MS = 130
 PLANNER = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3())
 
 
@@ -56,8 +53,15 @@ def peak_force(
     contact: Contact, delay_ms: int, slip_ms: int, seed: int, *, probe: bool
 ) -> tuple[float, SlipController]:
     """Return the largest force of a run in which slip, once begun, never ends."""
-    judge = JudgeSettings('count', CountSettings(BackgroundSettings(60)), settle_windows=5)
-    chosen = SlipSettings(judge=judge, probe=ProbeSettings() if probe else ProbeSettings(0.0))
+    chosen = SlipControlParameters(
+        detector='count',
+        learning_time=0.1,
+        settle_time=0.005,
+        gain=0.7,
+        memory_time=0.0,
+        max_step=5e-5,
+        probe_advance=5e-5 if probe else 0.0,
+    )
     PLANNER.reset(READY, np.array(SIDEWAYS))
     controller = SlipController(chosen, PLANNER, SIDEWAYS)
     rng = np.random.default_rng(seed)
@@ -118,4 +122,4 @@ def test_after_probing_most_of_the_room_is_used(n_per_mm: float) -> None:
     peak, controller = peak_force(contact, 3, 250, 0, probe=True)
     assert not controller.probing
     assert 1.05 <= peak <= CEILING_N
-    assert controller.stiffness.stiffness == pytest.approx(1e3 * n_per_mm, rel=0.2)
+    assert controller.stiffness == pytest.approx(1e3 * n_per_mm, rel=0.2)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
-from mixtac_slip_control.detectors import SlipJudge
-from mixtac_slip_control.features import GuideMaker, SlipFeatures
-from mixtac_slip_control.parameters import SlipControlParameters, slip_settings
+from mixtac_slip_control.detectors import Detectors
+from mixtac_slip_control.features import SlipFeatures
+from mixtac_slip_control.parameters import SlipControlParameters
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,22 +26,22 @@ def detections(
     device_seed: int, seed: int, speed: NDArray[np.float64], force: NDArray[np.float64] | None
 ) -> tuple[list[int], list[int]]:
     """Return the ends of the windows in which flow and count say slip [us]."""
-    settings = slip_settings(SlipControlParameters(learning_time=0.4, settle_time=0.01))
-    judge, features, maker = SlipJudge(settings.judge), SlipFeatures(), GuideMaker()
+    settings = SlipControlParameters(learning_time=0.4, settle_time=0.01)
+    detectors, features = Detectors(settings), SlipFeatures(settings)
     flow, count, frames = [], [], []
     for block in SlipScene(device_seed, seed, load_ratio=0.8).play(speed, force):
         frames += block.frames
         while frames and frames[0].frame_end_us + TRANSFER_US <= block.end_us:
             frame = frames.pop(0)
             middle = (frame.exposure_start_us + frame.exposure_end_us) // 2
-            features.guide(maker.make(frame.intensity, middle))
+            features.frame(frame.intensity, middle)
         for window in features.push(block.events, block.end_us):
             if window.end_us < 100_000:
                 continue
-            judge.update(window, 0.0)
-            flow += [window.end_us] * judge.flow.slipping
-            count += [window.end_us] * judge.count.slipping
-    assert judge.learned
+            detectors.update(window, 0.0)
+            flow += [window.end_us] * detectors.flow.slipping
+            count += [window.end_us] * detectors.count.slipping
+    assert detectors.learned
     return flow, count
 
 

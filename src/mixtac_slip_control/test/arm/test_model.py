@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The arm that the parameters name, and joint states in any order."""
+"""The arm that the parameters name."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from mixtac_slip_control.arm.kinematics import fr3_urdf
-from mixtac_slip_control.arm.model import JointOrder, make_arm
-from mixtac_slip_control.controller import ERROR, OK, WARN, FeedCounts, SlipController, node_status
+from mixtac_slip_control.arm.model import make_arm
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.parameters import SlipControlParameters
 
@@ -35,7 +34,7 @@ def test_the_normal_turns_with_the_tool() -> None:
     assert base.normal(READY) == pytest.approx([1.0, 0.0, 0.0])
 
 
-def test_states_outside_ranges_workspace_or_near_singularities_are_told() -> None:
+def test_states_outside_ranges_workspace_or_near_singularities_are_reported() -> None:
     parts = make_arm(SlipControlParameters(arm='fr3', workspace='0 0.5 -0.5 0.5 0 1'))
     assert parts is not None
     assert parts.check(READY) is None
@@ -64,36 +63,14 @@ def test_an_arm_from_a_file_plans(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ('bad', 'text'),
+    'bad',
     [
-        ({'arm': '/no/such/file.urdf'}, 'cannot be read'),
-        ({'arm': 'fr3', 'normal_z': 0.0}, 'direction'),
-        ({'arm': 'fr3', 'workspace': '1 2 3'}, 'six numbers'),
-        ({'arm': 'fr3', 'workspace': '1 0 0 1 0 1'}, 'lower'),
+        {'arm': '/no/such/file.urdf'},
+        {'arm': 'fr3', 'normal_z': 0.0},
+        {'arm': 'fr3', 'workspace': '1 2 3'},
+        {'arm': 'fr3', 'workspace': '1 0 0 1 0 1'},
     ],
 )
-def test_what_is_no_arm_is_refused(bad: dict[str, object], text: str) -> None:
-    with pytest.raises(SlipControlError, match=text):
+def test_what_is_no_arm_is_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(SlipControlError):
         make_arm(SlipControlParameters(**bad))
-
-
-def test_joints_are_picked_by_name() -> None:
-    order = JointOrder(('a', 'b'))
-    assert order.pick(['finger', 'b', 'a'], [9.0, 2.0, 1.0]) == (1.0, 2.0)
-    assert order.pick(['a', 'b'], [3.0, 4.0]) == (3.0, 4.0)
-    assert order.pick(['a', 'finger'], [3.0, 4.0]) is None
-    assert order.pick(['a', 'b'], []) is None
-
-
-def test_the_status_says_what_is_missing() -> None:
-    controller, counts = SlipController(), FeedCounts()
-    level, message, values = node_status(controller, counts, None, 1.0)
-    assert level == WARN
-    assert 'driver' in message
-    assert values['force age [s]'] == 'never'
-    counts.problem = 'image of another size'
-    assert 'another size' in node_status(controller, counts, None, 1.0)[1]
-    controller.interlock.enable(None)
-    controller.interlock.stop('force is nan')
-    assert node_status(controller, counts, None, 1.0)[:2] == (ERROR, 'stopped: force is nan')
-    assert OK < WARN

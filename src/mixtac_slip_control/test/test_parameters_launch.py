@@ -8,8 +8,7 @@ import ast
 from pathlib import Path
 
 from mixtac_node.parameters import specs
-from mixtac_slip_control.detectors import DETECTORS
-from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.parameters import DETECTORS, SlipControlParameters
 
 ROOT = Path(__file__).resolve().parents[3]
 TREE = ast.parse((ROOT / 'launch' / 'slip_control.launch.py').read_text())

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What drives the arm: the interface, the backend for ros2_control, and how others are found.
+
+The parameter `arm_backend` names the backend: `trajectory` and `libfranka` are built in, others are
+entry points of the group `mixtac.arm_backends`. An entry point is called with the parameters of
+slip control and the kinematics of the arm, and returns an `ArmBackend`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+
+from mixtac_slip_control.errors import BackendError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from mixtac_slip_control.arm.kinematics import SerialArm
+    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
+    from mixtac_slip_control.parameters import SlipControlParameters
+
+    Floats = NDArray[np.float64]
+
+
+GROUP: Final = 'mixtac.arm_backends'
+"""Entry point group of arm backends from other packages."""
+TRAJECTORY: Final = 'trajectory'
+"""The backend that publishes trajectories; the node makes it, because it owns the publisher."""
+LIBFRANKA: Final = 'libfranka'
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmState:
+    """Where an arm is.
+
+    Attributes:
+        stamp_s: Time of the measurement [s], on the clock of trajectories.
+        q: Measured joint positions (n,) [rad].
+        dq: Measured joint velocities (n,) [rad/s].
+        commanded: Commanded joint positions (n,) [rad]; None where the backend does not
+            know them.
+    """
+
+    stamp_s: float
+    q: Floats
+    dq: Floats
+    commanded: Floats | None = None
+
+
+class ArmBackend(Protocol):
+    """Drives an arm along planned trajectories."""
+
+    def state(self) -> ArmState | None:
+        """Return the latest state, or None before the first.
+
+        Raises:
+            BackendError: The arm or the connection to it reports a fault.
+        """
+
+    def send(self, trajectory: PlannedTrajectory) -> None:
+        """Replace the trajectory being carried out by another, at once.
+
+        Raises:
+            BackendError: The arm or the connection to it reports a fault.
+        """
+
+    def stop(self) -> None:
+        """Bring the arm to rest and release it."""
+
+
+class TrajectoryBackend:
+    """An `ArmBackend` for a joint_trajectory_controller, by topics.
+
+    Args:
+        names: Names of the arm's joints, in its order.
+        publish: Publishes a trajectory.
+    """
+
+    def __init__(self, names: Sequence[str], publish: Callable[[PlannedTrajectory], None]) -> None:
+        self._names = tuple(names)
+        self._publish = publish
+        self._state: ArmState | None = None
+        self._seen: tuple[str, ...] | None = None
+        self._order: list[int] | None = None
+
+    def on_joint_state(
+        self, names: Sequence[str], positions: Sequence[float], now_s: float
+    ) -> bool:
+        """Take the joint positions of a `JointState`, in any order.
+
+        Args:
+            names: Names of the joints, among them those of the arm.
+            positions: Their positions [rad].
+            now_s: Time of arrival [s].
+
+        Returns:
+            Whether all joints of the arm were among them.
+        """
+        key = tuple(names)
+        if key != self._seen:
+            self._seen = key
+            place = {name: k for k, name in enumerate(key)}
+            complete = place.keys() >= set(self._names)
+            self._order = [place[name] for name in self._names] if complete else None
+        if self._order is None or len(positions) < len(key):
+            return False
+        q = np.array([positions[k] for k in self._order], np.float64)
+        self._state = ArmState(now_s, q, np.zeros_like(q))
+        return True
+
+    def state(self) -> ArmState | None:
+        """Return the latest state, without velocities, or None before the first."""
+        return self._state
+
+    def send(self, trajectory: PlannedTrajectory) -> None:
+        """Publish a trajectory."""
+        self._publish(trajectory)
+
+    def stop(self) -> None:
+        """Leave the arm alone: every trajectory ends at rest."""
+
+
+def open_backend(parameters: SlipControlParameters, arm: SerialArm) -> ArmBackend:
+    """Return the backend that the parameters name, connected to its arm.
+
+    Args:
+        parameters: `arm_backend`, and what that backend needs.
+        arm: The arm.
+
+    Raises:
+        BackendError: No such backend, or the arm does not answer or is not ready.
+    """
+    name = parameters.arm_backend
+    if name == LIBFRANKA:
+        from mixtac_slip_control.arm.libfranka import open_libfranka
+
+        return open_libfranka(parameters, arm)
+    found = {point.name: point for point in entry_points(group=GROUP)}
+    if name not in found:
+        known = ', '.join((TRAJECTORY, LIBFRANKA, *sorted(found)))
+        raise BackendError(f'arm_backend {name!r} is unknown', remedy=f'choose one of {known}')
+    backend: ArmBackend = found[name].load()(parameters, arm)
+    return backend
