@@ -221,15 +221,18 @@ class StiffnessProbe:
         if not self.active:
             return
         p = self._parameters
+        step = p.probe_speed * p.window
         self._windows += 1
         known = deviation <= self._precision * stiffness
         if known or self._windows > self._most:
             self._windows = self._most
-            self.advance = max(self.advance - p.probe_step, 0.0)
+            self.advance = max(self.advance - step, 0.0)
             self.active = self.advance > 0.0
             return
-        step = p.probe_step if stiffness * self.advance < p.probe_force else 0.0
-        self.advance = min(self.advance + step, p.probe_advance, max(limit, 0.0))
+        waits = stiffness * self.advance >= p.probe_force
+        self.advance = min(
+            self.advance + (0.0 if waits else step), p.probe_advance, max(limit, 0.0)
+        )
 
 
 GOAL_SHARE: Final = 0.9

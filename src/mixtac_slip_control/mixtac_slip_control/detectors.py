@@ -69,7 +69,9 @@ class Background:
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other parameters; what was learned stays."""
         self._parameters = parameters
-        ratio, shape = TAIL / parameters.alarm_probability, parameters.tail_shape
+        self._followed = parameters.background_time_constant / parameters.window
+        alarms = parameters.false_alarms_per_hour * parameters.window / 3600.0
+        ratio, shape = TAIL / alarms, parameters.tail_shape
         # Distance of the threshold from the start of the tail, in scales.
         self._reach = math.log(ratio) if shape == 0.0 else (math.pow(ratio, shape) - 1.0) / shape
 
@@ -79,7 +81,7 @@ class Background:
             self._learn(value)
             return
         # Stochastic approximation of the two quantiles: steps of a size set by the tail's scale.
-        gain = 1.0 / self._parameters.time_constant_windows
+        gain = 1.0 / self._followed
         step = gain * 10.0 * self.scale
         self.median += step * (0.5 if value > self.median else -0.5)
         above = value > self.start

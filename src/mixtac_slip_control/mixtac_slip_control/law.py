@@ -44,7 +44,8 @@ class AdvanceLaw:
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other parameters from the next window on."""
         self._parameters = parameters
-        windows = parameters.memory_windows
+        self._per_event = parameters.gain / (1e3 * parameters.events_per_mm)
+        windows = parameters.memory_time / parameters.window
         self._fade = math.exp(-1.0 / windows) if windows > 0.0 else 0.0
 
     def reset(self, preload: float | None = None) -> None:
@@ -91,7 +92,7 @@ class AdvanceLaw:
         self._held = 0
         p = self._parameters
         self._excess = max(count - threshold, self._fade * self._excess, 0.0)
-        return min(p.gain / p.events_per_m * self._excess, p.max_step)
+        return min(self._per_event * self._excess, p.max_step)
 
     def _at_rest(self, force: float | None) -> float:
         p = self._parameters
@@ -101,11 +102,11 @@ class AdvanceLaw:
             return 0.0
         excess = force - self._preload
         if excess < -p.force_band:
-            return p.preload_step
+            return p.preload_speed * p.window
         if excess > p.force_band and p.back_off > 0.0:
             room = self.total - self._floor
             self._backing_off = self._backing_off or room > 0.0
-            return -min(p.back_off_step, max(room, 0.0))
+            return -min(p.back_off * p.window, max(room, 0.0))
         return 0.0
 
 

@@ -454,16 +454,6 @@ class SlipControlParameters:
         return self._windows(self.learning_time)
 
     @cached_property
-    def time_constant_windows(self) -> float:
-        """Windows over which the background follows slow changes."""
-        return self.background_time_constant / self.window
-
-    @cached_property
-    def alarm_probability(self) -> float:
-        """Share of the windows at rest that may exceed a threshold."""
-        return self.false_alarms_per_hour * self.window / 3600.0
-
-    @cached_property
     def settle_windows(self) -> int:
         """Windows without slip and advance after which the background is updated again."""
         return self._windows(self.settle_time)
@@ -484,16 +474,6 @@ class SlipControlParameters:
         return self._windows(self.hold_time)
 
     @cached_property
-    def memory_windows(self) -> float:
-        """Windows in which the answer to an excess of events fades to 1/e."""
-        return self.memory_time / self.window
-
-    @cached_property
-    def events_per_m(self) -> float:
-        """Events per metre of skin motion [1/m]."""
-        return 1e3 * self.events_per_mm
-
-    @cached_property
     def advance_events_per_m(self) -> float:
         """Events per metre of advance [1/m]."""
         return 1e3 * self.advance_events_per_mm
@@ -502,21 +482,6 @@ class SlipControlParameters:
     def advance_flow_per_m(self) -> float:
         """Translation per metre of advance [px per contrast threshold / m]."""
         return 1e3 * self.advance_flow_per_mm
-
-    @cached_property
-    def back_off_step(self) -> float:
-        """Largest return per window [m]."""
-        return self.back_off * self.window
-
-    @cached_property
-    def preload_step(self) -> float:
-        """Largest advance per window that keeps the preload [m]."""
-        return self.preload_speed * self.window
-
-    @cached_property
-    def probe_step(self) -> float:
-        """Advance of the probe per window [m]."""
-        return self.probe_speed * self.window
 
     def _windows(self, seconds: float) -> int:
         return round(seconds / self.window)

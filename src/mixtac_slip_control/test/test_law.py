@@ -69,7 +69,7 @@ def test_limits_hold_for_every_input(
     for count, threshold, force, slipping in sequence:
         before = law.total
         step = law.update(count, threshold, force, limit, slipping=slipping)
-        assert -SETTINGS.back_off_step - 1e-18 <= step <= SETTINGS.max_step + 1e-18
+        assert -SETTINGS.back_off * SETTINGS.window - 1e-18 <= step <= SETTINGS.max_step + 1e-18
         assert 0.0 <= law.total <= limit
         assert law.total == pytest.approx(before + step, abs=1e-18)
 

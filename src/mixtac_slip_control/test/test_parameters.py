@@ -52,10 +52,9 @@ def test_values_without_a_meaning_are_refused(bad: dict[str, object]) -> None:
 
 
 def test_times_are_given_in_windows_and_lengths_in_metres() -> None:
-    p = SlipControlParameters(window=2e-3, learning_time=1.0, back_off=1e-3, events_per_mm=2e4)
+    p = SlipControlParameters(window=2e-3, learning_time=1.0, advance_events_per_mm=3e4)
     assert (p.window_us, p.learning_windows) == (2000, 500)
-    assert p.back_off_step == pytest.approx(2e-6)
-    assert p.events_per_m == 2e7
+    assert p.advance_events_per_m == 3e7
     assert dataclasses.replace(p, window=1e-3).learning_windows == 1000
 
 

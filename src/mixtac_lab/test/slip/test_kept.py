@@ -41,7 +41,7 @@ def test_what_was_measured_is_not_measured_again(tmp_path: Path) -> None:
 
 def test_other_settings_have_another_name() -> None:
     settings = SlipControlParameters()
-    other = dataclasses.replace(settings, arm_lag_s=5e-3)
+    other = dataclasses.replace(settings, arm_lag=5e-3)
     assert digest(settings, 'easy') == digest(SlipControlParameters(), 'easy')
     assert len({digest(settings, 'easy'), digest(settings, 'full'), digest(other, 'easy')}) == 3
 

@@ -9,24 +9,20 @@ slip control and the kinematics of the arm, and returns an `ArmBackend`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from mixtac_slip_control.arm.trajectory import ArmState
 from mixtac_slip_control.errors import BackendError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
     from mixtac_slip_control.arm.kinematics import SerialArm
     from mixtac_slip_control.arm.trajectory import PlannedTrajectory
     from mixtac_slip_control.parameters import SlipControlParameters
-
-    Floats = NDArray[np.float64]
 
 
 GROUP: Final = 'mixtac.arm_backends'
@@ -34,24 +30,6 @@ GROUP: Final = 'mixtac.arm_backends'
 TRAJECTORY: Final = 'trajectory'
 """The backend that publishes trajectories; the node makes it, because it owns the publisher."""
 LIBFRANKA: Final = 'libfranka'
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ArmState:
-    """Where an arm is.
-
-    Attributes:
-        stamp_s: Time of the measurement [s], on the clock of trajectories.
-        q: Measured joint positions (n,) [rad].
-        dq: Measured joint velocities (n,) [rad/s].
-        commanded: Commanded joint positions (n,) [rad]; None where the backend does not
-            know them.
-    """
-
-    stamp_s: float
-    q: Floats
-    dq: Floats
-    commanded: Floats | None = None
 
 
 class ArmBackend(Protocol):

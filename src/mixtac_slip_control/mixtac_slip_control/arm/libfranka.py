@@ -20,8 +20,8 @@ import numpy as np
 
 import mixtac_events
 import mixtac_slip_control
-from mixtac_slip_control.arm.backends import ArmState
 from mixtac_slip_control.arm.libfranka_loop import JOINTS, STATE, STOP, pack
+from mixtac_slip_control.arm.trajectory import ArmState
 from mixtac_slip_control.errors import BackendError
 
 if TYPE_CHECKING:

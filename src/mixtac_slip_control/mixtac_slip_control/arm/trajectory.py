@@ -59,6 +59,24 @@ class PlannedTrajectory:
         return self.stamp_s + float(self.times_s[-1])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmState:
+    """Where an arm is.
+
+    Attributes:
+        stamp_s: Time of the measurement [s], on the clock of trajectories.
+        q: Measured joint positions (n,) [rad].
+        dq: Measured joint velocities (n,) [rad/s].
+        commanded: Commanded joint positions (n,) [rad]; None where the backend does not
+            know them.
+    """
+
+    stamp_s: float
+    q: Floats
+    dq: Floats
+    commanded: Floats | None = None
+
+
 NS_PER_S: Final = 1_000_000_000
 
 
