@@ -37,7 +37,7 @@ setup(
             'export = mixtac_cli.export:export',
             'inspect = mixtac_cli.export:inspect',
             'record = mixtac_cli.record.session_node:record',
-            'simulate = mixtac_cli.simulate.command:simulate',
+            'simulate = mixtac_cli.simulate:simulate',
             'up = mixtac_cli.up:up',
             'up.slip = mixtac_cli.up:slip',
             'view = mixtac_cli.up:view',

@@ -4,29 +4,180 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Optional, cast
+from typing import TYPE_CHECKING, Annotated, Final, cast
 
 import numpy as np
 import typer
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
 
+from mixtac_alignment.clock_fit import to_fields
+from mixtac_alignment.fit_files import rewrite_bag, write_fit
+from mixtac_alignment.pool import sensor_timings
+from mixtac_alignment.recording import read_recording
+from mixtac_cli.figures import EVENTS, MARK, REFERENCE, new_figure, save_figure
+from mixtac_cli.options import JsonFile, OptionalPath, ReferenceTopic
 from mixtac_events.errors import MixtacError
+from mixtac_node import topics
+from mixtac_node.files import write_json
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from rich.table import Table
 
     from mixtac_alignment.clock_fit import ClockFit
     from mixtac_alignment.pool import SensorTiming
     from mixtac_alignment.recording import Method, Recording
 
+METHODS: Final = ('refined', 'two_impulse', 'paper', 'edges')
+POOLED: Final = ('refined', 'two_impulse')
+CLOSE_S: Final = 0.08
+"""Time shown to either side of an anchor."""
 
-EVENTS, FORCE, ANCHOR = '#5a5a5a', '#1f4e8c', '#c0392b'
-CLOSE_S = 0.08
+
+@dataclass(frozen=True, slots=True)
+class BagOutcome:
+    """Result of aligning one bag.
+
+    Attributes:
+        bag: Name of the bag.
+        fit: Its clock map; None if it was refused.
+        reason: Why it was refused.
+        seconds: Computing time [s].
+    """
+
+    bag: str
+    fit: ClockFit | None
+    reason: str
+    seconds: float
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the fields for JSON."""
+        fields = {} if self.fit is None else to_fields(self.fit)
+        return {'bag': self.bag, 'refused': self.reason, 'seconds': self.seconds, **fields}
+
+    def row(self) -> list[str]:
+        """Return the row of the table."""
+        fit, took = self.fit, f'{self.seconds:.2f}'
+        if fit is None:
+            return [self.bag, 'refused', self.reason, '', '', took]
+        first, last = fit.anchors[0].camera_us, fit.anchors[-1].camera_us
+        return [
+            self.bag,
+            fit.method,
+            f'{fit.drift_ppm:+.1f} +- {1e6 * float(fit.covariance[0, 0]) ** 0.5:.1f}',
+            f'{1e3 * float(fit.std_at((first + last) // 2)):.2f}',
+            f'{(last - first) * 1e-6:.1f}',
+            took,
+        ]
+
+
+def align(
+    bags: Annotated[list[Path], typer.Argument(help='Bags, or folders of bags (data sets).')],
+    reference: ReferenceTopic = topics.REFERENCE,
+    namespace: Annotated[
+        str, typer.Option(help="Namespace of the camera's topics.")
+    ] = topics.DEFAULT_NAMESPACE,
+    method: Annotated[
+        str,
+        typer.Option(
+            help='refined; two_impulse: taps only; paper: only trough and peak of the taps; '
+            'edges: external_edges against reference_edges, instead of taps.'
+        ),
+    ] = 'refined',
+    pool: Annotated[
+        bool,
+        typer.Option(help='Estimate gel lag and latency jointly from all recordings of a sensor.'),
+    ] = True,
+    rewrite: Annotated[
+        OptionalPath, typer.Option(help='Folder for copies with the force on the camera clock.')
+    ] = None,
+    figure: Annotated[OptionalPath, typer.Option(help='Folder for figures.')] = None,
+    json: JsonFile = None,
+) -> None:
+    """Fit the clock of the reference force to the camera's; write the fit beside each bag."""
+    if method not in METHODS:
+        raise typer.BadParameter(f'method {method!r}: choose one of {", ".join(METHODS)}')
+    found = [bag for path in bags for bag in find_bags(path)]
+    if not found:
+        raise typer.BadParameter(f'no bag in {", ".join(map(str, bags))}')
+    console, many = Console(), len(found) > 1
+    namespace = f'/{namespace.strip("/")}'
+    timings: dict[Path, SensorTiming] = {}
+    if pool and many and method in POOLED:
+        names = track(found, 'estimating sensor timing', console=console)
+        timings = sensor_timings(names, reference, namespace)
+    outcomes = [
+        align_bag(
+            bag,
+            method=cast('Method', method),
+            reference=reference,
+            namespace=namespace,
+            timing=timings.get(bag),
+            rewrite=rewrite,
+            figures=figure,
+        )
+        for bag in track(found, 'aligning', console=console, disable=not many)
+    ]
+    columns = (r'drift \[ppm]', r'std. mid-recording \[ms]', r'baseline \[s]', r'time \[s]')
+    table = Table('bag', 'method', *columns)
+    for outcome in outcomes:
+        table.add_row(*outcome.row())
+    console.print(table)
+    if json is not None:
+        write_json(json, [outcome.as_dict() for outcome in outcomes])
+    if any(outcome.fit is None for outcome in outcomes):
+        sys.exit(1)
+
+
+def find_bags(path: Path) -> list[Path]:
+    """Return a bag itself, or the bags in a folder in the order of their names."""
+    if (path / 'metadata.yaml').exists() or path.is_file():
+        return [path]
+    return sorted(found.parent for found in path.glob('*/metadata.yaml'))
+
+
+def align_bag(
+    bag: Path,
+    *,
+    method: Method = 'refined',
+    reference: str = topics.REFERENCE,
+    namespace: str = f'/{topics.DEFAULT_NAMESPACE}',
+    timing: SensorTiming | None = None,
+    rewrite: Path | None = None,
+    figures: Path | None = None,
+) -> BagOutcome:
+    """Align one bag; a refusal is an outcome too.
+
+    Args:
+        bag: Folder of the bag.
+        method: As in `Recording.fit`.
+        reference: Topic of the reference force.
+        namespace: Namespace of the camera's topics, with its leading slash.
+        timing: Known timing of the sensor.
+        rewrite: Folder for a copy of the bag on one clock.
+        figures: Folder for the figure.
+    """
+    began = time.perf_counter()
+    edges_only = method == 'edges'
+    try:
+        recording = read_recording(bag, reference, namespace, edges_only=edges_only)
+        known = (None, None) if timing is None else (timing.settings, timing.lag)
+        fit, _ = recording.fit(*known, method=method)
+        write_fit(fit, bag)
+        took = time.perf_counter() - began
+        if rewrite is not None:
+            rewrite.mkdir(parents=True, exist_ok=True)
+            rewrite_bag(bag, fit, rewrite / bag.name, reference, namespace)
+        if figures is not None and not edges_only:
+            draw_alignment(figures / f'{bag.name}.png', recording, fit, bag.name)
+    except MixtacError as error:
+        return BagOutcome(bag.name, None, str(error), time.perf_counter() - began)
+    return BagOutcome(bag.name, fit, '', took)
 
 
 def draw_alignment(path: Path, recording: Recording, fit: ClockFit, title: str) -> None:
@@ -34,17 +185,15 @@ def draw_alignment(path: Path, recording: Recording, fit: ClockFit, title: str) 
 
     Args:
         path: File to write; its suffix gives the format.
-        recording: What was aligned.
+        recording: The aligned recording.
         fit: The clock map.
         title: Title.
+
+    Raises:
+        FileError: The file cannot be written.
     """
-    import matplotlib as mpl
-
-    mpl.use('Agg')
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(3, 2, figsize=(11.0, 8.5), layout='constrained')
-    figure.suptitle(f'{title}: {fit.method}, {fit.summary()}', fontsize=9)
+    figure = new_figure(11.0, 8.5, f'{title}: {fit.method}, {fit.summary()}')
+    axes = figure.subplots(3, 2)
     for axis in axes.flat:
         axis.spines[['top', 'right']].set_visible(False)
     _whole(axes[0, 0], recording, fit, aligned=False)
@@ -53,8 +202,7 @@ def draw_alignment(path: Path, recording: Recording, fit: ClockFit, title: str) 
     _close(axes[1, 1], recording, fit, -1)
     _residuals(axes[2, 0], fit)
     _uncertainty(axes[2, 1], recording, fit)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def _streams(
@@ -81,8 +229,8 @@ def _streams(
     shown = (force_t >= start_s) & (force_t <= end_s)
     force = axis.twinx()
     force.spines['top'].set_visible(False)
-    force.plot(force_t[shown], recording.force[shown], color=FORCE, lw=0.9)
-    force.set_ylabel('force [N]', color=FORCE)
+    force.plot(force_t[shown], recording.force[shown], color=REFERENCE, lw=0.9)
+    force.set_ylabel('force [N]', color=REFERENCE)
 
 
 def _whole(axis: Axes, recording: Recording, fit: ClockFit, *, aligned: bool) -> None:
@@ -108,14 +256,14 @@ def _close(axis: Axes, recording: Recording, fit: ClockFit, which: int) -> None:
 def _anchors(axis: Axes, recording: Recording, fit: ClockFit) -> None:
     for anchor in fit.anchors:
         at_s = (anchor.camera_us - recording.counts.start_us) * 1e-6
-        axis.axvline(at_s, color=ANCHOR, lw=0.8, ls='--')
+        axis.axvline(at_s, color=MARK, lw=0.8, ls='--')
 
 
 def _residuals(axis: Axes, fit: ClockFit) -> None:
     first = fit.anchors[0].camera_us
     t = [(anchor.camera_us - first) * 1e-6 for anchor in fit.anchors]
     std = [1e3 * anchor.std_s for anchor in fit.anchors]
-    axis.errorbar(t, 1e3 * fit.residuals_s, yerr=std, fmt='o', color=ANCHOR, capsize=3)
+    axis.errorbar(t, 1e3 * fit.residuals_s, yerr=std, fmt='o', color=MARK, capsize=3)
     axis.axhline(0.0, color=EVENTS, lw=0.6)
     axis.set_title('anchors less the map, with their standard deviation')
     axis.set_xlabel('time since the first anchor [s]')
@@ -126,163 +274,7 @@ def _uncertainty(axis: Axes, recording: Recording, fit: ClockFit) -> None:
     counts = recording.counts
     t_s = np.linspace(0.0, len(counts.counts) * counts.width_us * 1e-6, 100)
     half = 1.96e3 * fit.std_at(counts.start_us + np.rint(t_s * 1e6).astype(np.int64))
-    axis.fill_between(t_s, -half, half, color=FORCE, alpha=0.25, lw=0)
+    axis.fill_between(t_s, -half, half, color=REFERENCE, alpha=0.25, lw=0)
     axis.set_title('95 % interval of the map')
     axis.set_xlabel('time since the first event [s]')
     axis.set_ylabel('time error [ms]')
-
-
-METHODS: Final = ('refined', 'two_impulse', 'paper', 'edges')
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
-
-
-@dataclass(frozen=True, slots=True)
-class AlignOptions:
-    """What to do with every bag.
-
-    Attributes:
-        reference: Topic of the reference force.
-        namespace: Namespace of the camera's topics.
-        method: As in `BagRecording.fit`.
-        pooled: Whether the bags of one sensor help each other.
-        rewritten: Folder for bags on one clock; none for none.
-        figures: Folder for figures; none for none.
-    """
-
-    reference: str
-    namespace: str
-    method: Method
-    pooled: bool
-    rewritten: Path | None
-    figures: Path | None
-
-
-@dataclass(frozen=True, slots=True)
-class BagOutcome:
-    """What became of a bag.
-
-    Attributes:
-        bag: Its name.
-        fit: Its clock map, if any.
-        reason: Why there is none.
-        seconds: How long it took.
-    """
-
-    bag: str
-    fit: ClockFit | None
-    reason: str
-    seconds: float
-
-
-def align(
-    bags: Annotated[list[Path], typer.Argument(help='Bags, or folders of bags (data sets).')],
-    reference: Annotated[str, typer.Option(help='Topic of the reference force.')] = (
-        '/ft_sensor/wrench'
-    ),
-    namespace: Annotated[str, typer.Option(help="Namespace of the camera's topics.")] = '/mixtac',
-    method: Annotated[
-        str,
-        typer.Option(
-            help='refined; two_impulse: the taps alone; paper: their troughs and peaks alone; '
-            'edges: external_edges against reference_edges, in place of taps.'
-        ),
-    ] = 'refined',
-    pool: Annotated[
-        bool, typer.Option(help='Let bags of one sensor tell of its gel and its latency together.')
-    ] = True,
-    rewrite: Annotated[
-        OptionalPath, typer.Option(help='Folder for copies with the force on the camera clock.')
-    ] = None,
-    figure: Annotated[OptionalPath, typer.Option(help='Folder for figures.')] = None,
-    report: Annotated[OptionalPath, typer.Option('--json', help='Write the table as JSON.')] = None,
-) -> None:
-    """Fit the clock of the reference force to the camera's; write the fit beside each bag."""
-    from rich.console import Console
-    from rich.progress import track
-
-    console = Console()
-    if method not in METHODS:
-        raise typer.BadParameter(f'method {method!r}: choose one of {", ".join(METHODS)}')
-    options = AlignOptions(reference, namespace, cast('Method', method), pool, rewrite, figure)
-    found = [bag for path in bags for bag in find_bags(path)]
-    if not found:
-        raise typer.BadParameter(f'no bag in {", ".join(map(str, bags))}')
-    quiet = len(found) < 2
-    timings = {}
-    if pool and not quiet and method in ('refined', 'two_impulse'):
-        from mixtac_alignment.pool import sensor_timings
-
-        names = track(found, 'learning the sensors', console=console)
-        timings = sensor_timings(names, reference, namespace)
-    names = track(found, 'aligning', console=console, disable=quiet)
-    outcomes = [align_bag(bag, options, timings.get(bag)) for bag in names]
-    console.print(_table(outcomes))
-    if report is not None:
-        report.write_text(json.dumps([_as_dict(o) for o in outcomes], indent=2) + '\n')
-    if any(outcome.fit is None for outcome in outcomes):
-        sys.exit(1)
-
-
-def find_bags(path: Path) -> list[Path]:
-    """Return a bag itself, or the bags in a folder in the order of their names."""
-    if (path / 'metadata.yaml').exists() or path.is_file():
-        return [path]
-    return sorted(found.parent for found in path.glob('*/metadata.yaml'))
-
-
-def align_bag(bag: Path, options: AlignOptions, timing: SensorTiming | None = None) -> BagOutcome:
-    """Align one bag, with what is known of its sensor; a refusal is an outcome too."""
-    from mixtac_alignment.fit_files import write_fit
-    from mixtac_alignment.recording import read_recording
-
-    began = time.perf_counter()
-    try:
-        edges_only = options.method == 'edges'
-        recording = read_recording(bag, options.reference, options.namespace, edges_only=edges_only)
-        known = (None, None) if timing is None else (timing.settings, timing.lag)
-        fit, _ = recording.fit(*known, method=options.method)
-        write_fit(fit, bag)
-        took = time.perf_counter() - began
-        if options.rewritten is not None:
-            from mixtac_alignment.fit_files import rewrite_bag
-
-            options.rewritten.mkdir(parents=True, exist_ok=True)
-            rewrite_bag(
-                bag, fit, options.rewritten / bag.name, options.reference, options.namespace
-            )
-        if options.figures is not None and not edges_only:
-            options.figures.mkdir(parents=True, exist_ok=True)
-            draw_alignment(options.figures / f'{bag.name}.png', recording, fit, bag.name)
-    except MixtacError as error:
-        return BagOutcome(bag.name, None, str(error), time.perf_counter() - began)
-    return BagOutcome(bag.name, fit, '', took)
-
-
-def _as_dict(outcome: BagOutcome) -> dict[str, object]:
-    from mixtac_alignment.clock_fit import to_fields
-
-    fields = {} if outcome.fit is None else to_fields(outcome.fit)
-    return {'bag': outcome.bag, 'refused': outcome.reason, 'seconds': outcome.seconds, **fields}
-
-
-def _table(outcomes: list[BagOutcome]) -> Table:
-    from rich.table import Table
-
-    table = Table(
-        'bag', 'method', r'drift \[ppm]', r'+- in the middle \[ms]', r'baseline \[s]', 's'
-    )
-    for outcome in outcomes:
-        fit = outcome.fit
-        if fit is None:
-            table.add_row(outcome.bag, 'refused', outcome.reason, '', '', f'{outcome.seconds:.2f}')
-            continue
-        first, last = fit.anchors[0].camera_us, fit.anchors[-1].camera_us
-        table.add_row(
-            outcome.bag,
-            fit.method,
-            f'{fit.drift_ppm:+.1f} +- {1e6 * float(fit.covariance[0, 0]) ** 0.5:.1f}',
-            f'{1e3 * float(fit.std_at((first + last) // 2)):.2f}',
-            f'{(last - first) * 1e-6:.1f}',
-            f'{outcome.seconds:.2f}',
-        )
-    return table

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json as json_format
 import math
 import os
 import subprocess
@@ -12,22 +11,31 @@ import sys
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from mixtac_driver.doctor.computer import Finding, Level, first_to_do, ok, worst
+from mixtac_cli.options import JsonFile
+from mixtac_driver.doctor.computer import (
+    Finding,
+    HostFiles,
+    Level,
+    check_computer,
+    first_to_do,
+    ok,
+    worst,
+)
+from mixtac_driver.doctor.stream import check_running
+from mixtac_driver.doctor.usb import check_attached
 from mixtac_driver.usb.device import check_device, is_real
 from mixtac_events.errors import MixtacError
+from mixtac_node.files import write_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-    from mixtac_driver.doctor.computer import HostFiles
-
 
 VIRTUAL = 'virtual'
 DISTRIBUTIONS = {'3': 'Humble', '7': 'Jazzy', '9': 'Kilted'}
@@ -39,123 +47,11 @@ PROBE = (
 )
 PROBE_TIMEOUT_S = 60.0
 SAFE_DOMAINS = range(102)
-"""Above, the ports of DDS run into those that Linux gives to outgoing connections."""
+"""Above these, the ports of DDS overlap those that Linux uses for outgoing connections."""
 DEVICE_SEED, SEED = 1001, 1001
-
-
-def check_ros(environment: Mapping[str, str]) -> list[Finding]:
-    """Say which ROS there is and how nodes will find each other.
-
-    Args:
-        environment: Variables of the process.
-    """
-    return [_check_rclpy(environment), check_domain(environment)]
-
-
-def _check_rclpy(environment: Mapping[str, str]) -> Finding:
-    name, remedy = 'ROS 2', 'source the workspace: . tools/env.sh, or install/setup.bash'
-    command = [sys.executable, '-c', PROBE]
-    try:
-        run = subprocess.run(
-            command,
-            env=dict(environment),
-            capture_output=True,
-            text=True,
-            timeout=PROBE_TIMEOUT_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return Finding(name, Level.ERROR, f'import rclpy took over {PROBE_TIMEOUT_S:g} s', remedy)
-    if run.returncode:
-        reason = (run.stderr.strip().splitlines() or ['no reason was given'])[-1]
-        return Finding(name, Level.ERROR, f'rclpy cannot be imported: {reason}', remedy)
-    version, rmw = run.stdout.split()[-2:]
-    named = environment.get('ROS_DISTRO') or DISTRIBUTIONS.get(version.partition('.')[0], 'unknown')
-    found = f'{named}, rclpy {version}, {rmw}'
-    return ok(name, found, distribution=named.lower(), rclpy=version, rmw=rmw)
-
-
-def check_domain(environment: Mapping[str, str]) -> Finding:
-    """Say which other nodes will be seen."""
-    name, text = 'ROS domain', environment.get('ROS_DOMAIN_ID') or '0'
-    reach = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE') or 'not restricted'
-    remedy = f'export ROS_DOMAIN_ID=N with N from 0 to {SAFE_DOMAINS[-1]}'
-    if not text.isdigit():
-        return Finding(name, Level.ERROR, f'ROS_DOMAIN_ID={text} is no number', remedy)
-    if int(text) not in SAFE_DOMAINS:
-        found = f'ROS_DOMAIN_ID={text}: its ports may be taken by outgoing connections'
-        return Finding(name, Level.WARN, found, remedy)
-    return ok(name, f'{text}, discovery range {reach}', domain=int(text), range=reach)
-
-
-def check_model() -> Finding:
-    """Say whether the model that comes with the estimator can be loaded."""
-    # Torch takes seconds to load: only when it is needed.
-    from mixtac_fger.weights import DEFAULT_MODEL, find_model, load_model
-
-    path = find_model(DEFAULT_MODEL)
-    try:
-        load_model(path)
-    except MixtacError as error:
-        found, _, remedy = str(error).rpartition(': ')
-        return Finding('model', Level.ERROR, found or str(error), remedy)
-    return ok('model', str(path))
-
-
-def check_virtual_sensor() -> Finding:
-    """Say whether the virtual sensor is installed."""
-    try:
-        check_device(VIRTUAL)
-    except MixtacError as error:
-        remedy = 'build the workspace with mixtac_sim: make setup'
-        return Finding('virtual sensor', Level.WARN, str(error), remedy)
-    return ok('virtual sensor', 'installed; use it with --device virtual')
-
-
-@contextmanager
-def virtual_camera(device: str) -> Iterator[tuple[Any, Finding]]:
-    """Find the virtual sensor that a device string means, or start one in this process.
-
-    Args:
-        device: `virtual`, or `virtual:PATH` for the sensor that listens there.
-
-    Yields:
-        A pyusb backend, None where the named one does not answer, and the finding.
-    """
-    from mixtac_driver.usb.device import open_backend
-    from mixtac_sim.usb.faults import NoVirtualSensorError
-
-    name = 'virtual sensor'
-    try:
-        backend = open_backend(device)
-    except NoVirtualSensorError as error:
-        if device != VIRTUAL:
-            found, _, remedy = str(error).partition('; ')
-            yield None, Finding(name, Level.ERROR, found, remedy)
-            return
-    else:
-        yield backend, ok(name, 'one is running; it is the one that is looked at')
-        return
-    with _own_sensor() as own:
-        yield own, ok(name, 'none is running; one was started for this test')
-
-
-@contextmanager
-def _own_sensor() -> Iterator[Any]:
-    from mixtac_sim.live.virtual_sensor import make_virtual_sensor
-    from mixtac_sim.usb.pyusb_backend import in_process_backend
-
-    sensor = make_virtual_sensor(device_seed=DEVICE_SEED, seed=SEED)
-    sensor.start()
-    try:
-        yield in_process_backend(sensor.device)
-    finally:
-        sensor.close()
-
-
 STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
 DEFAULT_SECONDS = 3.0
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
+MODEL_REMEDY = 'install the shipped model again, or train one with `mixtac train`'
 
 
 @dataclass
@@ -177,14 +73,14 @@ class Report:
 
     @property
     def verdict(self) -> str:
-        """What to do first, in one line."""
+        """The first thing to fix, in one line."""
         first = first_to_do(self.findings)
         if first is None:
-            return 'all is well'
-        return f'first: {first.name}: {first.remedy or first.found}'
+            return 'no problems found'
+        return f'fix first: {first.name}: {first.remedy or first.found}'
 
-    def as_json(self) -> str:
-        """Return the report as JSON."""
+    def as_dict(self) -> dict[str, object]:
+        """Return the report for JSON."""
         found = [
             {
                 'section': section,
@@ -198,13 +94,12 @@ class Report:
             for f in findings
         ]
         level = worst(self.findings).name.lower()
-        content = {
+        return {
             'device': self.device,
             'level': level,
             'verdict': self.verdict,
             'findings': found,
         }
-        return json_format.dumps(content, indent=2, allow_nan=False) + '\n'
 
 
 def _finite(value: object) -> object:
@@ -212,24 +107,23 @@ def _finite(value: object) -> object:
 
 
 def doctor(
-    device: Annotated[
-        str, typer.Option(help='davis346, virtual, or virtual:PATH of its socket.')
-    ] = 'davis346',
-    serial: Annotated[str, typer.Option(help='Serial number, if several are attached.')] = '',
+    device: Annotated[str, typer.Option(help='davis346, virtual, or virtual:SOCKET.')] = 'davis346',
+    serial: Annotated[
+        str, typer.Option(help='Serial number of the camera, if several are attached.')
+    ] = '',
     seconds: Annotated[
-        float, typer.Option(min=0.5, max=600, help='How long to measure the camera.')
+        float, typer.Option(min=0.5, max=600, help='How long to measure the camera (s).')
     ] = DEFAULT_SECONDS,
-    json: Annotated[OptionalPath, typer.Option(help='Write the findings there as well.')] = None,
+    json: JsonFile = None,
 ) -> None:
-    """Check software, camera and computer, measure the camera, say what to do about problems."""
+    """Check software, camera and computer, measure the camera, and suggest fixes."""
     console, report = Console(), Report(device)
     for section in examine(device, seconds, serial=serial):
         report.sections.append(section)
         console.print(table(*section))
     console.print(f'[{STYLES[worst(report.findings)]}]{escape(report.verdict)}', soft_wrap=True)
     if json is not None:
-        json.parent.mkdir(parents=True, exist_ok=True)
-        json.write_text(report.as_json())
+        write_json(json, report.as_dict())
     if worst(report.findings) is Level.ERROR:
         raise typer.Exit(1)
 
@@ -237,20 +131,17 @@ def doctor(
 def examine(
     device: str, seconds: float, *, serial: str = '', root: Path = Path('/')
 ) -> Iterator[tuple[str, list[Finding]]]:
-    """Look at everything; sections come as they are done, those that others need first.
+    """Check everything; yield each section when it is done.
 
     Args:
         device: `davis346`, `virtual` or `virtual:PATH`.
         seconds: How long to measure the camera [s].
         serial: Serial number of the camera, or empty for the only one.
-        root: What stands for the root folder.
+        root: Folder used as the root of the file system.
 
     Raises:
-        UnknownDeviceError: Nothing is known by that device string.
+        UnknownDeviceError: The device string is unknown.
     """
-    # Only this command needs the camera's and the simulation's compiled code.
-    from mixtac_driver.doctor.computer import HostFiles, check_computer
-
     check_device(device)
     files = HostFiles(root)
     software = [*check_ros(os.environ), check_model()]
@@ -266,9 +157,6 @@ def examine(
 def _real_camera(
     device: str, seconds: float, serial: str, files: HostFiles
 ) -> Iterator[tuple[str, list[Finding]]]:
-    from mixtac_driver.doctor.stream import check_running
-    from mixtac_driver.doctor.usb import check_attached
-
     attached = check_attached(files, serial)
     yield 'camera', attached
     if worst(attached) < Level.ERROR:
@@ -278,8 +166,6 @@ def _real_camera(
 def _virtual_camera(
     device: str, seconds: float, serial: str
 ) -> Iterator[tuple[str, list[Finding]]]:
-    from mixtac_driver.doctor.stream import check_running
-
     with virtual_camera(device) as (backend, finding):
         yield 'camera', [finding]
         if backend is not None:
@@ -300,3 +186,110 @@ def table(section: str, findings: list[Finding]) -> Table:
             text += f'\n[bold]-> {escape(finding.remedy)}[/bold]'
         result.add_row(finding.name, f'[{style}]{finding.level.name.lower()}[/{style}]', text)
     return result
+
+
+def check_ros(environment: Mapping[str, str]) -> list[Finding]:
+    """Check which ROS is installed and how nodes discover each other.
+
+    Args:
+        environment: Variables of the process.
+    """
+    return [_check_rclpy(environment), check_domain(environment)]
+
+
+def _check_rclpy(environment: Mapping[str, str]) -> Finding:
+    name, remedy = 'ROS 2', 'source the workspace: `. tools/env.sh` or `. install/setup.bash`'
+    command = [sys.executable, '-c', PROBE]
+    try:
+        run = subprocess.run(
+            command,
+            env=dict(environment),
+            capture_output=True,
+            text=True,
+            timeout=PROBE_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return Finding(name, Level.ERROR, f'import rclpy took over {PROBE_TIMEOUT_S:g} s', remedy)
+    if run.returncode:
+        reason = (run.stderr.strip().splitlines() or ['no output'])[-1]
+        return Finding(name, Level.ERROR, f'rclpy cannot be imported: {reason}', remedy)
+    version, rmw = run.stdout.split()[-2:]
+    named = environment.get('ROS_DISTRO') or DISTRIBUTIONS.get(version.partition('.')[0], 'unknown')
+    found = f'{named}, rclpy {version}, {rmw}'
+    return ok(name, found, distribution=named.lower(), rclpy=version, rmw=rmw)
+
+
+def check_domain(environment: Mapping[str, str]) -> Finding:
+    """Check the ROS domain and the discovery range."""
+    name, text = 'ROS domain', environment.get('ROS_DOMAIN_ID') or '0'
+    reach = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE') or 'not restricted'
+    remedy = f'export ROS_DOMAIN_ID=N with N from 0 to {SAFE_DOMAINS[-1]}'
+    if not text.isdigit():
+        return Finding(name, Level.ERROR, f'ROS_DOMAIN_ID={text} is not a number', remedy)
+    if int(text) not in SAFE_DOMAINS:
+        found = f'ROS_DOMAIN_ID={text}: its ports may be in use by outgoing connections'
+        return Finding(name, Level.WARN, found, remedy)
+    return ok(name, f'{text}, discovery range {reach}', domain=int(text), range=reach)
+
+
+def check_model() -> Finding:
+    """Check whether the shipped model of the estimator can be loaded."""
+    from mixtac_fger.weights import DEFAULT_MODEL, find_model, load_model
+
+    path = find_model(DEFAULT_MODEL)
+    try:
+        load_model(path)
+    except MixtacError as error:
+        return Finding('model', Level.ERROR, error.message, error.remedy or MODEL_REMEDY)
+    return ok('model', str(path))
+
+
+def check_virtual_sensor() -> Finding:
+    """Check whether the virtual sensor is installed."""
+    try:
+        check_device(VIRTUAL)
+    except MixtacError as error:
+        remedy = 'build the workspace with mixtac_sim: make setup'
+        return Finding('virtual sensor', Level.WARN, str(error), remedy)
+    return ok('virtual sensor', 'installed; use it with --device virtual')
+
+
+@contextmanager
+def virtual_camera(device: str) -> Iterator[tuple[Any, Finding]]:
+    """Find the virtual sensor of a device string, or start one in this process.
+
+    Args:
+        device: `virtual`, or `virtual:PATH` for the sensor that listens on that socket.
+
+    Yields:
+        A pyusb backend, None if the named sensor does not answer, and the finding.
+    """
+    from mixtac_driver.usb.device import open_backend
+    from mixtac_sim.usb.faults import NoVirtualSensorError
+
+    name = 'virtual sensor'
+    try:
+        backend = open_backend(device)
+    except NoVirtualSensorError as error:
+        if device != VIRTUAL:
+            yield None, Finding(name, Level.ERROR, error.message, error.remedy)
+            return
+    else:
+        yield backend, ok(name, 'a running one is checked')
+        return
+    with _own_sensor() as own:
+        yield own, ok(name, 'none is running; one was started for this check')
+
+
+@contextmanager
+def _own_sensor() -> Iterator[Any]:
+    from mixtac_sim.live.virtual_sensor import make_virtual_sensor
+    from mixtac_sim.usb.pyusb_backend import in_process_backend
+
+    sensor = make_virtual_sensor(device_seed=DEVICE_SEED, seed=SEED)
+    sensor.start()
+    try:
+        yield in_process_backend(sensor.device)
+    finally:
+        sensor.close()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Subscribers of the command line: they receive in a thread of their own.
+"""Nodes of the command line, which receive in a thread of their own.
 
 `Monitor` measures forces, clocks and diagnostics as any user's node would see them;
 `ImageReceiver` keeps the newest image of a topic.
@@ -14,26 +14,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
 
-from mixtac_node.base_node import QOS_FORCE, QOS_LATCHED, QOS_SENSOR
+from mixtac_node import topics
+from mixtac_node.base_node import BaseNode
 from mixtac_node.lifecycle_node import LifecycleClient
 from mixtac_node.process import GraphError
 from mixtac_node.stamps import stamp_to_ns
-from mixtac_node.topics import REFERENCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import WrenchStamped
     from numpy.typing import NDArray
     from rclpy.topic_endpoint_info import TopicEndpointInfo
+    from sensor_msgs.msg import Image, TimeReference
+    from typing_extensions import Self
 
     from mixtac_node.process import ProcessGroup
 
@@ -42,8 +43,52 @@ SERVICE_TIMEOUT_S = 20.0
 FIRST_FORCE_TIMEOUT_S = 60.0
 
 
-class Monitor:
-    """Runs a node in a thread of its own and keeps what it received.
+class _ReceiverNode(BaseNode, Node):  # type: ignore[misc]
+    pass
+
+
+class Receiver:
+    """A node that receives in a thread of its own, between `start` and the end of a `with` block.
+
+    Args:
+        name: Name of the node.
+        namespace: Its namespace.
+    """
+
+    def __init__(self, name: str, namespace: str = topics.DEFAULT_NAMESPACE) -> None:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self._namespace = f'/{namespace.strip("/")}'
+        self._node = _ReceiverNode(name, namespace=self._namespace)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._spin, name=name)
+
+    def __enter__(self) -> Self:
+        """Return the receiver."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop receiving and close the node."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _spin(self) -> None:
+        executor = EventsExecutor()
+        executor.add_node(self._node)
+        while not self._stopping.is_set() and rclpy.ok():
+            executor.spin_once(timeout_sec=0.1)
+        executor.remove_node(self._node)
+
+
+class Monitor(Receiver):
+    """Measures what the nodes of a sensor publish, and calls their services.
 
     Args:
         namespace: Namespace of the sensor.
@@ -56,9 +101,7 @@ class Monitor:
     """
 
     def __init__(self, namespace: str, seconds: float) -> None:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        self._namespace = f'/{namespace.strip("/")}'
-        self._node = Node('monitor', namespace=self._namespace)
+        super().__init__('monitor', namespace)
         size = int(600 * seconds) + 1000
         self._arrival_ns = np.zeros(size, np.int64)
         self._stamp_ns = np.zeros(size, np.int64)
@@ -68,25 +111,6 @@ class Monitor:
         self.reference_n = float('nan')
         self.reference_count = 0
         self._clock_pairs: list[tuple[int, int]] = []
-        self._stopping = threading.Event()
-        self._thread: threading.Thread | None = None
-
-    def __enter__(self) -> Monitor:
-        """Return the monitor."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Stop receiving and close the node."""
-        self._stopping.set()
-        if self._thread is not None:
-            self._thread.join()
-        self._node.destroy_node()
-        rclpy.try_shutdown()
 
     def bring_up(self, name: str, processes: ProcessGroup) -> None:
         """Configure and activate a lifecycle node of these processes; before `listen`.
@@ -104,11 +128,10 @@ class Monitor:
     def listen(self) -> None:
         """Subscribe and start receiving."""
         node = self._node
-        node.create_subscription(WrenchStamped, 'force', self._on_force, QOS_FORCE)
-        node.create_subscription(WrenchStamped, REFERENCE, self._on_reference, QOS_FORCE)
-        node.create_subscription(TimeReference, 'camera_clock', self._on_clock, QOS_LATCHED)
-        node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 20)
-        self._thread = threading.Thread(target=self._spin, name='monitor')
+        node.subscribe_topic(topics.FORCE, self._on_force)
+        node.subscribe_topic(topics.REFERENCE_WRENCH, self._on_reference)
+        node.subscribe_topic(topics.CAMERA_CLOCK, self._on_clock)
+        node.subscribe_topic(topics.DIAGNOSTICS, self._on_diagnostics)
         self._thread.start()
 
     def trigger(self, service: str, alive: Callable[[], None]) -> None:
@@ -124,10 +147,10 @@ class Monitor:
         deadline = time.monotonic() + SERVICE_TIMEOUT_S
         while not future.done():
             alive()
-            if self._thread is None:
-                rclpy.spin_once(self._node, timeout_sec=0.1)
-            else:
+            if self._thread.is_alive():
                 time.sleep(0.02)
+            else:
+                rclpy.spin_once(self._node, timeout_sec=0.1)
             if time.monotonic() > deadline:
                 raise GraphError(f'service {self._namespace}/{service} did not answer')
         reply = future.result()
@@ -141,16 +164,21 @@ class Monitor:
             check: Called while waiting; raises when a process has ended.
 
         Raises:
-            GraphError: No force came; with what the estimator says of itself.
+            GraphError: No force came; the text holds the last diagnostics of the estimator.
         """
         deadline = time.monotonic() + FIRST_FORCE_TIMEOUT_S
         while self.force_count == 0:
             time.sleep(0.05)
             check()
             if time.monotonic() > deadline:
-                name = f'{self._namespace}/fger'.lstrip('/')
-                said = self.diagnostics.get(name, {}).get('message', 'nothing')
-                raise GraphError(f'no force in {FIRST_FORCE_TIMEOUT_S:.0f} s; fger says: {said}')
+                message = self.values('fger').get('message', 'none')
+                raise GraphError(
+                    f'no force in {FIRST_FORCE_TIMEOUT_S:.0f} s; diagnostics of fger: {message}'
+                )
+
+    def values(self, node: str) -> dict[str, str]:
+        """Return the latest diagnostics of a node of the sensor by key, and its `message`."""
+        return self.diagnostics.get(f'{self._namespace}/{node}'.lstrip('/'), {})
 
     @property
     def force_count(self) -> int:
@@ -167,15 +195,8 @@ class Monitor:
         return np.array(self._clock_pairs, np.int64).reshape(-1, 2)
 
     def publishers(self, topic: str) -> list[TopicEndpointInfo]:
-        """Return type and QoS of everybody who publishes an absolute topic."""
+        """Return type and QoS of all publishers of an absolute topic."""
         return list(self._node.get_publishers_info_by_topic(topic))
-
-    def _spin(self) -> None:
-        executor = EventsExecutor()
-        executor.add_node(self._node)
-        while not self._stopping.is_set() and rclpy.ok():
-            executor.spin_once(timeout_sec=0.1)
-        executor.remove_node(self._node)
 
     def _on_force(self, message: WrenchStamped) -> None:
         arrival = time.time_ns()
@@ -200,44 +221,25 @@ class Monitor:
             self.diagnostics[status.name] = {'message': status.message, **values}
 
 
-class ImageReceiver:
-    """Receives in a thread of its own; an image that nobody took is replaced by the next.
+class ImageReceiver(Receiver):
+    """Keeps the newest image of a topic; an image that nobody took is replaced by the next.
 
     Args:
         topic: Absolute name of the topic.
 
     Attributes:
         received: Images received.
-        skipped: Images replaced before anybody took them.
+        skipped: Images replaced before they were taken.
     """
 
     def __init__(self, topic: str) -> None:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node('calibrate')
-        self._node.create_subscription(Image, topic, self._on_image, QOS_SENSOR)
+        super().__init__('calibrate')
         self._fresh = threading.Condition()
         self._newest: Image | None = None
         self.received = 0
         self.skipped = 0
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._spin, name='image-receiver')
+        self._node.subscribe_topic(topics.IMAGE_RAW, self._on_image, name=topic)
         self._thread.start()
-
-    def __enter__(self) -> ImageReceiver:
-        """Return the receiver."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Stop receiving and close the node."""
-        self._stopping.set()
-        self._thread.join()
-        self._node.destroy_node()
-        rclpy.try_shutdown()
 
     def take(self, timeout_s: float) -> Image | None:
         """Return the newest image not yet taken, or None if there is none in time."""
@@ -252,10 +254,3 @@ class ImageReceiver:
             self.skipped += self._newest is not None
             self._newest = message
             self._fresh.notify()
-
-    def _spin(self) -> None:
-        executor = EventsExecutor()
-        executor.add_node(self._node)
-        while not self._stopping.is_set() and rclpy.ok():
-            executor.spin_once(timeout_sec=0.1)
-        executor.remove_node(self._node)

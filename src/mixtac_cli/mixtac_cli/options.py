@@ -25,3 +25,6 @@ Preset = Annotated[
     str,
     typer.Option('--preset', help='Difficulty of the simulated sensor: easy, paper_like or hard.'),
 ]
+ReferenceTopic = Annotated[
+    str, typer.Option('--reference', help='Topic of the reference force (WrenchStamped).')
+]

@@ -17,7 +17,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from mixtac_alignment.fit_files import fit_path, read_fit
 from mixtac_alignment.pool import sensor_of
 from mixtac_alignment.recording import read_recording
-from mixtac_cli.align import AlignOptions, align_bag, find_bags
+from mixtac_cli.align import align_bag, find_bags
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_recordings.bag import BagFile, typestore
@@ -106,9 +106,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_clocks_are_found_and_the_fit_lies_beside_the_bag(bag: Path) -> None:
-    outcome = align_bag(
-        bag, AlignOptions('/ft_sensor/wrench', '/mixtac', 'refined', False, None, None)
-    )
+    outcome = align_bag(bag)
     assert outcome.fit is not None, outcome.reason
     fit = read_fit(bag)
     camera = START_US + np.array([0, 4_000_000, 8_000_000])
@@ -119,10 +117,8 @@ def test_the_clocks_are_found_and_the_fit_lies_beside_the_bag(bag: Path) -> None
 
 
 def test_copies_have_the_force_on_the_camera_clock(bag: Path, tmp_path: Path) -> None:
-    options = AlignOptions(
-        '/ft_sensor/wrench', '/mixtac', 'refined', False, tmp_path / 'one', tmp_path / 'figures'
-    )
-    outcome = align_bag(bag, options)
+    options = {'rewrite': tmp_path / 'one', 'figures': tmp_path / 'figures'}
+    outcome = align_bag(bag, **options)
     assert outcome.fit is not None, outcome.reason
     assert (tmp_path / 'figures' / 'trial.png').stat().st_size > 10_000
     with BagFile(bag) as old, BagFile(tmp_path / 'one' / 'trial') as new:
@@ -133,13 +129,13 @@ def test_copies_have_the_force_on_the_camera_clock(bag: Path, tmp_path: Path) ->
     assert force.tolist() == same.tolist()
     shown_us = (before - round(REFERENCE_S * 1e9)) / RATE / 1e3
     assert np.abs(after / 1e3 - START_US - shown_us).max() < 1500.0
-    again = align_bag(bag, options)
+    again = align_bag(bag, **options)
     assert again.fit is None
     assert 'new' in again.reason
 
 
 def test_what_cannot_be_aligned_is_refused_with_the_reason(bag: Path, tmp_path: Path) -> None:
-    outcome = align_bag(bag, AlignOptions('/other', '/mixtac', 'refined', False, None, None))
+    outcome = align_bag(bag, reference='/other')
     assert outcome.fit is None
     assert '/other' in outcome.reason
     with pytest.raises(BagError, match='mixtac align'):
@@ -192,13 +188,12 @@ def edges_bag(tmp_path: Path) -> Path:
 
 
 def test_edges_of_a_trigger_line_serve_in_place_of_taps(edges_bag: Path, bag: Path) -> None:
-    options = AlignOptions('/ft_sensor/wrench', '/mixtac', 'edges', False, None, None)
-    outcome = align_bag(edges_bag, options)
+    outcome = align_bag(edges_bag, method='edges')
     assert outcome.fit is not None, outcome.reason
     camera = START_US + np.array([0, 5_000_000, 10_000_000])
     truth = REFERENCE_S + RATE * (camera - START_US) * 1e-6
     assert np.abs(outcome.fit.to_reference(camera) - truth).max() < 5e-6
-    refused = align_bag(bag, options)
+    refused = align_bag(bag, method='edges')
     assert refused.fit is None
     assert 'external_edges' in refused.reason
 

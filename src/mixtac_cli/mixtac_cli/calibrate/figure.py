@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mixtac_cli.figures import FORCE, REFERENCE, new_figure, save_figure
 from mixtac_driver.calibration.board import CELLS, coverage_counts, measure, stretched
 from mixtac_driver.calibration.image_undistortion import ImageUndistortion
-from mixtac_node.process import GraphError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mixtac_driver.calibration.solve import Solution
 
 
-KEPT, REMOVED, IDEAL = '#1f4e8c', '#e07b00', '#8a8a8a'
+KEPT, REMOVED, IDEAL = REFERENCE, FORCE, '#8a8a8a'
 
 
 def draw_calibration(path: Path, solution: Solution, session: CalibrationSession) -> None:
@@ -32,31 +32,19 @@ def draw_calibration(path: Path, solution: Solution, session: CalibrationSession
     Args:
         path: File to write; its suffix gives the format.
         solution: The calibration.
-        session: The views it is from, with their images.
+        session: The views, with their images.
 
     Raises:
-        GraphError: The file cannot be written, or its suffix names no format.
+        FileError: The file cannot be written, or its suffix names no format.
     """
-    import matplotlib as mpl
-
-    mpl.use('Agg')
-    from matplotlib import pyplot as plt
-
-    figure = plt.figure(figsize=(14, 7.6), layout='constrained')
+    figure = new_figure(14, 7.6, _title(solution))
     axes = figure.subplots(2, 3, gridspec_kw={'width_ratios': [1.25, 1.25, 1.0]})
     _coverage(axes[0, 0], solution)
     _residuals(figure, axes[0, 1], solution)
     _view_errors(axes[0, 2], solution)
     _example(axes[1, 0], axes[1, 1], solution, session)
     _lens(axes[1, 2], solution)
-    figure.suptitle(_title(solution), x=0.01, ha='left', fontsize=11)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=120)
-    except (OSError, ValueError) as error:
-        raise GraphError(f'cannot write {path}: {error}; name a .png or .pdf file') from error
-    finally:
-        plt.close(figure)
+    save_figure(figure, path)
 
 
 def _title(solution: Solution) -> str:
@@ -91,10 +79,10 @@ def _coverage(axes: Axes, solution: Solution) -> None:
 
 
 def _residuals(figure: Figure, axes: Axes, solution: Solution) -> None:
-    left_over = np.concatenate(solution.fit.residuals)
+    residuals = np.concatenate(solution.fit.residuals)
     corners = np.concatenate([view.corners for view in solution.views])
     radius = np.linalg.norm(corners - solution.calibration.camera_matrix[:2, 2], axis=1)
-    shown = axes.scatter(left_over[:, 0], left_over[:, 1], c=radius, s=4, cmap='viridis', lw=0)
+    shown = axes.scatter(residuals[:, 0], residuals[:, 1], c=radius, s=4, cmap='viridis', lw=0)
     turn = np.linspace(0, 2 * np.pi, 100)
     rms = solution.rms_px
     axes.plot(
@@ -107,7 +95,7 @@ def _residuals(figure: Figure, axes: Axes, solution: Solution) -> None:
     axes.axhline(0, color='k', lw=0.4)
     axes.axvline(0, color='k', lw=0.4)
     axes.legend(loc='upper right', frameon=False, fontsize=9)
-    axes.set_title('seen minus fitted corners', fontsize=10)
+    axes.set_title('residuals: detected minus fitted corners', fontsize=10)
     axes.set_xlabel('along columns [px]')
     axes.set_ylabel('along rows [px]')
     figure.colorbar(shown, ax=axes, label='distance from the axis [px]', pad=0.02)
@@ -122,7 +110,7 @@ def _view_errors(axes: Axes, solution: Solution) -> None:
     if solution.removed:
         after = len(rms) + 0.5 + np.arange(len(solution.removed))
         errors = [error for _, error in solution.removed]
-        axes.bar(after, errors, color=REMOVED, label='left out')
+        axes.bar(after, errors, color=REMOVED, label='removed')
         axes.set_ylim(0, min(max(errors), 4 * max(worst)) * 1.1)
     axes.axhline(solution.rms_px, color=REMOVED, lw=1.0)
     axes.legend(frameon=False, fontsize=9, ncols=3, loc='upper right')
@@ -133,7 +121,7 @@ def _view_errors(axes: Axes, solution: Solution) -> None:
 
 
 def _example(before: Axes, after: Axes, solution: Solution, session: CalibrationSession) -> None:
-    """Show the view that fills most of the image, as it is and undistorted."""
+    """Show the view that fills most of the image, distorted and undistorted."""
     pairs = dict(zip(map(id, session.selection.views), session.images, strict=True))
     view = max(solution.views, key=lambda each: measure(each).size)
     image = stretched(pairs[id(view)])
@@ -143,12 +131,12 @@ def _example(before: Axes, after: Axes, solution: Solution, session: Calibration
     flat = ImageUndistortion(calibration).undistort(image)
     straight = calibration.undistort(view.corners).reshape(view.grid().shape)
     for axes, picture, grid, title in (
-        (before, image, view.grid(), 'a view as it is'),
-        (after, flat, straight, 'the same, undistorted: rows are straight'),
+        (before, image, view.grid(), 'a view'),
+        (after, flat, straight, 'the same view, undistorted: rows are straight'),
     ):
         axes.imshow(picture, cmap='gray')
         for line in (grid[0], grid[-1], grid[:, 0], grid[:, -1]):
-            # From end to end: what is not straight leaves this line.
+            # From end to end: a row that is not straight leaves this line.
             axes.plot(line[[0, -1], 0], line[[0, -1], 1], color=REMOVED, lw=1.0)
         axes.plot(grid[..., 0].ravel(), grid[..., 1].ravel(), '.', color='#4fd1ff', ms=3)
         axes.set_xlim(-0.5, calibration.width - 0.5)
@@ -176,7 +164,7 @@ def _lens(axes: Axes, solution: Solution) -> None:
     axes.set_ylim(0, rim)
     axes.grid(visible=True, alpha=0.25)
     axes.legend(frameon=False, fontsize=9, loc='lower right')
-    axes.set_title('the lens', fontsize=10)
+    axes.set_title('lens', fontsize=10)
     axes.set_xlabel('angle off the axis [deg]')
     axes.set_ylabel('distance from the axis [px]')
 

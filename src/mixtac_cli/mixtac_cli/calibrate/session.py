@@ -24,8 +24,9 @@ from mixtac_driver.calibration.board import (
 )
 from mixtac_driver.calibration.fit import fit_lens
 from mixtac_driver.calibration.lens import RefusedError
+from mixtac_node.files import replacing
 from mixtac_node.images import ImageConversionError, image_array
-from mixtac_node.process import GraphError
+from mixtac_node.topics import IMAGE_RAW
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.recording import BagError
 
@@ -38,9 +39,6 @@ if TYPE_CHECKING:
     Grey = NDArray[np.uint8 | np.uint16]
 
 
-IMAGE_TYPE = 'sensor_msgs/msg/Image'
-
-
 def grey_image(message: Any) -> Grey:  # noqa: ANN401
     """Return the brightness of an image message, `uint8` or `uint16` [height, width].
 
@@ -48,7 +46,7 @@ def grey_image(message: Any) -> Grey:  # noqa: ANN401
         message: A `sensor_msgs/Image` of rclpy or of rosbags.
 
     Raises:
-        BagError: Unknown encoding, or fewer data than the size needs.
+        BagError: Unknown encoding, or fewer data than the size requires.
     """
     deep = '16' in str(message.encoding)
     try:
@@ -58,7 +56,7 @@ def grey_image(message: Any) -> Grey:  # noqa: ANN401
 
 
 def image_label(message: Any) -> str:  # noqa: ANN401
-    """Return the stamp of a message [s], to name its view by."""
+    """Return the stamp of a message [s] as the label of its view."""
     stamp = message.header.stamp
     return f'{stamp.sec}.{stamp.nanosec // 1_000_000:03d}'
 
@@ -78,10 +76,10 @@ def bag_images(path: Path, topic: str, rate_hz: float) -> Iterator[tuple[str, Gr
     next_ns = 0
     with BagFile(path) as bag:
         kind = bag.types.get(topic)
-        if kind not in (None, IMAGE_TYPE):
+        if kind not in (None, IMAGE_RAW.type_name):
             raise BagError(f'{path}: {topic} carries {kind}; name the topic of the images')
         for received_ns, message in bag.messages(topic):
-            # Half a millisecond early is not a frame more.
+            # Tolerate half a millisecond of jitter.
             if received_ns < next_ns - 500_000:
                 continue
             next_ns = received_ns + period_ns
@@ -96,13 +94,13 @@ HINTS = (
     'move the board to the top and bottom edge',
     'hold the board nearer and further away',
     'tilt and turn the board',
-    'hold the board into the corners of the image',
+    'move the board into the image corners',
 )
 
 
 @dataclass(frozen=True, slots=True)
 class ImageOutcome:
-    """What became of one image.
+    """Result of looking for the board in one image.
 
     Attributes:
         view: The board in it, or None.
@@ -113,7 +111,7 @@ class ImageOutcome:
     verdict: Verdict | None
 
     def __str__(self) -> str:
-        """Return it in words."""
+        """Return it as text."""
         return self.verdict.value if self.verdict else 'no board'
 
 
@@ -121,7 +119,7 @@ class CalibrationSession:
     """Takes images one by one and keeps the views worth fitting, with their images.
 
     Args:
-        board: What is held before the camera.
+        board: The checkerboard.
         model: Lens model of the running fit.
         thorough: Search each image more thoroughly for small squares.
 
@@ -131,7 +129,7 @@ class CalibrationSession:
         seen: Images looked at.
         found: Images that show the whole board.
         rms_px: Reprojection error of the running fit [px], NaN before the first.
-        last: What became of the last image.
+        last: Result of the last image.
     """
 
     def __init__(self, board: Board, model: str, *, thorough: bool = False) -> None:
@@ -155,12 +153,12 @@ class CalibrationSession:
             verdict = self.selection.offer(view)
             if verdict is Verdict.KEPT:
                 self.images.append(image)
-                self._fit_now_and_then()
+                self._update_fit()
         self.last = ImageOutcome(view, verdict)
         return self.last
 
     def progress(self) -> list[tuple[str, float]]:
-        """Return how far each demand is met, 0 .. 1, by name."""
+        """Return how far each requirement is met, 0 .. 1, by name."""
         views = self.selection.views
         shares = [
             min(1.0, got / wanted) for got, wanted in zip(spread(views), WANTED_SPREAD, strict=True)
@@ -169,29 +167,25 @@ class CalibrationSession:
         return list(zip(('x', 'y', 'size', 'skew', 'coverage'), shares, strict=True))
 
     def hint(self) -> str:
-        """Return what to do next."""
+        """Return how to move the board next."""
         shares = [share for _, share in self.progress()]
         if min(shares) >= 1.0:
-            return 'a few more views' if not self.selection.complete else 'enough'
+            return 'enough views' if self.selection.complete else 'a few more views'
         return HINTS[int(np.argmin(shares))]
 
     def save_pictures(self, folder: Path) -> list[Path]:
-        """Write the kept images with the corners found drawn in; return the files.
+        """Write the kept images with their detected corners; return the files.
 
         Raises:
-            GraphError: A file cannot be written.
+            FileError: A file cannot be written.
         """
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise GraphError(f'cannot make folder {folder}: {error}') from error
         pairs = zip(self.selection.views, self.images, strict=True)
         return [
             _save_picture(folder / f'view_{index:02d}.png', view, image)
             for index, (view, image) in enumerate(pairs)
         ]
 
-    def _fit_now_and_then(self) -> None:
+    def _update_fit(self) -> None:
         views = self.selection.views
         if len(views) < FIT_FROM or len(views) % FIT_EVERY:
             return
@@ -214,9 +208,7 @@ def _save_picture(path: Path, view: View, image: Grey) -> Path:
     colour = cv2.cvtColor(large, cv2.COLOR_GRAY2BGR)
     corners = ((view.corners + 0.5) * PICTURE_SCALE - 0.5).astype(np.float32).reshape(-1, 1, 2)
     cv2.drawChessboardCorners(colour, (view.board.columns, view.board.rows), corners, True)
-    written, data = cv2.imencode('.png', colour)
-    try:
-        path.write_bytes(data.tobytes() if written else b'')
-    except OSError as error:
-        raise GraphError(f'cannot write {path}: {error}') from error
+    _, data = cv2.imencode('.png', colour)
+    with replacing(path) as scratch:
+        scratch.write_bytes(data.tobytes())
     return path

@@ -14,8 +14,12 @@ import numpy as np
 
 from mixtac_alignment.impulses import ImpulseSettings
 from mixtac_alignment.two_impulse import fit_two_impulses
-from mixtac_events.codec import decode
+from mixtac_cli.figures import EVENTS, FORCE, REFERENCE, new_figure, save_figure
+from mixtac_events.codec import decode_message
+from mixtac_events.sequence import SequenceCounter
 from mixtac_events.windows import counts_per_window
+from mixtac_node import topics
+from mixtac_recordings.bag import BagFile
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.profiles import make_profile
 
@@ -26,15 +30,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_recordings.bag import BagFile
     from mixtac_sim.world.profiles import Segment
 
 
 WINDOW_NS = 2_000_000
 EDGE_US = 50_000
-"""Half a synchronising impulse: what is compared begins and ends with whole impulses."""
+"""Half a synchronising impulse: the comparison starts and ends with whole impulses."""
 IMPULSES = ImpulseSettings(max_force_gap_s=2.0)
-"""A busy computer may lose reference samples, and its clock is known to be one here."""
+"""A busy computer may lose reference samples; here their clock is known to be a single one."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,8 @@ class Streams:
         force_n: Estimated normal force [N].
         reference_ns: Stamps of the reference, reference clock [ns], int64.
         reference_n: Reference normal force [N].
+        truth_ns: Stamps of the simulated force, host clock [ns], int64.
+        truth_n: Simulated normal force [N].
     """
 
     event_t_us: NDArray[np.int64]
@@ -58,6 +63,8 @@ class Streams:
     force_n: NDArray[np.float64]
     reference_ns: NDArray[np.int64]
     reference_n: NDArray[np.float64]
+    truth_ns: NDArray[np.int64]
+    truth_n: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -85,23 +92,23 @@ class Comparison:
     constant_mae_n: float
 
 
-def read_streams(bag: BagFile, namespace: str, reference_topic: str) -> Streams:
-    """Read the streams of one sensor from a bag.
+def read_streams(path: Path, namespace: str) -> Streams:
+    """Read the streams of a virtual sensor from a bag.
 
     Raises:
         BagError: A topic is missing or the bag is damaged.
     """
-    times, packets, lost, last = [], 0, 0, None
-    for _, message in bag.messages(f'/{namespace}/events'):
-        packets += 1
-        lost += 0 if last is None else int(message.seq) - last - 1
-        last = int(message.seq)
-        decoded = decode(message.events, message.encoding, int(message.time_base))
-        times.append(decoded.events.t)
-    force_ns, force_n = bag.wrenches(f'/{namespace}/force')
-    reference_ns, reference_n = bag.wrenches(reference_topic)
+    times: list[NDArray[np.int64]] = []
+    counter = SequenceCounter()
+    with BagFile(path) as bag:
+        for _, message in bag.messages(topics.EVENTS.resolved(namespace)):
+            counter.update(message.seq)
+            times.append(decode_message(message).events.t)
+        force = bag.wrenches(topics.FORCE.resolved(namespace))
+        reference = bag.wrenches(topics.REFERENCE)
+        truth = bag.wrenches(topics.TRUTH_WRENCH.resolved(namespace))
     event_t_us = np.concatenate(times) if times else np.empty(0, np.int64)
-    return Streams(event_t_us, lost, packets, force_ns, force_n, reference_ns, reference_n)
+    return Streams(event_t_us, counter.lost, counter.received, *force, *reference, *truth)
 
 
 def compare(streams: Streams) -> Comparison:
@@ -141,7 +148,7 @@ def lost_windows(stamps_ns: NDArray[np.int64]) -> int:
     return int((stamps_ns[-1] - stamps_ns[0]) // WINDOW_NS) + 1 - len(stamps_ns)
 
 
-def rate_hz(arrival_ns: NDArray[np.int64]) -> float:
+def mean_rate_hz(arrival_ns: NDArray[np.int64]) -> float:
     """Return the mean rate of arrivals [Hz], 0 with fewer than two."""
     if len(arrival_ns) < 2:
         return 0.0
@@ -163,6 +170,20 @@ def latency_ms(
     return np.asarray((arrival_ns - stamp_ns - offset) / 1e6, np.float64)
 
 
+def truth_mae(streams: Streams, clock_pairs: NDArray[np.int64]) -> float:
+    """Return the mean absolute error of the estimate against the simulated force [N].
+
+    Args:
+        streams: The streams of the run.
+        clock_pairs: (host, camera) pairs from `camera_clock`, shape (N, 2); interpolated.
+    """
+    host_minus_camera = (clock_pairs[:, 0] - clock_pairs[:, 1]).astype(float)
+    host_ns = streams.force_ns + np.interp(streams.force_ns, clock_pairs[:, 1], host_minus_camera)
+    inside = (host_ns >= streams.truth_ns[0]) & (host_ns <= streams.truth_ns[-1])
+    truth = np.interp(host_ns[inside], streams.truth_ns, streams.truth_n)
+    return float(np.abs(streams.force_n[inside] - truth).mean())
+
+
 def event_rate(
     streams: Streams, comparison: Comparison, width_us: int = 10_000
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -181,9 +202,9 @@ _BOUNCES_S = 0.8
 
 
 def phases(seconds: float, seed: int) -> list[tuple[str, float, float]]:
-    """Return name, start and end [s, as in the comparison] of what to show of each phase.
+    """Return name, start and end [s, as in the comparison] of the enlarged part of each phase.
 
-    The comparison begins at the first synchronising impulse, of which the profile knows the time.
+    The comparison starts at the first synchronising impulse, whose time the profile knows.
 
     Args:
         seconds: Length of the scenario [s].
@@ -216,9 +237,6 @@ def _shown(name: str, start: float, end: float) -> tuple[float, float]:
     return start - _MARGIN_S, end + _MARGIN_S
 
 
-REFERENCE_COLOUR, ESTIMATE_COLOUR, EVENT_COLOUR = '#1f4e8c', '#e07b00', '#5a5a5a'
-
-
 def draw_run(
     path: Path,
     comparison: Comparison,
@@ -233,14 +251,12 @@ def draw_run(
         comparison: Estimate and aligned reference.
         rate: Times [s] and event rates [1/s], times as in `comparison`.
         spans: Named spans (label, start s, end s) to show enlarged.
-        title: Title; says that the data are simulated where they are.
+        title: Title; says that the data are simulated if they are.
+
+    Raises:
+        FileError: The file cannot be written.
     """
-    import matplotlib as mpl
-
-    mpl.use('Agg')
-    from matplotlib import pyplot as plt
-
-    figure = plt.figure(figsize=(11, 8), layout='constrained')
+    figure = new_figure(11, 8)
     grid = figure.add_gridspec(4, max(1, len(spans)), height_ratios=[3, 1, 1, 3])
     whole = figure.add_subplot(grid[0, :])
     _force(whole, comparison, 0.0, float(comparison.time_s[-1]))
@@ -252,14 +268,14 @@ def draw_run(
     error.plot(
         comparison.time_s,
         comparison.estimate_n - comparison.reference_n,
-        color=ESTIMATE_COLOUR,
+        color=FORCE,
         lw=0.7,
     )
     error.axhline(0, color='k', lw=0.5)
     error.set_ylabel('error [N]')
     error.set_ylim(-0.5, 0.5)
     events = figure.add_subplot(grid[2, :], sharex=whole)
-    events.semilogy(rate[0], np.maximum(rate[1], 1.0), color=EVENT_COLOUR, lw=0.8)
+    events.semilogy(rate[0], np.maximum(rate[1], 1.0), color=EVENTS, lw=0.8)
     events.set_ylabel('events [1/s]')
     events.set_xlabel('camera time [s]')
     for column, (label, start, end) in enumerate(spans):
@@ -267,17 +283,14 @@ def draw_run(
         _force(axes, comparison, start, end)
         axes.set_title(label, fontsize=10)
         axes.set_xlabel('camera time [s]')
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def _force(axes: Axes, comparison: Comparison, start: float, end: float) -> None:
     shown = (comparison.time_s >= start) & (comparison.time_s <= end)
     time = comparison.time_s[shown]
-    axes.plot(
-        time, comparison.reference_n[shown], color=REFERENCE_COLOUR, lw=1.4, label='reference'
-    )
-    axes.plot(time, comparison.estimate_n[shown], color=ESTIMATE_COLOUR, lw=1.0, label='estimate')
+    axes.plot(time, comparison.reference_n[shown], color=REFERENCE, lw=1.4, label='reference')
+    axes.plot(time, comparison.estimate_n[shown], color=FORCE, lw=1.0, label='estimate')
     axes.set_ylabel('normal force [N]')
     axes.set_xlim(start, end)
     axes.grid(visible=True, alpha=0.25)

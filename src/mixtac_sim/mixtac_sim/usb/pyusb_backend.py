@@ -470,8 +470,9 @@ def _connect(path: str) -> socket.socket:
     except OSError as error:
         connection.close()
         raise NoVirtualSensorError(
-            f'no virtual sensor listens on {path}; start one with '
-            '"ros2 run mixtac_sim virtual_sensor_node" or name its socket: device:=virtual:PATH'
+            f'no virtual sensor listens on {path}',
+            remedy='start one with "ros2 run mixtac_sim virtual_sensor_node", or name its socket: '
+            'device:=virtual:PATH',
         ) from error
     return connection
 

@@ -1,41 +1,138 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated trial in one picture: frames, their changes, events, force curves and event rate."""
+"""`mixtac simulate`: simulated trials as bags, or the first one as a picture.
+
+The picture shows frames, their changes and events at some moments, force curves and event rates.
+"""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from mixtac_sim.world.effects import preset
+from mixtac_cli.figures import EVENTS, REFERENCE, new_figure, save_figure
+from mixtac_cli.options import OptionalPath, Preset
+from mixtac_recordings.recording import BagError
+from mixtac_sim.bags.generation import generate
+from mixtac_sim.world.datasets import DATASETS, describe, plan_dataset, plan_profile
+from mixtac_sim.world.effects import preset as find_preset
 from mixtac_sim.world.trial import simulate_trial
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from mixtac_recordings.dataset import TrialSpec
+    from mixtac_recordings.dataset import DatasetDescription, TrialSpec
     from mixtac_sim.world.trial import Trial
-
 
 SMOOTHING_MS: Final = 20
 APART_S: Final = 0.15
 CONTACT_N: Final = 0.02
 EDGE_S: Final = 1.1
-"""Begin and end of a trial belong to the synchronising impulses."""
+"""The synchronising impulses take this long at the start and at the end of a trial."""
+WINDOW_US: Final = 30_000
+"""Length of the shown events around a moment [us]."""
+RATE_BIN_US: Final = 10_000
+ON_COLOUR, OFF_COLOUR, TRUE_FORCE, DENT = '#d1495b', '#2e6fbb', '#1b1b1b', '#5a9367'
+
+
+def simulate(
+    profile: Annotated[
+        str, typer.Option(help='Force profile: idle, press, dynamic, impact, vibration, ...')
+    ] = '',
+    dataset: Annotated[
+        str,
+        typer.Option(
+            help='Named data set instead: static, long_term, dynamic, impact, vibration, new_gel.'
+        ),
+    ] = '',
+    trials: Annotated[int, typer.Option(min=1, help='Number of trials of the profile.')] = 10,
+    seconds: Annotated[float, typer.Option(min=3, max=3600, help='Length of each trial (s).')] = 25,
+    seed: Annotated[int, typer.Option(min=0, help='Random seed for sensors and trials.')] = 0,
+    preset: Preset = 'paper_like',
+    out: Annotated[
+        OptionalPath, typer.Option(help='Folder of the bags; an interrupted run resumes there.')
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=0, help='Processes; 0 for one per core.')] = 0,
+    backend: Annotated[str, typer.Option(help='loky (this machine) or dask.')] = 'loky',
+    scheduler: Annotated[str, typer.Option(help='Address of a running Dask scheduler.')] = '',
+    compress: Annotated[
+        bool, typer.Option(help='Compress the bags (zstd): half the size, slightly slower.')
+    ] = False,
+    preview: Annotated[
+        OptionalPath, typer.Option(help='Draw the first trial to this picture.')
+    ] = None,
+) -> None:
+    """Simulate trials: to rosbag2 bags with the live topics and the truth, or to a picture."""
+    if bool(profile) == bool(dataset):
+        raise typer.BadParameter('give one of --profile and --dataset')
+    if out is None and preview is None:
+        raise typer.BadParameter('give --out FOLDER, --preview PICTURE or both')
+    plan = _description(profile, dataset, trials, seconds, seed, preset)
+    console = Console()
+    if preview is not None:
+        draw_preview(plan.trials[0], preview)
+        console.print(f'first trial drawn: {preview}')
+    if out is not None:
+        _generate(console, plan, out, jobs or os.cpu_count() or 1, backend, scheduler, compress)
+
+
+def _description(
+    profile: str, dataset: str, trials: int, seconds: float, seed: int, preset: str
+) -> DatasetDescription:
+    find_preset(preset)
+    if dataset:
+        planned = plan_dataset(dataset, seed, preset)
+        split_by = DATASETS[dataset].split_by
+    else:
+        planned, split_by = plan_profile(profile, trials, seconds, seed, preset), 'trial'
+    return describe(dataset or profile, seed, preset, split_by, planned)
+
+
+def _generate(
+    console: Console,
+    plan: DatasetDescription,
+    out: Path,
+    jobs: int,
+    backend: str,
+    scheduler: str,
+    compress: bool,
+) -> None:
+    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
+        task = progress.add_task(f'{plan.name}, {plan.preset}', total=len(plan.trials))
+        try:
+            written = generate(
+                plan,
+                out,
+                jobs=jobs,
+                backend=backend,
+                scheduler=scheduler,
+                compress=compress,
+                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+            )
+        except OSError as error:
+            raise BagError(f'{out} cannot be written ({error}): choose another') from error
+    train, test = (len(plan.split(name)) for name in ('train', 'test'))
+    console.print(
+        f'{written} bags written, {len(plan.trials)} in {out}: {train} train, {test} test'
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A named moment.
+    """A moment of a trial.
 
     Attributes:
-        name: What happens.
-        t_us: When [us, true time].
+        name: What happens then.
+        t_us: Its time [us, true time].
     """
 
     name: str
@@ -45,7 +142,7 @@ class Moment:
 def find_moments(t_us: NDArray[np.int64], force_n: NDArray[np.float64]) -> list[Moment]:
     """Return rest, fastest rise, largest force, fastest fall and the typical force, in order.
 
-    Moments that would lie close to one that was found before are left out.
+    Moments close to an earlier one of this list are left out.
 
     Args:
         t_us: True time [n] [us], 1 kHz.
@@ -78,14 +175,6 @@ def _highest(values: NDArray[np.float64], inside: NDArray[np.bool_]) -> int:
     return int(np.argmax(np.where(inside, values, -np.inf)))
 
 
-WINDOW_US: Final = 30_000
-"""Events around a moment that are shown [us]."""
-RATE_BIN_US: Final = 10_000
-ON_COLOUR, OFF_COLOUR = '#d1495b', '#2e6fbb'
-TRUE_COLOUR, REFERENCE_COLOUR, MOMENT_COLOUR = '#1b1b1b', '#e9a23b', '#9a9a9a'
-HEIGHT, WIDTH = 260, 346
-
-
 def draw_preview(spec: TrialSpec, path: Path) -> None:
     """Simulate a trial and draw it.
 
@@ -95,6 +184,7 @@ def draw_preview(spec: TrialSpec, path: Path) -> None:
 
     Raises:
         SimulationError: The trial cannot be simulated.
+        FileError: The picture cannot be written.
     """
     trial = simulate_trial(
         spec.device_seed,
@@ -102,7 +192,7 @@ def draw_preview(spec: TrialSpec, path: Path) -> None:
         spec.profile,
         spec.seconds,
         sync=True,
-        preset=preset(spec.preset),
+        preset=find_preset(spec.preset),
     )
     title = (
         f'Simulated trial: {spec.profile}, {spec.preset}, {spec.seconds:g} s, '
@@ -119,16 +209,10 @@ def draw_trial(trial: Trial, title: str, path: Path) -> None:
         title: Title; says that the data are simulated.
         path: File to write; its suffix gives the format.
     """
-    import matplotlib as mpl
-
-    mpl.use('Agg')
-    from matplotlib import pyplot as plt
-
     truth_us, force = trial.truth['t_us'].astype(np.int64), trial.truth['fz'].astype(np.float64)
     moments = find_moments(truth_us, force)
-    figure = plt.figure(figsize=(14, 11.5), layout='constrained')
+    figure = new_figure(14, 11.5, title)
     grid = figure.add_gridspec(5, len(moments), height_ratios=[1, 1, 1, 1.05, 0.75])
-    figure.suptitle(title, x=0.01, ha='left', fontsize=13)
     _draw_moments(
         [
             [figure.add_subplot(grid[row, column]) for column in range(len(moments))]
@@ -140,9 +224,7 @@ def draw_trial(trial: Trial, title: str, path: Path) -> None:
     curves = figure.add_subplot(grid[3, :])
     _draw_forces(curves, trial, moments)
     _draw_rates(figure.add_subplot(grid[4, :], sharex=curves), trial, moments)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def _draw_moments(axes: list[list[Axes]], trial: Trial, moments: list[Moment]) -> None:
@@ -168,24 +250,25 @@ def _draw_moments(axes: list[list[Axes]], trial: Trial, moments: list[Moment]) -
             axes[row][column].set_xticks([])
             axes[row][column].set_yticks([])
     axes[0][0].set_ylabel('frame')
-    axes[1][0].set_ylabel('frame less the one at rest')
+    axes[1][0].set_ylabel('frame minus frame at rest')
     axes[2][0].set_ylabel(f'events of {WINDOW_US // 1000} ms\n(ON red, OFF blue)')
 
 
 def event_picture(trial: Trial, centre_us: int) -> tuple[NDArray[np.float64], int]:
-    """Return the events around a moment as a picture [260, 346, 3] and their number.
+    """Return the events around a moment as a picture [height, width, 3] and their number.
 
     The more events of a polarity a pixel had, the stronger its colour.
     """
     edges = (centre_us - WINDOW_US // 2, centre_us + WINDOW_US // 2)
     first, last = np.searchsorted(trial.events.t, edges)
     events = trial.events[int(first) : int(last)]
-    picture = np.ones((HEIGHT, WIDTH, 3))
+    shape = trial.frames.shape[1:]
+    picture = np.ones((*shape, 3))
     for polarity, colour in ((True, ON_COLOUR), (False, OFF_COLOUR)):
-        counts = np.zeros((HEIGHT, WIDTH))
+        counts = np.zeros(shape)
         chosen = events.polarity == polarity
         np.add.at(counts, (events.y[chosen], events.x[chosen]), 1.0)
-        # Single pixels would be lost where the picture is shown smaller than it is.
+        # Single pixels would be lost when the picture is scaled down.
         counts[1:, 1:] = np.maximum(counts[1:, 1:], 0.6 * counts[:-1, :-1])
         strength = 1.0 - 0.2**counts
         tint = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
@@ -199,18 +282,16 @@ def _draw_forces(axes: Axes, trial: Trial, moments: list[Moment]) -> None:
     axes.plot(
         reference_s,
         trial.reference_wrench[:, 2],
-        color=REFERENCE_COLOUR,
+        color=REFERENCE,
         lw=1.0,
         label='reference sensor (true clock map)',
     )
-    axes.plot(
-        1e-6 * trial.truth['t_us'], trial.truth['fz'], color=TRUE_COLOUR, lw=0.9, label='true'
-    )
+    axes.plot(1e-6 * trial.truth['t_us'], trial.truth['fz'], color=TRUE_FORCE, lw=0.9, label='true')
     depth = axes.twinx()
     depth.plot(
-        1e-6 * trial.truth['t_us'], trial.truth['depth_mm'], color='#5a9367', lw=0.8, label='dent'
+        1e-6 * trial.truth['t_us'], trial.truth['depth_mm'], color=DENT, lw=0.8, label='dent'
     )
-    depth.set_ylabel('dent [mm]', color='#5a9367')
+    depth.set_ylabel('dent [mm]', color=DENT)
     depth.set_ylim(bottom=0.0)
     axes.set_ylabel('normal force [N]')
     axes.set_xlim(0.0, trial.profile.duration_s)
@@ -237,6 +318,6 @@ def _draw_rates(axes: Axes, trial: Trial, moments: list[Moment]) -> None:
 
 def _mark(axes: Axes, trial: Trial, moments: list[Moment]) -> None:
     for moment in moments:
-        axes.axvline(1e-6 * moment.t_us, color=MOMENT_COLOUR, lw=1.0, ls='--', zorder=0)
+        axes.axvline(1e-6 * moment.t_us, color=EVENTS, lw=1.0, ls='--', zorder=0)
     for centre_s in trial.profile.sync_s:
         axes.axvspan(centre_s - 0.05, centre_s + 0.05, color='#cfe8cf', zorder=0)

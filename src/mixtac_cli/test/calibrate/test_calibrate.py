@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import sys
-from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,14 +13,13 @@ import cv2
 import numpy as np
 import pytest
 import typer
-from rich.console import Console
 from typer.testing import CliRunner
 
-sys.path.insert(0, str(Path(__file__).parents[2] / 'mixtac_driver/test/calibration'))
+sys.path.insert(0, str(Path(__file__).parents[3] / 'mixtac_driver/test/calibration'))
 
 from board_camera import HEIGHT, WIDE, WIDTH, BoardCamera, good_poses
 
-from mixtac_cli.calibrate.command import CalibrateOptions, calibrate, run_calibration
+from mixtac_cli.calibrate.command import calibrate
 from mixtac_cli.calibrate.session import bag_images, grey_image
 from mixtac_driver.calibration.camera_info import read_camera_info
 from mixtac_driver.calibration.lens import CalibrationError, Refusal, RefusedError
@@ -104,48 +102,48 @@ def test_a_bag_gives_a_camera_file_pictures_and_a_figure(tmp_path, bag):
     figure = cv2.imread(str(tmp_path / 'calibration.png'))
     assert figure.shape[0] > 600
     assert figure.std() > 10
-    assert 'reprojection error' in result.output
-    assert 'board found in' in result.output
+    assert str(summary['boards']) in result.output
 
 
 def test_without_out_it_goes_where_the_driver_looks(tmp_path, bag, monkeypatch):
     monkeypatch.setenv('ROS_HOME', str(tmp_path))
-    options = CalibrateOptions(bag=bag, name='fingertip', alpha=0.5)
-    solution = run_calibration(Console(file=StringIO()), options)
+    calibrate(bag=bag, name='fingertip', alpha=0.5, json=tmp_path / 'result.json')
     saved = read_camera_info(tmp_path / 'camera_info' / 'fingertip.yaml')
-    np.testing.assert_array_equal(saved.projection, solution.calibration.projection)
+    projection = json.loads((tmp_path / 'result.json').read_text())['projection']
+    np.testing.assert_array_equal(saved.projection.ravel(), projection)
 
 
 def test_few_views_are_refused_and_nothing_is_written(tmp_path, frames):
     bag = write_bag(tmp_path / 'few', frames[:5])
-    options = CalibrateOptions(bag=bag, out=tmp_path / 'camera.yaml', views=tmp_path / 'views')
     with pytest.raises(RefusedError) as caught:
-        run_calibration(Console(file=StringIO()), options)
+        calibrate(bag=bag, out=tmp_path / 'camera.yaml', views=tmp_path / 'views')
     assert caught.value.reason is Refusal.TOO_FEW_VIEWS
     assert not (tmp_path / 'camera.yaml').exists()
     assert (tmp_path / 'views').is_dir()
 
 
 @pytest.mark.parametrize(
-    ('change', 'said'),
+    ('change', 'value'),
     [
-        ({'board': '9by6'}, 'COLUMNSxROWS'),
-        ({'square_m': 0.0}, 'square'),
-        ({'model': 'fisheye'}, 'use plumb_bob'),
-        ({'name': 'a/b'}, 'camera_name'),
+        ({'board': '9by6'}, '9by6'),
+        ({'square': 0.0}, 'square'),
+        ({'model': 'fisheye'}, 'fisheye'),
+        ({'name': 'a/b'}, 'a/b'),
     ],
 )
-def test_wrong_options_are_named_before_anything_is_read(change, said):
-    options = CalibrateOptions(bag=Path('no such bag'), **change)
-    with pytest.raises(CalibrationError, match=said):
-        run_calibration(Console(file=StringIO()), options)
+def test_wrong_options_are_named_before_anything_is_read(change, value):
+    with pytest.raises(CalibrationError) as caught:
+        calibrate(bag=Path('no such bag'), **change)
+    assert value in str(caught.value)
 
 
 def test_a_topic_that_is_not_there_or_no_image_is_named(tmp_path, bag):
-    with pytest.raises(BagError, match='has no topic /other'):
+    with pytest.raises(BagError) as caught:
         list(bag_images(bag, '/other', 0.0))
-    with pytest.raises(BagError, match='no bag at'):
+    assert '/other' in str(caught.value)
+    with pytest.raises(BagError) as caught:
         list(bag_images(tmp_path / 'none', TOPIC, 0.0))
+    assert str(tmp_path / 'none') in str(caught.value)
 
 
 @pytest.mark.parametrize(('rate', 'count'), [(0.0, 19), (5.0, 19), (2.5, 10), (1.0, 4)])
