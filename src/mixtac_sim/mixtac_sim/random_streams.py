@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Independent random streams: one per seed, purpose and, where time is cut up, block.
 
-A stream is found by what it is for and never by what was drawn before, so results do not depend
-on the order or the size of the steps in which a simulation is advanced.
+A stream depends only on its seed, purpose and block, never on earlier draws, so results do not
+depend on the order or the size of the steps in which a simulation is advanced.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class BlockStreams:
 
     Args:
         seed: Seed of the device or trial.
-        purpose: What the numbers are for.
+        purpose: Purpose of the numbers.
     """
 
     def __init__(self, seed: int, purpose: str) -> None:

@@ -51,7 +51,7 @@ ARM_AHEAD_US = 10_000
 """The same for the arm [us], whose joint states come every 4 ms."""
 STAMP = struct.Struct('<iI')
 STAMP_AT = 4
-"""Where the stamp is in a serialised message that begins with a header: after four bytes on the
+"""Offset of the stamp in a serialised message that begins with a header: after four bytes on the
 encoding, which is little-endian on every machine this runs on."""
 
 

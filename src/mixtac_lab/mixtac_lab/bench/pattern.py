@@ -21,8 +21,8 @@ from mixtac_sim.usb import descriptors
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.registers import HEIGHT, WIDTH, Module, Usb
 from mixtac_sim.usb.words import (
+    ApsReadout,
     Blocks,
-    Frame,
     ImuReading,
     ImuSettings,
     ReadoutSettings,
@@ -157,7 +157,7 @@ def _readout(
     signal = rng.integers(1, _RESET_LEVEL, (HEIGHT, WIDTH)).astype(np.uint16)
     for start in range(1000, period_us - length_us, frame_interval_us or period_us * 2):
         if frame_interval_us:
-            frame: Frame = _Still(start, reset, signal)
+            frame: ApsReadout = _Still(start, reset, signal)
             times = (start, frame.exposure_start_us, frame.exposure_end_us, frame.frame_end_us)
             parts.append(frame_blocks(frame, np.array(times, np.int64), settings))
             frames += 1

@@ -160,7 +160,7 @@ class JointTrajectoryController:
         self._active: _Active | None = None
 
     def measure(self, q: NDArray[np.float64], dq: NDArray[np.float64]) -> None:
-        """Take in the measured joint state [joint] [rad], [rad/s]."""
+        """Set the measured joint state [joint] [rad], [rad/s]."""
         self._measured = np.stack([q, dq, np.zeros(self._joints)])
 
     def accept(self, trajectory: TrajectoryFields, now_s: float) -> str | None:

@@ -71,7 +71,7 @@ def violations(q: NDArray[np.float64], period_s: float, reserve: float = 1e-3) -
 
     Args:
         q: Joint positions [n, 7] [rad], one per control cycle.
-        period_s: Of the control cycle [s].
+        period_s: Period of the control cycle [s].
         reserve: Share of a limit by which rounding may exceed it.
     """
     dq = np.diff(q, axis=0) / period_s
@@ -88,7 +88,7 @@ def violations(q: NDArray[np.float64], period_s: float, reserve: float = 1e-3) -
 
 
 MASSES_KG: Final = (2.397, 2.927, 2.936, 2.245, 2.616, 2.327, 1.817, 0.627)
-"""Of links 0 to 7."""
+"""Masses of links 0 to 7 [kg]."""
 TORQUE_MAX_NM: Final = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 RADIUS_M: Final = 0.06
 ARMATURE_KG_M2: Final = 0.1
@@ -96,9 +96,9 @@ DAMPING_NM_S: Final = 1.0
 STEP_S: Final = 2.5e-4
 """Step of the simulation."""
 GEL_KG: Final = 0.1
-"""What moves with the surface of the gel; a lighter one would need smaller steps."""
+"""Mass that moves with the surface of the gel [kg]; a smaller one would need smaller steps."""
 GEL_DAMPING_RATIO: Final = 0.05
-"""Of that on the spring: the gel's own losses are modelled with the grasp, not here."""
+"""Damping ratio of that mass on the spring; losses of the gel are modelled with the grasp."""
 GEL_RADIUS_M: Final = 0.005
 GEL_REACH_M: Final = 0.02
 """From the flange to the surface of the gel."""
@@ -108,10 +108,10 @@ WALL_M: Final = 0.05
 
 @dataclass(frozen=True, slots=True)
 class GelContact:
-    """What the flange presses against: a gel as a spring between it and a wall.
+    """Contact of the flange: a gel as a spring between it and a wall.
 
     Attributes:
-        place_m: Of the flange [3] in the base frame.
+        place_m: Position of the flange in the base frame [3] [m].
         normal: Direction of the advance in the base frame [3], of length 1.
         normal_in_flange: The same in the flange's frame [3].
         n_per_m: Stiffness of the gel [N/m].
@@ -143,8 +143,8 @@ def fr3_mjcf(contact: GelContact | None = None, servo: Servo | None = None) -> s
     """Return the model.
 
     Args:
-        contact: What the flange presses against; nothing if None.
-        servo: Of the joints; no actuators if None.
+        contact: Contact of the flange; None for free motion.
+        servo: Servos of the joints; None for no actuators.
     """
     # At MuJoCo's own settings a loaded contact creeps by millimetres per second.
     option = (

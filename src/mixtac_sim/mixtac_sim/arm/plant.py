@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What follows the commands of the arm's controller: a lag of each joint, or MuJoCo.
+"""Models of the arm behind its controller: a lag of each joint, or MuJoCo.
 
 `JointLag` and `FingertipAdvance` are a transport delay and a first-order lag. `MujocoArm` is an
 independent plant: the lag of its servos is a setting, as there; inertia, coupling of the joints,
@@ -52,8 +52,8 @@ class JointLag:
 
     Args:
         q: Joint positions at the start [7] [rad].
-        tracking: Of the arm.
-        period_s: Of the commands [s].
+        tracking: Tracking of the arm.
+        period_s: Period of the commands [s].
     """
 
     def __init__(self, q: NDArray[np.float64], tracking: Tracking, period_s: float = 1e-3) -> None:
@@ -66,7 +66,7 @@ class JointLag:
         return self._q.copy()
 
     def track(self, command: NDArray[np.float64]) -> None:
-        """Go on by one period towards commanded joint positions [7] [rad]."""
+        """Advance one period towards commanded joint positions [7] [rad]."""
         self._q = command + self._keep * (self._q - command)
 
 
@@ -76,8 +76,8 @@ class FingertipAdvance:
     Args:
         q: Joint positions at the start [7] [rad].
         normal: Direction of the advance in the base frame [3], of length 1.
-        tracking: Of the arm.
-        period_s: Of the commands [s].
+        tracking: Tracking of the arm.
+        period_s: Period of the commands [s].
     """
 
     def __init__(
@@ -98,11 +98,11 @@ class FingertipAdvance:
         return self._joints.q
 
     def follow(self, command: NDArray[np.float64], points: int) -> NDArray[np.float64]:
-        """Go on by one period of the commands.
+        """Advance one period of the commands.
 
         Args:
             command: Commanded joint positions [7] [rad].
-            points: How many places to return.
+            points: Number of places to return.
 
         Returns:
             Places of the fingertip at the ends of as many equal parts of the period [mm].
@@ -140,7 +140,7 @@ class MujocoArm:
         q: Joint positions at the start [7] [rad].
         normal: Direction of the advance in the base frame [3], of length 1.
         lag_s: With which a joint follows a ramp [s], positive; the servos are critically damped.
-        period_s: Of the commands [s], a multiple of 0.25 ms.
+        period_s: Period of the commands [s], a multiple of 0.25 ms.
         n_per_mm: Stiffness of the gel [N/mm]; 0: nothing is touched.
         preload_n: Force at the start [N].
 
@@ -148,7 +148,7 @@ class MujocoArm:
         saturated: Steps in which a servo reached its largest torque.
 
     Raises:
-        SimulationError: MuJoCo is not installed, or values that mean nothing.
+        SimulationError: MuJoCo is not installed, or a value is out of range.
     """
 
     def __init__(
@@ -221,17 +221,17 @@ class MujocoArm:
         return float(self._model.jnt_stiffness[joint.id]) * compression
 
     def track(self, command: Floats) -> None:
-        """Go on by one period towards commanded joint positions [7] [rad]."""
+        """Advance one period towards commanded joint positions [7] [rad]."""
         self._data.ctrl[:] = command
         for _ in range(self._steps):
             self._step()
 
     def follow(self, command: Floats, points: int) -> Floats:
-        """Go on by one period of the commands.
+        """Advance one period of the commands.
 
         Args:
             command: Commanded joint positions [7] [rad].
-            points: How many places to return.
+            points: Number of places to return.
 
         Returns:
             Places of the fingertip at the ends of as many equal parts of the period [mm].

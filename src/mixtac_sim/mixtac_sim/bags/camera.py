@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the driver would publish of a simulated trial, transfer by transfer.
+"""The driver's messages of a simulated trial, transfer by transfer.
 
 The camera hands over what it has every millisecond, as the driver asks it to; the host receives it
 a little later. Events are cut by the driver's own packetizer, the clock is mapped by the driver's
@@ -35,7 +35,7 @@ def decoded_samples(readings: list[ImuReading], camera_us: NDArray[np.int64]) ->
     """Return what the driver decodes from the camera's words, with its default settings.
 
     Args:
-        readings: What the unit measured.
+        readings: Measurements of the unit.
         camera_us: Times of the readings [n] [us, camera clock].
     """
     if not readings:
@@ -62,9 +62,9 @@ def imu_numbers(samples: InertialSamples, example: NDArray[np.float64]) -> NDArr
 
 
 TRANSFER_US: Final = 1_000
-"""Time after which the camera sends what it has: the driver's default."""
+"""Period after which the camera sends what it has [us]: the default of the driver."""
 WRAP_US: Final = 1 << 15
-"""The camera says so when its 15-bit time wraps, also where nothing happens."""
+"""Period of the wrap words of the 15-bit camera time, which are sent without events, too [us]."""
 PUBLISH_NS: Final = 200_000
 """From the arrival of data to their reception by a recorder [ns] (estimate)."""
 CLOCK_PERIOD_NS: Final = 1_000_000_000

@@ -3,8 +3,8 @@
 """A grasp that the sensor watches: fingertip, object, skin and camera advance in lock-step.
 
 The fingertip presses gel, mesh and object in series; the object falls or is struck against the
-pull of the skin and the friction of the wall. Before the start it hangs from both at the smallest
-force that holds it, times a margin.
+pull of the skin and the friction of the wall. At the start both hold it with the smallest
+force that does so, times a margin.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Press:
 
     Args:
         device: The sensor.
-        layer: Its layer on the day.
+        layer: The layer on the day.
         face: The object's face.
         object_n_per_mm: Stiffness of the object itself [N/mm].
         force_n: Force of the grasp [N], held for 3 s before the start.
@@ -54,7 +54,7 @@ class Press:
 
     Attributes:
         law: Elastic force over the travel of the fingertip.
-        stiffness_n_per_mm: Its slope at the force of the grasp [N/mm].
+        stiffness_n_per_mm: Slope of the law at the force of the grasp [N/mm].
     """
 
     def __init__(
@@ -131,12 +131,12 @@ def _slope(law: ForceLaw, force_n: float) -> float:
     return float(np.interp(force_n, law.force_n, np.gradient(law.force_n, law.step_mm)))
 
 
-SUBSTEPS = 8
+FALL_SUBSTEPS = 8
 """Steps per grid step of 125 us while the object moves; a step at rest is one."""
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def fall(
+def advance_object(
     body: NDArray[np.float64],
     constants: tuple[float, float, float, float, float, float, float],
     skin: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
@@ -152,7 +152,7 @@ def fall(
     Args:
         body: Time [s], place [mm] and speed [mm/s] of the object, downwards; changed.
         constants: Mass [kg], weight [N], static and kinetic friction of the wall, start [s],
-            length [s] and speed [mm/s] of the blow.
+            length [s] and speed [mm/s] of the impact.
         skin: State of the patches, as in ``slide``; changed.
         gel: As in ``slide``.
         surface: As in ``slide``.
@@ -165,42 +165,42 @@ def fall(
     grid_s = 1e-6 * STEP_US
     for k in range(normal_n.size):
         pull = 0.0
-        blown = knock_s - grid_s <= body[0] <= knock_s + pulse_s
-        parts = SUBSTEPS if blown or body[2] != 0.0 else 1
+        struck = knock_s - grid_s <= body[0] <= knock_s + pulse_s
+        parts = FALL_SUBSTEPS if struck or body[2] != 0.0 else 1
         step = grid_s / parts
         for _ in range(parts):
             body[0] += step
             pull = slide(skin, gel, surface, law, normal_n[k], body[2], step)
             since = (body[0] - knock_s) / pulse_s
-            blow = 0.0
+            impact = 0.0
             if 0.0 < since < 1.0:
-                blow = 1e-3 * mass * knock_mm_s * 0.5 * np.pi / pulse_s * np.sin(np.pi * since)
-            net = weight + blow - pull
+                impact = 1e-3 * mass * knock_mm_s * 0.5 * np.pi / pulse_s * np.sin(np.pi * since)
+            net = weight + impact - pull
             if body[2] == 0.0 and abs(net) <= static * normal_n[k]:
                 continue
             way = np.sign(body[2]) if body[2] != 0.0 else np.sign(net)
             speed = body[2] + 1e3 * step * (net - way * kinetic * normal_n[k]) / mass
-            # Dry friction stops a body, it never turns it around.
+            # Dry friction stops a body but never reverses it.
             body[2] = 0.0 if speed * way < 0.0 else speed
             body[1] += step * body[2]
         path[k, 0], path[k, 1], path[k, 2] = body[1], body[2], pull
         patches[k] = skin[0]
 
 
-HANG_S = 0.4
-"""How long an object must hang to count as held [s]."""
+HOLD_S = 0.4
+"""Time for which an object must stay to count as held [s]."""
 MOVED_MM = 0.02
-"""How far it may move in the second half of that [mm]."""
+"""Largest motion in the second half of that time [mm]."""
 SEARCH_STEP = 1.02
 """Step of the search for the smallest force."""
 SEARCH_START = 0.95
 """Force from which the search goes up, over what the static frictions hold together."""
 
 
-def hang(
+def hold(
     setup: GraspSetup, layer: Layer, radius_mm: float, force_n: float, surface_seed: int
 ) -> tuple[Skin, bool]:
-    """Let an object hang from skin and wall, loaded alike at first.
+    """Let skin and wall hold an object, loaded alike at first.
 
     Args:
         setup: The object.
@@ -217,14 +217,14 @@ def hang(
     static = setup.friction.static(SETTLE_S)
     skin.rest(setup.weight_n * static / (static + setup.wall_mu), SETTLE_S)
     body = np.zeros(3)
-    constants = (*setup.constants()[:4], 2.0 * HANG_S, 1.0, 0.0)
-    count = round(0.5e6 * HANG_S / STEP_US)
+    constants = (*setup.constants()[:4], 2.0 * HOLD_S, 1.0, 0.0)
+    count = round(0.5e6 * HOLD_S / STEP_US)
     path, patches = np.empty((count, 3)), np.empty((count, len(skin.shear_mm)))
     state, gel, law = skin.arrays()
     places = []
     for _ in range(2):
         force = np.full(count, force_n)
-        fall(body, constants, state, gel, skin.surface, law, force, path, patches)
+        advance_object(body, constants, state, gel, skin.surface, law, force, path, patches)
         places.append(float(body[1]))
         if places[-1] > 1.0:
             return skin, False
@@ -235,7 +235,7 @@ def hang(
 def critical_force_n(setup: GraspSetup, layer: Layer, radius_mm: float, surface_seed: int) -> float:
     """Return the smallest force that holds an object, to 2 % [N].
 
-    Arguments are those of ``hang``.
+    Arguments are those of ``hold``.
 
     Raises:
         SimulationError: Not even twice what the static frictions say holds it.
@@ -243,7 +243,7 @@ def critical_force_n(setup: GraspSetup, layer: Layer, radius_mm: float, surface_
     static = setup.weight_n / (setup.friction.static(SETTLE_S) + setup.wall_mu)
     force = SEARCH_START * static
     while force < 2.0 * static:
-        if hang(setup, layer, radius_mm, force, surface_seed)[1]:
+        if hold(setup, layer, radius_mm, force, surface_seed)[1]:
             return force
         force *= SEARCH_STEP
     msg = f'no force up to {force:.2f} N holds {setup}; its surface is too uneven'
@@ -256,12 +256,12 @@ DOWN = (0.0, 1.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraspBlock:
-    """What happened over a block; entry k is the state at the end of its grid step k (125 us).
+    """The grasp over a block; entry k is the state at the end of its grid step k (125 us).
 
     Attributes:
         t_us: True time [n] [us] since the start.
         object_mm: Place of the object [n] [mm], downwards from where it was held.
-        speed_mm_s: Its speed [n] [mm/s].
+        speed_mm_s: Speed of the object [n] [mm/s].
         normal_n: Normal force [n] [N].
         pull_n: Pull of the skin on it [n] [N].
         slipped_mm: Mean slip over the skin at the end [mm].
@@ -285,11 +285,11 @@ class Grasp:
     The rotation of the object is not modelled: a ball slides at both contacts and does not roll.
 
     Args:
-        setup: Object, force and blow.
-        device_seed: The sensor.
-        seed: The day, the object's surface, the noise.
-        preset: How hard the sensor is.
-        camera: Whether the sensor watches; without, a trial takes milliseconds.
+        setup: Object, force and impact.
+        device_seed: Seed of the sensor.
+        seed: Seed of the trial: conditions, surface of the object, noise.
+        preset: Difficulty of the sensor.
+        camera: Simulate the camera; without it a trial takes milliseconds.
 
     Attributes:
         device: The sensor.
@@ -321,8 +321,8 @@ class Grasp:
             device, layer, face, setup.n_per_mm, self.grasp_n, setup.stiffness_n_per_mm
         )
         self.stiffness_n_per_mm = self._press.stiffness_n_per_mm
-        self._skin, _ = hang(setup, layer, radius, self.grasp_n, surface)
-        self._hanging = (self._skin.shear_mm.copy(), self._skin.age_s.copy())
+        self._skin, _ = hold(setup, layer, radius, self.grasp_n, surface)
+        self._held = (self._skin.shear_mm.copy(), self._skin.age_s.copy())
         self._body = np.zeros(3)
         self._fixed = setup.constants()
         self.camera: SkinCamera | None = None
@@ -343,21 +343,21 @@ class Grasp:
         self.device: DeviceModel = device
 
     def strike(self, speed_mm_s: float) -> None:
-        """Let a blow come at the next step, beside that of the setup.
+        """Strike the object at the next step, instead of the impact of the setup.
 
         Args:
-            speed_mm_s: Speed that it gives the object [mm/s].
+            speed_mm_s: Speed that the impact gives the object [mm/s].
         """
         self._fixed = (*self._fixed[:4], float(self._body[0]), self._fixed[5], speed_mm_s)
 
     def put_back(self) -> None:
         """Put the object back to where it was held; the fingertip stays where it is."""
         self._body[1:] = 0.0
-        self._skin.shear_mm[:], self._skin.age_s[:] = self._hanging
+        self._skin.shear_mm[:], self._skin.age_s[:] = self._held
         self._skin.slid_mm[:] = 0.0
 
     def advance(self, advance_mm: NDArray[np.float64]) -> GraspBlock:
-        """Go on while the fingertip moves.
+        """Advance by one block.
 
         Args:
             advance_mm: Place of the fingertip at the end of each step of 125 us, towards the
@@ -368,7 +368,9 @@ class Grasp:
         normal, elastic = self._press.advance(advance_mm)
         path, patches = np.empty((count, 3)), np.empty((count, len(self._skin.shear_mm)))
         state, gel, law = self._skin.arrays()
-        fall(self._body, self._fixed, state, gel, self._skin.surface, law, normal, path, patches)
+        advance_object(
+            self._body, self._fixed, state, gel, self._skin.surface, law, normal, path, patches
+        )
         events: Events | None = None
         frames: list[ApsFrame] = []
         if self.camera is not None:

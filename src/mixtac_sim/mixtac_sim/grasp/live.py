@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 RESTART_US = 500_000
-"""A step of the camera's clock against simulated time that means a new origin [us]."""
+"""Step of the camera clock against simulated time that counts as a new origin [us]."""
 
 
 class AnswerPace:
@@ -47,9 +47,9 @@ class AnswerPace:
     nearest to that origin; it is too small by the smallest delay of an answer.
 
     Args:
-        ahead_us: How far simulated time may be beyond the last answer [us].
-        patience_s: Without an answer for so long (host time), none is waited for [s]: more than a
-            busy host lets a process wait for its turn, or than slip control needs to be enabled.
+        ahead_us: Largest lead of simulated time over the last answer [us].
+        patience_s: Host time without an answer after which time runs freely [s]: longer than a
+            process waits for its turn on a busy host, or than it takes to enable slip control.
         monotonic: The host's monotonic clock [s].
 
     Attributes:
@@ -71,7 +71,7 @@ class AnswerPace:
         self.lag_us = 0
 
     def answer(self, stamp_us: int, now_us: int) -> None:
-        """Take an answer.
+        """Register an answer.
 
         Args:
             stamp_us: End of the answered window, camera clock [us].
@@ -86,7 +86,7 @@ class AnswerPace:
         self._heard_s = self._monotonic()
 
     def limit_us(self) -> int | None:
-        """Return how far simulated time may go [us], None where nobody answers."""
+        """Return the latest simulated time allowed [us], None without answers."""
         if self._monotonic() - self._heard_s > self._patience_s:
             return None
         return self._answered_us + self._ahead_us
@@ -96,7 +96,7 @@ class PacedClock(SimulationClock):
     """Simulated time [us] that never passes what is simulated; safe to ask from any thread.
 
     Args:
-        paces: Limit it further.
+        paces: Further limits.
         monotonic_ns: The host's monotonic clock [ns].
         epoch_ns: The host's clock [ns since the Unix epoch].
     """
@@ -113,12 +113,12 @@ class PacedClock(SimulationClock):
         self._reached_us = self._last_us = 0
 
     def reached(self, until_us: int) -> None:
-        """Let time go on up to what is simulated now [us]."""
+        """Report that the simulation has reached a time [us]."""
         with self._lock:
             self._reached_us = max(self._reached_us, until_us)
 
     def now_us(self) -> int:
-        """Return simulated time now [us]; what the host was late is counted as lost."""
+        """Return simulated time now [us]; delays of the host are counted as lost."""
         with self._lock:
             now_us = super().now_us()
             late_us = now_us - self._limit_us()
@@ -131,11 +131,11 @@ class PacedClock(SimulationClock):
     def _limit_us(self) -> int:
         limits = [each.limit_us() for each in self._paces]
         limit_us = min([self._reached_us, *(each for each in limits if each is not None)])
-        # Answers that come late hold time up; they do not turn it back.
+        # Late answers stop time; they never set it back.
         return max(limit_us, self._last_us)
 
     def lose(self, lost_us: int) -> None:
-        """Let simulated time be ``lost_us`` [us] further behind the host."""
+        """Delay simulated time by ``lost_us`` [us]."""
         with self._lock:
             super().lose(lost_us)
 
@@ -149,10 +149,10 @@ class PacedClock(SimulationClock):
 
 
 class PacedSimulation:
-    """Tells the clock how far a simulation has come.
+    """Reports the progress of a simulation to its clock.
 
     Args:
-        simulation: What is simulated.
+        simulation: The simulation.
         clock: The clock that waits for it.
     """
 
@@ -167,7 +167,7 @@ class PacedSimulation:
         return output
 
     def configure_aps(self, settings: ApsSettings) -> None:
-        """Change the frames to come."""
+        """Change the settings of the next frames."""
         self._simulation.configure_aps(settings)
 
     def configure_pixels(self, nominal: PixelSettings) -> None:
@@ -176,17 +176,17 @@ class PacedSimulation:
 
 
 LOST_MM = 50.0
-"""An object that has fallen farther is put back at once [mm]."""
+"""Fall after which the object is put back [mm]."""
 
 
 class LiveGrasp:
-    """A grasp that is advanced in blocks of 4 ms and told from outside where the fingertip is.
+    """A grasp that is advanced in blocks of 4 ms, with the fingertip moved from outside.
 
     Args:
-        setup: Object and force; its blow is left out, ``strike`` makes one.
-        device_seed: The sensor.
-        seed: The day.
-        preset: How hard the sensor is.
+        setup: Object and force; its impact is left out, ``strike`` makes one.
+        device_seed: Seed of the sensor.
+        seed: Seed of the trial.
+        preset: Difficulty of the sensor.
     """
 
     def __init__(self, setup: GraspSetup, device_seed: int, seed: int, preset: Preset) -> None:
@@ -210,12 +210,12 @@ class LiveGrasp:
         return self._object_mm
 
     def move(self, advance_mm: float) -> None:
-        """Tell where the fingertip is along the normal from where the grasp began [mm]."""
+        """Move the fingertip to a place along the normal, from where the grasp began [mm]."""
         with self._lock:
             self._wanted_mm = advance_mm
 
     def strike(self, speed_mm_s: float) -> None:
-        """Let a blow come with the next block that gives the object a speed [mm/s]."""
+        """Strike the object in the next block, which gives it a speed [mm/s]."""
         with self._lock:
             self._strike_mm_s = speed_mm_s
 
@@ -225,7 +225,7 @@ class LiveGrasp:
             self._back = True
 
     def configure_aps(self, settings: ApsSettings) -> None:
-        """Change the frames to come."""
+        """Change the settings of the next frames."""
         if self._grasp.camera is not None:
             self._grasp.camera.configure_aps(settings)
 

@@ -4,7 +4,7 @@
 
 The paper names a box, a deformable cup and a rigid ball, pressed with the smallest force that
 holds, and a 100 g weight that falls 5 cm onto them. It gives no masses, frictions or stiffnesses:
-those here are estimates, drawn for every trial.
+those here are estimates, drawn for each trial.
 
 Friction is rate-and-state with an uneven surface: mu = mu0 (1 + r(s)) + a ln(w / w0)
 + b ln(w0 theta / d), theta' = 1 - w theta / d (Dieterich's ageing law; Marone 1998). A contact
@@ -57,7 +57,7 @@ class Friction:
     grain_mm: float = 0.15
 
     def __post_init__(self) -> None:
-        """Refuse numbers without a meaning.
+        """Check the values.
 
         Raises:
             SimulationError: A coefficient or length that is not positive.
@@ -83,11 +83,11 @@ class Friction:
 
 ObjectName = Literal['box', 'cup', 'ball']
 WEIGHT_KG = 0.1
-"""Of the falling weight (paper)."""
+"""Mass of the falling weight (paper) [kg]."""
 DROP_M = 0.05
-"""Its height of fall (paper)."""
+"""Height from which it falls (paper) [m]."""
 WEIGHT_IMPULSE_N_S = WEIGHT_KG * float(np.sqrt(2.0 * GRAVITY * DROP_M))
-"""What it carries [N s]: 0.099."""
+"""Momentum of the falling weight [N s]: 0.099."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +95,12 @@ class HeldObject:
     """A kind of object.
 
     Attributes:
-        face: What touches the skin.
+        face: Face that touches the skin.
         mass_g: Range of the mass [g].
         n_per_mm: Range of the object's own stiffness [N/mm].
         mu: Range of its friction on the skin at 1 mm/s.
         wall_mu: Range of its static friction on the wall.
-        pulse_s: Duration of the weight's blow [s].
+        pulse_s: Duration of the weight's impact [s].
     """
 
     face: Indenter
@@ -129,18 +129,18 @@ WALL_KINETIC = 0.9
 
 @dataclass(frozen=True, slots=True)
 class GraspSetup:
-    """One object in one grasp, with what happens to it.
+    """One object in one grasp, and the impact on it.
 
     Attributes:
         name: Kind of object.
-        mass_g: Its mass [g].
-        n_per_mm: Its own stiffness [N/mm].
+        mass_g: Mass of the object [g].
+        n_per_mm: Stiffness of the object itself [N/mm].
         friction: On the skin.
         wall_mu: Static friction on the wall; the kinetic one is 0.9 of it.
         margin: Grasp force over the smallest that holds.
-        knock_mm_s: Speed that the blow gives the object [mm/s].
-        pulse_s: Duration of the blow [s], a half sine.
-        knock_s: When it begins [s].
+        knock_mm_s: Speed that the impact gives the object [mm/s].
+        pulse_s: Duration of the impact [s], a half sine.
+        knock_s: Start of the impact [s].
         stiffness_n_per_mm: Stiffness of the whole contact [N/mm], where it is to be a given one.
     """
 
@@ -156,7 +156,7 @@ class GraspSetup:
     stiffness_n_per_mm: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a grasp that means nothing.
+        """Check the values.
 
         Raises:
             SimulationError: An unknown object, or a mass, margin or time that is not positive.
@@ -179,7 +179,7 @@ class GraspSetup:
         return OBJECTS[self.name].face.shape == 'sphere'
 
     def constants(self) -> tuple[float, float, float, float, float, float, float]:
-        """Return what ``fall`` needs of it."""
+        """Return the constants of ``advance_object``."""
         return (
             1e-3 * self.mass_g,
             self.weight_n,
@@ -218,8 +218,8 @@ def draw_setup(
         margin: Grasp force over the smallest that holds.
         transmitted: Range of the share of the weight's momentum that arrives (the paper's 0.32 mm
             in 13 ms means a few percent).
-        knock_mm_s: Speed after the blow [mm/s], instead of a share.
-        knock_s: When it begins [s].
+        knock_mm_s: Speed after the impact [mm/s], instead of a share.
+        knock_s: Start of the impact [s].
         stiffness_n_per_mm: Stiffness of the whole contact [N/mm], if it is to be a given one.
 
     Raises:

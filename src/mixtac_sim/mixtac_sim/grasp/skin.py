@@ -40,7 +40,7 @@ COUPLING = 0.5
 NODES = 512
 """Length of the table of the surface's unevenness, in thirds of a grain; it repeats after that."""
 DENSITY_KG_M3 = 1000.0
-"""Of the gel (silicone: 970 to 1070)."""
+"""Density of the gel (silicone: 970 to 1070) [kg/m3]."""
 ITERATIONS = 2
 """Steps of fourth order towards the slip speed (Fritsch, Shafer and Crowley 1973)."""
 
@@ -98,7 +98,7 @@ class Skin:
         self.surface = _surface(rng, count, friction.roughness)
 
     def rest(self, pull_n: float, rest_s: float) -> None:
-        """Let the skin bear a pull [N] as if it had done so for a time [s]."""
+        """Set the state of a skin that has borne a pull [N] for a time [s]."""
         self.shear_mm[:] = pull_n / self.stiffness.sum()
         self.age_s[:] = rest_s
 
@@ -250,7 +250,7 @@ def _drag(
     speeds_mm_s: NDArray[np.float64],
     step_s: float,
 ) -> None:
-    """Carry out some steps; see ``Skin.drag``."""
+    """Run several steps; see ``Skin.drag``."""
     for k in range(speeds_mm_s.size):
         slide(state, gel, surface, law, normal_n[k], speeds_mm_s[k], step_s)
 
@@ -298,11 +298,11 @@ class SkinBeads:
         self.amount_mm = np.zeros(len(height))
 
     def settle(self, patches_mm: NDArray[np.float64]) -> None:
-        """Take displacements of the patches [patch] [mm] as having been there for long."""
+        """Set displacements of the patches [patch] [mm] as in steady state."""
         self._past[:] = patches_mm
 
     def push(self, patches_mm: NDArray[np.float64]) -> None:
-        """Go on by one grid step to displacements of the patches [patch] [mm]."""
+        """Advance one grid step to displacements of the patches [patch] [mm]."""
         self._past[1:] = self._past[:-1]
         self._past[0] = patches_mm
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensor sees of an object that moves over it as prescribed.
+"""An object that moves over the sensor as prescribed.
 
 For the development and measurement of slip detectors: the truth is known to the microsecond.
 """
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 FACE = Indenter('flat', 6.0)
 """Face of the object where none is given: 12 mm wide (choice)."""
 STIFF_N_PER_MM = 100.0
-"""Stiffness of an object that does not yield [N/mm]."""
+"""Stiffness of a rigid object [N/mm]."""
 FRICTION_RATIO = 0.95
 """Pull that the gel bears at the start over what friction holds: about to slip (choice)."""
-SUBSTEPS = 8
+SCENE_SUBSTEPS = 8
 """Steps of the friction per grid step."""
 
 
@@ -72,13 +72,13 @@ class SlipScene:
     """A held object that is moved over the skin.
 
     Args:
-        device_seed: The sensor.
-        seed: The day, the object's surface, the direction of the slip, the noise.
-        preset: How hard the sensor is.
+        device_seed: Seed of the sensor.
+        seed: Seed of the trial: conditions, surface of the object, direction of the slip, noise.
+        preset: Difficulty of the sensor.
         force_n: Normal force [N].
-        friction: Of the object; drawn around ``Friction()`` if None.
-        face: Of the object.
-        flicker: Of the lamps; as in the preset if None.
+        friction: Friction of the object; drawn around ``Friction()`` by default.
+        face: Face of the object.
+        flicker: Flicker of the lamp; drawn from the preset by default.
         load_ratio: Pull at the start over what friction holds.
     """
 
@@ -123,7 +123,7 @@ class SlipScene:
     def advance(
         self, speed_mm_s: NDArray[np.float64], force_n: NDArray[np.float64] | None = None
     ) -> SceneBlock:
-        """Return what happens over a block.
+        """Advance by one block.
 
         Args:
             speed_mm_s: Speed of the object at the end of each step of 125 us [n] [mm/s].
@@ -140,8 +140,11 @@ class SlipScene:
         normal, elastic = self._press.hold_force(wanted)
         patches = np.empty((count, len(self._skin.shear_mm)))
         for k in range(count):
-            speeds, forces = np.full(SUBSTEPS, speed_mm_s[k]), np.full(SUBSTEPS, normal[k])
-            self._skin.drag(speeds, forces, 1e-6 * STEP_US / SUBSTEPS)
+            speeds, forces = (
+                np.full(SCENE_SUBSTEPS, speed_mm_s[k]),
+                np.full(SCENE_SUBSTEPS, normal[k]),
+            )
+            self._skin.drag(speeds, forces, 1e-6 * STEP_US / SCENE_SUBSTEPS)
             patches[k] = self._skin.shear_mm
         self._object_mm += 1e-6 * STEP_US * float(np.sum(speed_mm_s))
         events, frames = self._camera.advance(elastic, patches)
@@ -180,8 +183,8 @@ def knock_profile(
 
     Args:
         speed_mm_s: Speed of the slip [mm/s].
-        onset_s: When it begins [s].
-        slip_s: How long it lasts [s].
+        onset_s: Start of the slip [s].
+        slip_s: Duration of the slip [s].
         total_s: Length of the profile [s].
         rise_s: Time to reach the speed and to stop [s].
     """

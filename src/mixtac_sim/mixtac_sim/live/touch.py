@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Contacts that a user asks the live sensor for: press, load, drop, vibrate, follow, release.
+"""Contacts of the live sensor on request: press, load, drop, vibrate, follow, release.
 
-Each request becomes a short profile that is played from the moment it is made; `LiveProfile` takes
-the place of the fixed profile of a trial, and nothing touches the sensor until it plays.
+Each request becomes a short profile that is played at once. `LiveProfile` replaces the fixed
+profile of a trial; nothing touches the sensor until it plays.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
 
 RAMP_S: Final = 0.2
-"""How long an object takes to come and go [s]."""
+"""Time in which an object approaches or leaves [s]."""
 FOLLOW_RAMP_S: Final = 0.01
-"""How long a commanded force takes to be reached [s]."""
+"""Time in which a commanded force is reached [s]."""
 FOLLOW_TIMEOUT_S: Final = 0.25
-"""How long a commanded force holds without a new one [s]."""
+"""Time for which a commanded force is held without a new command [s]."""
 APART_MM: Final = 0.3
-"""How far a vibrating object comes and goes from the skin [mm]."""
+"""Distance from the skin at which a vibration starts and ends [mm]."""
 
 
 def press(tool: Indenter, force_n: float, hold_s: float) -> Profile:
@@ -84,7 +84,7 @@ def vibrate(
         depth_mm: Mean depth [mm].
         amplitude_mm: Zero to peak [mm].
         frequency_hz: Frequency [Hz].
-        hold_s: How long [s].
+        hold_s: Duration [s].
 
     Raises:
         SimulationError: It would leave the skin.
@@ -105,7 +105,7 @@ def vibrate(
 
 
 def follow(tool: Indenter, from_n: float, force_n: float) -> Profile:
-    """Return a force [N] that is reached from another at once and fades if no new one comes."""
+    """Return a force [N] that is reached quickly from another and fades without a new command."""
     first, last = FOLLOW_RAMP_S, FOLLOW_RAMP_S + FOLLOW_TIMEOUT_S
     segments = (
         Segment(0.0, first, Mode.FORCE, (0.0, FOLLOW_RAMP_S), (from_n, force_n), indenter=tool),
@@ -116,7 +116,7 @@ def follow(tool: Indenter, from_n: float, force_n: float) -> Profile:
 
 
 def release(tool: Indenter, from_n: float) -> Profile:
-    """Return the way from a force [N] to none."""
+    """Return the release from a force [N]."""
     way = Segment(0.0, RAMP_S, Mode.FORCE, (0.0, RAMP_S), (from_n, 0.0), indenter=tool)
     return Profile('release', RAMP_S, (way,) if from_n > 0.0 else ())
 
@@ -132,7 +132,7 @@ class LiveProfile:
     """Hands the commands of scenarios to the simulation, each from the moment it is played.
 
     It has the interface of `mixtac_sim.world.profiles.Profile`, with commands that are not known
-    beforehand. A scenario goes on until the next one begins. `play` may be called from any thread.
+    in advance. A scenario lasts until the next one begins. `play` may be called from any thread.
 
     Args:
         indenters: Everything that scenarios may use.

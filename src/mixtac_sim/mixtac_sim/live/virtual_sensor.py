@@ -4,7 +4,7 @@
 
 The simulation runs a little ahead of the clock, because a frame must be known before its readout
 begins; camera, truth and reference hand everything over when its time has come. If the host cannot
-keep up, simulated time stands still for a while, and the loss is counted.
+keep up, simulated time stops for a while, and the loss is counted.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 class SimulationClock:
     """Simulated time [us] that runs with the host's monotonic clock once started.
 
-    A host that cannot keep up makes simulated time stand still for a while; that loss is counted.
+    If the host cannot keep up, simulated time stops for a while; that loss is counted.
 
     Args:
         monotonic_ns: The host's monotonic clock [ns].
@@ -65,7 +65,7 @@ class SimulationClock:
         self.lost_us = 0
 
     def start(self) -> None:
-        """Let time run from 0; until then it stands at 0."""
+        """Start time at 0; before it is 0."""
         self._start_epoch_ns = self._epoch_ns()
         self._start_ns = self._monotonic_ns()
 
@@ -79,13 +79,13 @@ class SimulationClock:
     def start_epoch_ns(self) -> int:
         """Host time at which simulated time was 0 [ns since the Unix epoch].
 
-        Clocks of simulated devices count from it and stand still with simulated time: two of them
+        Clocks of simulated devices count from it and stop with simulated time: two of them
         that did not would drift apart by every stall of the host.
         """
         return self._start_epoch_ns
 
     def lose(self, lost_us: int) -> None:
-        """Let simulated time be ``lost_us`` [us] further behind the host."""
+        """Delay simulated time by ``lost_us`` [us]."""
         self.lost_us += lost_us
 
     def to_epoch_ns(self, t_us: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -102,13 +102,13 @@ _MAX_BATCHES: Final = 2048
 
 
 class Simulation(Protocol):
-    """What is needed of `mixtac_sim.world.sensor.TactileSensor`."""
+    """A simulation that a virtual sensor runs: a tactile sensor, or a grasp."""
 
     def advance(self, until_us: int) -> SensorOutput:
         """Simulate up to a time [us]."""
 
     def configure_aps(self, settings: ApsSettings) -> None:
-        """Change the frames to come."""
+        """Change the settings of the next frames."""
 
     def configure_pixels(self, nominal: PixelSettings) -> None:
         """Change the event pixels, as new biases would."""
@@ -133,14 +133,14 @@ class SensorState:
     """Figures for diagnostics.
 
     Attributes:
-        simulated_us: How far the simulation is [us, simulated time].
-        running: Whether the thread that moves everything lives.
-        late_us: How far what is handed over is behind the clock [us].
-        overruns: How often the host could not keep up and time stood still.
-        lost_us: How long it stood still altogether [us].
+        simulated_us: Progress of the simulation [us, simulated time].
+        running: Whether the thread of the sensor is alive.
+        late_us: Delay of the output behind the clock [us].
+        overruns: Number of times the host could not keep up and time stopped.
+        lost_us: Total time for which it stopped [us].
         playing: Whether a scenario is under way.
         streaming: Whether a host reads the camera.
-        batches_dropped: Batches of truth or reference that nobody fetched.
+        batches_dropped: Batches of truth or reference that were not fetched in time.
     """
 
     simulated_us: int
@@ -158,7 +158,7 @@ class VirtualSensor:
 
     Args:
         simulation: The tactile sensor, made with ``profile``.
-        profile: What touches it.
+        profile: Contacts that are played.
         device: The camera, made with ``clock.now_us``.
         reference: The reference force sensor.
         inertial: The camera's inertial unit.
@@ -230,7 +230,7 @@ class VirtualSensor:
         return self._take(self._truth)
 
     def take_reference(self) -> list[WrenchBatch]:
-        """Return what the reference sensor measured since the last call, stamped by itself."""
+        """Return the samples of the reference sensor since the last call, on its own clock."""
         return self._take(self._references)
 
     def state(self) -> SensorState:
@@ -304,7 +304,7 @@ class VirtualSensor:
         self._pending.append((self._simulated_us, out))
 
     def _release(self, until_us: int) -> None:
-        """Hand over the truth, and what the reference makes of it, chunk by chunk."""
+        """Hand over the truth and the samples of the reference, chunk by chunk."""
         while self._pending and self._pending[0][0] <= until_us:
             _, out = self._pending.popleft()
             self._hand_over(out.truth)
@@ -380,7 +380,7 @@ class TouchControl:
         return f'dropping {p.object} from {p.drop_height} mm'
 
     def vibrate(self, p: TouchParameters) -> str:
-        """Let the object vibrate in the skin; return a description for the user.
+        """Vibrate the object in the skin; return a description for the user.
 
         Raises:
             SimulationError: It would leave the skin.
@@ -396,13 +396,13 @@ class TouchControl:
         return f'vibrating {p.object} at {p.vibration_frequency} Hz {_for(p)}'
 
     def release(self, p: TouchParameters) -> str:
-        """Take off what touches; return a description for the user."""
+        """Take the object off; return a description for the user."""
         force_n, tool = self._sensor.commanded_force()
         self._sensor.play(touch.release(tool or LIVE_INDENTERS[p.object], force_n))
         return 'released'
 
     def follow(self, p: TouchParameters, force_n: float) -> None:
-        """Press the object with a force [N] until the next one is commanded, for a moment at most.
+        """Press the object with a force [N] until the next command, or until it times out.
 
         Raises:
             SimulationError: The force is not a number, or out of range.

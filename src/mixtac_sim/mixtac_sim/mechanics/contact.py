@@ -14,7 +14,7 @@ a step of length s
 
     h_i <- h_i exp(-s / tau_i) + g_i tau_i / s [1 - exp(-s / tau_i)] (change of F_e)
 
-so a step is F = carried + gain * F_e with two numbers known beforehand: the update is closed for
+so a step is F = carried + gain * F_e with two numbers known in advance: the update is closed for
 a commanded depth (F_e known) and for a commanded force (F known) alike.
 """
 
@@ -65,7 +65,7 @@ class PronySeries:
             raise SimulationError(msg)
 
     def update(self, step_s: float) -> NDArray[np.float64]:
-        """Return what a step of this length needs: rows decay and gain of each branch [2, n]."""
+        """Return decay and gain of each branch over a step of this length [2, n]."""
         times = np.array(self.times_s)
         decay = np.exp(-step_s / times)
         return np.stack([decay, np.array(self.weights) * times / step_s * (1.0 - decay)])
@@ -86,7 +86,7 @@ def force_terms(
 
     Args:
         branches: Branch forces h_i at the start of the step [n] [N].
-        update: Of ``PronySeries.update`` for the length of the step.
+        update: Coefficients of the step, of ``PronySeries.update``.
         elastic: Elastic force at the start of the step [N].
     """
     carried, gain = 0.0, 1.0
@@ -103,7 +103,7 @@ def relax(branches: NDArray[np.float64], update: NDArray[np.float64], change: fl
         branches[i] = update[0, i] * branches[i] + update[1, i] * change
 
 
-SUBSTEPS = 16
+FALL_SUBSTEPS = 16
 """Steps of a falling body per grid step (7.8 us, a thousandth of a contact)."""
 GRAVITY = 9.80665
 """Standard gravity [m/s2]."""
@@ -178,20 +178,20 @@ def step_fall(
     lift: float,
 ) -> float:
     """Advance a grid step of a falling body; return the mean force over it [N]."""
-    short = 1e-6 * STEP_US / SUBSTEPS
+    short = 1e-6 * STEP_US / FALL_SUBSTEPS
     total = 0.0
     velocity = float(state[2])
-    for _ in range(SUBSTEPS):
+    for _ in range(FALL_SUBSTEPS):
         position = state[1] + velocity * short
         force = step_position(state, branches, update, table, step, position)
         velocity += 1e3 * (GRAVITY - (force + lift) / mass) * short
         total += force
     state[2] = velocity
-    return float(total / SUBSTEPS)
+    return float(total / FALL_SUBSTEPS)
 
 
 class Mode(IntEnum):
-    """What a command's target means."""
+    """Meaning of a command's target."""
 
     FREE = 0
     """Nothing touches; the skin recovers. The target is ignored."""
@@ -209,7 +209,7 @@ class Mode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ContactPath:
-    """What happened on the command grid; entry k is the state at the end of step k.
+    """The contact on the command grid; entry k is the state at the end of step k.
 
     Attributes:
         force_n: Normal force [n] [N].
@@ -243,7 +243,7 @@ class Contact:
         self._tables = np.stack([law.force_n for law in laws])
         self._masses = 1e-3 * np.array(masses_g, dtype=np.float64)
         step_s = 1e-6 * STEP_US
-        self._updates = np.stack([prony.update(step_s), prony.update(step_s / SUBSTEPS)])
+        self._updates = np.stack([prony.update(step_s), prony.update(step_s / FALL_SUBSTEPS)])
         self._branches = np.zeros(len(prony.weights))
         self._state = np.zeros(3)
         self._last_mode = np.zeros(1, np.int8)

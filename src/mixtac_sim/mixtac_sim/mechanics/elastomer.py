@@ -104,7 +104,7 @@ def force_law(
 
     Args:
         layer: The layer.
-        indenter: What presses.
+        indenter: The indenter.
         mesh_n_per_mm: Stiffness of the mesh [N/mm].
         stiffening: Force over the linear layer's, less 1, per square of the strain.
     """

@@ -67,7 +67,7 @@ INDENTERS: Mapping[IndenterName, Indenter] = MappingProxyType(
         'edge': Indenter('edge', 1.0, length_mm=10.0),
     }
 )
-"""What may press, by name; all but the hemisphere are choices."""
+"""Indenters of trials by name; all but the hemisphere are choices."""
 WEIGHTS: Final[Mapping[str, Indenter]] = MappingProxyType(
     {
         'weight_20_g': WEIGHT_20_G,

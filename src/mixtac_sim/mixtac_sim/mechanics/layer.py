@@ -218,7 +218,7 @@ def depth_profiles(
 SHAPE = (240, 96)
 """Grid across and along the edge."""
 CELL_MM = (0.1, 0.25)
-"""Its cells [mm]: the contact is one or two millimetres wide."""
+"""Size of its cells [mm]: the contact is one or two millimetres wide."""
 ROWS = 20
 """Depths that are solved, from 0 on in a quadratic progression."""
 DEEPEST = 0.4
@@ -235,9 +235,9 @@ class _Waves(NamedTuple):
     """Wave numbers of the grid.
 
     Attributes:
-        across: Of each row [n, 1] [1/mm].
-        along: Of each column [1, m] [1/mm].
-        size: Their length [n, m] [1/mm], 1 in place of 0.
+        across: Wave number of each row [n, 1] [1/mm].
+        along: Wave number of each column [1, m] [1/mm].
+        size: Length of the wave vector [n, m] [1/mm], 1 instead of 0.
         compliance: Surface displacement over pressure [n, m] [mm/kPa at 1 kPa modulus].
     """
 
@@ -349,9 +349,9 @@ def _press(
     """Return the pressures [kPa at 1 kPa modulus] that close the gap without a pull.
 
     Args:
-        pressure: Where to start.
+        pressure: Start of the search.
         open_mm: Gap that is left when the skin does not move, negative where it must [mm].
-        compliance: Of ``_Waves``.
+        compliance: Compliance of ``_Waves``.
         depth_mm: Depth [mm].
     """
     pressure = np.where(open_mm < 0.0, np.maximum(pressure, 1e-3), 0.0)

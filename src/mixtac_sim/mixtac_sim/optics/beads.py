@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Where every bead appears in the image for a state of the contact.
+"""Images of the beads for a state of the contact.
 
 Each bead's displacement is tabulated once per trial and indenter over the square root of the
 elastic force, in which it is nearly quadratic; a step then costs one interpolation per bead.
@@ -45,7 +45,7 @@ class BeadMotion:
         mesh_n_per_mm: Stiffness of the mesh [N/mm].
         layer: The layer on the day of the trial.
         contact_mm: Where the contact is, from the optical axis [mm].
-        indenters: What may touch.
+        indenters: The indenters of the trial.
         laws: Force law of each indenter.
     """
 
@@ -162,12 +162,12 @@ class BeadMotion:
         direction: tuple[float, float],
         amount_mm: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return what ``place`` does where every bead is sheared by an amount of its own.
+        """Return the images as ``place`` does, with a separate shear displacement for each bead.
 
         Args:
-            indenter: What touches.
+            indenter: Number of the indenter.
             elastic_n: Elastic force [N].
-            direction: Of the shear, right and down, of length 1.
+            direction: Direction of the shear, right and down, of length 1.
             amount_mm: Shear displacement of each bead along it [n] [mm].
         """
         row = float(self.row_of(indenter, np.array(elastic_n)))

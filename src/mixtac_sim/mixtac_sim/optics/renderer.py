@@ -68,7 +68,7 @@ def _redraw(
     spots: NDArray[np.float64],
     opacity: NDArray[np.float64],
 ) -> None:
-    """Take back and draw again what moved."""
+    """Remove and redraw the discs that moved."""
     for i in range(spots.shape[0]):
         moved = abs(spots[i, 0] - drawn[i, 0]) + abs(spots[i, 1] - drawn[i, 1])
         grown = abs(spots[i, 2] - drawn[i, 2]) + 0.5 * abs(spots[i, 3] - drawn[i, 3])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the camera looks at: lamp and its flicker, black skin, steel mesh, and beads at rest."""
+"""The scene in front of the camera: lamp, flicker, black skin, steel mesh, and beads at rest."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def build_sagging(
         lens: The lens.
         lighting: Light and mesh.
         contact_mm: Where the mesh sags most, from the optical axis [mm].
-        sags_mm: Its largest sags [mm].
+        sags_mm: Largest sags [mm].
         reach_mm: Distance over which the sag falls to 1 / e [mm].
     """
     slope_x, slope_y = lens.pixel_slopes()
@@ -215,12 +215,12 @@ def _wire_cover(
     return np.clip((far - near) / blur_mm, 0.0, 1.0)
 
 
-STEPS_PER_PERIOD = 10
+FLICKER_STEPS = 10
 """Steps of the pixels per period of the light."""
-SMALL = 0.05
-"""Ripple up to which pixels take their steady response to it, at the steps that motion asks for:
-a swing of 0.1 log-e is below every threshold, and it only shifts when others are crossed."""
-DARK = 0.02
+SMALL_RIPPLE = 0.05
+"""Largest ripple to which pixels respond in steady state, without steps of its own: a swing of
+0.1 log-e is below every threshold and only shifts the time of other crossings."""
+DARK_LIGHT = 0.02
 """Light while the LEDs are switched off, over that while they are on (estimate: glare)."""
 
 
@@ -242,26 +242,26 @@ class Flicker:
 
     @property
     def steady(self) -> bool:
-        """Return whether the light does not change at all."""
+        """Whether the light is constant."""
         return self.hz <= 0.0 or (self.depth <= 0.0 and not self.switched)
 
     @property
     def small(self) -> bool:
-        """Return whether it is a ripple that cannot make a pixel fire by itself."""
-        return not self.switched and self.depth <= SMALL
+        """Whether the ripple is too small to make a pixel fire without motion."""
+        return not self.switched and self.depth <= SMALL_RIPPLE
 
     @property
     def longest_step(self) -> int:
         """Return the most grid steps that resolve it; a small ripple needs no steps of its own."""
         if self.steady or self.small:
             return BLOCK_STEPS
-        return max(int(1e6 / (STEPS_PER_PERIOD * self.hz * STEP_US)), 1)
+        return max(int(1e6 / (FLICKER_STEPS * self.hz * STEP_US)), 1)
 
     def light(self, t_us: NDArray[np.float64] | float) -> NDArray[np.float64]:
         """Return the light at times [us] over the steady one."""
         turns = 1e-6 * np.asarray(t_us, np.float64) * self.hz + self.phase
         if self.switched:
-            return np.where(turns % 1.0 < 0.5, 1.0, DARK)
+            return np.where(turns % 1.0 < 0.5, 1.0, DARK_LIGHT)
         return np.asarray(1.0 + self.depth * np.sin(2.0 * np.pi * turns))
 
     def log_light(self, t_us: float) -> float:

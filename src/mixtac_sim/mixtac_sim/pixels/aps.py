@@ -122,7 +122,7 @@ class Aps:
         self._wanted = settings
 
     def _adopt(self, now_us: float) -> None:
-        """Take over new settings unless an exposure is under way."""
+        """Apply new settings unless an exposure is under way."""
         before, settings = self._settings, self._wanted
         exposing = before.enabled and self._next_us < now_us
         if settings is before or exposing:

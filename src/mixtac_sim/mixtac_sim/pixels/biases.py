@@ -61,12 +61,12 @@ class PixelBiases:
     """Currents of the pixel's biases [A].
 
     Attributes:
-        diff: Of the differencing amplifier's comparator reference.
-        on: Of the ON comparator.
-        off: Of the OFF comparator.
-        photoreceptor: Of the photoreceptor.
-        follower: Of the source follower.
-        refractory: Of the reset.
+        diff: Current of the differencing amplifier's comparator reference.
+        on: Current of the ON comparator.
+        off: Current of the OFF comparator.
+        photoreceptor: Current of the photoreceptor.
+        follower: Current of the source follower.
+        refractory: Current of the reset.
     """
 
     diff: float
@@ -117,7 +117,7 @@ class PixelBiases:
 
 @dataclass(frozen=True, slots=True)
 class PixelSettings:
-    """What the biases set, the same for all pixels of a nominal chip.
+    """Properties that the biases set, equal for all pixels of a nominal chip.
 
     Attributes:
         threshold_on: Rise of log-e intensity per ON event; 0.18 to 0.42 for DAVIS346 biases.
@@ -194,14 +194,14 @@ class PixelSettings:
 
 
 class PixelSpread(NamedTuple):
-    """How the pixels of one chip differ; factors over padded pixels, float32.
+    """Differences between the pixels of one chip; factors over padded pixels, float32.
 
     Attributes:
         on: ON threshold over nominal.
         off: OFF threshold over nominal.
         leak: Leak over nominal.
         hot_pixel: Numbers of the hot pixels [n], int64.
-        hot_hz: Their rates [n] [Hz].
+        hot_hz: Event rates of the hot pixels [n] [Hz].
     """
 
     on: NDArray[np.float32]

@@ -51,9 +51,9 @@ class PixelState(NamedTuple):
     Attributes:
         values: Rows of each tile [tiles, 12, 64], float32.
         bits: The same memory as int32.
-        ready_ns: When a pixel sees again after an event [padded pixels] [ns], int64.
+        ready_ns: End of the blind time of a pixel after an event [padded pixels] [ns], int64.
         last_ns: Until when a tile is up to date [tiles] [ns], int64.
-        due_ns: When a skipped tile's first leak event comes [tiles] [ns], int64.
+        due_ns: Time of a skipped tile's first leak event [tiles] [ns], int64.
         active: Whether a tile has not settled [tiles], uint8.
     """
 
@@ -83,9 +83,9 @@ class Ripple(NamedTuple):
     """A small ripple of the lamp.
 
     Attributes:
-        depth: Its peak over the mean, less 1; 0 for none.
-        hz: Its frequency [Hz].
-        phase: Its phase at time 0 [rad].
+        depth: Peak over the mean, less 1; 0 for none.
+        hz: Frequency [Hz].
+        phase: Phase at time 0 [rad].
         now_ns: End of the step [ns].
     """
 
@@ -96,7 +96,7 @@ class Ripple(NamedTuple):
 
 
 class Crossings(NamedTuple):
-    """Where threshold crossings are collected.
+    """Buffer for threshold crossings.
 
     Attributes:
         keys: Packed as in ``readout``; times count from the block's start.
@@ -341,7 +341,7 @@ class Dvs:
         self.light_by(Flicker(0.0, 0.0, 0.0))
         self._crossings = Crossings(np.empty(CAPACITY, np.int64), np.zeros(2, np.int64))
         self.configure(settings)
-        # Every pixel is somewhere on its way to its next leak event.
+        # Pixels start anywhere between two leak events.
         self._row(DIFFERENCE)[:] = self._row(ON) * rng.random((TILES, TILE), np.float32)
         self.settle(np.zeros(PADDED, np.int32))
 
@@ -356,7 +356,7 @@ class Dvs:
 
     @property
     def lost(self) -> int:
-        r"""Return how many crossings did not fit into \`\`CAPACITY\`\`."""
+        """Return how many crossings did not fit into ``CAPACITY``."""
         return int(self._crossings.tally[1])
 
     def configure(self, settings: PixelSettings) -> None:
@@ -375,17 +375,17 @@ class Dvs:
         self._state.active[:] = 1
 
     def light_by(self, flicker: Flicker) -> None:
-        """Let the lamp flicker; steady before the first call."""
+        """Set the flicker of the lamp; steady before the first call."""
         self._flicker = flicker
         self._resolved = not (flicker.steady or flicker.small)
         depth = 0.0 if flicker.steady or self._resolved else flicker.depth
         self._ripple = Ripple(depth, flicker.hz, 2.0 * np.pi * flicker.phase, 0)
 
     def settle(self, cover: NDArray[np.int32]) -> None:
-        r"""Take the light under a cover as one that has been there for long.
+        """Bring the pixels to the steady state under a cover.
 
         Args:
-            cover: Of \`\`Renderer\`\` [padded pixels].
+            cover: Cover of ``Renderer`` [padded pixels].
         """
         state = self._state
         for tile in range(TILES):
@@ -401,14 +401,14 @@ class Dvs:
         end_ns: int,
         block_ns: int,
     ) -> None:
-        r"""Advance over one step in which the light moves to what the cover now gives.
+        """Advance over one step in which the light moves to what the cover now gives.
 
         Args:
-            cover: Of \`\`Renderer\`\`.
+            cover: Cover of ``Renderer`` [padded pixels].
             dirty: Tiles whose cover changed; cleared.
-            start_ns: Begin of the step [ns] of true time.
+            start_ns: Start of the step [ns of true time].
             end_ns: End of the step [ns].
-            block_ns: Begin of the block of steps [ns], which crossings count from.
+            block_ns: Start of the block [ns], from which crossings count.
         """
         lamp, glow = self._flicker, (0.0, 0.0)
         if self._resolved:
@@ -434,7 +434,7 @@ class Dvs:
         tiles: NDArray[np.int64],
         place: float,
     ) -> None:
-        r"""Move the light of some tiles to a place in a series of scenes; they are dirty then.
+        """Move the light of some tiles to a place in a series of scenes; they are dirty then.
 
         Args:
             floors: Light without beads [scene, tile, 64] [lx].
@@ -445,7 +445,7 @@ class Dvs:
         blend(self._state.values, floors, gains, tiles, place)
 
     def take(self) -> NDArray[np.int64]:
-        r"""Return the crossings since the last call, unsorted, packed as in \`\`readout\`\`."""
+        """Return the crossings since the last call, unsorted, packed as in ``readout``."""
         keys, tally = self._crossings
         taken = keys[: tally[0]].copy()
         tally[0] = 0

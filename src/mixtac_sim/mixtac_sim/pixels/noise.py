@@ -72,7 +72,7 @@ class Readout:
 
         Args:
             keys: Packed crossings of this block, in any order.
-            block_ns: Begin of the block [ns] of true time.
+            block_ns: Start of the block [ns of true time].
             span_ns: Length of the block [ns]; later requests wait for the next block.
             rng: Draws the latencies; a stream of this block alone.
         """
@@ -167,7 +167,7 @@ class NoiseSource:
 
         Args:
             index: Number of the block.
-            span_ns: Its length [ns].
+            span_ns: Length of the block [ns].
             bursts_ns: Resets and readouts of frames in it, from its start [ns].
         """
         rng = self._streams.block(index)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mixtac_sim.usb.words import Frame, ImuReading
+    from mixtac_sim.usb.words import ApsReadout, ImuReading
 
     Buffer = array[int] | bytearray | memoryview
 
@@ -50,7 +50,7 @@ class VirtualDavis346:
     Args:
         serial: Serial number, at most eight characters.
         board: Fixed properties of the camera.
-        skew_ppm: How much faster than true time the camera counts [1e-6].
+        skew_ppm: Rate of the camera clock over true time, less one [1e-6].
         fifo_bytes: Output buffer; events are dropped (and counted) beyond half of it.
         clock: True time now [us]; by default the host's monotonic clock since construction.
 
@@ -85,11 +85,11 @@ class VirtualDavis346:
     # The host's side.
 
     def unplug(self) -> None:
-        """Remove the device: whatever is under way or asked later ends with `UsbGone`."""
+        """Remove the device: requests under way and later ones end with `UsbGone`."""
         self.inject(Fault(FaultKind.UNPLUG))
 
     def plug_in(self, serial: str = '') -> None:
-        """Bring the device back as after power-up; sessions from before stay dead.
+        """Bring the device back as after power-up; earlier sessions stay dead.
 
         Args:
             serial: Serial number to come back with, empty for the same.
@@ -101,7 +101,7 @@ class VirtualDavis346:
             self._power_up()
 
     def inject(self, fault: Fault) -> None:
-        """Let something go wrong."""
+        """Inject a fault."""
         with self._condition:
             if fault.kind is FaultKind.UNPLUG:
                 self._presence.unplug(fault.seconds or math.inf)
@@ -137,7 +137,7 @@ class VirtualDavis346:
             value: ``wValue``.
             index: ``wIndex``.
             data: Bytes to the device, or how many are wanted from it.
-            timeout_s: How long the host waits for the answer [s]; none waits for ever.
+            timeout_s: Longest wait of the host [s]; None waits without limit.
 
         Returns:
             The answer, empty for requests to the device.
@@ -167,12 +167,12 @@ class VirtualDavis346:
         """Wait for data from an endpoint.
 
         The data endpoint answers when ``length`` bytes are there, or with fewer once the oldest
-        has waited for the early packet delay. The debug endpoint never has anything to say.
+        has waited for the early packet delay. The debug endpoint never has data.
 
         Args:
             endpoint: 0x82 data, 0x81 debug messages.
             length: Most bytes to return.
-            timeout_s: How long to wait [s]; none waits for ever.
+            timeout_s: Longest wait [s]; None waits without limit.
 
         Returns:
             Whole words, at least one.
@@ -189,12 +189,12 @@ class VirtualDavis346:
             return self._fifo.pop(granted + granted % 2)[:granted]
 
     def read_into(self, endpoint: int, buffer: Buffer, timeout_s: float | None) -> int:
-        """Do the same without a copy.
+        """Wait for data like `read_bulk`, without a copy.
 
         Args:
             endpoint: 0x82 data, 0x81 debug messages.
-            buffer: Where the data go; its length is the most to return [bytes].
-            timeout_s: How long to wait [s]; none waits for ever.
+            buffer: Buffer for the data; its length limits the bytes returned.
+            timeout_s: Longest wait [s]; None waits without limit.
 
         Returns:
             How many bytes came.
@@ -210,19 +210,19 @@ class VirtualDavis346:
 
     @property
     def plugs(self) -> int:
-        """How often the device was plugged in; whoever opens it notes that for `check_present`."""
+        """Number of times the device was plugged in; a session keeps it for `check_present`."""
         with self._condition:
             self._plug_in_if_due()
             return self._presence.plugs
 
     def check_present(self, plugs: int | None = None) -> None:
-        """Make sure that the device is there.
+        """Check that the device is present.
 
         Args:
-            plugs: What `plugs` was when the session began; none does not matter.
+            plugs: What `plugs` was when the session began; None for any.
 
         Raises:
-            UsbGone: It is not, or was not all the time since then.
+            UsbGone: It was unplugged, now or since then.
         """
         with self._condition:
             self._plug_in_if_due()
@@ -239,7 +239,7 @@ class VirtualDavis346:
             self._presence.claim(owner)
 
     def release(self, owner: Hashable) -> None:
-        """Take the interface back from a session that may or may not hold it."""
+        """Release the interface if a session holds it."""
         with self._condition:
             self._presence.release(owner)
 
@@ -256,7 +256,7 @@ class VirtualDavis346:
     def submit(
         self,
         events: Events | None = None,
-        frames: Iterable[Frame] = (),
+        frames: Iterable[ApsReadout] = (),
         readings: Iterable[ImuReading] = (),
     ) -> None:
         """Hand over data that the camera sends when `advance` reaches its time.
@@ -270,7 +270,7 @@ class VirtualDavis346:
             self._stream.submit(events or Events.empty(), frames, readings)
 
     def advance(self, true_us: int) -> None:
-        """Let true time [us] pass: send what is due and the wraps of the camera clock."""
+        """Advance true time [us]: send what is due and the wraps of the camera clock."""
         with self._condition:
             self._plug_in_if_due()
             was_empty = not len(self._fifo)
@@ -325,7 +325,7 @@ class VirtualDavis346:
 
     @property
     def losses(self) -> dict[str, int]:
-        """What was lost since power-up: events and frames that found the buffer full."""
+        """Losses since power-up: events and frames that found the buffer full."""
         with self._condition:
             read = self._registers.read
             mux = read(Module.MUX, Mux.DVS_DROPPED) << 32 | read(Module.MUX, Mux.DVS_DROPPED + 1)
@@ -343,7 +343,7 @@ class VirtualDavis346:
 
         Args:
             endpoint: The endpoint.
-            timeout_s: How long the host waits [s]; None waits without limit.
+            timeout_s: Longest wait of the host [s]; None waits without limit.
         """
 
     def _plug_in_if_due(self) -> None:

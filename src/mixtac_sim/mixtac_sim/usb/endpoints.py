@@ -26,9 +26,9 @@ class Presence:
     """Presence and ownership. Not thread safe: the device guards it.
 
     Attributes:
-        plugs: How often the device was plugged in; a session that began before the last time is
-            dead for ever, as a file handle of an unplugged device is.
-        resets: How often the port was reset.
+        plugs: Number of times the device was plugged in; a session that began before the last
+            time is dead, like a file handle of an unplugged device.
+        resets: Number of resets of the port.
     """
 
     def __init__(self) -> None:
@@ -39,12 +39,12 @@ class Presence:
 
     @property
     def is_gone(self) -> bool:
-        """Whether the device is unplugged."""
+        """True while the device is unplugged."""
         return self._back_at is not None
 
     @property
     def is_due(self) -> bool:
-        """Whether an unplugged device is to be plugged in by now."""
+        """Whether an unplugged device is due to be plugged in."""
         return self._back_at is not None and time.monotonic() >= self._back_at
 
     def unplug(self, seconds: float = math.inf) -> None:
@@ -58,13 +58,13 @@ class Presence:
         self.plugs += 1
 
     def check(self, plugs: int | None = None) -> None:
-        """Make sure that the device is there, and was since a session began.
+        """Check that the device has been present since a session began.
 
         Args:
             plugs: What `plugs` was when the session began.
 
         Raises:
-            UsbGone: It is not, or was not.
+            UsbGone: It was unplugged.
         """
         if self.is_gone:
             raise UsbGone('the virtual camera was unplugged; start the virtual sensor again')
@@ -82,7 +82,7 @@ class Presence:
         self._owner = owner
 
     def release(self, owner: Hashable) -> None:
-        """Take the interface back from a session that may or may not hold it."""
+        """Release the interface if a session holds it."""
         if self._owner == owner:
             self._owner = None
 
@@ -132,7 +132,7 @@ class ControlEndpoint:
         elif not request_type & _TYPE_MASK:
             answer = self._standard_answer(request, value)
         if answer is None:
-            raise UsbStall(f'the camera knows no request {request_type:#04x}/{request:#04x}')
+            raise UsbStall(f'unknown request {request_type:#04x}/{request:#04x}')
         return answer
 
     def _standard_answer(self, request: int, value: int) -> bytes | None:
@@ -163,7 +163,7 @@ class ControlEndpoint:
         if request_type == _VENDOR_OUT:
             self._write_registers(request, value, index, data)
         elif request_type & _TYPE_MASK:
-            raise UsbStall(f'the camera knows no request {request_type:#04x}/{request:#04x}')
+            raise UsbStall(f'unknown request {request_type:#04x}/{request:#04x}')
         else:
             self._standard(request, value)
 
@@ -198,8 +198,8 @@ class DataEndpoint:
     Args:
         condition: The device's; its lock is held whenever a method is called.
         fifo: The output buffer.
-        presence: Whether the device is there.
-        faults: What goes wrong.
+        presence: Presence of the device.
+        faults: The active faults.
         early_packet_s: Returns the early packet delay [s].
     """
 
@@ -220,7 +220,7 @@ class DataEndpoint:
         self._wanted = sys.maxsize
 
     def announce(self, *, was_empty: bool) -> None:
-        """Wake readers if what was added may be news to one of them.
+        """Wake readers if one of them may have enough data now.
 
         Args:
             was_empty: Whether the buffer was empty before.
@@ -232,7 +232,7 @@ class DataEndpoint:
         self._condition.notify_all()
 
     def flush(self) -> None:
-        """Let the next read have what is there, without the early packet delay."""
+        """Answer the next read with what is there, without the early packet delay."""
         self._oldest_s = 0.0
 
     def wait(self, endpoint: int, length: int, timeout_s: float | None) -> int:
@@ -241,7 +241,7 @@ class DataEndpoint:
         Args:
             endpoint: 0x82 data, 0x81 debug messages, of which there are none.
             length: Most bytes that the host takes.
-            timeout_s: How long it waits [s]; none waits for ever.
+            timeout_s: Longest wait [s]; None waits without limit.
 
         Returns:
             How many bytes to take from the buffer.

@@ -3,7 +3,7 @@
 """USB errors of the virtual camera, and faults that can be injected to provoke them.
 
 A `Fault` is handed to `mixtac_sim.usb.device.VirtualDavis346.inject`, or from another process to
-`mixtac_sim.usb.pyusb_backend.inject`. A real camera has nothing of the kind.
+`mixtac_sim.usb.pyusb_backend.inject`. Real cameras have no such interface.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class UsbGone(VirtualUsbError):  # noqa: N818 - the USB term
 
 
 class UsbBusy(VirtualUsbError):  # noqa: N818 - the USB term
-    """Somebody else has claimed the interface; a host sees ``EBUSY``."""
+    """Another session has claimed the interface; a host sees ``EBUSY``."""
 
 
 class UsbOverflow(VirtualUsbError):  # noqa: N818 - the USB term
@@ -51,7 +51,7 @@ class FaultError(VirtualUsbError):
 
 
 class NoVirtualSensorError(VirtualUsbError):
-    """Nobody serves a virtual sensor where one was looked for."""
+    """No virtual sensor listens on the socket."""
 
 
 class FaultKind(str, Enum):
@@ -71,7 +71,7 @@ class FaultKind(str, Enum):
         DROP_BYTES: ``size`` bytes are lost, rounded up to whole words.
         GARBAGE_WORDS: ``size`` bytes of random words come between the data.
         FREEZE: The data endpoint has nothing to send; with neither ``seconds`` nor ``count`` until
-            the host starts the stream anew.
+            the host restarts the stream.
         HANG_READS: Reads do not return, not even at their time-out, until the port is reset.
         BABBLE: Reads fail because more came than was asked for (EOVERFLOW).
         READ_ERROR: Reads fail on the bus (EIO).
@@ -102,12 +102,12 @@ class Fault:
     """One fault.
 
     Attributes:
-        kind: What goes wrong.
-        seconds: How long [s]; 0 without end.
-        count: After how many requests or reads it ends; 0 without end.
-        delay: How late answers come [s].
-        size: How many bytes are concerned.
-        seed: Of what is random.
+        kind: Kind of the fault.
+        seconds: Duration [s]; 0 for no end.
+        count: Requests or reads after which it ends; 0 for no end.
+        delay: Delay of answers [s].
+        size: Bytes lost or inserted.
+        seed: Seed of random values.
         serial: Serial number after `FaultKind.UNPLUG` or `FaultKind.PLUG_IN`; empty for the same.
     """
 
@@ -128,14 +128,16 @@ class Fault:
         """Return the fault that `to_json` wrote; what is missing has its default.
 
         Raises:
-            FaultError: It is none.
+            FaultError: The data describe no fault.
         """
         try:
             fields = json.loads(data)
             return cls(**{**fields, 'kind': FaultKind(fields['kind'])})
         except (ValueError, KeyError, TypeError) as error:
             known = ', '.join(kind.value for kind in FaultKind)
-            raise FaultError(f'{data!r} is no fault ({error}); kinds are {known}') from error
+            raise FaultError(
+                f'{data!r} is not a fault ({error})', remedy=f'kinds are {known}'
+            ) from error
 
 
 _BLOCKING: Final = (FaultKind.FREEZE, FaultKind.HANG_READS)
@@ -145,7 +147,7 @@ _CACHED_DESCRIPTORS: Final = {1, 2}
 
 
 class FaultInjector:
-    """Knows what goes wrong now. Not thread safe: the device guards it with its condition.
+    """The active faults. Not thread safe: the device guards it with its condition.
 
     Args:
         condition: The device's; its lock is held whenever a method is called.
@@ -167,7 +169,7 @@ class FaultInjector:
         self._condition.notify_all()
 
     def begin(self, fault: Fault) -> None:
-        """Start one that lasts."""
+        """Start a fault."""
         self._random.seed(fault.seed)
         if fault.kind is FaultKind.DROP_BYTES:
             self._drop += fault.size + fault.size % 2
@@ -178,12 +180,12 @@ class FaultInjector:
         self._condition.notify_all()
 
     def restarted(self) -> None:
-        """Note that the host started the stream anew."""
+        """Note that the host restarted the stream."""
         if self._active.get(FaultKind.FREEZE, (None, 0.0))[1] == math.inf:
             del self._active[FaultKind.FREEZE]
 
     def before_control(self, request_type: int, request: int, value: int, limit_s: float) -> None:
-        """Do to a control request what is to be done to it.
+        """Apply the faults to a control request.
 
         Args:
             request_type: ``bmRequestType``.
@@ -218,7 +220,7 @@ class FaultInjector:
         self._halted = False
 
     def before_read(self) -> None:
-        """Do to a read of the data endpoint what is to be done to it.
+        """Apply the faults to a read of the data endpoint.
 
         Raises:
             UsbStall: The endpoint is halted.
@@ -278,7 +280,7 @@ class FaultInjector:
     def _sleep(self, seconds: float, limit_s: float) -> None:
         faults = self._active
         deadline = time.monotonic() + min(seconds, limit_s)
-        # Whoever clears the faults, or resets or unplugs the device, ends the wait.
+        # Clearing the faults, a reset and unplugging end the wait.
         while faults is self._active and time.monotonic() < deadline:
             self._condition.wait(min(deadline - time.monotonic(), 1.0))
         if faults is self._active and seconds > limit_s:

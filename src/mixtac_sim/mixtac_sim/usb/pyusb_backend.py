@@ -4,7 +4,7 @@
 
 The camera is reached through a `Link`: `SocketLink` talks to a server in another process (entry
 point `virtual` of `mixtac.usb_backends`), `InProcessLink` calls a device in this one. `inject`
-provokes a fault on a camera behind a socket.
+injects a fault into a camera behind a socket.
 """
 # ruff: noqa: ARG002 - pyusb fixes the signatures
 
@@ -58,11 +58,11 @@ class Link(Protocol):
     ) -> bytes:
         """Make a control request (see `mixtac_sim.usb.device.VirtualDavis346.control`).
 
-        A timeout of 0 waits for ever.
+        A timeout of 0 waits without limit.
         """
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
-        """Read at most a buffer full and return the bytes read; a timeout of 0 waits for ever."""
+        """Read up to a full buffer; return the bytes read. A timeout of 0 waits without limit."""
 
     def claim(self) -> None:
         """Claim the interface for this session."""
@@ -170,7 +170,7 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
         return found
 
     def get_parent(self, dev: object) -> None:
-        """Return none: the camera hangs on no hub."""
+        """Return None: the camera is not behind a hub."""
 
     def open_device(self, dev: object) -> Link:
         """Start a host session."""
@@ -282,13 +282,13 @@ class InProcessLink:
         data: bytes | int,
         timeout_ms: int = 0,
     ) -> bytes:
-        """Make a control request; a timeout of 0 waits for ever."""
+        """Make a control request; a timeout of 0 waits without limit."""
         self._device.check_present(self._plugs)
         limit_s = timeout_ms / 1000 or None
         return self._device.control(request_type, request, value, index, data, limit_s)
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
-        """Read at most a buffer full; a timeout of 0 waits for ever."""
+        """Read up to a full buffer; a timeout of 0 waits without limit."""
         self._device.check_present(self._plugs)
         return self._device.read_into(endpoint, buffer, timeout_ms / 1000 or None)
 
@@ -317,9 +317,9 @@ def in_process_backend(device: VirtualDavis346) -> VirtualBackend:
 
 
 _CONTROL_CHANNEL: Final = 0
-# How long after its time-out an answer may come before the server counts as dead.
+# Time beyond its time-out after which an answer counts as lost and the server as dead.
 _GRACE_S: Final = 5.0
-# What needs no answer of the camera, only of its server, takes no longer.
+# Longest wait for requests that the server answers without the camera.
 _QUICK_MS: Final = 100
 _ERRORS: Final = {
     errno.EPIPE: UsbStall,
@@ -337,7 +337,7 @@ class SocketLink:
         path: Where the server listens.
 
     Raises:
-        NoVirtualSensorError: Nobody listens there.
+        NoVirtualSensorError: No virtual sensor listens there.
     """
 
     def __init__(self, path: str) -> None:
@@ -357,7 +357,7 @@ class SocketLink:
         data: bytes | int,
         timeout_ms: int = 0,
     ) -> bytes:
-        """Make a control request; a timeout of 0 waits for ever."""
+        """Make a control request; a timeout of 0 waits without limit."""
         sent, wanted = (b'', data) if isinstance(data, int) else (data, 0)
         return self._call(
             wire.CONTROL,
@@ -371,7 +371,7 @@ class SocketLink:
         )
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
-        """Read at most a buffer full; a timeout of 0 waits for ever."""
+        """Read up to a full buffer; a timeout of 0 waits without limit."""
         view = memoryview(buffer).cast('B')
         connection, lock = self._channel(endpoint)
         header = wire.REQUEST.pack(
@@ -400,7 +400,7 @@ class SocketLink:
 
     def close(self) -> None:
         """End the session; reads that wait end with `UsbGone`."""
-        # The server notices a closed connection only later; whoever opens next must not wait.
+        # The server notices a closed connection only later; the next host must not wait.
         with suppress(VirtualUsbError):
             self.release()
         with self._lock:
@@ -459,7 +459,7 @@ class SocketLink:
 
 
 def _set_patience(connection: socket.socket, timeout_ms: int) -> None:
-    # A server that was stopped must not hold its hosts up for ever.
+    # A server that was stopped must not block its hosts.
     connection.settimeout(timeout_ms / 1000 + _GRACE_S if timeout_ms else None)
 
 
@@ -484,7 +484,7 @@ def open_backend(device: str) -> VirtualBackend:
         device: ``virtual`` for the socket of this user and ROS domain, or ``virtual:PATH``.
 
     Raises:
-        NoVirtualSensorError: Nobody serves a virtual sensor there.
+        NoVirtualSensorError: No virtual sensor listens there.
     """
     path = device.partition(':')[2] or wire.default_socket_path()
     SocketLink(path).close()
@@ -492,15 +492,15 @@ def open_backend(device: str) -> VirtualBackend:
 
 
 def inject(path: str, fault: Fault) -> None:
-    """Let something go wrong on the virtual camera behind a socket.
+    """Inject a fault into the virtual camera behind a socket.
 
     Args:
         path: Socket of the virtual sensor, as `mixtac_sim.usb.wire.default_socket_path`.
-        fault: What.
+        fault: The fault.
 
     Raises:
-        NoVirtualSensorError: Nobody serves a virtual sensor there.
-        FaultError: It does not know such a fault.
+        NoVirtualSensorError: No virtual sensor listens there.
+        FaultError: It refused the fault.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
         try:

@@ -124,7 +124,7 @@ class Usb(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """What a production run of cameras fixes.
+    """Fixed properties of a production run of cameras.
 
     Attributes:
         dvs_inverted: Events carry x in row words and y in column words (the retail chip does).

@@ -58,7 +58,7 @@ class UsbServer:
 
     Args:
         device: The camera.
-        path: Where to listen.
+        path: Socket to listen on.
 
     Raises:
         VirtualUsbError: Another program uses the path, or it cannot be used.
@@ -254,7 +254,7 @@ class _OwnedSocket:
     """A listening socket, and the lock that shows who made it.
 
     Args:
-        path: Where to listen.
+        path: Socket to listen on.
 
     Attributes:
         listener: The socket.

@@ -19,8 +19,8 @@ from mixtac_events.arrays import Events
 from mixtac_sim.usb.registers import HEIGHT, WIDTH, Aps, Dvs, Imu, Module, Mux, Usb
 from mixtac_sim.usb.words import (
     TIMESTAMP_RESET_WORD,
+    ApsReadout,
     Blocks,
-    Frame,
     ImuReading,
     ImuSettings,
     ReadoutSettings,
@@ -55,7 +55,7 @@ class ByteFifo:
 
     @property
     def free(self) -> int:
-        """How many more bytes fit."""
+        """Free bytes."""
         return len(self._ring) - self._size
 
     def clear(self) -> None:
@@ -178,7 +178,7 @@ class Oscillator:
     host's monotonic clock, camera time from the last timestamp reset.
 
     Args:
-        skew_ppm: How much faster than true time the camera counts [1e-6], kept to 1e-9.
+        skew_ppm: Rate of the camera clock over true time, less one [1e-6], kept to 1e-9.
     """
 
     def __init__(self, skew_ppm: float) -> None:
@@ -186,7 +186,7 @@ class Oscillator:
         self.origin_us = 0
 
     def reset(self, true_us: int) -> None:
-        """Let camera time be zero at this true time."""
+        """Restart camera time at zero at this true time."""
         self.origin_us = true_us
 
     def to_camera(self, true_us: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -213,7 +213,7 @@ class StreamAssembler:
         registers: The register file, read at each step.
         board: The fixed properties of the camera.
         oscillator: The camera clock.
-        fifo: Where the words go.
+        fifo: Buffer for the words.
     """
 
     def __init__(
@@ -226,7 +226,7 @@ class StreamAssembler:
         self._encoder = WordEncoder(inverted=board.dvs_inverted)
         self._filter = EventFilter.from_registers(registers)
         self._events: deque[Events] = deque(maxlen=_MAX_WAITING)
-        self._frames: deque[Frame] = deque(maxlen=_MAX_WAITING)
+        self._frames: deque[ApsReadout] = deque(maxlen=_MAX_WAITING)
         self._readings: deque[ImuReading] = deque(maxlen=_MAX_WAITING)
         self._readout = Blocks.empty()
         self._stalled = False
@@ -254,7 +254,7 @@ class StreamAssembler:
         self._snapshot |= on
 
     def submit(
-        self, events: Events, frames: Iterable[Frame], readings: Iterable[ImuReading]
+        self, events: Events, frames: Iterable[ApsReadout], readings: Iterable[ImuReading]
     ) -> None:
         """Hand over data [us, true time] that goes out when `advance` reaches it."""
         if len(events):
@@ -263,7 +263,7 @@ class StreamAssembler:
         self._readings.extend(readings)
 
     def restart_time(self, true_us: int, *, announce: bool) -> None:
-        """Let the camera clock be zero at this true time; ``announce`` sends the reset word."""
+        """Restart the camera clock at zero at this true time; ``announce`` sends the reset word."""
         self._oscillator.reset(true_us)
         self._encoder.reset()
         self._done_us = max(self._done_us, true_us)
@@ -322,7 +322,7 @@ class StreamAssembler:
                 samples.append(imu_blocks(reading, reading.t_us, settings))
         return samples
 
-    def _begin_frame(self, frame: Frame) -> Blocks:
+    def _begin_frame(self, frame: ApsReadout) -> Blocks:
         run = self._registers.read(Module.APS, Aps.RUN)
         if not (run or self._snapshot) or frame.frame_start_us < self._oscillator.origin_us:
             return Blocks.empty()

@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How the virtual camera's USB transfers travel over a Unix socket; standard library only.
+"""Protocol of the virtual camera's USB transfers over a Unix socket.
+
+Standard library only: the tests run it under another interpreter.
 
 A request is `REQUEST` (operation, bmRequestType or endpoint, bRequest, wValue, wIndex, data length,
 timeout in ms where 0 means none, session), followed by that many bytes where data go to the device.
@@ -9,7 +11,7 @@ travels on a connection; a host opens one connection for control and one for eac
 under one session number of its choice, so that the interface belongs to the session.
 
 `FAULT` is no USB transfer: its data are a JSON object (see `mixtac_sim.usb.faults.Fault`), and it
-lets something go wrong on the virtual camera.
+injects a fault into the virtual camera.
 """
 
 from __future__ import annotations
@@ -93,8 +95,8 @@ def call(
         value: ``wValue``.
         index: ``wIndex``.
         data: Data to the device.
-        wanted: How many bytes are wanted from it, where none are sent.
-        timeout_ms: Longest wait [ms], 0 for ever.
+        wanted: Bytes wanted from the device, where none are sent.
+        timeout_ms: Longest wait [ms], 0 without limit.
         session: Number of the host session.
 
     Returns:

@@ -200,7 +200,7 @@ class WordEncoder:
 
     @property
     def rows_sent(self) -> int:
-        """How many row words were written since construction."""
+        """Number of row words written since construction."""
         return int(self._state[_ROWS_SENT])
 
     def reset(self) -> None:
@@ -213,7 +213,7 @@ class WordEncoder:
         return self._state.copy()
 
     def restore(self, state: NDArray[np.int64]) -> None:
-        """Go back to a state, as if what was encoded since had not been."""
+        """Return to a saved state."""
         self._state[:] = state
 
     def encode(
@@ -259,7 +259,7 @@ _INFO: Final = 0x5300
 
 @dataclass(frozen=True, slots=True)
 class ImuReading:
-    """What the inertial sensor feels at one instant.
+    """One measurement of the inertial sensor.
 
     Attributes:
         t_us: True time [us].
@@ -357,8 +357,8 @@ _REGION_LOW: Final = 0x5200
 _SAMPLES_PER_BLOCK: Final = 58
 
 
-class Frame(Protocol):
-    """One exposure of the sensor as the simulation hands it over (see `mixtac_sim.world.sensor`).
+class ApsReadout(Protocol):
+    """One exposure of the sensor (see `mixtac_sim.pixels.aps.ApsFrame`).
 
     Times are integer microseconds of true time; ``reset`` and ``signal`` are 10-bit ADC samples,
     ``uint16 [260, 346]``.
@@ -441,7 +441,9 @@ def _single(t: int, *words: int) -> Blocks:
     return Blocks.from_lists([t], [True], [list(words)])
 
 
-def frame_blocks(frame: Frame, times_us: NDArray[np.int64], settings: ReadoutSettings) -> Blocks:
+def frame_blocks(
+    frame: ApsReadout, times_us: NDArray[np.int64], settings: ReadoutSettings
+) -> Blocks:
     """Lay a frame out as the camera reads it.
 
     Args:

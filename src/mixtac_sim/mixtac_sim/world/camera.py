@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the camera makes of moving beads: light, event pixels, noise, readout and frames.
+"""The camera over moving beads: light, event pixels, noise, readout and frames.
 
 Contact moves the beads in different ways (`mixtac_sim.world.sensor`, `mixtac_sim.grasp.skin`); all
 else is the same for both.

@@ -46,15 +46,15 @@ class Conditions:
     """One day in the laboratory (spreads are estimates).
 
     Attributes:
-        contact_mm: Where the indenter meets the skin, from the optical axis [mm].
+        contact_mm: Contact point, from the optical axis [mm].
         stiffness: Modulus over the device's: temperature, rest since the last trial.
         lean: Shear displacement per depth, to the right and downwards: the indenter comes in
             a few degrees off the normal.
         light: Light over the device's.
         light_drift_per_s: Relative change of the light per second, from warming LEDs.
         friction: Friction over the device's.
-        camera_shift_px: How far the camera has moved, right and down [px].
-        camera_roll_rad: How far it has turned [rad].
+        camera_shift_px: Shift of the camera, right and down [px].
+        camera_roll_rad: Rotation of the camera [rad].
         exposure: Exposure over 7 ms, where none is asked for.
     """
 
@@ -193,7 +193,7 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
 
     Args:
         seed: Device seed.
-        preset: How much devices differ.
+        preset: Spread of the devices.
     """
     seed = seed if preset.devices.vary else 0
     rng, pixels, gel = stream(seed, 'device'), preset.pixels, preset.gel

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How hard the simulated sensor is: ten effects with their ranges, and three presets of them.
+"""Difficulty of the simulated sensor: ten effects with their ranges, and three presets of them.
 
 A range is (low, high) of a uniform draw unless the field says otherwise; equal ends mean no
 spread. Spreads are estimates wherever the modules that use them do not name a source. Defaults
@@ -112,7 +112,7 @@ class CreepEffects:
 
 @dataclass(frozen=True, slots=True)
 class OpticsEffects:
-    """What the lens makes of the beads.
+    """Image of the beads through the lens.
 
     Attributes:
         f_number: f-number; a large one is in focus everywhere.
@@ -187,7 +187,7 @@ class LightEffects:
 
 @dataclass(frozen=True, slots=True)
 class ContactEffects:
-    """Where and with what the sensor is touched, and how it slips.
+    """Place, indenters and friction of the contact.
 
     Attributes:
         place_mm: Largest distance of the contact from the axis, right and down [mm].
@@ -197,7 +197,7 @@ class ContactEffects:
         friction_load: Friction falls as the force to the power of minus this (a single contact
             with constant shear stress: 1/3).
         partial_slip: Whether the rim of the contact slips before the whole does.
-        indenters: What presses; one is drawn for each trial.
+        indenters: Possible indenters; one is drawn for each trial.
         staircase: Whether ``static`` trials climb in steps; otherwise they are one hold.
     """
 
@@ -213,7 +213,7 @@ class ContactEffects:
 
 @dataclass(frozen=True, slots=True)
 class ImpactEffects:
-    """What only fast and hard contacts show.
+    """Effects that only fast and hard contacts show.
 
     Attributes:
         fast: Weight of each of the branches of 0.5 and 3 ms: loss at impact.

@@ -40,7 +40,7 @@ class Mount:
     """Passes wrenches on, with a resonance of its own.
 
     Args:
-        resonance_hz: Its resonance [Hz]; 0 for a rigid mount.
+        resonance_hz: Resonance [Hz]; 0 for a rigid mount.
         damping: Damping ratio, 0 to below 1.
     """
 
@@ -184,13 +184,13 @@ class ReferenceSensor:
     Args:
         seed: Seed of the trial.
         rate_hz: Samples per second of the reference clock.
-        preset: How large its errors are.
+        preset: Difficulty: sizes of the errors.
 
     Attributes:
         offset_s: Reading of the reference clock at true time 0 [s].
-        drift_ppm: How much faster than true time it runs [ppm].
+        drift_ppm: Rate of its clock over true time, less one [ppm].
         delay_s: Delay of its filter and transport [s].
-        mount: What the sensor stands on it with.
+        mount: Mount of the sensor.
     """
 
     def __init__(self, seed: int, rate_hz: float = 800.0, preset: Preset = EASY) -> None:
@@ -335,7 +335,7 @@ class InertialUnit:
         self._felt_us, self._felt_g = np.zeros(1), np.zeros((1, 3))
 
     def feel(self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]) -> None:
-        """Take in what shakes the head; call it before the ``readings`` of that time.
+        """Add the wrench that shakes the head; call it before the ``readings`` of that time.
 
         Args:
             t_us: Simulated time [n] [us], 125 us apart, later than at the previous call.

@@ -60,11 +60,11 @@ class Segment:
     Attributes:
         start_s: Begin [s] since the start of the trial.
         end_s: End [s].
-        mode: What the target means.
+        mode: Meaning of the target.
         times_s: Times of the target's knots [s] since the segment's start, increasing.
         values: Target at the knots; between them it moves with zero slope at each knot.
         tones: Sinusoids on top.
-        indenter: What touches.
+        indenter: The indenter.
     """
 
     start_s: float
@@ -118,7 +118,7 @@ class Segment:
 
 
 class CommandSource(Protocol):
-    """What the sensor needs of a profile."""
+    """Source of the commands of a sensor: a profile, or live requests."""
 
     @property
     def indenters(self) -> tuple[Indenter, ...]:
@@ -223,7 +223,7 @@ The paper names a resonant speaker but neither drive nor amplitude. A foot of 20
 6 N/mm that is driven by 5 N moves by 0.12 mm at 250 Hz, and by more below.
 """
 VIBRATION_DEPTH_MM = (0.4, 0.8)
-"""How deep what vibrates stands in the skin [mm] (estimate): 0.2 to 2 N, as the weight of a small
+"""Mean depth of vibrations in the skin [mm] (estimate): 0.2 to 2 N, as the weight of a small
 speaker that is placed on it."""
 SYNC_QUIET_S = 0.5
 """Rest before and after a synchronising impulse [s]."""
@@ -384,7 +384,7 @@ def make_profile(
         seed: Fixes every random choice.
         duration_s: Length [s]; at least 10 for ``demo``.
         sync: Begin and end with a synchronising impulse; by default only ``demo`` does.
-        preset: How hard the sensor is: what presses, and whether ``static`` has steps.
+        preset: Difficulty: the indenters, and whether ``static`` has steps.
 
     Raises:
         SimulationError: Unknown name, or a duration too short for what is asked.
@@ -417,7 +417,7 @@ def _draw_indenter(seed: int, preset: Preset) -> Indenter:
 
 
 def _with(tool: Indenter, segments: list[Segment]) -> tuple[Segment, ...]:
-    """Return segments with another indenter in place of the hemisphere; weights stay."""
+    """Return segments in which another indenter replaces the hemisphere; weights stay."""
     if tool is HEMISPHERE:
         return tuple(segments)
     return tuple(

@@ -86,9 +86,9 @@ class Touch:
 
     Args:
         device: The sensor.
-        conditions: Of the trial.
-        profile: What touches it.
-        preset: How it slips.
+        conditions: Conditions of the trial.
+        profile: Commands of what touches it.
+        preset: Difficulty of the sensor.
     """
 
     def __init__(
@@ -209,7 +209,7 @@ class Outbox:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorOutput:
-    """What happened since the last call; every time is true time [us] since the trial's start.
+    """Output since the last call; every time is true time [us] since the trial's start.
 
     Attributes:
         events: Events that left the chip, sorted.
@@ -232,12 +232,12 @@ class TactileSensor:
     Output depends on the seeds, profile and settings alone, not on how often it is advanced.
 
     Args:
-        device_seed: What a rebuild of the sensor would change.
-        trial_seed: What another day would change.
-        profile: What touches the sensor; after its end nothing does.
-        aps: When frames are taken.
+        device_seed: Seed of the sensor.
+        trial_seed: Seed of the trial.
+        profile: Commands of what touches the sensor; after its end nothing does.
+        aps: Settings of the frames.
         pixels: Settings of the DVS pixels of a nominal chip.
-        preset: How hard the sensor is.
+        preset: Difficulty of the sensor.
 
     Attributes:
         device: The sensor's constants.

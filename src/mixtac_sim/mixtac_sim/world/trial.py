@@ -41,18 +41,18 @@ TRANSFER_US = (300, 1_500)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """Everything of one trial; unless said otherwise, times are camera time [us] = true time.
+    """One trial; times are camera time [us] = true time unless another clock is named.
 
     Attributes:
-        profile: What was commanded.
+        profile: The commanded contact.
         events: Events, sorted.
         frames: Intensity of each frame [n, 260, 346], uint16, 0 to 1023 DN.
-        exposure_start_us: When each exposure began [n], int64.
-        exposure_end_us: When it ended [n], int64.
-        arrival_us: When the host had the frame [n], int64.
+        exposure_start_us: Start of each exposure [n], int64.
+        exposure_end_us: End of each exposure [n], int64.
+        arrival_us: Arrival of each frame at the host [n], int64.
         truth: Force and dent at 1 kHz, ``TRUTH_DTYPE``.
         reference_t_us: Stamps of the reference sensor on its own clock [m] [us], int64.
-        reference_wrench: Its readings [m, 6] [N, Nm].
+        reference_wrench: Readings of the reference sensor [m, 6] [N, Nm].
         clock: True map to the reference clock (a, b): t_ref = a * t_camera + b [us].
         reference_delay_us: Delay of its readings behind their stamps [us].
     """
@@ -81,17 +81,17 @@ def simulate_trial(
     pixels: PixelSettings | None = None,
     preset: Preset = EASY,
 ) -> Trial:
-    """Return a simulated trial; the same for the same arguments.
+    """Return a simulated trial; equal arguments give equal trials.
 
     Args:
-        device_seed: What a rebuild of the sensor would change.
-        trial_seed: What another day would change; also draws the profile.
+        device_seed: Seed of the sensor.
+        trial_seed: Seed of the trial and of its profile.
         profile_name: As in ``make_profile``.
         duration_s: Length [s].
         sync: Synchronising impulses, as in ``make_profile``.
-        aps: When frames are taken.
+        aps: Settings of the frames.
         pixels: Settings of the DVS pixels.
-        preset: How hard the sensor is.
+        preset: Difficulty of the sensor.
 
     Raises:
         SimulationError: Unknown profile or a duration that is too short for it.
@@ -139,11 +139,11 @@ IMU_INTERVAL_US: Final = 1_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """What happened in a stretch of a trial; true time [us] unless said otherwise.
+    """A stretch of a trial; true time [us] unless another clock is named.
 
     Attributes:
-        start_us: Its start.
-        end_us: Its end.
+        start_us: Start of the stretch.
+        end_us: End of the stretch.
         sensor: Events, frames, truth.
         readings: Inertial samples.
         reference: Samples of the reference sensor, on its own clock.
@@ -164,8 +164,8 @@ class TrialStream:
 
     Attributes:
         spec: The trial.
-        profile: What touches the sensor.
-        contact_mm: Where, from the optical axis [mm].
+        profile: The commanded contact.
+        contact_mm: Contact point, from the optical axis [mm].
         reference: The reference force sensor, with its clock.
         sensor: The tactile sensor.
 
@@ -174,15 +174,13 @@ class TrialStream:
     """
 
     def __init__(self, spec: TrialSpec) -> None:
-        self.spec, hardness = spec, preset(spec.preset)
+        self.spec, level = spec, preset(spec.preset)
         self.profile = make_profile(
-            spec.profile, spec.trial_seed, spec.seconds, sync=True, preset=hardness
+            spec.profile, spec.trial_seed, spec.seconds, sync=True, preset=level
         )
-        self.sensor = TactileSensor(
-            spec.device_seed, spec.trial_seed, self.profile, preset=hardness
-        )
-        self.contact_mm = draw_conditions(spec.trial_seed, hardness).contact_mm
-        self.reference = ReferenceSensor(spec.trial_seed, preset=hardness)
+        self.sensor = TactileSensor(spec.device_seed, spec.trial_seed, self.profile, preset=level)
+        self.contact_mm = draw_conditions(spec.trial_seed, level).contact_mm
+        self.reference = ReferenceSensor(spec.trial_seed, preset=level)
         self._inertial = InertialUnit(spec.trial_seed)
 
     def stretches(self) -> Iterator[Stretch]:

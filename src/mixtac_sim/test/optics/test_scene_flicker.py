@@ -59,7 +59,7 @@ def test_small_ripple_is_the_steady_response(monkeypatch):
     settings = PixelSettings(0.011, 0.011, 1e5, 2.5, **QUIET)
     lamp = Flicker(0.05, 100.0, 0.0)
     short = events_under(lamp, settings, 60.0, 0.05)
-    monkeypatch.setattr(flicker, 'SMALL', 0.0)
+    monkeypatch.setattr(flicker, 'SMALL_RIPPLE', 0.0)
     long = events_under(lamp, settings, 60.0, 0.05)
     assert len(short[0]) > 5 * PIXELS
     assert len(short[0]) == pytest.approx(len(long[0]), rel=0.12)
@@ -80,7 +80,7 @@ def test_switched_leds_make_every_pixel_fire_each_time():
     lamp = Flicker(0.0, 50.0, 0.0, switched=True)
     settings = PixelSettings(0.4, 0.4, 1e5, 1e4, **QUIET)
     _, pixel, on = events_under(lamp, settings, 100.0, seconds=0.1)
-    per_edge = np.log(1.0 / flicker.DARK) / 0.4
+    per_edge = np.log(1.0 / flicker.DARK_LIGHT) / 0.4
     counts = np.bincount(pixel[on == 1], minlength=PIXELS)[:PIXELS]
     assert counts.min() >= 5 * (int(per_edge) - 1)
     assert counts.mean() / 5 == pytest.approx(per_edge, abs=1.0)
