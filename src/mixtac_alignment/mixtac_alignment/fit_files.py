@@ -7,13 +7,13 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any, Final
 
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.errors import WriterError
 
 from mixtac_alignment.clock_fit import from_fields, to_fields
 from mixtac_recordings.bag import typestore
-from mixtac_recordings.bag_writer import offered_qos
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.bag_writer import McapBag, offered_qos
+from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,16 +41,20 @@ def read_fit(bag: Path) -> ClockFit:
     """Return the fit beside a bag.
 
     Raises:
-        BagError: No such file, or another schema.
+        RecordingError: No such file, or another schema.
         AlignmentError: The file describes no map.
     """
     path = fit_path(bag)
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding='utf-8'))
     except (OSError, ValueError) as error:
-        raise BagError(f'no clock fit in {path} ({error}): run `mixtac align {bag}`') from error
+        raise RecordingError(
+            f'no clock fit in {path} ({error}): run `mixtac align {bag}`'
+        ) from error
     if content.get('schema') != SCHEMA:
-        raise BagError(f'{path} has schema {content.get("schema")}, not {SCHEMA}: align again')
+        raise RecordingError(
+            f'{path} has schema {content.get("schema")}, not {SCHEMA}: align again'
+        )
     return from_fields(content)
 
 
@@ -70,13 +74,13 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
         namespace: Namespace of the camera's topics.
 
     Raises:
-        BagError: The new bag exists already or cannot be written.
+        RecordingError: The new bag exists already or cannot be written.
     """
     types, changed = typestore(), 0
     try:
         with (
             Reader(bag) as reader,
-            Writer(out, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
+            McapBag(out) as writer,
         ):
             fit_topic = f'{namespace}/clock_fit'
             handles = {
@@ -108,7 +112,7 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
                     )
                 writer.write(handles[connection.id], received_ns, copied)
     except (WriterError, OSError) as error:
-        raise BagError(f'cannot write {out}: {error}; choose a folder that is new') from error
+        raise RecordingError(f'cannot write {out}: {error}; choose a folder that is new') from error
     return changed
 
 

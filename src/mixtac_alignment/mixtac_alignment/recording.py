@@ -33,7 +33,7 @@ from mixtac_events.codec import decode
 from mixtac_events.packets import CodecError, read_packet
 from mixtac_node.images import ImageConversionError, grey
 from mixtac_recordings.bag import BagFile
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -116,10 +116,10 @@ class PacketCollector:
             where: What the packets came from, for the message.
 
         Raises:
-            BagError: There were none.
+            RecordingError: There were none.
         """
         if self._first is None:
-            raise BagError(f'{where} is empty: the camera sent nothing during the recording')
+            raise RecordingError(f'{where} is empty: the camera sent nothing during the recording')
         self._reduce()
         first, end = self._first, max(self._end, self._first + 1)
         total = np.zeros(end - first, np.int64)
@@ -225,7 +225,7 @@ def read_recording(
         edges_only: Read the edges of the trigger line and nothing else.
 
     Raises:
-        BagError: No bag, or a topic is missing.
+        RecordingError: No bag, or a topic is missing.
         CodecError: Damaged packets.
     """
     names = ('events', 'image_raw', 'image_exposure', 'external_edges', 'reference_edges')
@@ -239,7 +239,7 @@ def read_recording(
     with BagFile(path) as bag:
         more = (edge, other) if edges_only else (image, exposure, edge, other)
         optional = [topic for topic in more if bag.counts.get(topic)]
-        for topic, _, message in bag.messages_of(*needed, *optional, raw=(events, reference)):
+        for topic, _, message in bag.messages(*needed, *optional, raw=(events, reference)):
             if topic == events:
                 packets.add(message)
             elif topic == reference:
@@ -283,7 +283,7 @@ def _features(message: Any) -> NDArray[np.float32]:  # noqa: ANN401
     try:
         pixels = grey(message)
     except ImageConversionError as error:
-        raise BagError(f'frames cannot be read: {error}') from error
+        raise RecordingError(f'frames cannot be read: {error}') from error
     return reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
 
 

@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mixtac_cli.figures import EVENTS, REFERENCE, new_figure, save_figure
 from mixtac_cli.options import OptionalPath, Preset
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.generation import generate
 from mixtac_sim.world.datasets import DATASETS, describe, plan_dataset, plan_profile
 from mixtac_sim.world.effects import preset as find_preset
@@ -119,7 +119,7 @@ def _generate(
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),
             )
         except OSError as error:
-            raise BagError(f'{out} cannot be written ({error}): choose another') from error
+            raise RecordingError(f'{out} cannot be written ({error}): choose another') from error
     train, test = (len(plan.split(name)) for name in ('train', 'test'))
     console.print(
         f'{written} bags written, {len(plan.trials)} in {out}: {train} train, {test} test'

@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from mixtac_driver.camera import Davis346
 from mixtac_driver.errors import UnknownDeviceError
 from mixtac_driver.playback.source import RecordedSource
 from mixtac_driver.usb.device import check_device, is_real, known_devices
-from mixtac_recordings.camera_stream import looks_like_a_path
+from mixtac_recordings.camera_stream import SUFFIXES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -22,9 +23,9 @@ if TYPE_CHECKING:
     from mixtac_driver.davis346.identity import Identity
     from mixtac_driver.davis346.settings import Configuration
     from mixtac_driver.decode.state import DecoderCounters
+    from mixtac_driver.parameters import PlaybackParameters
     from mixtac_driver.usb.transport import DebugMessage, TransportCounters
     from mixtac_events.clock_map import ClockMap
-    from mixtac_recordings.recording import PlaybackParameters
 
 
 class Source(Protocol):
@@ -144,7 +145,7 @@ def source_kind(device: str) -> SourceKind:
     """
     if is_real(device):
         return SourceKind.CAMERA
-    if device.partition(':')[0] not in known_devices() and looks_like_a_path(device):
+    if device.partition(':')[0] not in known_devices() and _looks_like_a_path(device):
         return SourceKind.RECORDED
     try:
         check_device(device)
@@ -180,3 +181,8 @@ def make_source(
     return Davis346(
         device, serial=serial, configuration=configuration, stream=stream, on_debug=on_debug
     )
+
+
+def _looks_like_a_path(device: str) -> bool:
+    path = Path(device)
+    return path.suffix in SUFFIXES or '/' in device or path.exists()

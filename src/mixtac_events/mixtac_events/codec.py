@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Encoding and decoding of event packets, by the name of the encoding.
 
-Every packet stands for itself: nothing is carried over from the packet before it, so that a lost
-packet costs its own events only.
+Packets are independent of each other, so that a lost packet costs its own events only.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
@@ -25,13 +24,13 @@ if TYPE_CHECKING:
 
 
 class Codec(Protocol):
-    """What a codec module offers; neither function sees an empty packet."""
+    """Interface of the codec modules; neither function is called for an empty packet."""
 
     def encode(self, events: Events, complete_until: int | None = None) -> EncodedPacket:
         """Encode events on the camera clock."""
 
     def decode(
-        self, payload: NDArray[np.uint8], time_base: int, *, width: int, height: int
+        self, payload: NDArray[np.uint8], start_us: int, *, width: int, height: int
     ) -> DecodedPacket:
         """Decode a payload of whole bytes."""
 
@@ -39,13 +38,17 @@ class Codec(Protocol):
 _CODECS: dict[str, Codec] = {libcaer_cmp.NAME: libcaer_cmp, libcaer.NAME: libcaer}
 ENCODINGS = tuple(_CODECS)
 """Names of the encodings, the preferred one first."""
-DAVIS346_WIDTH = 346
-DAVIS346_HEIGHT = 260
+MAX_TIME_BASE: Final = (1 << 31) * 1_000_000_000
+"""Times from here on [ns] do not fit into ROS stamps."""
+MAX_SPAN_US: Final = 1 << 24
+"""Longest packet of a message [us], the most that `libcaer_cmp` holds. It bounds the number of
+windows that one packet can close."""
 
 
 class PacketMessage(Protocol):
-    """The fields of `event_camera_msgs/EventPacket` that decoding needs."""
+    """The fields of `event_camera_msgs/EventPacket` that decoding and counting need."""
 
+    seq: int
     width: int
     height: int
     time_base: int
@@ -96,8 +99,8 @@ def decode(
     encoding: str,
     time_base: int,
     *,
-    width: int = DAVIS346_WIDTH,
-    height: int = DAVIS346_HEIGHT,
+    width: int,
+    height: int,
 ) -> DecodedPacket:
     """Decode one packet.
 
@@ -109,18 +112,24 @@ def decode(
         height: Rows of the sensor.
 
     Returns:
-        Events on the camera clock, parts of a microsecond in `time_base` dropped.
+        Events on the camera clock, sub-microsecond part of `time_base` discarded.
 
     Raises:
-        CodecError: Unknown encoding, truncated or damaged payload, or an event outside the sensor.
+        CodecError: Unknown encoding, truncated or damaged payload, an event outside the sensor, or
+            a `time_base` that is negative or too large.
     """
     codec = _codec(encoding)
+    start_us = int(time_base) // 1000
+    if not 0 <= time_base < MAX_TIME_BASE:
+        raise CodecError(f'time_base {time_base} ns is outside 0 .. {MAX_TIME_BASE} ns')
     data = np.frombuffer(payload, np.uint8)
-    # One type for bytes, arrays and read-only views: the compiled decoders exist only once.
+    # One type for all buffers: the decoders are compiled for aligned, read-only arrays only.
+    if data.ctypes.data % 8:
+        data = data.copy()
     data.flags.writeable = False
     if data.size == 0:
-        return DecodedPacket(Events.empty(), int(time_base) // 1000)
-    return codec.decode(data, int(time_base), width=int(width), height=int(height))
+        return DecodedPacket(Events.empty(), start_us)
+    return codec.decode(data, start_us, width=int(width), height=int(height))
 
 
 def decode_message(message: PacketMessage) -> DecodedPacket:
@@ -130,17 +139,23 @@ def decode_message(message: PacketMessage) -> DecodedPacket:
         message: The message; its own width and height bound the coordinates.
 
     Raises:
-        CodecError: As `decode`, and for big-endian payloads.
+        CodecError: As `decode`, and for big-endian payloads and packets over `MAX_SPAN_US`.
     """
     if message.is_bigendian:
         raise CodecError('event packet is big-endian: record or publish it little-endian')
-    return decode(
+    packet = decode(
         message.events,
         message.encoding,
         message.time_base,
         width=message.width,
         height=message.height,
     )
+    if packet.complete_until - packet.start_us > MAX_SPAN_US:
+        raise CodecError(
+            f'event packet of {packet.complete_until - packet.start_us} us is longer than '
+            f'{MAX_SPAN_US} us'
+        )
+    return packet
 
 
 def warm_up() -> None:
@@ -150,7 +165,7 @@ def warm_up() -> None:
     )
     for encoding in ENCODINGS:
         packet = encode(one, encoding, complete_until=1)
-        decode(packet.payload, encoding, packet.time_base)
+        decode(packet.payload, encoding, packet.time_base, width=1, height=1)
 
 
 def _codec(encoding: str) -> Codec:
@@ -164,10 +179,7 @@ def _codec(encoding: str) -> Codec:
 
 def _empty_time(complete_until: int | None) -> int:
     if complete_until is None or complete_until < 0:
-        raise CodecError(
-            f'an empty packet needs complete_until [us] >= 0, got {complete_until}: it is all that '
-            'the packet says'
-        )
+        raise CodecError(f'an empty packet needs complete_until [us] >= 0, got {complete_until}')
     return int(complete_until)
 
 

@@ -33,10 +33,10 @@ MAX_STEP_US: Final = (1 << 30) - 1
 """Longest step between neighbouring events: beyond it a roll-over could not be told apart."""
 _ROLL_OVER: Final = 1 << 31
 _LOW_MASK: Final = _ROLL_OVER - 1
-_UNSORTED: Final = 1
-_TOO_LONG: Final = 2
-_OUTSIDE: Final = 3
-_NEGATIVE: Final = 4
+_UNSORTED: Final = -1
+_TOO_LONG: Final = -2
+_OUTSIDE: Final = -3
+_NEGATIVE: Final = -4
 
 
 def encode(events: Events, complete_until: int | None = None) -> EncodedPacket:
@@ -77,10 +77,16 @@ def _encode_error(fault: int, events: Events, at: int) -> CodecError:
     )
 
 
-def decode(payload: NDArray[np.uint8], time_base: int, *, width: int, height: int) -> DecodedPacket:
+def decode(payload: NDArray[np.uint8], start_us: int, *, width: int, height: int) -> DecodedPacket:
     """Decode a packet that is not empty; see `mixtac_events.codec.decode`.
 
     Events that the camera library has marked as not valid are left out.
+
+    Args:
+        payload: Encoded bytes.
+        start_us: `time_base` in microseconds, camera clock.
+        width: Columns of the sensor.
+        height: Rows of the sensor.
 
     Raises:
         CodecError: Length not a multiple of 8, negative time, event outside the sensor.
@@ -97,7 +103,7 @@ def decode(payload: NDArray[np.uint8], time_base: int, *, width: int, height: in
         np.empty(words.size, np.bool_),
     )
     count, last, fault, at = _decode_words(
-        words, time_base, width, height, events.t, events.x, events.y, events.polarity
+        words, start_us, width, height, events.t, events.x, events.y, events.polarity
     )
     if fault == _NEGATIVE:
         raise CodecError(f'libcaer event {at} has a negative time: not libcaer, or damaged')
@@ -131,7 +137,7 @@ def _encode_words(
 @njit(cache=True, nogil=True)
 def _decode_words(
     words: NDArray[np.uint64],
-    time_base: int,
+    start: int,
     width: int,
     height: int,
     t: Times,
@@ -141,7 +147,6 @@ def _decode_words(
 ) -> tuple[int, int, int, int]:
     """Fill the event arrays; return (events, last time, fault, word)."""
     n = 0
-    start = time_base // 1000
     # Signed numbers throughout: numba keeps unsigned ones unsigned through differences.
     before = np.int64(words[0] >> np.uint64(32))
     for i in range(len(words)):

@@ -285,8 +285,14 @@ def _encode_error(fault: int, events: Events, at: int, end: int) -> CodecError:
     )
 
 
-def decode(payload: NDArray[np.uint8], time_base: int, *, width: int, height: int) -> DecodedPacket:
+def decode(payload: NDArray[np.uint8], start_us: int, *, width: int, height: int) -> DecodedPacket:
     """Decode a packet that is not empty; see `mixtac_events.codec.decode`.
+
+    Args:
+        payload: Encoded bytes.
+        start_us: `time_base` in microseconds, camera clock.
+        width: Columns of the sensor.
+        height: Rows of the sensor.
 
     Raises:
         CodecError: Odd length, unknown word, event before a column or base, or outside the sensor.
@@ -306,11 +312,11 @@ def decode(payload: NDArray[np.uint8], time_base: int, *, width: int, height: in
         np.empty(count, np.bool_),
     )
     dt, at = decode_words(
-        words, time_base // 1000, width, height, events.t, events.x, events.y, events.polarity
+        words, start_us, width, height, events.t, events.x, events.y, events.polarity
     )
     if dt < 0:
         raise _decode_error(dt, words, at, width, height)
-    return DecodedPacket(events, time_base // 1000 + dt)
+    return DecodedPacket(events, start_us + dt)
 
 
 def _decode_error(

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packets of events without ROS: encoded, decoded, and read from serialised messages.
 
-Converting messages to Python objects costs more than everything that is done with them at 1000
-packets a second. A node that subscribes with ``raw=True`` gets the bytes as they came (CDR, OMG
-Common Data Representation, little-endian in practice) and reads the fields from them here; the
-events stay where they are.
+At 1000 packets per second, converting messages to Python objects costs more than processing them.
+A node that subscribes with ``raw=True`` gets the serialised bytes (CDR, OMG Common Data
+Representation, little-endian in practice) and reads the fields from them here without copying the
+events.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 
 class CodecError(MixtacError):
-    """Events that an encoding cannot carry, or a payload that is none of its packets."""
+    """Events that an encoding cannot carry, or a payload that is not valid in its encoding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EncodedPacket:
-    """What the fields of an `event_camera_msgs/EventPacket` of the same names hold.
+    """Values of the fields of an `event_camera_msgs/EventPacket` of the same names.
 
     Attributes:
         encoding: Name of the encoding, one of `mixtac_events.codec.ENCODINGS`.
@@ -58,13 +58,13 @@ class DecodedPacket:
 
     @property
     def start_us(self) -> int:
-        """First time the packet speaks of, camera clock [us]."""
+        """Time of the first event, or `complete_until` without events; camera clock [us]."""
         return int(self.events.t[0]) if len(self.events) else self.complete_until
 
 
 CDR_LITTLE_ENDIAN: Final = b'\x00\x01'
 _START: Final = 4
-"""Alignment counts from behind the encapsulation header."""
+"""Size of the encapsulation header; alignment counts from its end."""
 _STAMP_AND_LENGTH = struct.Struct('<iII')
 _SIZE = struct.Struct('<II')
 _NUMBERS = struct.Struct('<QQI')
@@ -138,10 +138,7 @@ def _aligned(at: int, size: int) -> int:
     return at + (_START - at) % size
 
 
-_ENCAPSULATION = 4
 _STAMP = {1: struct.Struct('<iI'), 0: struct.Struct('>iI')}
-_LENGTHS = {1: struct.Struct('<I'), 0: struct.Struct('>I')}
-_NUMBER = {1: struct.Struct('<Q'), 0: struct.Struct('>Q')}
 
 
 def header_stamp_ns(data: bytes) -> int:
@@ -149,21 +146,12 @@ def header_stamp_ns(data: bytes) -> int:
 
     Args:
         data: CDR with its encapsulation header of 4 bytes (OMG XTypes 1.3, 7.4.3.5).
+
+    Raises:
+        CodecError: The bytes are cut off.
     """
-    seconds, nanoseconds = _STAMP[data[1] & 1].unpack_from(data, _ENCAPSULATION)
+    try:
+        seconds, nanoseconds = _STAMP[data[1] & 1].unpack_from(data, _START)
+    except (struct.error, IndexError) as error:
+        raise CodecError(f'message of {len(data)} bytes is cut off: {error}') from error
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
-
-
-def packet_sequence(data: bytes) -> int:
-    """Return `seq` of a serialised `event_camera_msgs/EventPacket`.
-
-    Args:
-        data: As above; header, height and width come before the number, which is aligned to 8.
-    """
-    order = data[1] & 1
-    (length,) = _LENGTHS[order].unpack_from(data, _ENCAPSULATION + 8)
-    end = 12 + length
-    sizes = (end + 3) // 4 * 4
-    number = (sizes + 8 + 7) // 8 * 8
-    (value,) = _NUMBER[order].unpack_from(data, _ENCAPSULATION + number)
-    return int(value)

@@ -412,5 +412,11 @@ def warm_up(model: LoadedModel) -> list[Estimate]:
         Events(t_us, zeros, zeros, t_us % 200 == 0), complete_until=WARM_UP_START_US + 12_000
     )
     # As from the middleware: bytes that must not be changed.
-    decoded = decode(packet.payload.tobytes(), packet.encoding, packet.time_base)
+    decoded = decode(
+        packet.payload.tobytes(),
+        packet.encoding,
+        packet.time_base,
+        width=config.width,
+        height=config.height,
+    )
     return estimator.push_events(decoded.events, decoded.complete_until)

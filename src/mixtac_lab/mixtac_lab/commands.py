@@ -196,11 +196,11 @@ def run_experiments(console: Console, request: Request) -> list[Outcome]:
 def _carry_out(name: str, context: Context, among: int) -> Outcome:
     """Return an outcome; of several, one whose recordings are missing is left out by name."""
     from mixtac_lab.experiments.harness import Outcome
-    from mixtac_recordings.recording import BagError
+    from mixtac_recordings.recording import RecordingError
 
     try:
         return carry_out_experiment(name, context)
-    except BagError as error:
+    except RecordingError as error:
         if context.bags is None or among == 1:
             raise
         return Outcome(name, name.capitalize(), '-', context.bags.name, skipped=str(error))

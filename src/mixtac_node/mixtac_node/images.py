@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import sys
+from array import array
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -133,7 +134,7 @@ def fill(message: Any, image: Pixels, encoding: str) -> None:  # noqa: ANN401
     """Write pixels into a fresh image message; its header is left alone.
 
     Args:
-        message: A `sensor_msgs/msg/Image` of rclpy without data.
+        message: A `sensor_msgs/msg/Image` without data.
         image: `uint8` or `uint16`, [height, width] or [height, width, channels].
         encoding: Their encoding, one of `ENCODINGS`.
 
@@ -151,8 +152,23 @@ def fill(message: Any, image: Pixels, encoding: str) -> None:  # noqa: ANN401
     message.encoding = encoding
     message.is_bigendian = sys.byteorder == 'big'
     message.step = image.nbytes // image.shape[0]
-    # Assigning the array goes through every element; this is one copy.
-    message.data.frombytes(np.ascontiguousarray(image).view(np.uint8))
+    set_octets(message, 'data', np.ascontiguousarray(image).view(np.uint8).ravel())
+
+
+def set_octets(message: Any, name: str, octets: Any) -> None:  # noqa: ANN401
+    """Set an empty field of type `uint8[]` in a message of rclpy or rosbags.
+
+    Args:
+        message: The message.
+        name: Name of the field.
+        octets: One-dimensional array, or anything with a buffer.
+    """
+    held = getattr(message, name)
+    if isinstance(held, array):
+        # Assigning to the field checks every element; this is one copy.
+        held.frombytes(octets)
+    else:
+        setattr(message, name, np.frombuffer(octets, np.uint8))
 
 
 @functools.cache

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """AEDAT4 files, as DV and dv-processing write them: packets read and written, files as recordings.
 
-A file is read as it is played. Every stream lies in it in packets of its own size (often half a
-second of inertial samples beside 10 ms of events): they are cut up and merged by time. Times [us]
+A file is read while it is played. Each stream has packets of its own length, often half a second of
+inertial samples and 10 ms of events: they are cut into short pieces and merged by time. Times [us]
 are those of the file. Field numbers are those of the published schemas of EventPacket, Frame,
 IMUPacket and TriggerPacket.
 """
@@ -20,12 +20,14 @@ from mixtac_events.readings import STANDARD_GRAVITY, EdgeKind, Edges, Frame, Ine
 from mixtac_recordings import flatbuffer
 from mixtac_recordings.aedat4_file import EVENT, Aedat4File, StreamInfo
 from mixtac_recordings.flatbuffer import FlatBufferWriter
+from mixtac_recordings.messages import BIT_SHIFT, left_aligned
 from mixtac_recordings.recording import (
     DamagedRecordingError,
     Piece,
     ReadCounters,
     RecordingError,
     RecordingInfo,
+    Selection,
     choose,
 )
 
@@ -36,20 +38,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_recordings.flatbuffer import Octets
-    from mixtac_recordings.recording import PlaybackParameters
 
 
 SLICE_US = 1000
-"""Longest stretch of time in one piece: what is merged behind it comes that much too late."""
-_FORMATS: dict[int, np.dtype[Any]] = {0: np.dtype(np.uint8), 2: np.dtype('<u2')}
-"""OpenCV's numbers of the two monochrome formats."""
-_EDGES = {
-    1: EdgeKind.EXTERNAL_RISING,
-    2: EdgeKind.EXTERNAL_FALLING,
-    3: EdgeKind.EXTERNAL_PULSE,
-    4: EdgeKind.GENERATOR_RISING,
-    5: EdgeKind.GENERATOR_FALLING,
+"""Longest piece [us]: data of other streams are delayed by at most this much."""
+_MONO16 = 2
+_FORMATS: dict[int, np.dtype[Any]] = {0: np.dtype(np.uint8), _MONO16: np.dtype('<u2')}
+"""The two monochrome formats by their OpenCV numbers."""
+_TRIGGERS = {
+    EdgeKind.EXTERNAL_RISING: 1,
+    EdgeKind.EXTERNAL_FALLING: 2,
+    EdgeKind.EXTERNAL_PULSE: 3,
+    EdgeKind.GENERATOR_RISING: 4,
+    EdgeKind.GENERATOR_FALLING: 5,
 }
+_EDGES = {number: kind for kind, number in _TRIGGERS.items()}
 
 
 def read_events(data: Octets) -> Iterator[Events]:
@@ -105,7 +108,7 @@ def read_samples(data: Octets) -> Iterator[InertialSamples]:
     rows = flatbuffer.tables(data, flatbuffer.root(data), 0)
     t = flatbuffer.column(data, rows, 0, '<i8', 0).astype(np.int64)
     columns = [flatbuffer.column(data, rows, index, '<f4', 0.0) for index in range(1, 8)]
-    # Values that are not numbers may raise a flag on the way to more bits.
+    # Converting signalling NaNs sets a floating-point flag.
     with np.errstate(invalid='ignore'):
         temperature, ax, ay, az, wx, wy, wz = np.array(columns).astype(np.float64)
     acceleration = np.stack((ax, ay, az), 1) * STANDARD_GRAVITY
@@ -134,8 +137,8 @@ def read_edges(data: Octets) -> Iterator[Edges]:
 def _pixels(data: Octets, number: int, width: int, height: int) -> NDArray[np.uint16]:
     if number not in _FORMATS:
         raise RecordingError(
-            f'its frames have OpenCV format {number}, not 8 or 16 bits of one channel: set '
-            'playback_image_topic to none'
+            f'frames have OpenCV format {number}, not 8 or 16 bits of one channel',
+            remedy='set playback_image_topic to none',
         )
     dtype = _FORMATS[number]
     octets = flatbuffer.structs(data, flatbuffer.root(data), 10, np.dtype(np.uint8))
@@ -143,7 +146,7 @@ def _pixels(data: Octets, number: int, width: int, height: int) -> NDArray[np.ui
         raise DamagedRecordingError(f'{len(octets)} bytes in a frame of {width} x {height}')
     image = octets[: width * height * dtype.itemsize].view(dtype).reshape(height, width)
     wide: NDArray[np.uint16] = image.astype(np.uint16)
-    return wide << np.uint16(2) if dtype.itemsize == 1 else wide >> np.uint16(6)
+    return wide << np.uint16(2) if dtype.itemsize == 1 else wide >> np.uint16(BIT_SHIFT)
 
 
 def _slices(t: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
@@ -154,38 +157,25 @@ def _slices(t: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
     yield from zip([0, *cuts.tolist()], [*cuts.tolist(), len(t)], strict=True)
 
 
-WRITTEN_EVENT = np.dtype(
-    {
-        'names': ['t', 'x', 'y', 'p'],
-        'formats': ['<i8', '<i2', '<i2', 'u1'],
-        'offsets': [0, 8, 10, 12],
-        'itemsize': 16,
-    }
-)
-TRIGGERS = {
-    EdgeKind.EXTERNAL_RISING: 1,
-    EdgeKind.EXTERNAL_FALLING: 2,
-    EdgeKind.EXTERNAL_PULSE: 3,
-    EdgeKind.GENERATOR_RISING: 4,
-    EdgeKind.GENERATOR_FALLING: 5,
-}
-SIXTEEN_BIT = 2
-"""OpenCV's number of images of 16 bits and one channel."""
-FROM_SENSOR = 1
-LEFT_ALIGNED = 6
+_FROM_SENSOR = 1
 
 
 def events_packet(events: Events) -> bytes:
     """Return the buffer of events."""
-    rows = np.zeros(len(events), WRITTEN_EVENT)
-    rows['t'], rows['x'], rows['y'], rows['p'] = events.t, events.x, events.y, events.polarity
+    rows = np.zeros(len(events), EVENT)
+    rows['t'], rows['x'], rows['y'], rows['polarity'] = (
+        events.t,
+        events.x,
+        events.y,
+        events.polarity,
+    )
     return _with_vector('EVTS', len(rows), rows.tobytes())
 
 
 def frame_packet(frame: Frame) -> bytes:
     """Return the buffer of a frame: 10 bits left-aligned in 16, as on `image_raw`.
 
-    Its time is the beginning of the exposure, as dv-processing has it.
+    Its time is the start of the exposure, as in dv-processing.
     """
     buffer = FlatBufferWriter('FRME')
     height, width = frame.image.shape
@@ -196,17 +186,17 @@ def frame_packet(frame: Frame) -> bytes:
             2: ('q', frame.frame_end_us),
             3: ('q', frame.exposure_start_us),
             4: ('q', frame.exposure_end_us),
-            5: ('b', SIXTEEN_BIT),
+            5: ('b', _MONO16),
             6: ('h', width),
             7: ('h', height),
             8: ('h', frame.x),
             9: ('h', frame.y),
             10: ('O', 0),
             11: ('q', frame.exposure_end_us - frame.exposure_start_us),
-            12: ('b', FROM_SENSOR),
+            12: ('b', _FROM_SENSOR),
         }
     )
-    pixels = np.left_shift(frame.image, LEFT_ALIGNED).astype('<u2').tobytes()
+    pixels = left_aligned(frame.image).astype('<u2').tobytes()
     buffer.refer(fields[10], buffer.vector(len(pixels), pixels))
     return buffer.finish(table)
 
@@ -226,7 +216,7 @@ def samples_packet(samples: InertialSamples) -> bytes:
 
 def edges_packet(edges: Edges) -> bytes:
     """Return the buffer of edges at the synchronisation connector."""
-    kinds = [TRIGGERS[EdgeKind(int(kind))] for kind in edges.kind]
+    kinds = [_TRIGGERS[EdgeKind(int(kind))] for kind in edges.kind]
     rows = zip(edges.t.tolist(), kinds, strict=True)
     return _with_tables('TRIG', [{0: ('q', t_us), 1: ('b', kind)} for t_us, kind in rows])
 
@@ -258,23 +248,23 @@ class Aedat4Recording:
 
     Args:
         path: The file.
-        parameters: Which of its streams to play. Triggers always are, those of the camera that
-            the events are from.
+        selection: Which of its streams to read; None for the only one of each kind. Triggers of the
+            camera that the events are from are always read.
 
     Attributes:
-        info: What is known of it.
-        counters: What was found amiss so far.
+        info: Its description.
+        counters: Losses found so far.
 
     Raises:
-        RecordingError: It cannot be read, is empty, or leaves a choice of streams.
+        RecordingError: It cannot be read, is empty, or the choice is ambiguous.
     """
 
-    def __init__(self, path: Path, parameters: PlaybackParameters) -> None:
+    def __init__(self, path: Path, selection: Selection | None = None) -> None:
         self.counters = ReadCounters()
         self._path = path
         self._file = Aedat4File(path)
         try:
-            self._chosen = self._choose(parameters)
+            self._chosen = self._choose(selection or Selection())
             index = self._file.index()
             self._packets = {
                 s.identifier: index[index['stream'] == s.number] for s in self._chosen.values()
@@ -285,8 +275,13 @@ class Aedat4Recording:
             self.close()
             raise
 
+    @property
+    def packets(self) -> dict[str, int]:
+        """Number of packets by kind of data, as in `info.contents`."""
+        return {_KINDS[key]: len(each) for key, each in self._packets.items() if key in _KINDS}
+
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._file.close()
 
     def pieces(self, from_us: int) -> Generator[Piece, None, None]:
@@ -349,11 +344,11 @@ class Aedat4Recording:
     def _alone(self) -> bool:
         return 'EVTS' not in self._packets
 
-    def _choose(self, parameters: PlaybackParameters) -> dict[str, StreamInfo]:
+    def _choose(self, selection: Selection) -> dict[str, StreamInfo]:
         wanted = {
-            'EVTS': parameters.playback_events_topic,
-            'FRME': parameters.playback_image_topic,
-            'IMUS': parameters.playback_imu_topic,
+            'EVTS': selection.events,
+            'FRME': selection.image,
+            'IMUS': selection.imu,
         }
         chosen: dict[str, StreamInfo] = {}
         for identifier, name in wanted.items():
@@ -372,7 +367,8 @@ class Aedat4Recording:
     def _info(self) -> RecordingInfo:
         if not self._packets:
             raise RecordingError(
-                f'{self._path} holds no events, frames or inertial samples to play: record it again'
+                f'{self._path} holds no events, frames or inertial samples'
+                + (f': {self._file.damage}' if self._file.damage else '')
             )
         every = list(self._packets.values())
         first = self._packets.get('EVTS')
@@ -381,7 +377,7 @@ class Aedat4Recording:
         camera = next(iter(self._chosen.values()))
         sized = [s for s in self._chosen.values() if s.width and s.height]
         if not sized:
-            raise RecordingError(f'{self._path} does not say how large its camera is')
+            raise RecordingError(f'{self._path} does not give the size of its camera')
         return RecordingInfo(
             path=self._path,
             kind='AEDAT4 file',
@@ -392,4 +388,5 @@ class Aedat4Recording:
             start_us=start_us,
             length_us=max(int(each['end_us'].max()) for each in every) - start_us,
             contents=tuple((_KINDS[key], self._chosen[key].name) for key in self._packets),
+            damage=self._file.damage,
         )

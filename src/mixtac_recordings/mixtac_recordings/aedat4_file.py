@@ -3,8 +3,8 @@
 """The container of AEDAT4 files, read and written: header, streams, packets, table of packets.
 
 A line of text, a header as a size-prefixed FlatBuffer, then packets: stream number and size
-(`int32` each) and a FlatBuffer of that size, compressed as a whole. A recorder that was closed in
-order leaves a table of all packets at the end; without one, the file is scanned once
+(`int32` each) and a FlatBuffer of that size, compressed as a whole. Recorders write a table of all
+packets at the end. If it is missing or incomplete, the file is scanned up to its last whole packet
 (https://docs.inivation.com/software/software-advanced-usage/file-formats/aedat-4.0.html).
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from mixtac_recordings import flatbuffer
 from mixtac_recordings.flatbuffer import FlatBufferWriter
-from mixtac_recordings.recording import BagError, DamagedRecordingError, RecordingError
+from mixtac_recordings.recording import DamagedRecordingError, RecordingError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,11 +37,12 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 MAGIC = b'#!AER-DAT4.0\r\n'
-LARGEST_PACKET = 1 << 30
+LARGEST_PACKET = 1 << 28
+"""Most bytes of a packet, compressed or not: 16 million events."""
 ENTRY = np.dtype(
     [('stream', '<i4'), ('size', '<i4'), ('offset', '<i8'), ('start_us', '<i8'), ('end_us', '<i8')]
 )
-"""A packet: its stream, bytes on disk, where they begin, first and last time [us]."""
+"""A packet: its stream, bytes on disk, their position in the file, first and last time [us]."""
 _LZ4, _LZ4_HIGH, _ZSTD, _ZSTD_HIGH = 1, 2, 3, 4
 
 
@@ -54,8 +55,8 @@ class StreamInfo:
         identifier: What it holds: EVTS, FRME, IMUS, TRIG or another four letters.
         name: Name that the recorder gave it.
         source: Camera.
-        width: Columns, 0 where it says none.
-        height: Rows, 0 where it says none.
+        width: Columns, 0 if not given.
+        height: Rows, 0 if not given.
     """
 
     number: int
@@ -73,14 +74,17 @@ class Aedat4File:
         path: The file.
 
     Attributes:
-        streams: What it holds.
+        streams: Its streams.
+        damage: What is missing because the file is incomplete; empty for a sound one. Known after
+            `index`.
 
     Raises:
-        RecordingError: It cannot be opened, is no such file, or its header is damaged.
+        RecordingError: It cannot be opened, is not an AEDAT4 file, or its header is damaged.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self.damage = ''
         try:
             self._file = path.open('rb')
         except OSError as error:
@@ -98,26 +102,26 @@ class Aedat4File:
             raise self.damaged(str(error)) from error
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._file.close()
 
     def damaged(self, what: str) -> DamagedRecordingError:
-        """Return the error for a file that is not whole."""
+        """Return the error for a damaged file."""
         return DamagedRecordingError(
-            f'{self._path} is not a whole AEDAT4 file ({what}): it was cut off while recording or '
-            'copying; copy or record it again'
+            f'{self._path} is damaged or not an AEDAT4 file ({what})',
+            remedy='copy or record it again',
         )
 
     def index(self) -> NDArray[Any]:
-        """Return all packets that hold anything as an array of ENTRY, in the order of the file.
-
-        Raises:
-            DamagedRecordingError: The file is damaged.
-        """
-        try:
-            return self._table() if self._table_at >= 0 else self._scan()
-        except DamagedRecordingError as error:
-            raise self.damaged(str(error)) from error
+        """Return all packets with content as an array of ENTRY, in the order of the file."""
+        if self._table_at >= 0:
+            try:
+                table = self._table()
+            except DamagedRecordingError:
+                return self._scan()
+            if len(table):
+                return table
+        return self._scan()
 
     def packet(self, entry: Any) -> Octets:  # noqa: ANN401 - an element of a structured array
         """Return the buffer of a packet, not compressed.
@@ -147,11 +151,18 @@ class Aedat4File:
     def _expanded(self, data: bytes) -> Octets:
         try:
             if self._compression in {_LZ4, _LZ4_HIGH}:
-                data = lz4.frame.decompress(data)
+                unpacker: Any = lz4.frame.LZ4FrameDecompressor()
             elif self._compression in {_ZSTD, _ZSTD_HIGH}:
-                data = zstd.decompress(data)
+                unpacker = zstd.ZstdDecompressor()
+            else:
+                return np.frombuffer(data, np.uint8)
+            data = unpacker.decompress(data, LARGEST_PACKET)
         except (RuntimeError, EOFError, zstd.ZstdError) as error:
             raise DamagedRecordingError(f'compressed data are damaged: {error}') from error
+        if not unpacker.eof:
+            raise DamagedRecordingError(
+                f'compressed data are cut off, or expand to more than {LARGEST_PACKET} bytes'
+            )
         return np.frombuffer(data, np.uint8)
 
     def _table(self) -> NDArray[Any]:
@@ -167,16 +178,22 @@ class Aedat4File:
         packets['offset'] = flatbuffer.column(data, rows, 0, '<i8', 0)
         packets['start_us'] = flatbuffer.column(data, rows, 3, '<i8', 0)
         packets['end_us'] = flatbuffer.column(data, rows, 4, '<i8', 0)
+        # Some writers leave out the counts and times of all packets: none is left then.
         return packets[flatbuffer.column(data, rows, 2, '<i8', 0) > 0]
 
     def _scan(self) -> NDArray[Any]:
-        found = []
-        offset = self._data_start
+        found: list[tuple[int, int, int, int, int]] = []
         known = {stream.number: stream.identifier for stream in self.streams}
-        while offset < self._size:
-            stream, size = struct.unpack('<ii', self._read(offset, 8))
-            data = self._expanded(self._read(offset + 8, size))
-            times = packet_times(data, known.get(stream, ''))
+        offset = self._data_start
+        end = self._table_at if offset < self._table_at < self._size else self._size
+        while offset < end:
+            try:
+                stream, size = struct.unpack('<ii', self._read(offset, 8))
+                data = self._expanded(self._read(offset + 8, size))
+                times = packet_times(data, known.get(stream, ''))
+            except DamagedRecordingError as error:
+                self.damage = f'the file was cut off at byte {offset} of {self._size} ({error})'
+                break
             if len(times):
                 found.append((stream, size, offset + 8, int(times[0]), int(times[-1])))
             offset += 8 + size
@@ -240,12 +257,11 @@ def _stream(node: ET.Element) -> StreamInfo:
 
 
 STREAMS = {'EVTS': 'events', 'FRME': 'frames', 'IMUS': 'imu', 'TRIG': 'triggers'}
-"""Streams in the order of their numbers, with their names."""
-_WRITTEN_COMPRESSION = 1
+"""Identifiers of the streams that are written, in the order of their numbers, and their names."""
 
 
 class Aedat4Writer:
-    """An AEDAT4 file in the making, compressed with LZ4.
+    """A new AEDAT4 file, compressed with LZ4.
 
     Args:
         path: The new file.
@@ -253,17 +269,17 @@ class Aedat4Writer:
         camera: Its name.
 
     Raises:
-        BagError: The file cannot be made.
+        RecordingError: The file cannot be created.
     """
 
     def __init__(self, path: Path, size: tuple[int, int], camera: str) -> None:
         try:
             self._file = path.open('xb')
         except OSError as error:
-            raise BagError(f'cannot write {path}: {error.strerror}') from error
+            raise RecordingError(f'cannot write {path}: {error.strerror}') from error
         self._table: list[tuple[int, int, int, int, int, int]] = []
         buffer = FlatBufferWriter('IOHE')
-        root, fields = buffer.table({0: ('i', _WRITTEN_COMPRESSION), 1: ('q', -1), 2: ('O', 0)})
+        root, fields = buffer.table({0: ('i', _LZ4), 1: ('q', -1), 2: ('O', 0)})
         text = _description(size, camera).encode()
         buffer.refer(fields[2], buffer.vector(len(text), text + b'\0'))
         self._file.write(MAGIC + buffer.finish(root))

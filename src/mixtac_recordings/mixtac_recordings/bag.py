@@ -1,183 +1,133 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Reading rosbag2 bags (a folder, .mcap or .db3) and the message types in them, without rclpy."""
+"""Reading rosbag2 bags (a folder, .mcap or .db3) and the message types in them, without rclpy.
+
+A bag that was not closed, because its recorder was killed or the disk was full, is read up to its
+last complete record (https://mcap.dev/spec).
+"""
 
 from __future__ import annotations
 
+import functools
+import io
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mixtac_recordings.recording import BagError, DamagedRecordingError, RecordingError
+from mixtac_node import topics
+from mixtac_node.stamps import stamp_to_ns
+from mixtac_recordings.recording import DamagedRecordingError, RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Sequence
+    from collections.abc import Collection, Iterator
     from types import TracebackType
 
     from numpy.typing import NDArray
+    from rosbags.interfaces import Connection
     from rosbags.typesys.store import Typestore
 
 
-EVENT_PACKET = 'event_camera_msgs/msg/EventPacket'
-IMAGE = 'sensor_msgs/msg/Image'
-IMU = 'sensor_msgs/msg/Imu'
-CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
-FRAME_EXPOSURE = 'mixtac_msgs/msg/FrameExposure'
-EXTERNAL_EDGE = 'mixtac_msgs/msg/ExternalEdge'
+SUFFIXES = ('.mcap', '.db3')
+_OWN_TYPES = (
+    topics.EVENTS.type_name,
+    topics.CLOCK_FIT.type_name,
+    topics.EXTERNAL_EDGES.type_name,
+    topics.FORCE_QUALITY.type_name,
+    topics.IMAGE_EXPOSURE.type_name,
+    topics.SLIP.type_name,
+)
+"""Message types of this workspace, which rosbags does not know."""
 
 
-def camera_typestore() -> Typestore:
-    """Return Jazzy's standard types plus those of cameras, from their installed definitions.
+@functools.cache
+def typestore() -> Typestore:
+    """Return Jazzy's standard types and those of the workspace, from their installed definitions.
 
     Raises:
         RecordingError: The packages that define them are not installed.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
-    for name in (EVENT_PACKET, FRAME_EXPOSURE, EXTERNAL_EDGE):
+    for name in _OWN_TYPES:
         package, _, message = name.split('/')
         try:
             share = Path(get_package_share_directory(package))
         except PackageNotFoundError as error:
             raise RecordingError(
-                f'bags cannot be read without {package}: source the workspace or install it'
+                f'bags cannot be read without {package}', remedy='source the workspace'
             ) from error
         store.register(get_types_from_msg((share / 'msg' / f'{message}.msg').read_text(), name))
     return store
 
 
-OWN_TYPES = (
-    'event_camera_msgs/msg/EventPacket',
-    'mixtac_msgs/msg/ClockFit',
-    'mixtac_msgs/msg/ExternalEdge',
-    'mixtac_msgs/msg/ForceQuality',
-    'mixtac_msgs/msg/FrameExposure',
-    'mixtac_msgs/msg/SlipState',
-)
-
-
-def typestore() -> Typestore:
-    """Return Jazzy's standard types plus those of the workspace, read from its own definitions."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for name in OWN_TYPES:
-        package, _, message = name.split('/')
-        try:
-            share = Path(get_package_share_directory(package))
-        except PackageNotFoundError:
-            continue
-        store.register(get_types_from_msg((share / 'msg' / f'{message}.msg').read_text(), name))
-    return store
-
-
-SUFFIXES = ('.mcap', '.db3')
-
-
-class SeekableBag:
-    """A bag, open for reading.
+def blank_message(type_name: str) -> Any:  # noqa: ANN401
+    """Return a message of rosbags with all fields zero or empty, as rclpy's constructors do.
 
     Args:
-        path: Folder or file.
-
-    Attributes:
-        duration_ns: From the first to the last message [ns, host clock of the recorder].
-        start_ns: When the first message was received [ns, host clock of the recorder].
-
-    Raises:
-        RecordingError: It is none, or damaged.
+        type_name: For example `sensor_msgs/msg/Imu`.
     """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._types = camera_typestore()
-        if path.is_dir() and not (path / 'metadata.yaml').exists():
-            raise RecordingError(
-                f'{path} holds no metadata.yaml: give the folder of a bag, name the .mcap or .db3 '
-                'file in it, or run `ros2 bag reindex` on it'
-            )
-        try:
-            self._reader = Reader(path)
-            self._reader.open()
-        except Exception as error:  # the format's parsers raise whatever damage leads them to
-            raise self._damaged(error) from error
-        self.duration_ns = self._reader.duration
-        self.start_ns = self._reader.start_time
-
-    def close(self) -> None:
-        """Give the files back."""
-        if self._reader.is_open:
-            self._reader.close()
-
-    def topics(self, kind: str) -> list[str]:
-        """Return the topics of a message type that hold any messages."""
-        found = {c.topic for c in self._reader.connections if c.msgtype == kind and c.msgcount}
-        return sorted(found)
-
-    def messages(
-        self, topics: Sequence[str], start_ns: int | None = None, stop_ns: int | None = None
-    ) -> Generator[tuple[str, int, Any], None, None]:
-        """Yield (topic, time received [ns], message) in the order recorded.
-
-        Args:
-            topics: Topics to read.
-            start_ns: Begin with what was received at this time; None for the first.
-            stop_ns: End before what was received at this time; None for the last.
-
-        Raises:
-            DamagedRecordingError: As said.
-        """
-        chosen = [c for c in self._reader.connections if c.topic in topics]
-        if not chosen:
-            return
-        messages = self._reader.messages(chosen, start_ns, stop_ns)
-        while True:
-            try:
-                connection, received_ns, data = next(messages)
-                message = self._types.deserialize_cdr(data, connection.msgtype)
-            except StopIteration:
-                return
-            except Exception as error:  # as above
-                raise self._damaged(error) from error
-            yield connection.topic, received_ns, message
-
-    def _damaged(self, error: Exception) -> DamagedRecordingError:
-        text = ' '.join(str(error).split()) or type(error).__name__
-        return DamagedRecordingError(
-            f'{self._path} is not a whole bag ({text}): it was cut off while recording or copying; '
-            'record it again, or repair it with `ros2 bag reindex`'
-        )
+    _, fields = typestore().fielddefs[type_name]
+    blank = {name: _blank_value(*description) for name, description in fields}
+    return typestore().types[type_name](**blank)
 
 
-_NS = 1_000_000_000
+def _blank_value(node: Nodetype, content: Any) -> Any:  # noqa: ANN401
+    if node == Nodetype.NAME:
+        return blank_message(content)
+    if node == Nodetype.BASE:
+        kind = content[0]
+        return {'string': '', 'bool': False}.get(kind, 0.0 if kind.startswith('float') else 0)
+    (element, inner), count = content
+    if element == Nodetype.NAME or inner[0] == 'string':
+        return [_blank_value(element, inner) for _ in range(count)]
+    kind = {'octet': 'uint8', 'byte': 'uint8', 'char': 'uint8'}.get(inner[0], inner[0])
+    return np.zeros(count, kind)
 
 
 class BagFile:
-    """One rosbag2 recording (MCAP or sqlite3), opened for reading.
+    """A bag, open for reading.
 
     Args:
-        path: Folder of the bag.
+        path: Folder, .mcap or .db3 file.
 
     Attributes:
-        duration_s: From the first to the last message [s].
+        path: As given.
+        start_ns: When the first message was received [ns, host clock of the recorder].
+        duration_ns: From the first to the last message [ns].
         counts: Messages by topic.
         types: Type name by topic.
+        damage: What is missing because the bag is incomplete; empty for a sound one.
+
+    Raises:
+        RecordingError: There is no bag.
+        DamagedRecordingError: Nothing of it can be read.
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
+        self.damage = ''
         if not path.exists():
-            raise BagError(f'no bag at {path}: give the folder that holds metadata.yaml')
+            raise RecordingError(f'no bag at {path}', remedy='give its folder, .mcap or .db3 file')
         self._types = typestore()
         try:
-            self._reader = Reader(path)
-            self._reader.open()
-        except Exception as error:  # the format's parsers raise whatever damage leads them to
-            raise self._damaged(error) from error
-        self.duration_s = self._reader.duration / 1e9
-        self.counts = {c.topic: c.msgcount for c in self._reader.connections}
-        self.types = {c.topic: c.msgtype for c in self._reader.connections}
+            self._readers = [_opened(Reader(path))]
+        except Exception as error:  # noqa: BLE001  (parsers raise whatever damage leads them to)
+            self._readers = self._rescued(error)
+        filled = [each for each in self._readers if each.message_count]
+        self.start_ns = min((each.start_time for each in filled), default=0)
+        self.duration_ns = max((each.end_time for each in filled), default=0) - self.start_ns
+        self.counts: dict[str, int] = {}
+        self.types: dict[str, str] = {}
+        for connection in self._connections():
+            topic = connection.topic
+            self.counts[topic] = self.counts.get(topic, 0) + connection.msgcount
+            self.types[topic] = connection.msgtype
 
     def __enter__(self) -> BagFile:
         """Return the open bag."""
@@ -190,58 +140,176 @@ class BagFile:
         trace: TracebackType | None,
     ) -> None:
         """Close the bag."""
-        self._reader.close()
+        self.close()
 
-    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Yield (host time received [ns], message) of a topic in recording order.
+    def close(self) -> None:
+        """Close the files."""
+        for reader in self._readers:
+            if reader.is_open:
+                reader.close()
 
-        Raises:
-            BagError: The topic was not recorded, or the data are damaged.
-        """
-        for _, received_ns, message in self.messages_of(topic):
-            yield received_ns, message
+    def topics(self, type_name: str) -> list[str]:
+        """Return the topics of a message type that hold any messages, sorted."""
+        return sorted(t for t, kind in self.types.items() if kind == type_name and self.counts[t])
 
-    def messages_of(
-        self, *topics: str, raw: tuple[str, ...] = ()
+    def messages(
+        self,
+        *wanted: str,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+        raw: Collection[str] = (),
     ) -> Iterator[tuple[str, int, Any]]:
-        """Yield (topic, host time received [ns], message) of several topics in one pass.
+        """Yield (topic, time received [ns, host clock], message) in recording order.
 
         Args:
-            topics: Absolute topic names.
-            raw: Those of them whose messages stay serialised: ``bytes`` in CDR.
+            wanted: Absolute topic names.
+            start_ns: Begin with messages received at this time; None for the first.
+            stop_ns: End before messages received at this time; None for the last.
+            raw: Topics among `wanted` whose messages stay serialised: `bytes` in CDR.
 
         Raises:
-            BagError: A topic was not recorded, or the data are damaged.
+            RecordingError: A topic was not recorded.
+            DamagedRecordingError: The data are damaged.
         """
-        chosen = [c for c in self._reader.connections if c.topic in topics]
-        missing = set(topics) - {c.topic for c in chosen}
+        missing = set(wanted) - set(self.types)
         if missing:
-            raise BagError(
-                f'{self._path} has no topic {min(missing)}; it has {", ".join(self.counts)}'
-            )
-        try:
-            for connection, received_ns, data in self._reader.messages(chosen):
-                if connection.topic in raw:
-                    yield connection.topic, received_ns, data
-                    continue
-                message = self._types.deserialize_cdr(data, connection.msgtype)
+            listed = ', '.join(self.types) or 'no topics'
+            raise RecordingError(f'{self.path} has no topic {min(missing)}; it has {listed}')
+        for reader in self._readers:
+            chosen = [each for each in reader.connections if each.topic in wanted]
+            messages = reader.messages(chosen, start_ns, stop_ns) if chosen else iter(())
+            while True:
+                try:
+                    connection, received_ns, data = next(messages)
+                    message = (
+                        data
+                        if connection.topic in raw
+                        else self._types.deserialize_cdr(data, connection.msgtype)
+                    )
+                except StopIteration:
+                    break
+                except Exception as error:  # as above
+                    raise self._damaged(error) from error
                 yield connection.topic, received_ns, message
-        except (GeneratorExit, BagError):
-            raise
-        except Exception as error:  # see above
-            raise self._damaged(error) from error
 
     def wrenches(self, topic: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the stamps [ns, the topic's own clock] and normal forces [N] of a topic."""
         stamps, forces = [], []
-        for _, message in self.messages(topic):
-            stamps.append(message.header.stamp.sec * _NS + message.header.stamp.nanosec)
+        for _, _, message in self.messages(topic):
+            stamps.append(stamp_to_ns(message.header.stamp))
             forces.append(message.wrench.force.z)
         return np.array(stamps, np.int64), np.array(forces, np.float64)
 
-    def _damaged(self, error: Exception) -> BagError:
-        text = ' '.join(str(error).split()) or type(error).__name__
-        return BagError(
-            f'{self._path} is not a whole bag ({text}): it was cut off while recording or copying; '
-            'record it again, or repair it with `ros2 bag reindex`'
+    def _connections(self) -> list[Connection]:
+        return [connection for reader in self._readers for connection in reader.connections]
+
+    def _rescued(self, error: Exception) -> list[Reader]:
+        """Open the files of the bag one by one and note in `damage` what is missing."""
+        found = [p for p in self.path.glob('*') if p.suffix in SUFFIXES]
+        # In the order of their numbers, which have no leading zeros.
+        found.sort(key=lambda each: (len(each.name), each.name))
+        if self.path.is_dir() and not found:
+            raise self._damaged(error) from error
+        there = not self.path.is_dir() or (self.path / 'metadata.yaml').exists()
+        readers, notes = [], [] if there else ['metadata.yaml is missing']
+        for path in found or [self.path]:
+            try:
+                readers.append(_opened(Reader(path)))
+            except Exception as wrong:  # noqa: BLE001  (as above)
+                try:
+                    readers.append(_opened_incomplete(path))
+                    notes.append(f'{path.name} ends early')
+                except Exception:  # noqa: BLE001  (as above)
+                    notes.append(f'{path.name}: {_text(wrong)}')
+        if not any(reader.message_count for reader in readers):
+            raise self._damaged(error) from error
+        read = sum(reader.message_count for reader in readers)
+        notes = notes or [f'metadata.yaml cannot be used: {_text(error)}']
+        self.damage = f'the bag is incomplete ({"; ".join(notes)}): {read} messages can be read'
+        return readers
+
+    def _damaged(self, error: Exception) -> DamagedRecordingError:
+        return DamagedRecordingError(
+            f'{self.path} is damaged or not a bag ({_text(error)})',
+            remedy='copy or record it again',
         )
+
+
+def _text(error: Exception) -> str:
+    return ' '.join(str(error).split()) or type(error).__name__
+
+
+def _opened(reader: Reader) -> Reader:
+    reader.open()
+    return reader
+
+
+def _opened_incomplete(path: Path) -> Reader:
+    reader = Reader(path)
+    reader.storage = _IncompleteMcap(path)
+    return _opened(reader)
+
+
+class _IncompleteMcap(McapReader):
+    """An MCAP file without its end, read up to the last complete record."""
+
+    def open(self) -> None:
+        self.bio = io.BufferedReader(_ClosedMcap(Path(str(self.path))))
+        self._open()
+
+    def messages(
+        self, connections: Collection[Connection], start: int | None = None, stop: int | None = None
+    ) -> Any:  # noqa: ANN401
+        # The base class refuses unsorted messages without an index.
+        return self.messages_scan(connections, start, stop)
+
+
+class _ClosedMcap(io.RawIOBase):
+    """The complete records of an MCAP file, followed by a footer."""
+
+    _FOOTER = struct.pack('<BQQQI', 2, 20, 0, 0, 0) + b'\x89MCAP0\r\n'
+    _END_OF_DATA = (0x02, 0x0F)
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open('rb')
+        self._size = path.stat().st_size
+        self._end, self._at = self._complete(), 0
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._at
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        starts = {0: 0, 1: self._at, 2: self._end + len(self._FOOTER)}
+        self._at = starts[whence] + offset
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:  # noqa: ANN401
+        if self._at < self._end:
+            self._file.seek(self._at)
+            data = self._file.read(min(len(buffer), self._end - self._at))
+        else:
+            data = self._FOOTER[self._at - self._end :][: len(buffer)]
+        buffer[: len(data)] = data
+        self._at += len(data)
+        return len(data)
+
+    def _complete(self) -> int:
+        """Return where the last complete record ends."""
+        at = 8
+        while at + 9 <= self._size:
+            self._file.seek(at)
+            code, length = struct.unpack('<BQ', self._file.read(9))
+            if not code or code in self._END_OF_DATA or at + 9 + length > self._size:
+                break
+            at += 9 + length
+        return at

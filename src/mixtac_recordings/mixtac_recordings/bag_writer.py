@@ -1,11 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Writing serialised messages to an MCAP bag from a thread of its own."""
+"""Writing MCAP bags with checksums, directly or from a thread of its own."""
 
 from __future__ import annotations
 
 import queue
+import struct
 import threading
+import zlib
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from rosbags.interfaces import (
@@ -16,11 +19,12 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
+from rosbags.rosbag2.storage_mcap import McapWriter
 
 from mixtac_recordings.bag import typestore
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,6 +33,39 @@ if TYPE_CHECKING:
 
 
 QUEUE_SIZE = 20_000
+_CHECKSUM_AT = 1 + 8 + 3 * 8
+"""Place of the checksum in a chunk record: after code, length, two times and a size."""
+
+
+class _ChecksummedMcap(McapWriter):
+    """Adds the CRC-32 of each chunk, so that readers notice flipped bytes."""
+
+    def close_chunk(self) -> None:
+        start, checksum = self.bio.tell(), zlib.crc32(self.chunk.bio.getbuffer())
+        super().close_chunk()
+        end = self.bio.tell()
+        self.bio.seek(start + _CHECKSUM_AT)
+        self.bio.write(struct.pack('<I', checksum))
+        self.bio.seek(end)
+
+
+class McapBag(Writer):
+    """A new bag in MCAP, to be opened with `with`; see `rosbags.rosbag2.Writer`.
+
+    Args:
+        path: Folder of the new bag; must not exist.
+        compressed: Compress the chunks with zstd.
+
+    Raises:
+        WriterError: The folder exists already.
+    """
+
+    STORAGE_PLUGINS = MappingProxyType({StoragePlugin.MCAP: _ChecksummedMcap})
+
+    def __init__(self, path: Path, *, compressed: bool = False) -> None:
+        super().__init__(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        if compressed:
+            self.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
 
 
 def offered_qos(*, reliable: bool, latched: bool) -> Qos:
@@ -55,8 +92,8 @@ def offered_qos(*, reliable: bool, latched: bool) -> Qos:
 class BagWriter:
     """Takes messages without blocking and writes them in order.
 
-    A message that finds the queue full is dropped and counted: a slow disk must not hold up the
-    subscriptions.
+    Messages that arrive when the queue is full are dropped and counted: a slow disk must not block
+    the subscriptions.
 
     Args:
         path: Folder of the new bag; must not exist.
@@ -66,7 +103,7 @@ class BagWriter:
         dropped: Messages dropped because the disk was too slow, or has failed.
 
     Raises:
-        BagError: The folder exists already or cannot be made.
+        RecordingError: The folder exists already or cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
@@ -75,11 +112,11 @@ class BagWriter:
         self._failure: Exception | None = None
         self._types = typestore()
         try:
-            self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer = McapBag(path)
             self._writer.open()
         except (WriterError, OSError) as error:
-            raise BagError(
-                f'cannot record to {path}: {error}; choose a folder that is new'
+            raise RecordingError(
+                f'cannot record to {path}: {error}', remedy='choose a new folder'
             ) from error
         self._queue: queue.Queue[tuple[Connection, int, bytes] | None] = queue.Queue(QUEUE_SIZE)
         self._thread = threading.Thread(target=self._work, name='bag-writer')
@@ -111,14 +148,14 @@ class BagWriter:
 
     @property
     def failure(self) -> str:
-        """What the disk failed with, empty while it works."""
+        """Error of the disk, empty while it works."""
         return ' '.join(str(self._failure).split()) if self._failure else ''
 
     def close(self) -> None:
         """Write what is queued and finish the bag.
 
         Raises:
-            BagError: The disk was full or failed; what was written before is there.
+            RecordingError: The disk was full or failed; messages written before are readable.
         """
         self._queue.put(None)
         self._thread.join()
@@ -127,8 +164,8 @@ class BagWriter:
         except OSError as error:
             self._failure = self._failure or error
         if self._failure is not None:
-            raise BagError(
-                f'the bag could not be written to its end ({self.failure}): free some space'
+            raise RecordingError(
+                f'the bag is incomplete: {self.failure}', remedy='free some space'
             ) from self._failure
 
     def _work(self) -> None:
@@ -140,7 +177,7 @@ class BagWriter:
             try:
                 self._writer.write(connection, received_ns, data)
             except (OSError, WriterError) as error:
-                # The thread goes on, so that nobody waits for it.
+                # The thread keeps emptying the queue, so that close() does not block.
                 self._failure = error
                 continue
             self.written[connection.topic] += 1

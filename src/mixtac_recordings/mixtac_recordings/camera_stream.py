@@ -2,56 +2,51 @@
 # SPDX-License-Identifier: Apache-2.0
 """Opening a recording, and bags as recordings: events, frames, samples, edges of one camera.
 
-The camera clock is that of the event packets. Frames and samples of this driver are on it too.
-Those of other drivers are stamped by the host: they are shifted by the difference between the
-stamp of the first event packet and its events, which is right to within the transport delay.
+The camera clock is that of the event packets. This driver stamps frames and samples on it as well.
+Other drivers stamp them with host time: they are shifted by the difference between the stamp of the
+first event packet and its events, which is correct to within the transport delay.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mixtac_events.codec import decode_message
+from mixtac_events.codec import ENCODINGS, decode_message
 from mixtac_events.packets import CodecError
-from mixtac_recordings import aedat4
-from mixtac_recordings import bag as bag_file
-from mixtac_recordings import bag_messages as convert
+from mixtac_events.sequence import SequenceCounter
+from mixtac_events.windows import RESTART_US
+from mixtac_node import topics
+from mixtac_node.stamps import stamp_to_us
+from mixtac_recordings import aedat4, bag
+from mixtac_recordings import messages as convert
 from mixtac_recordings.aedat4 import Aedat4Recording
-from mixtac_recordings.bag import (
-    CAMERA_INFO,
-    EVENT_PACKET,
-    EXTERNAL_EDGE,
-    FRAME_EXPOSURE,
-    IMAGE,
-    IMU,
-    SeekableBag,
-)
+from mixtac_recordings.bag import BagFile
 from mixtac_recordings.recording import (
-    RESTART_US,
     Piece,
     ReadCounters,
     RecordingError,
     RecordingInfo,
+    Selection,
     choose,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
+    from collections.abc import Callable, Generator, Iterator
+    from pathlib import Path
 
-    from mixtac_recordings.recording import PlaybackParameters, Recording
+    from mixtac_recordings.recording import Recording
 
 
 PATIENCE = 20
-"""Other messages that may pass before a frame goes on without its exposure: 20 ms of packets."""
+"""Messages to wait for the exposure of a frame: 20 ms of packets."""
 
 
-class FramePairs:
-    """Holds a frame back for a moment, until its exposure is there.
+class _FramePairs:
+    """Delays each frame until its exposure message arrives, at most PATIENCE messages.
 
     Args:
-        waits: False where exposures were not recorded.
+        waits: False if exposures were not recorded.
     """
 
     def __init__(self, *, waits: bool) -> None:
@@ -68,33 +63,33 @@ class FramePairs:
             self._release()
 
     def add_exposure(self, message: Any, offset_us: int) -> None:  # noqa: ANN401
-        """Take a FrameExposure message; that of another frame is left alone.
+        """Take a FrameExposure message; one of another frame is ignored.
 
         Args:
             message: The message.
-            offset_us: To subtract from its times to get the recorded camera clock.
+            offset_us: Subtracted from its times to get the recorded camera clock.
         """
         if self._held is None:
             return
         (frame,) = self._held.frames
-        if convert.stamp_us(message.header) - offset_us == frame.middle_us:
+        if stamp_to_us(message.header.stamp) - offset_us == frame.middle_us:
             exposed = convert.exposed_frame(frame, message, offset_us=offset_us)
             self._held = replace(self._held, frames=(exposed,))
             self._release()
 
     def pass_by(self) -> None:
-        """Say that another message was recorded."""
+        """Count another message."""
         self._passed += 1
         if self._passed >= PATIENCE:
             self._release()
 
     def ready(self) -> Iterator[Piece]:
-        """Yield what need not wait any more."""
+        """Yield the frames that are complete."""
         while self._ready:
             yield self._ready.pop(0)
 
     def rest(self) -> Iterator[Piece]:
-        """Yield what is left at the end."""
+        """Yield the last frame, at the end of the recording."""
         self._release()
         yield from self.ready()
 
@@ -114,22 +109,23 @@ class BagRecording:
 
     Args:
         path: Folder, or one .mcap or .db3 file.
-        parameters: Which of its topics to play.
+        selection: Which of its topics to read; None for the only one of each kind.
 
     Attributes:
-        info: What is known of it.
-        counters: What was found amiss so far.
+        info: Its description.
+        counters: Losses found so far.
 
     Raises:
-        RecordingError: It cannot be read, holds nothing to play, or leaves a choice of topics.
+        RecordingError: It cannot be read, holds no camera data, or the choice is ambiguous.
     """
 
-    def __init__(self, path: Path, parameters: PlaybackParameters) -> None:
+    def __init__(self, path: Path, selection: Selection | None = None) -> None:
         self.counters = ReadCounters()
         self._path = path
-        self._bag = SeekableBag(path)
+        self._bag = BagFile(path)
+        self._unreadable: dict[str, str] = {}
         try:
-            self._choose(parameters)
+            self._choose(selection or Selection())
             self._offset_us = 0
             self._corner = (0, 0)
             self.info = self._inspect()
@@ -138,7 +134,7 @@ class BagRecording:
             raise
 
     def close(self) -> None:
-        """Give the files back."""
+        """Close the files."""
         self._bag.close()
 
     def pieces(self, from_us: int) -> Generator[Piece, None, None]:
@@ -150,11 +146,12 @@ class BagRecording:
         Raises:
             RecordingError: The bag is damaged, or a packet is in an unknown encoding.
         """
-        expected: int | None = None
+        counter = SequenceCounter()
         named = (self._events, self._images, self._imu, self._exposures, self._edges)
-        topics = [topic for topic in named if topic]
-        frames = FramePairs(waits=self._exposures is not None)
-        for topic, _, message in self._bag.messages(topics, self._received_before(from_us)):
+        chosen = [topic for topic in named if topic]
+        start_ns = self._received_before(from_us)
+        frames = _FramePairs(waits=self._exposures is not None)
+        for topic, _, message in self._bag.messages(*chosen, start_ns=start_ns):
             if topic == self._exposures:
                 frames.add_exposure(message, self._offset_us)
             elif topic == self._images:
@@ -164,49 +161,59 @@ class BagRecording:
                 yield self._piece(topic, message)
             yield from frames.ready()
             if topic == self._events:
-                if expected is not None and message.seq > expected:
-                    self.counters.packets_missing += int(message.seq) - expected
-                expected = int(message.seq) + 1
+                self.counters.packets_missing += counter.update(message.seq)
         yield from frames.rest()
 
-    def _choose(self, p: PlaybackParameters) -> None:
-        bag, path = self._bag, self._path
-        self._events = choose(
-            bag.topics(EVENT_PACKET), p.playback_events_topic, kind='events', path=path
-        )
+    def _choose(self, selection: Selection) -> None:
+        path = self._path
+        events = self._readable(topics.EVENTS.type_name, selection.events, _check_packet)
+        self._events = choose(events, selection.events, kind='events', path=path)
         beside = self._events or ''
-        self._images = choose(
-            bag.topics(IMAGE), p.playback_image_topic, kind='image', path=path, beside=beside
-        )
-        self._imu = choose(
-            bag.topics(IMU), p.playback_imu_topic, kind='imu', path=path, beside=beside
-        )
-        self._exposures = self._beside(FRAME_EXPOSURE, self._images)
-        self._edges = self._beside(EXTERNAL_EDGE, self._events)
-        # Frames set the pace where there are no events, samples where there is neither.
+        images = self._readable(topics.IMAGE_RAW.type_name, selection.image, _check_image)
+        self._images = choose(images, selection.image, kind='image', path=path, beside=beside)
+        samples = self._bag.topics(topics.IMU.type_name)
+        self._imu = choose(samples, selection.imu, kind='imu', path=path, beside=beside)
+        self._exposures = self._beside(topics.IMAGE_EXPOSURE.type_name, self._images)
+        self._edges = self._beside(topics.EXTERNAL_EDGES.type_name, self._events)
+        # Frames set the pace if there are no events, inertial samples if there is neither.
         self._leader = self._events or self._images or self._imu
         if self._leader is None:
+            why = ''.join(f'; {topic}: {reason}' for topic, reason in self._unreadable.items())
             raise RecordingError(
-                f'{path} holds no event packets, images or inertial samples to play: give a bag of '
-                'a camera, or check the playback_..._topic parameters'
+                f'{path} holds no event packets, images or inertial samples that can be read{why}',
+                remedy='choose a bag of a camera, or check the playback_..._topic parameters',
             )
+
+    def _readable(self, type_name: str, wanted: str, check: Callable[[Any], None]) -> list[str]:
+        """Return the topics of a type that can be read; note the others, unless one is named."""
+        found = []
+        for topic in self._bag.topics(type_name):
+            try:
+                check(self._first(topic))
+            except (RecordingError, CodecError) as error:
+                if topic == wanted:
+                    raise RecordingError(f'{self._path}, {topic}: {error}') from error
+                self._unreadable[topic] = str(error)
+            else:
+                found.append(topic)
+        return found
 
     def _inspect(self) -> RecordingInfo:
         first = self._first(self._leader)
         size = self._first_info()
         if self._events:
             start_us = self._piece(self._events, first).start_us
-            apart_us = convert.stamp_us(first.header) - start_us
+            apart_us = stamp_to_us(first.header.stamp) - start_us
             self._offset_us = apart_us if abs(apart_us) > OTHER_CLOCK_US else 0
             size = (int(first.width), int(first.height))
         else:
-            start_us = convert.stamp_us(first.header)
+            start_us = stamp_to_us(first.header.stamp)
         color_filter = 0
         if self._images:
             image = self._first(self._images)
-            convert.image_depth(image.encoding)
-            color_filter = convert.color_filter(image.encoding, self._corner)
+            color_filter = convert.color_filter(image.encoding, *self._corner)
             size = size or (int(image.width), int(image.height))
+        unreadable = [f'{topic} is left out: {why}' for topic, why in self._unreadable.items()]
         names = (('events', self._events), ('image', self._images), ('imu', self._imu))
         return RecordingInfo(
             path=self._path,
@@ -218,11 +225,12 @@ class BagRecording:
             start_us=start_us,
             length_us=self._bag.duration_ns // 1000,
             contents=tuple((kind, topic) for kind, topic in names if topic),
+            damage='; '.join(filter(None, (self._bag.damage, *unreadable))),
         )
 
     def _first_info(self) -> tuple[int, int] | None:
         """Return the size that the camera information gives, and take its region of interest."""
-        topic = self._beside(CAMERA_INFO, self._images)
+        topic = self._beside(topics.CAMERA_INFO.type_name, self._images)
         if topic is None:
             return None
         info = self._first(topic)
@@ -236,9 +244,9 @@ class BagRecording:
         return found[0] if found and topic else None
 
     def _first(self, topic: str | None) -> Any:  # noqa: ANN401
-        for _, _, message in self._bag.messages([topic or '']):
+        for _, _, message in self._bag.messages(topic or ''):
             return message
-        raise RecordingError(f'{self._path} has no messages on {topic}: record it again')
+        raise RecordingError(f'{self._path} has no messages on {topic}')
 
     def _received_before(self, from_us: int) -> int | None:
         """Return a time of receipt before everything later than a camera time; None for all."""
@@ -250,12 +258,12 @@ class BagRecording:
             start_ns = self._bag.start_ns + elapsed_ns - margin_ns
             if start_ns <= self._bag.start_ns:
                 return None
-            for _, _, message in self._bag.messages([self._leader or ''], start_ns):
+            for _, _, message in self._bag.messages(self._leader or '', start_ns=start_ns):
                 piece = self._piece(self._leader or '', message)
                 if self._is_before(piece, from_us):
                     return start_ns
                 break
-            # The clocks drifted apart, or nothing was recorded for long: look further ahead.
+            # The clocks drifted apart, or there was a long pause: begin earlier.
             margin_ns *= 4
 
     def _is_before(self, piece: Piece, from_us: int) -> bool:
@@ -278,45 +286,47 @@ class BagRecording:
             )
         advances = topic == self._leader
         if topic == self._imu:
-            imu = convert.samples(message, offset_us=self._offset_us)
+            imu = convert.read_samples(message, offset_us=self._offset_us)
             t_us = int(imu.t[0])
             return Piece(t_us, t_us, advances=advances, imu=imu)
         if topic == self._edges:
-            edges = convert.edges(message, offset_us=self._offset_us)
+            edges = convert.read_edges(message, offset_us=self._offset_us)
             t_us = int(edges.t[0])
             return Piece(t_us, t_us, advances=False, edges=edges)
-        frame = convert.frame(message, offset_us=self._offset_us, corner=self._corner)
+        frame = convert.read_frame(message, offset_us=self._offset_us, corner=self._corner)
         return Piece(frame.middle_us, frame.middle_us, advances=advances, frames=(frame,))
 
 
-SUFFIXES = (aedat4.SUFFIX, *bag_file.SUFFIXES)
+def _check_packet(message: Any) -> None:  # noqa: ANN401
+    if message.encoding not in ENCODINGS:
+        raise RecordingError(
+            f'encoding {message.encoding!r} cannot be decoded, only {", ".join(ENCODINGS)}'
+        )
 
 
-def looks_like_a_path(device: str) -> bool:
-    """Return whether a device string can only be the path of a recording."""
-    path = Path(device)
-    return path.suffix in SUFFIXES or '/' in device or path.exists()
+def _check_image(message: Any) -> None:  # noqa: ANN401
+    convert.check_encoding(message.encoding)
 
 
-def open_recording(device: str, parameters: PlaybackParameters) -> Recording:
+SUFFIXES = (aedat4.SUFFIX, *bag.SUFFIXES)
+
+
+def open_recording(path: Path, selection: Selection | None = None) -> Recording:
     """Open a recording.
 
     Args:
-        device: Its path: an .aedat4, .mcap or .db3 file, or the folder of a bag.
-        parameters: Which of its topics to play.
+        path: An .aedat4, .mcap or .db3 file, or the folder of a bag.
+        selection: Which of its topics to read; None for the only one of each kind.
 
     Raises:
-        RecordingError: There is none, it cannot be read, is empty, or leaves a choice of topics.
+        RecordingError: There is none, it cannot be read, is empty, or the choice is ambiguous.
     """
-    path = Path(device).expanduser()
+    path = path.expanduser()
+    remedy = 'give an .aedat4, .mcap or .db3 file or the folder of a bag'
     if not path.exists():
-        raise RecordingError(
-            f'no recording at {path}: give an .aedat4, .mcap or .db3 file or the folder of a bag'
-        )
+        raise RecordingError(f'no recording at {path}', remedy=remedy)
     if path.suffix == aedat4.SUFFIX:
-        return Aedat4Recording(path, parameters)
-    if path.is_dir() or path.suffix in bag_file.SUFFIXES:
-        return BagRecording(path, parameters)
-    raise RecordingError(
-        f'{path} is no recording: give an .aedat4, .mcap or .db3 file or the folder of a bag'
-    )
+        return Aedat4Recording(path, selection)
+    if path.is_dir() or path.suffix in bag.SUFFIXES:
+        return BagRecording(path, selection)
+    raise RecordingError(f'{path} is not a recording', remedy=remedy)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import yaml
 
 from mixtac_events.errors import MixtacError
+from mixtac_node.files import FileError, read_data, structure, write_text
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,7 +20,7 @@ SPLITS: Final = ('train', 'test')
 
 
 class DatasetError(MixtacError):
-    """A description of a data set or of a trial that cannot be read or is not allowed."""
+    """An invalid or unreadable description of a data set or of a trial."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +31,9 @@ class TrialSpec:
         name: Name of its bag.
         profile: Force profile, as in `mixtac_sim.world.profiles.make_profile`.
         seconds: Length [s].
-        device_seed: Which sensor: beads, gel, mesh, lens, lamp, pixels.
-        trial_seed: Which day: contact point, forces, noise, clocks.
-        preset: How hard the effects are.
+        device_seed: Seed of the sensor: beads, gel, mesh, lens, lamp, pixels.
+        trial_seed: Seed of the day: contact point, forces, noise, clocks.
+        preset: Strength of the simulated effects.
         split: `train` or `test`.
     """
 
@@ -45,50 +46,37 @@ class TrialSpec:
     split: str
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be a bag's name or a split.
+        """Check the name and the split.
 
         Raises:
-            DatasetError: As above.
+            DatasetError: The name cannot be that of a bag, or the split is unknown.
         """
         if not self.name.replace('_', '').replace('-', '').isalnum():
             raise DatasetError(
-                f'trial name {self.name!r} would not be a folder: use letters, digits, _ and -'
+                f'trial name {self.name!r} is not allowed', remedy='use letters, digits, _ and -'
             )
         if self.split not in SPLITS:
-            raise DatasetError(f'split {self.split!r} is unknown: use one of {SPLITS}')
+            raise DatasetError(f'unknown split {self.split!r}', remedy=f'use one of {SPLITS}')
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as values for YAML or JSON."""
         return asdict(self)
 
-    @staticmethod
-    def from_dict(fields: dict[str, Any]) -> TrialSpec:
-        """Return the trial of such values.
-
-        Raises:
-            DatasetError: A field is missing, unknown or not allowed.
-        """
-        try:
-            spec = TrialSpec(**fields)
-        except TypeError as error:
-            raise DatasetError(f'a trial cannot be read from {fields}: {error}') from error
-        return spec
-
 
 FILE_NAME: Final = 'dataset.yaml'
 SCHEMA: Final = 'mixtac-dataset'
 SCHEMA_VERSION: Final = 1
-_SETTINGS: Final = ('name', 'seed', 'preset', 'split_by', 'complete', 'generator')
+_NOT_FIELDS: Final = {'schema', 'schema_version', 'simulated'}
 
 
 @dataclass(frozen=True, slots=True)
 class DatasetDescription:
-    """What a data set is and what it is made of.
+    """Description of a data set.
 
     Attributes:
         name: Name of the data set or of its profile.
-        seed: Seed that its trials were planned with.
-        preset: How hard the effects are.
+        seed: Seed of the plan of its trials.
+        preset: Strength of the simulated effects.
         split_by: `trial` or `device`.
         trials: Its trials; each has a bag of its name beside the file.
         generator: Package, version and digest of the simulator.
@@ -116,18 +104,21 @@ class DatasetDescription:
         return [trial for trial in self.trials if trial.split == name]
 
     def write(self, folder: Path) -> None:
-        """Write the file, in one step: a reader sees the old file or the new one.
+        """Write the file, whole or not at all.
 
         Args:
             folder: Folder of the data set.
+
+        Raises:
+            FileError: It cannot be written.
         """
         document: dict[str, Any] = {'schema': SCHEMA, 'schema_version': SCHEMA_VERSION}
         document['simulated'] = True
-        document |= {key: getattr(self, key) for key in _SETTINGS}
-        document['trials'] = [trial.to_dict() for trial in self.trials]
-        partial = folder / f'.{FILE_NAME}.partial'
-        partial.write_text(yaml.safe_dump(document, sort_keys=False), encoding='utf8')
-        partial.replace(folder / FILE_NAME)
+        fields = asdict(self)
+        # The trials last: they fill most of the file.
+        document |= {key: fields[key] for key in fields if key != 'trials'}
+        document['trials'] = list(fields['trials'])
+        write_text(folder / FILE_NAME, yaml.safe_dump(document, sort_keys=False))
 
     @staticmethod
     def read(folder: Path) -> DatasetDescription:
@@ -141,18 +132,16 @@ class DatasetDescription:
         """
         path = folder / FILE_NAME
         try:
-            document = yaml.safe_load(path.read_text(encoding='utf8'))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise DatasetError(f'{path} cannot be read ({error}): name a data set') from error
-        if not isinstance(document, dict) or document.get('schema') != SCHEMA:
-            raise DatasetError(f'{path} does not describe a Mixtac data set')
-        if document.get('schema_version') != SCHEMA_VERSION:
-            raise DatasetError(
-                f'{path} has schema version {document.get("schema_version")}, this is for '
-                f'{SCHEMA_VERSION}: use the matching release, or generate it anew'
-            )
-        try:
-            trials = tuple(TrialSpec.from_dict(fields) for fields in document['trials'])
-            return DatasetDescription(trials=trials, **{key: document[key] for key in _SETTINGS})
-        except (KeyError, TypeError) as error:
-            raise DatasetError(f'{path} lacks {error}: generate it anew') from error
+            document = read_data(path)
+            if not isinstance(document, dict) or document.get('schema') != SCHEMA:
+                raise DatasetError(f'{path} does not describe a Mixtac data set')
+            version = document.get('schema_version')
+            if version != SCHEMA_VERSION:
+                raise DatasetError(
+                    f'{path} has schema version {version}, not {SCHEMA_VERSION}',
+                    remedy='use the matching release, or generate the data set again',
+                )
+            known = {key: document[key] for key in document if key not in _NOT_FIELDS}
+            return structure(known, DatasetDescription, str(path))
+        except FileError as error:
+            raise DatasetError(str(error)) from error

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import tempfile
 import zipfile
@@ -16,11 +17,14 @@ import numpy as np
 from numpy.lib import format as npy
 
 from mixtac_events.arrays import Events
-from mixtac_recordings import aedat4 as packets
+from mixtac_node.stamps import stamp_to_ns
+from mixtac_node.topics import REFERENCE_WRENCH
+from mixtac_recordings import aedat4
 from mixtac_recordings.aedat4_file import Aedat4Writer
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.recording import BagError, PlaybackParameters
+from mixtac_recordings.messages import left_aligned
+from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,7 +36,7 @@ if TYPE_CHECKING:
 
 
 class GrowingNpz:
-    """Keeps each array in a file of its own until the end, then puts them into one .npz.
+    """An .npz file whose arrays grow: each is in a file of its own until the end.
 
     Args:
         path: The new file.
@@ -46,13 +50,20 @@ class GrowingNpz:
         self._types: dict[str, np.dtype[Any]] = {}
 
     def append(self, name: str, rows: NDArray[Any]) -> None:
-        """Append rows to an array; all have the type and row shape of the first."""
+        """Append rows to an array; all have the type and row shape of the first.
+
+        Raises:
+            RecordingError: The rows have another shape.
+        """
         if name not in self._files:
             self._files[name] = (self._folder / name).open('w+b')
             self._shapes[name], self._types[name] = (0, *rows.shape[1:]), rows.dtype
         shape = self._shapes[name]
         if rows.shape[1:] != shape[1:]:
-            raise ValueError(f'{name}: rows of {rows.shape[1:]} after rows of {shape[1:]}')
+            raise RecordingError(
+                f'{name} of {rows.shape[1:]} after {shape[1:]}: one array holds one size',
+                remedy='export with --to csv or aedat4',
+            )
         self._files[name].write(np.ascontiguousarray(rows, self._types[name]).tobytes())
         self._shapes[name] = (shape[0] + len(rows), *shape[1:])
 
@@ -72,7 +83,7 @@ class GrowingNpz:
         self.discard()
 
     def discard(self) -> None:
-        """Remove what was kept."""
+        """Remove the temporary files."""
         for file in self._files.values():
             file.close()
         shutil.rmtree(self._folder, ignore_errors=True)
@@ -82,61 +93,61 @@ FORMATS = ('aedat4', 'csv', 'npz')
 
 
 class Sink(Protocol):
-    """Takes recorded data, each kind in order of time."""
+    """Receives recorded data, each kind in order of time."""
 
     def events(self, events: Events) -> None:
-        """Take events, at least one."""
+        """Write events, at least one."""
 
     def frame(self, frame: Frame) -> None:
-        """Take a frame."""
+        """Write a frame."""
 
     def samples(self, samples: InertialSamples) -> None:
-        """Take inertial samples, at least one."""
+        """Write inertial samples, at least one."""
 
     def edges(self, edges: Edges) -> None:
-        """Take edges, at least one."""
+        """Write edges, at least one."""
 
     def wrenches(self, topic: str, rows: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Take stamps [ns, clock of the topic], shape (N,), and wrenches [N, N m], (N, 6)."""
+        """Write stamps [ns, clock of the topic], shape (N,), and wrenches [N, N m], (N, 6)."""
 
     def close(self) -> None:
         """Finish the files."""
 
 
 class Aedat4Sink:
-    """One AEDAT4 file; wrenches have no place in it and are left out.
+    """One AEDAT4 file, which cannot hold wrenches.
 
     Args:
-        folder: Where to put it.
-        info: What is known of the recording.
+        folder: Folder for it.
+        info: Description of the recording.
     """
 
     def __init__(self, folder: Path, info: RecordingInfo) -> None:
         size = (info.width, info.height)
-        self._file = Aedat4Writer(folder / 'recording.aedat4', size, info.camera or 'DAVIS346')
+        self._file = Aedat4Writer(folder / 'recording.aedat4', size, info.camera or 'camera')
 
     def events(self, events: Events) -> None:
-        """Take events."""
+        """Write events."""
         span = (int(events.t[0]), int(events.t[-1]))
-        self._file.write('EVTS', packets.events_packet(events), len(events), *span)
+        self._file.write('EVTS', aedat4.events_packet(events), len(events), *span)
 
     def frame(self, frame: Frame) -> None:
-        """Take a frame."""
+        """Write a frame."""
         t_us = frame.exposure_start_us
-        self._file.write('FRME', packets.frame_packet(frame), 1, t_us, t_us)
+        self._file.write('FRME', aedat4.frame_packet(frame), 1, t_us, t_us)
 
     def samples(self, samples: InertialSamples) -> None:
-        """Take inertial samples."""
+        """Write inertial samples."""
         span = (int(samples.t[0]), int(samples.t[-1]))
-        self._file.write('IMUS', packets.samples_packet(samples), len(samples.t), *span)
+        self._file.write('IMUS', aedat4.samples_packet(samples), len(samples.t), *span)
 
     def edges(self, edges: Edges) -> None:
-        """Take edges."""
+        """Write edges."""
         span = (int(edges.t[0]), int(edges.t[-1]))
-        self._file.write('TRIG', packets.edges_packet(edges), len(edges.t), *span)
+        self._file.write('TRIG', aedat4.edges_packet(edges), len(edges.t), *span)
 
     def wrenches(self, topic: str, rows: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Leave wrenches out."""
+        """Ignore wrenches."""
 
     def close(self) -> None:
         """Finish the file."""
@@ -176,10 +187,10 @@ def topic_file(topic: str) -> str:
 
 
 class CsvSink:
-    """Tables with units in their headings; frames as PNG files of 16 bits, 10 left-aligned.
+    """CSV tables with units in their headings; frames as PNG files of 16 bits, 10 left-aligned.
 
     Args:
-        folder: Where to put them.
+        folder: Folder for them.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -188,24 +199,24 @@ class CsvSink:
         self._frames = 0
 
     def events(self, events: Events) -> None:
-        """Take events."""
+        """Write events."""
         columns = (events.t, events.x, events.y, events.polarity.astype(np.uint8))
         rows = zip(*(column.tolist() for column in columns), strict=True)
         self._write('events', HEADINGS['events'], '%d,%d,%d,%d\n', rows)
 
     def frame(self, frame: Frame) -> None:
-        """Take a frame."""
+        """Write a frame."""
         name = f'frames/{self._frames:06d}.png'
         self._frames += 1
         path = self._folder / name
         path.parent.mkdir(exist_ok=True)
-        if not cv2.imwrite(str(path), np.left_shift(frame.image, packets.LEFT_ALIGNED)):
-            raise BagError(f'cannot write {path}: free some space')
+        if not cv2.imwrite(str(path), left_aligned(frame.image)):
+            raise RecordingError(f'cannot write {path}', remedy='free some space')
         row = (name, frame.exposure_start_us, frame.exposure_end_us, frame.x, frame.y)
         self._write('frames', HEADINGS['frames'], '%s,%d,%d,%d,%d\n', [row])
 
     def samples(self, samples: InertialSamples) -> None:
-        """Take inertial samples."""
+        """Write inertial samples."""
         table = np.column_stack(
             (samples.acceleration, samples.angular_velocity, samples.temperature)
         )
@@ -213,12 +224,12 @@ class CsvSink:
         self._write('imu', HEADINGS['imu'], '%d' + ',%.9g' * 7 + '\n', rows)
 
     def edges(self, edges: Edges) -> None:
-        """Take edges."""
+        """Write edges."""
         rows = zip(edges.t.tolist(), edges.kind.tolist(), strict=True)
         self._write('edges', HEADINGS['edges'], '%d,%d\n', rows)
 
     def wrenches(self, topic: str, rows: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Take wrenches."""
+        """Write wrenches."""
         table = [(t, *row) for t, row in zip(rows.tolist(), values.tolist(), strict=True)]
         self._write(topic_file(topic), WRENCH_COLUMNS, '%d' + ',%.17g' * 6 + '\n', table)
 
@@ -235,10 +246,10 @@ class CsvSink:
 
 
 class NpzSink:
-    """One .npz per kind of data; `units.txt` says what the arrays are.
+    """One .npz per kind of data, and `units.txt` with the units of the arrays.
 
     Args:
-        folder: Where to put them.
+        folder: Folder for them.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -246,11 +257,11 @@ class NpzSink:
         self._files: dict[str, GrowingNpz] = {}
 
     def events(self, events: Events) -> None:
-        """Take events."""
+        """Write events."""
         self._append('events', t=events.t, x=events.x, y=events.y, polarity=events.polarity)
 
     def frame(self, frame: Frame) -> None:
-        """Take a frame."""
+        """Write a frame."""
         self._append(
             'frames',
             exposure_start=np.array([frame.exposure_start_us]),
@@ -260,7 +271,7 @@ class NpzSink:
         )
 
     def samples(self, samples: InertialSamples) -> None:
-        """Take inertial samples."""
+        """Write inertial samples."""
         self._append(
             'imu',
             t=samples.t,
@@ -270,11 +281,11 @@ class NpzSink:
         )
 
     def edges(self, edges: Edges) -> None:
-        """Take edges."""
+        """Write edges."""
         self._append('edges', t=edges.t, kind=edges.kind)
 
     def wrenches(self, topic: str, rows: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Take wrenches."""
+        """Write wrenches."""
         self._append(topic_file(topic), t=rows, force=values[:, :3], torque=values[:, 3:])
 
     def close(self) -> None:
@@ -299,15 +310,15 @@ imu.npz     t [us, camera clock], acceleration [m/s^2], angular_velocity [rad/s]
 edges.npz   t [us, camera clock], kind (2 falling, 3 rising, 4 pulse, 16 and 17 generator)
 others      named after their topic: t [ns, clock of the topic], force [N], torque [N m]
 """
-WRENCH = 'geometry_msgs/msg/WrenchStamped'
 PACKET_US = 10_000
-"""Time that events of one AEDAT4 packet span, as DV writes them."""
+"""Length of the event packets of an AEDAT4 file, as DV writes them."""
 WRENCHES = 1000
+"""Wrenches per call of a sink."""
 
 
 @dataclass
 class Counts:
-    """What was exported.
+    """Numbers of exported readings.
 
     Attributes:
         events: Events.
@@ -315,6 +326,7 @@ class Counts:
         samples: Inertial samples.
         edges: Edges.
         wrenches: Wrenches by topic.
+        damage: What of the recording is missing; empty for a sound one.
     """
 
     events: int = 0
@@ -322,39 +334,40 @@ class Counts:
     samples: int = 0
     edges: int = 0
     wrenches: dict[str, int] = field(default_factory=dict)
+    damage: str = ''
 
 
 def export_recording(
     path: Path, kind: str, out: Path, progress: Callable[[float], None] = lambda _done: None
 ) -> Counts:
-    """Write a recording in another format, in flat memory.
+    """Write a recording in another format, in constant memory.
 
     Args:
         path: Folder of a bag, or an .mcap, .db3 or .aedat4 file.
         kind: One of `FORMATS`.
         out: New folder.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
-        BagError: The folder is there already or cannot be made, or the format is unknown.
-        RecordingError: The recording cannot be read.
+        RecordingError: The recording cannot be read, the folder exists or cannot be written, or the
+            format is unknown.
     """
     if kind not in FORMATS:
-        raise BagError(f'format {kind!r}: choose one of {", ".join(FORMATS)}')
-    recording = open_recording(str(path), PlaybackParameters())
-    try:
+        raise RecordingError(
+            f'unknown format {kind!r}', remedy=f'choose one of {", ".join(FORMATS)}'
+        )
+    with contextlib.closing(open_recording(path)) as recording:
         try:
             out.mkdir(parents=True)
+            with contextlib.closing(_sink(kind, out, recording)) as sink:
+                counts = Counts(damage=recording.info.damage)
+                _export_camera(recording, sink, counts, progress)
+                if kind != 'aedat4' and path.suffix != aedat4.SUFFIX:
+                    _export_wrenches(path, sink, counts)
         except OSError as error:
-            raise BagError(f'cannot export to {out}: {error}; choose a new folder') from error
-        sink = _sink(kind, out, recording)
-        counts = Counts()
-        _export_camera(recording, sink, counts, progress)
-    finally:
-        recording.close()
-    if kind != 'aedat4' and path.suffix != '.aedat4' and path.is_dir():
-        _export_wrenches(path, sink, counts)
-    sink.close()
+            raise RecordingError(
+                f'cannot export to {out}: {error}', remedy='choose a new folder with free space'
+            ) from error
     return counts
 
 
@@ -365,7 +378,7 @@ def _sink(kind: str, out: Path, recording: Recording) -> Sink:
 
 
 class _EventPackets:
-    """Gathers events into packets of PACKET_US."""
+    """Collects events into packets of PACKET_US."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
@@ -378,21 +391,19 @@ class _EventPackets:
 
     def flush(self) -> None:
         if self._held:
-            names = ('t', 'x', 'y', 'polarity')
-            columns = [np.concatenate([getattr(e, name) for e in self._held]) for name in names]
-            self._sink.events(Events(*columns))
+            self._sink.events(Events.concatenate(self._held))
             self._held.clear()
 
 
 def _export_camera(
     recording: Recording, sink: Sink, counts: Counts, progress: Callable[[float], None]
 ) -> None:
-    info, packets, told = recording.info, _EventPackets(sink), 0.0
+    info, packets, reported = recording.info, _EventPackets(sink), 0.0
     for piece in recording.pieces(info.start_us):
         _export_piece(piece, packets, sink, counts)
         done = (piece.until_us - info.start_us) / max(info.length_us, 1)
-        if done > told + 0.005:
-            told = done
+        if done > reported + 0.005:
+            reported = done
             progress(min(done, 1.0))
     packets.flush()
     progress(1.0)
@@ -415,11 +426,9 @@ def _export_piece(piece: Piece, packets: _EventPackets, sink: Sink, counts: Coun
 
 def _export_wrenches(path: Path, sink: Sink, counts: Counts) -> None:
     with BagFile(path) as bag:
-        for topic, kind in bag.types.items():
-            if kind != WRENCH or not bag.counts[topic]:
-                continue
+        for topic in bag.topics(REFERENCE_WRENCH.type_name):
             rows: list[tuple[int, list[float]]] = []
-            for _, message in bag.messages(topic):
+            for _, _, message in bag.messages(topic):
                 rows.append(_wrench(message))
                 if len(rows) == WRENCHES:
                     _flush(sink, topic, rows)
@@ -428,8 +437,8 @@ def _export_wrenches(path: Path, sink: Sink, counts: Counts) -> None:
 
 
 def _wrench(message: Any) -> tuple[int, list[float]]:  # noqa: ANN401
-    stamp, force, torque = message.header.stamp, message.wrench.force, message.wrench.torque
-    return stamp.sec * 1_000_000_000 + stamp.nanosec, [
+    force, torque = message.wrench.force, message.wrench.torque
+    return stamp_to_ns(message.header.stamp), [
         *(force.x, force.y, force.z),
         *(torque.x, torque.y, torque.z),
     ]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.readings import NO_EDGES, NO_SAMPLES, Edges, Frame, InertialSamples
-from mixtac_node.parameters import parameter
+from mixtac_events.windows import RESTART_US
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Iterator, Sequence
@@ -21,26 +21,20 @@ if TYPE_CHECKING:
 
 
 class RecordingError(MixtacError):
-    """A recording that cannot be played; opening it again does not help."""
+    """A recording that is missing, unreadable or unwritable, or lacks the topics asked for."""
 
 
 class DamagedRecordingError(RecordingError):
-    """Recorded data that are not what their format demands."""
+    """Recorded data that violate their format."""
 
 
-class BagError(MixtacError):
-    """A recording that is missing, damaged, or without the topics asked for."""
-
-
-RESTART_US = 1_000_000
-"""Time that goes back by more than this is a clock that was reset, not a late packet."""
 LATEST_US = (1 << 31) * 1_000_000 - 1
 """End of what a ROS stamp can hold."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piece:
-    """Something recorded; times [us] are on the recorded camera clock.
+    """A stretch of recorded data; times [us] are on the recorded camera clock.
 
     Attributes:
         start_us: Earliest time in it.
@@ -62,10 +56,10 @@ class Piece:
     edges: Edges = NO_EDGES
 
     def check(self) -> None:
-        """Refuse times that no stamp can hold.
+        """Check that all times fit into ROS stamps.
 
         Raises:
-            DamagedRecordingError: As said.
+            DamagedRecordingError: A time is negative or too large.
         """
         times = [self.start_us, self.until_us]
         if len(self.events):
@@ -78,19 +72,21 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class RecordingInfo:
-    """What is known of a recording when it is opened.
+    """Description of a recording, known when it is opened.
 
     Attributes:
         path: File or folder.
-        kind: Format, for people.
+        kind: Format, as shown to users.
         camera: Name of the camera, as far as recorded.
         width: Columns of the camera.
         height: Rows of the camera.
-        color_filter: Colour filter of the camera, as in `identity.Features`.
+        color_filter: Colour filter of the camera, 0 for none; see `messages.BAYER`.
         start_us: Time of the first event, or of the first piece of a recording without events [us,
             recorded camera clock].
         length_us: Length [us], to within the time that data took to reach the recorder.
-        contents: What is played: kind of data and name of its topic or stream.
+        contents: What is read: kind of data and name of its topic or stream.
+        damage: What is missing because the file is incomplete, or a topic that cannot be read;
+            empty for a sound recording.
     """
 
     path: Path
@@ -102,14 +98,15 @@ class RecordingInfo:
     start_us: int
     length_us: int
     contents: tuple[tuple[str, str], ...]
+    damage: str = ''
 
 
 @dataclass(slots=True)
 class ReadCounters:
-    """What was found amiss while reading.
+    """Losses found while reading.
 
     Attributes:
-        packets_missing: Event packets that the recorder did not get.
+        packets_missing: Event packets that are missing by their numbers.
         events_outside: Events dropped because they lie outside the sensor.
     """
 
@@ -134,7 +131,7 @@ class Recording(Protocol):
         """
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
 
 
 def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
@@ -177,97 +174,51 @@ def _clipped(piece: Piece, from_us: int) -> Piece:
     )
 
 
-NO_SEEK = -1.0
 NONE = 'none'
-"""Name of a topic that stands for: do not play this kind of data."""
-_WHICH = 'empty takes the only one, none plays none'
+"""Name of a topic that stands for: do not read this kind of data."""
 
 
-@dataclass(frozen=True)
-class PlaybackParameters:
-    """How a recording is played."""
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Which topics of a bag, or streams of an AEDAT4 file, to read.
 
-    playback_rate: float = parameter(
-        1.0,
-        'Speed of a recording: 1 is real time, 0 as fast as its subscribers allow',
-        minimum=0.0,
-        maximum=1000.0,
-    )
-    playback_loop: bool = parameter(
-        False,
-        'A recording starts again at its end; stamps go on by its length and 1 ms',
-    )
-    playback_paused: bool = parameter(False, 'A recording stands still')
-    playback_start: float = parameter(
-        0.0,
-        'Where in a recording to begin, also when looping',
-        unit='s',
-        minimum=0.0,
-        maximum=1e9,
-        read_only=True,
-    )
-    playback_seek: float = parameter(
-        NO_SEEK,
-        'A new value jumps there, counted from the first event; stamps never go back: after a jump '
-        'to an earlier place they go on 1 ms after the latest; -1 does nothing; without effect '
-        'once a recording has ended',
-        unit='s',
-        minimum=NO_SEEK,
-        maximum=1e9,
-    )
-    playback_restamp: bool = parameter(
-        False,
-        'Stamps are moved to the time of playing (at the start, at loops and jumps) instead of '
-        'being those recorded',
-        read_only=True,
-    )
-    playback_clock: bool = parameter(
-        False,
-        'The recorded camera clock is published on /clock, for nodes with use_sim_time; the driver '
-        'itself stays on the host clock',
-        read_only=True,
-    )
-    playback_events_topic: str = parameter(
-        '', f'Which topic or stream of events to play; {_WHICH}', read_only=True
-    )
-    playback_image_topic: str = parameter(
-        '', f'Which topic or stream of frames to play; {_WHICH}', read_only=True
-    )
-    playback_imu_topic: str = parameter(
-        '', f'Which topic or stream of inertial samples to play; {_WHICH}', read_only=True
-    )
+    Of each kind: a name, empty for the only one, or `NONE`.
+
+    Attributes:
+        events: Event packets.
+        image: Frames.
+        imu: Inertial samples.
+    """
+
+    events: str = ''
+    image: str = ''
+    imu: str = ''
 
 
 def choose(
     found: Sequence[str], wanted: str, *, kind: str, path: object, beside: str = ''
 ) -> str | None:
-    """Return the name of the topic to play, or None for none of them.
+    """Return the name of the topic to read, or None for none of them.
 
     Args:
         found: Topics that hold such data.
-        wanted: The parameter: a name, empty or `none`.
-        kind: What it holds, as in the name of the parameter: events, image or imu.
+        wanted: A name, empty or `NONE`, as in `Selection`.
+        kind: Kind of data, as in `Selection`: events, image or imu.
         path: The recording, for messages.
         beside: A topic; of several, one in its namespace is taken if it is the only one there.
 
     Raises:
-        RecordingError: The wanted one is not there, or several are and none was named.
+        RecordingError: The wanted one is missing, or there are several and none was named.
     """
-    listed = ', '.join(found) or 'none'
     if wanted == NONE:
         return None
+    remedy = f'choose one of {", ".join(found)} with playback_{kind}_topic, or none'
     if wanted and wanted not in found:
-        raise RecordingError(
-            f'{path} has no {kind} {wanted!r}; it has {listed}: change playback_{kind}_topic'
-        )
-    if wanted or not found:
-        return wanted or None
-    if len(found) == 1:
-        return found[0]
+        raise RecordingError(f'{path} has no {kind} {wanted!r}', remedy=remedy if found else '')
+    if wanted or len(found) < 2:
+        return wanted or next(iter(found), None)
     space = beside.rpartition('/')[0]
     near = [name for name in found if beside and name.rpartition('/')[0] == space]
     if len(near) == 1:
         return near[0]
-    raise RecordingError(
-        f'{path} has several {kind} topics: choose one of {listed} with playback_{kind}_topic'
-    )
+    raise RecordingError(f'{path} has several {kind} topics', remedy=remedy)

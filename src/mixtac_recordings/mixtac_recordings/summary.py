@@ -1,22 +1,29 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording holds and what it lost."""
+"""Contents of a recording and its losses."""
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_events.codec import decode
+from mixtac_events.codec import decode_message
+from mixtac_events.packets import CodecError
+from mixtac_events.sequence import SequenceCounter
+from mixtac_node.topics import EVENTS
+from mixtac_recordings import aedat4
+from mixtac_recordings.aedat4 import Aedat4Recording
 from mixtac_recordings.bag import BagFile
+from mixtac_recordings.recording import DamagedRecordingError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
-
-EVENT_TYPE = 'event_camera_msgs/msg/EventPacket'
+    from mixtac_events.arrays import Events
 
 
 @dataclass(frozen=True)
@@ -25,7 +32,7 @@ class EventSummary:
 
     Attributes:
         packets: Number of packets.
-        lost_packets: Packets missing by their sequence numbers.
+        lost_packets: Packets missing by their sequence numbers; 0 for formats without numbers.
         events: Number of events.
         duration_s: From the first to the last event, camera clock [s].
         backward_steps: Events that are older than the one before; 0 in a sound recording.
@@ -43,52 +50,74 @@ class BagSummary:
     """A recording at a glance.
 
     Attributes:
-        duration_s: From the first to the last message, host clock [s].
-        counts: Messages by topic.
+        duration_s: From the first to the last message [s]: host clock; camera clock for AEDAT4.
+        counts: Messages by topic; packets by stream for AEDAT4.
         types: Type names by topic.
         events: Event figures by topic.
+        damage: What is missing because the recording is incomplete, or topics whose packets cannot
+            be decoded, with the reason; empty for a sound recording.
     """
 
     duration_s: float
     counts: dict[str, int]
     types: dict[str, str]
     events: dict[str, EventSummary]
+    damage: str = ''
 
 
 def summarise(path: Path) -> BagSummary:
-    """Read a whole recording and say what it holds.
+    """Read a whole recording and count its events and losses.
+
+    Args:
+        path: Folder of a bag, or an .mcap, .db3 or .aedat4 file.
 
     Raises:
-        BagError: It is missing or damaged.
-        CodecError: A packet does not decode.
+        RecordingError: It is missing, or nothing of it can be read.
     """
+    if path.suffix == aedat4.SUFFIX:
+        return _summarise_aedat4(path)
     with BagFile(path) as bag:
-        topics = [topic for topic, kind in bag.types.items() if kind == EVENT_TYPE]
-        events = {topic: _event_summary(bag, topic) for topic in topics if bag.counts[topic]}
-        return BagSummary(bag.duration_s, bag.counts, bag.types, events)
+        events, notes = {}, [bag.damage] if bag.damage else []
+        for topic in bag.topics(EVENTS.type_name):
+            counter = SequenceCounter()
+            try:
+                found = _count(_packets(bag, topic, counter))
+            except (CodecError, DamagedRecordingError) as error:
+                notes.append(f'{topic}: {error}')
+                continue
+            events[topic] = EventSummary(counter.received, counter.lost, *found)
+        return BagSummary(bag.duration_ns / 1e9, bag.counts, bag.types, events, '; '.join(notes))
 
 
-def _event_summary(bag: BagFile, topic: str) -> EventSummary:
-    packets = lost = events = backward = 0
-    first_us = last_us = last_seq = None
-    for _, message in bag.messages(topic):
-        packets += 1
-        if last_seq is not None:
-            lost += max(0, int(message.seq) - last_seq - 1)
-        last_seq = int(message.seq)
-        decoded = decode(
-            message.events,
-            message.encoding,
-            int(message.time_base),
-            width=message.width,
-            height=message.height,
-        ).events
-        if not len(decoded):
+def _packets(bag: BagFile, topic: str, counter: SequenceCounter) -> Iterable[Events]:
+    for _, _, message in bag.messages(topic):
+        counter.update(message.seq)
+        yield decode_message(message).events
+
+
+def _summarise_aedat4(path: Path) -> BagSummary:
+    with contextlib.closing(Aedat4Recording(path)) as recording:
+        info, packets = recording.info, recording.packets
+        events = {}
+        if 'events' in packets:
+            pieces = recording.pieces(info.start_us)
+            found = _count(piece.events for piece in pieces if len(piece.events))
+            events['events'] = EventSummary(packets['events'], 0, *found)
+        types = {kind: f'AEDAT4 stream {name!r}' for kind, name in info.contents}
+        return BagSummary(info.length_us / 1e6, packets, types, events, info.damage)
+
+
+def _count(packets: Iterable[Events]) -> tuple[int, float, int]:
+    """Return the number of events, their duration [s] and the steps backwards in time."""
+    count = backward = 0
+    first_us = last_us = None
+    for events in packets:
+        if not len(events):
             continue
-        events += len(decoded)
-        backward += int(np.count_nonzero(np.diff(decoded.t) < 0))
-        backward += last_us is not None and decoded.t[0] < last_us
-        first_us = decoded.t[0] if first_us is None else first_us
-        last_us = decoded.t[-1]
-    span_us = 0 if first_us is None or last_us is None else int(last_us - first_us)
-    return EventSummary(packets, lost, events, span_us / 1e6, backward)
+        count += len(events)
+        backward += int(np.count_nonzero(np.diff(events.t) < 0))
+        backward += last_us is not None and int(events.t[0]) < last_us
+        first_us = int(events.t[0]) if first_us is None else first_us
+        last_us = int(events.t[-1])
+    span_us = 0 if first_us is None or last_us is None else last_us - first_us
+    return count, span_us / 1e6, backward

@@ -21,7 +21,7 @@ from mixtac_cli.align import align_bag, find_bags
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_recordings.bag import BagFile, typestore
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -138,7 +138,7 @@ def test_what_cannot_be_aligned_is_refused_with_the_reason(bag: Path, tmp_path: 
     outcome = align_bag(bag, reference='/other')
     assert outcome.fit is None
     assert '/other' in outcome.reason
-    with pytest.raises(BagError, match='mixtac align'):
+    with pytest.raises(RecordingError, match='mixtac align'):
         read_fit(tmp_path / 'none')
 
 

@@ -13,7 +13,7 @@ from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_events.packets import CodecError
 from mixtac_recordings.bag import typestore
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 STORE = typestore()
 TYPE = 'event_camera_msgs/msg/EventPacket'
@@ -75,5 +75,5 @@ def test_batches_hold_every_event_and_mark_what_was_lost() -> None:
 
 
 def test_no_packets_are_an_error_that_names_the_place() -> None:
-    with pytest.raises(BagError, match='here is empty'):
+    with pytest.raises(RecordingError, match='here is empty'):
         PacketCollector(60.0).counts('here')

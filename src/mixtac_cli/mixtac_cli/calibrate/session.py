@@ -28,7 +28,7 @@ from mixtac_node.files import replacing
 from mixtac_node.images import ImageConversionError, image_array
 from mixtac_node.topics import IMAGE_RAW
 from mixtac_recordings.bag import BagFile
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,13 +46,13 @@ def grey_image(message: Any) -> Grey:  # noqa: ANN401
         message: A `sensor_msgs/Image` of rclpy or of rosbags.
 
     Raises:
-        BagError: Unknown encoding, or fewer data than the size requires.
+        RecordingError: Unknown encoding, or fewer data than the size requires.
     """
     deep = '16' in str(message.encoding)
     try:
         return image_array(message, 'mono16' if deep else 'mono8')
     except ImageConversionError as error:
-        raise BagError(str(error)) from error
+        raise RecordingError(str(error)) from error
 
 
 def image_label(message: Any) -> str:  # noqa: ANN401
@@ -70,15 +70,15 @@ def bag_images(path: Path, topic: str, rate_hz: float) -> Iterator[tuple[str, Gr
         rate_hz: Most images per second of the recording [Hz]; 0 for all.
 
     Raises:
-        BagError: No bag, no such topic, or no images on it.
+        RecordingError: No bag, no such topic, or no images on it.
     """
     period_ns = round(1e9 / rate_hz) if rate_hz > 0.0 else 0
     next_ns = 0
     with BagFile(path) as bag:
         kind = bag.types.get(topic)
         if kind not in (None, IMAGE_RAW.type_name):
-            raise BagError(f'{path}: {topic} carries {kind}; name the topic of the images')
-        for received_ns, message in bag.messages(topic):
+            raise RecordingError(f'{path}: {topic} carries {kind}; name the topic of the images')
+        for _, received_ns, message in bag.messages(topic):
             # Tolerate half a millisecond of jitter.
             if received_ns < next_ns - 500_000:
                 continue

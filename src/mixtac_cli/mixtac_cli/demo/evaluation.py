@@ -96,12 +96,12 @@ def read_streams(path: Path, namespace: str) -> Streams:
     """Read the streams of a virtual sensor from a bag.
 
     Raises:
-        BagError: A topic is missing or the bag is damaged.
+        RecordingError: A topic is missing or the bag is damaged.
     """
     times: list[NDArray[np.int64]] = []
     counter = SequenceCounter()
     with BagFile(path) as bag:
-        for _, message in bag.messages(topics.EVENTS.resolved(namespace)):
+        for _, _, message in bag.messages(topics.EVENTS.resolved(namespace)):
             counter.update(message.seq)
             times.append(decode_message(message).events.t)
         force = bag.wrenches(topics.FORCE.resolved(namespace))

@@ -98,7 +98,7 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
         """Begin to write to a new bag; figures count from now.
 
         Raises:
-            BagError: The folder exists already or cannot be made.
+            RecordingError: The folder exists already or cannot be made.
         """
         writer = BagWriter(output)
         for meter in self.meters:
@@ -117,7 +117,7 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
         """Write what is queued and close the bag; return what became of it, None without one.
 
         Raises:
-            BagError: The disk was full, or failed.
+            RecordingError: The disk was full, or failed.
         """
         writer, self.writer = self.writer, None
         if writer is None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from mixtac_events.packets import header_stamp_ns, packet_sequence
+from mixtac_events.packets import header_stamp_ns, read_packet
 
 if TYPE_CHECKING:
     from mixtac_node.topics import Topic
@@ -59,7 +59,7 @@ class TopicMeter:
         self.first_ns = self.first_ns or received_ns
         self.last_ns = received_ns
         if self.topic.type_name == EVENT_TYPE:
-            self._follow_sequence(packet_sequence(data))
+            self._follow_sequence(read_packet(data).seq)
         if self.topic.has_header:
             self._follow_stamp(header_stamp_ns(data))
 

@@ -12,7 +12,7 @@ from mixtac_cli.record.listener_node import Listener
 from mixtac_cli.record.summary import add_recording, read_recordings
 from mixtac_node.base_node import declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 
 class RecorderNode(Listener):
@@ -22,7 +22,7 @@ class RecorderNode(Listener):
         super().__init__('recorder')
         self._p = declare(self, RecorderParameters)
         if not self._p.output:
-            raise BagError('parameter output is empty: name the folder of the new bag')
+            raise RecordingError('parameter output is empty: name the folder of the new bag')
         self._output = Path(self._p.output)
         read_recordings(self._output.absolute().parent / 'dataset.yaml')
         self.listen(self._p.reference_topic)
@@ -36,7 +36,7 @@ class RecorderNode(Listener):
             if summary is None:
                 return
             add_recording(self._output, summary, profile=self._p.profile, split=self._p.split)
-        except BagError as error:
+        except RecordingError as error:
             self.get_logger().error(str(error))
             return
         say = self.get_logger().warning if summary.dropped else self.get_logger().info

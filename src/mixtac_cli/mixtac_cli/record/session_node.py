@@ -32,7 +32,7 @@ from mixtac_cli.record.checks import (
 from mixtac_cli.record.listener_node import Listener
 from mixtac_cli.record.summary import FILE_NAME, add_recording, read_recordings
 from mixtac_node.topics import REFERENCE
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -116,11 +116,11 @@ class Session:
         """Check, and record unless only a check was asked for.
 
         Raises:
-            BagError: The checks found an error, or the bag cannot be written.
+            RecordingError: The checks found an error, or the bag cannot be written.
         """
         options = self._options
         if options.output.exists():
-            raise BagError(f'{options.output} is there already: choose a folder that is new')
+            raise RecordingError(f'{options.output} is there already: choose a folder that is new')
         read_recordings(options.output.absolute().parent / FILE_NAME)
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = Listener('record', f'/{options.namespace.strip("/")}')
@@ -151,7 +151,7 @@ class Session:
         self._console.print(findings_table(findings))
         errors = [each for each in findings if each.level == ERROR]
         if errors and not self._options.force:
-            raise BagError(
+            raise RecordingError(
                 f'not recorded: {errors[0].name}: {errors[0].text}; --force records all the same'
             )
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -113,7 +113,7 @@ def add_recording(bag: Path, summary: RecordingSummary, *, profile: str, split: 
         split: `train`, `test`, or empty.
 
     Raises:
-        BagError: The file there is of something else, damaged, or cannot be written.
+        RecordingError: The file there is of something else, damaged, or cannot be written.
     """
     path = bag.absolute().parent / FILE_NAME
     document = read_recordings(path)
@@ -125,7 +125,9 @@ def add_recording(bag: Path, summary: RecordingSummary, *, profile: str, split: 
         partial.write_text(yaml.safe_dump(document, sort_keys=False), encoding='utf8')
         partial.replace(path)
     except OSError as error:
-        raise BagError(f'{path} cannot be written ({error}); the bag itself is whole') from error
+        raise RecordingError(
+            f'{path} cannot be written ({error}); the bag itself is whole'
+        ) from error
     return path
 
 
@@ -133,17 +135,17 @@ def read_recordings(path: Path) -> dict[str, Any]:
     """Read the file; where there is none, return one without recordings.
 
     Raises:
-        BagError: It describes something else, or is damaged.
+        RecordingError: It describes something else, or is damaged.
     """
     if not path.exists():
         return {'schema': SCHEMA, 'schema_version': SCHEMA_VERSION, 'trials': []}
     try:
         document = yaml.safe_load(path.read_text(encoding='utf8'))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BagError(f'{path} cannot be read ({error}): move it away') from error
+        raise RecordingError(f'{path} cannot be read ({error}): move it away') from error
     known = isinstance(document, dict) and document.get('schema') == SCHEMA
     if not known or document.get('schema_version') != SCHEMA_VERSION:
-        raise BagError(
+        raise RecordingError(
             f'{path} does not describe recordings (schema {SCHEMA}, version {SCHEMA_VERSION}): '
             'record to another folder'
         )

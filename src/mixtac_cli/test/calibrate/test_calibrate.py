@@ -25,7 +25,7 @@ from mixtac_driver.calibration.camera_info import read_camera_info
 from mixtac_driver.calibration.lens import CalibrationError, Refusal, RefusedError
 from mixtac_recordings.bag import typestore
 from mixtac_recordings.bag_writer import BagWriter
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 TOPIC = '/mixtac/image_raw'
 PERIOD_NS = 200_000_000
@@ -138,10 +138,10 @@ def test_wrong_options_are_named_before_anything_is_read(change, value):
 
 
 def test_a_topic_that_is_not_there_or_no_image_is_named(tmp_path, bag):
-    with pytest.raises(BagError) as caught:
+    with pytest.raises(RecordingError) as caught:
         list(bag_images(bag, '/other', 0.0))
     assert '/other' in str(caught.value)
-    with pytest.raises(BagError) as caught:
+    with pytest.raises(RecordingError) as caught:
         list(bag_images(tmp_path / 'none', TOPIC, 0.0))
     assert str(tmp_path / 'none') in str(caught.value)
 
@@ -207,5 +207,5 @@ def test_colour_is_weighed_by_channel(order):
     ],
 )
 def test_images_that_are_damaged_or_unknown_are_refused(encoding, change):
-    with pytest.raises(BagError):
+    with pytest.raises(RecordingError):
         grey_image(raw(encoding, GREY16, **change))

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from mixtac_cli.record.summary import RecordingSummary, TopicFigures, add_recording
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,6 +37,6 @@ def test_each_recording_is_one_entry_and_the_same_name_replaces(tmp_path: Path):
 def test_another_file_of_that_name_is_left_alone(tmp_path: Path, text: str):
     path = tmp_path / 'dataset.yaml'
     path.write_text(text)
-    with pytest.raises(BagError, match=r'dataset\.yaml'):
+    with pytest.raises(RecordingError, match=r'dataset\.yaml'):
         add_recording(tmp_path / 'a', SUMMARY, profile='', split='')
     assert path.read_text() == text

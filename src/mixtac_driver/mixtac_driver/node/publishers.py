@@ -20,6 +20,7 @@ from mixtac_events.errors import MixtacError
 from mixtac_events.packetizer import Packetizer
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
 from mixtac_node.base_node import QOS_EVENTS, QOS_SENSOR
+from mixtac_node.images import fill
 from mixtac_node.stamps import us_to_stamp
 from mixtac_recordings import messages
 
@@ -322,7 +323,8 @@ class RectifiedPublisher:
             messages.left_aligned(frame.image), encoding, frame.x, frame.y
         )
         message = messages.image_header(frame, origin_us, frame_id)
-        self._image.publish(messages.filled(message, pixels, encoding))
+        fill(message, pixels, encoding)
+        self._image.publish(message)
 
     def _save(self, request: Any, response: Any) -> Any:  # noqa: ANN401
         info = request.camera_info

@@ -21,12 +21,14 @@ from mixtac_driver.errors import EndOfStream
 from mixtac_events.arrays import Events
 from mixtac_events.clock_map import ClockMap
 from mixtac_events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch
-from mixtac_recordings.recording import RESTART_US, RecordingError, from_time
+from mixtac_events.windows import RESTART_US
+from mixtac_recordings.recording import RecordingError, from_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
 
-    from mixtac_recordings.recording import Piece, PlaybackParameters, Recording
+    from mixtac_driver.parameters import PlaybackParameters
+    from mixtac_recordings.recording import Piece, Recording
 
 
 GAP_US = 1000

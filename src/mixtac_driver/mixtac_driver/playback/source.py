@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import fields
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mixtac_driver.davis346.control import CameraControl
@@ -13,18 +14,20 @@ from mixtac_driver.davis346.identity import Clocks, Features, Identity
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.davis346.settings import Configuration
 from mixtac_driver.decode.state import DecoderCounters
+from mixtac_driver.parameters import NO_SEEK
 from mixtac_driver.playback.player import PlaybackClock, Player
 from mixtac_driver.usb.transport import TransportCounters
 from mixtac_events.clock_map import ClockMap
 from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.recording import NO_SEEK, ReadCounters, RecordingError
+from mixtac_recordings.recording import ReadCounters, RecordingError, Selection
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from mixtac_driver.camera import CameraBatch
     from mixtac_driver.clock import Origin
-    from mixtac_recordings.recording import PlaybackParameters, Recording, RecordingInfo
+    from mixtac_driver.parameters import PlaybackParameters
+    from mixtac_recordings.recording import Recording, RecordingInfo
 
 
 class RecordedControl(CameraControl):
@@ -222,7 +225,7 @@ class RecordedSource:
         Raises:
             RecordingError: It cannot be played.
         """
-        self._recording = open_recording(self._device, self._playback)
+        self._recording = open_recording(Path(self._device), _selection(self._playback))
         self._info, self._counters = self._recording.info, self._recording.counters
         self._identity = replayed_identity(self._info)
 
@@ -323,3 +326,9 @@ class RecordedSource:
         recording, self._recording = self._recording, None
         if recording is not None:
             recording.close()
+
+
+def _selection(playback: PlaybackParameters) -> Selection:
+    return Selection(
+        playback.playback_events_topic, playback.playback_image_topic, playback.playback_imu_topic
+    )

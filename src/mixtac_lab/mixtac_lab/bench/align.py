@@ -13,7 +13,6 @@ import numpy as np
 import typer
 
 from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures, by_cell, reduce_frame
-from mixtac_events.codec import DAVIS346_HEIGHT, DAVIS346_WIDTH
 from mixtac_events.errors import MixtacError
 from mixtac_sim.world.effects import PRESETS, preset
 from mixtac_sim.world.trial import simulate_trial
@@ -116,7 +115,7 @@ def _simulated(number: int, seconds: float) -> dict[str, NDArray[Any]]:
         preset=preset(_preset(number)),
     )
     rate, offset_us = trial.clock
-    events = by_cell(trial.events, DAVIS346_WIDTH, DAVIS346_HEIGHT)
+    events = by_cell(trial.events, 346, 260)
     return {
         'events_us': events.t_us.astype(np.int32),
         'cell': events.cell,

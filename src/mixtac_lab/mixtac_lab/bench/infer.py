@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mixtac_events.arrays import Events
-from mixtac_events.codec import DAVIS346_HEIGHT, DAVIS346_WIDTH, encode
+from mixtac_events.codec import encode
 from mixtac_fger.live_feed import LiveFeed
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_recordings.dataset import TrialSpec
@@ -47,8 +47,8 @@ class PacketFields:
     time_base: int
     encoding: str
     events: array[int]
-    width: int = DAVIS346_WIDTH
-    height: int = DAVIS346_HEIGHT
+    width: int = 346
+    height: int = 260
     is_bigendian: bool = False
 
 

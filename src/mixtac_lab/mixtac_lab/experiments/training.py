@@ -23,7 +23,7 @@ from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, SimulatedData
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 from mixtac_sim.world.training_trials import TrialSpec, training_plan
 
 if TYPE_CHECKING:
@@ -152,24 +152,24 @@ class BagTrials:
         """Return the training bags of all profiles, for every seed the same.
 
         Raises:
-            BagError: There are none.
+            RecordingError: There are none.
         """
         del seed
         bags = [bag for name in PROFILES for bag in self._split(name)[0]]
         if not bags:
-            raise BagError(f'{self.folder} holds no bags to train on: {_remedy()}')
+            raise RecordingError(f'{self.folder} holds no bags to train on: {_remedy()}')
         return DataConfig(bags=tuple(str(bag.path) for bag in bags), checked=0.0)
 
     def tests(self, seed: int, profile: str) -> Sequence[TrialSource]:
         """Return the bags of a profile that were held out.
 
         Raises:
-            BagError: There are none.
+            RecordingError: There are none.
         """
         del seed
         held = self._split(profile)[1]
         if not held:
-            raise BagError(f'{self.folder / profile} holds no bags to judge on: {_remedy()}')
+            raise RecordingError(f'{self.folder / profile} holds no bags to judge on: {_remedy()}')
         return held
 
     def describe(self, profile: str) -> str:

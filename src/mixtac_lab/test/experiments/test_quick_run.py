@@ -15,7 +15,7 @@ from mixtac_lab import store as pieces
 from mixtac_lab.commands import Request, run_experiments
 from mixtac_lab.experiments import sizes
 from mixtac_lab.experiments.sizes import QUICK
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 TINY = replace(
@@ -86,7 +86,7 @@ def test_what_the_bags_do_not_hold_is_named_and_the_rest_goes_on(tmp_path):
     assert 'name it after it' in outcomes['vibration'].skipped
     assert 'impact holds no bags' in outcomes['impact'].skipped
     assert text.count('not carried out') == 3
-    with pytest.raises(BagError, match='impact holds no bags'):
+    with pytest.raises(RecordingError, match='impact holds no bags'):
         carried_out(tmp_path, 'impact', bags=tmp_path)
 
 

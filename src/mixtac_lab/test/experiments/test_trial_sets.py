@@ -11,7 +11,7 @@ from mixtac_lab.commands import NAMES, ExperimentError, chosen
 from mixtac_lab.experiments.sizes import FULL
 from mixtac_lab.experiments.training import PROFILES, BagTrials, SimulatedTrials
 from mixtac_learning.train.run import training_sources
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 
 def test_simulated_tests_are_other_days_of_the_sensor_that_was_trained_on():
@@ -50,7 +50,7 @@ def test_a_users_bags_are_split_eight_to_two_by_trial(tmp_path):
     assert len(trained) == 8 + 4
     assert not any(name in path for name in held for path in trained if 'static' in path)
     assert not sets.simulated
-    with pytest.raises(BagError, match='dynamic holds no bags'):
+    with pytest.raises(RecordingError, match='dynamic holds no bags'):
         sets.tests(0, 'dynamic')
 
 

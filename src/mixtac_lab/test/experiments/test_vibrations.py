@@ -20,7 +20,7 @@ from mixtac_lab.experiments.paper.vibration import (
     spectrum_of,
     tone_of,
 )
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 
 
 @settings(max_examples=60, deadline=None)
@@ -49,7 +49,7 @@ def test_tone_in_the_name_of_a_bag(name, hz):
 
 
 def test_a_bag_that_does_not_say_its_tone_is_named():
-    with pytest.raises(BagError, match=r'speaker_a .* name it after it'):
+    with pytest.raises(RecordingError, match=r'speaker_a .* name it after it'):
         tone_of('speaker_a')
 
 

@@ -227,48 +227,23 @@ def _nothing(path: Path, reference: str, *, recorded: bool) -> str:
 
 
 def _read(path: Path, reference: str) -> _Found:
-    from rosbags.rosbag2 import Reader
-
-    from mixtac_recordings.bag import camera_typestore
+    from mixtac_recordings.bag import BagFile
     from mixtac_recordings.recording import DamagedRecordingError
 
-    found, store = _Found(), camera_typestore()
-    _register_clock_fit(store)
-    try:
-        with Reader(path) as reader:
-            chosen = [
-                each
-                for each in reader.connections
-                if each.topic == reference
-                or each.topic.endswith((_TRUE_FORCE, _CAMERA_CLOCK))
-                or each.msgtype == CLOCK_FIT
-            ]
-            for connection, _, data in reader.messages(chosen) if chosen else ():
-                message = store.deserialize_cdr(data, connection.msgtype)
-                found.add(connection.topic, message, reference)
-    except DatasetError:
-        raise
-    except Exception as error:  # the format's parsers raise whatever damage leads them to
-        text = ' '.join(str(error).split()) or type(error).__name__
-        raise DamagedRecordingError(
-            f'{path} is not a whole bag ({text}): record it again, or repair it with'
-            ' `ros2 bag reindex`'
-        ) from error
+    found = _Found()
+    with BagFile(path) as bag:
+        if bag.damage:
+            raise DamagedRecordingError(f'{path}: {bag.damage}', remedy='record it again')
+        chosen = [
+            topic
+            for topic, kind in bag.types.items()
+            if topic == reference
+            or topic.endswith((_TRUE_FORCE, _CAMERA_CLOCK))
+            or kind == CLOCK_FIT
+        ]
+        for topic, _, message in bag.messages(*chosen):
+            found.add(topic, message, reference)
     return found
-
-
-def _register_clock_fit(store: Any) -> None:  # noqa: ANN401 - a class of rosbags
-    from pathlib import Path as FilePath
-
-    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-    from rosbags.typesys import get_types_from_msg
-
-    try:
-        share = FilePath(get_package_share_directory('mixtac_msgs'))
-    except PackageNotFoundError:
-        return
-    text = (share / 'msg' / 'ClockFit.msg').read_text(encoding='utf-8')
-    store.register(get_types_from_msg(text, CLOCK_FIT))
 
 
 def _ns(stamp: Any) -> int:  # noqa: ANN401
@@ -358,9 +333,9 @@ class BagSource:
 def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]], int]:
     """Return events, frames with their arrival on the camera clock [us], and lost packets."""
     from mixtac_recordings.camera_stream import BagRecording
-    from mixtac_recordings.recording import NONE, PlaybackParameters
+    from mixtac_recordings.recording import NONE, Selection
 
-    recording = BagRecording(path, PlaybackParameters(playback_imu_topic=NONE))
+    recording = BagRecording(path, Selection(imu=NONE))
     parts: list[Events] = []
     frames: list[tuple[Frame, int]] = []
     latest_us = 0

@@ -20,7 +20,7 @@ from mixtac_events.readings import EdgeKind, Edges, Frame, InertialSamples
 from mixtac_recordings.aedat4 import frame_packet, samples_packet
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.export import Aedat4Sink, CsvSink, GrowingNpz, NpzSink, export_recording
-from mixtac_recordings.recording import BagError, PlaybackParameters, RecordingInfo
+from mixtac_recordings.recording import RecordingError, RecordingInfo
 
 START_US = 1_790_000_000_000_000
 CLIENT = Path(__file__).with_name('aedat4_reader.py')
@@ -75,7 +75,7 @@ def aedat4(tmp_path_factory) -> Path:
 
 
 def read_back(path: Path):
-    recording = open_recording(str(path), PlaybackParameters())
+    recording = open_recording(path)
     try:
         pieces = list(recording.pieces(START_US - 1000))
         return recording.info, pieces
@@ -151,7 +151,7 @@ def test_npz_arrays_grow_to_what_was_written(tmp_path: Path):
 def test_rows_of_another_shape_are_refused(tmp_path: Path):
     growing = GrowingNpz(tmp_path / 'a.npz')
     growing.append('image', np.zeros((1, 2, 3)))
-    with pytest.raises(ValueError, match='image'):
+    with pytest.raises(RecordingError):
         growing.append('image', np.zeros((1, 2, 4)))
     growing.discard()
     assert not list(tmp_path.iterdir())
@@ -167,7 +167,7 @@ def test_buffers_are_aligned():
 def test_an_aedat4_file_can_be_exported_again(aedat4: Path, tmp_path: Path):
     counts = export_recording(aedat4, 'npz', tmp_path / 'out')
     assert (counts.events, counts.frames, counts.samples, counts.edges) == (3000, 3, 40, 3)
-    with pytest.raises(BagError, match='new folder'):
+    with pytest.raises(RecordingError):
         export_recording(aedat4, 'npz', tmp_path / 'out')
-    with pytest.raises(BagError, match='mat'):
+    with pytest.raises(RecordingError):
         export_recording(aedat4, 'mat', tmp_path / 'other')

@@ -11,22 +11,20 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from mixtac_driver.errors import EndOfStream
+from mixtac_driver.parameters import PlaybackParameters
 from mixtac_driver.playback.source import RecordedSource
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
-from mixtac_recordings.bag import (
-    CAMERA_INFO,
-    EVENT_PACKET,
-    EXTERNAL_EDGE,
-    FRAME_EXPOSURE,
-    IMAGE,
-    IMU,
-    camera_typestore,
-)
-from mixtac_recordings.recording import PlaybackParameters
+from mixtac_recordings.bag import typestore
 
+EVENT_PACKET = 'event_camera_msgs/msg/EventPacket'
+IMAGE = 'sensor_msgs/msg/Image'
+IMU = 'sensor_msgs/msg/Imu'
+CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
+FRAME_EXPOSURE = 'mixtac_msgs/msg/FrameExposure'
+EXTERNAL_EDGE = 'mixtac_msgs/msg/ExternalEdge'
 START_US = 1_700_000_000_123_456
-TYPES = camera_typestore()
+TYPES = typestore()
 HEADER = TYPES.types['std_msgs/msg/Header']
 TIME = TYPES.types['builtin_interfaces/msg/Time']
 

@@ -14,7 +14,7 @@ import joblib
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from mixtac_recordings.dataset import FILE_NAME, DatasetDescription
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.trial_bag import UNFINISHED, is_finished, write_trial
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ def workers(backend: str, jobs: int, scheduler: str = '') -> Iterator[None]:
             starts a cluster on this machine. Its workers need this software and the output folder.
 
     Raises:
-        BagError: Unknown backend, Dask is not installed, or the scheduler does not answer.
+        RecordingError: Unknown backend, Dask is not installed, or the scheduler does not answer.
     """
     if backend not in BACKENDS:
-        raise BagError(f'backend {backend!r} is unknown: choose one of {", ".join(BACKENDS)}')
+        raise RecordingError(f'backend {backend!r} is unknown: choose one of {", ".join(BACKENDS)}')
     if backend == 'loky':
         with joblib.parallel_config('loky', n_jobs=jobs, inner_max_num_threads=1):
             yield
@@ -54,7 +54,7 @@ def _client(jobs: int, scheduler: str) -> Any:  # noqa: ANN401
     try:
         from dask.distributed import Client
     except ImportError as error:
-        raise BagError(
+        raise RecordingError(
             f'backend dask is not installed ({error}): pip install "dask[distributed]"'
         ) from error
     try:
@@ -64,7 +64,7 @@ def _client(jobs: int, scheduler: str) -> Any:  # noqa: ANN401
             n_workers=jobs, threads_per_worker=1, dashboard_address=None, host='127.0.0.1'
         )
     except OSError as error:
-        raise BagError(
+        raise RecordingError(
             f'no Dask scheduler at {scheduler!r} ({error}): start one with `dask scheduler`'
         ) from error
 
@@ -94,7 +94,7 @@ def generate(
         Number of bags written by this run.
 
     Raises:
-        BagError: The folder holds something else, is in use, or cannot be written.
+        RecordingError: The folder holds something else, is in use, or cannot be written.
         SimulationError: A trial cannot be simulated.
     """
     with _exclusive(folder):
@@ -126,7 +126,7 @@ def _written(
         with workers(backend, jobs, scheduler):
             yield from joblib.Parallel(return_as='generator_unordered', batch_size=1)(calls)
     except TerminatedWorkerError as error:
-        raise BagError(
+        raise RecordingError(
             'a process that simulated was killed, perhaps for want of memory: take fewer jobs; '
             'finished bags are kept'
         ) from error
@@ -139,12 +139,12 @@ def _exclusive(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(folder, os.O_RDONLY)
     except OSError as error:
-        raise BagError(f'folder {folder} cannot be used ({error}): choose another') from error
+        raise RecordingError(f'folder {folder} cannot be used ({error}): choose another') from error
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     except BlockingIOError as error:
-        raise BagError(f'another run is writing to {folder}: wait for it to end') from error
+        raise RecordingError(f'another run is writing to {folder}: wait for it to end') from error
     finally:
         os.close(handle)
 
@@ -153,11 +153,11 @@ def _claim(folder: Path, description: DatasetDescription) -> None:
     """Check that a folder is free or holds this very data set, and describe it."""
     if (folder / FILE_NAME).exists():
         if not DatasetDescription.read(folder).same_trials_as(description):
-            raise BagError(
+            raise RecordingError(
                 f'{folder} holds a data set of other trials, or of another version of the '
                 'simulator: choose another folder'
             )
         return
     if any(folder.iterdir()):
-        raise BagError(f'{folder} is not empty and holds no data set: choose another folder')
+        raise RecordingError(f'{folder} is not empty and holds no data set: choose another folder')
     description.write(folder)

@@ -10,12 +10,15 @@ would have received them.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from mixtac_events.readings import InertialSamples
+from mixtac_node import topics
+from mixtac_recordings import messages
+from mixtac_recordings.bag import blank_message
 from mixtac_sim.random_streams import stream
 from mixtac_sim.usb.stream import Oscillator
 
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
 
     from mixtac_events.packetizer import Packet
     from mixtac_events.readings import Frame
+    from mixtac_node.topics import Topic
     from mixtac_sim.world.instruments import ReferenceSensor
 
 
@@ -197,17 +201,12 @@ class MessageSink:
         return due
 
 
-BIT_SHIFT: Final = 6
-"""From 10-bit values to the upper bits of 16."""
 SIZE: Final = (346, 260)
 """Width and height of both arrays."""
-_NS: Final = 1_000_000_000
-_NO_ORIENTATION: Final = np.array([-1.0, *[0.0] * 8])
-_UNKNOWN: Final = np.zeros(9)
 
 
 class MessageFactory:
-    """Makes CDR messages with rosbags' type store.
+    """Makes the CDR messages of a trial.
 
     Args:
         store: Type store with the types of the workspace.
@@ -219,155 +218,60 @@ class MessageFactory:
         self._store = store
         self._frame_ids = frame_ids
         self._serial = serial
-        self.reference_wrenches = self._wrench_rows('reference')
-        self.true_wrenches = self._wrench_rows('contact')
-        self.contact_points = self._point_rows()
-        self.imu_samples = self._imu_rows()
+        self.reference_wrenches = self._rows(topics.REFERENCE_WRENCH, 'reference', 6)
+        self.true_wrenches = self._rows(topics.TRUTH_WRENCH, 'contact', 6)
+        self.contact_points = self._rows(topics.TRUTH_CONTACT, 'contact', 3)
+        still = InertialSamples(*(np.zeros(shape) for shape in ((1,), (1, 3), (1, 3), (1,))))
+        sample = messages.imu(still, 0, 0, frame_ids['imu'], blank_message)
+        self.imu_samples = StampedRows(self._bytes(sample), 37)
 
     def event_packet(self, packet: Packet, sequence: int) -> bytes:
-        """Return an `EventPacket`; its header's stamp is the host time of arrival."""
-        width, height = SIZE
-        return self._bytes(
-            'event_camera_msgs/msg/EventPacket',
-            header=self._header(packet.arrival_ns, 'camera'),
-            height=height,
-            width=width,
-            seq=sequence,
-            time_base=packet.encoded.time_base,
-            encoding=packet.encoded.encoding,
-            is_bigendian=False,
-            events=np.frombuffer(packet.encoded.payload, np.uint8),
-        )
+        """Return an `EventPacket`; its stamp is the host time of arrival."""
+        camera = self._frame_ids['camera']
+        return self._bytes(messages.event_packet(packet, sequence, SIZE, camera, blank_message))
 
     def image(self, frame: Frame, origin_us: int) -> bytes:
-        """Return the `Image` of a frame: mono16, ten bits in the upper ones, at mid-exposure."""
-        height, width = frame.image.shape
+        """Return the `Image` of a frame."""
         return self._bytes(
-            'sensor_msgs/msg/Image',
-            header=self._frame_header(frame, origin_us),
-            height=height,
-            width=width,
-            encoding='mono16',
-            is_bigendian=int(sys.byteorder == 'big'),
-            step=2 * width,
-            data=np.left_shift(frame.image, BIT_SHIFT).view(np.uint8).ravel(),
+            messages.image(frame, origin_us, 0, self._frame_ids['camera'], blank_message)
         )
 
     def camera_info(self, frame: Frame, origin_us: int) -> bytes:
         """Return the `CameraInfo` of a frame: its size, no calibration."""
-        width, height = SIZE
-        return self._bytes(
-            'sensor_msgs/msg/CameraInfo',
-            header=self._frame_header(frame, origin_us),
-            height=height,
-            width=width,
-            distortion_model='',
-            d=np.zeros(0),
-            k=np.zeros(9),
-            r=np.zeros(9),
-            p=np.zeros(12),
-            binning_x=0,
-            binning_y=0,
-            roi=self._make(
-                'sensor_msgs/msg/RegionOfInterest',
-                x_offset=0,
-                y_offset=0,
-                height=0,
-                width=0,
-                do_rectify=False,
-            ),
-        )
+        image = self._image_header(frame, origin_us)
+        return self._bytes(messages.camera_info(frame, SIZE, image, blank_message))
 
     def frame_exposure(self, frame: Frame, origin_us: int) -> bytes:
         """Return the `FrameExposure` of a frame."""
-        return self._bytes(
-            'mixtac_msgs/msg/FrameExposure',
-            header=self._frame_header(frame, origin_us),
-            frame_start=self._time(1000 * (frame.frame_start_us + origin_us)),
-            exposure_start=self._time(1000 * (frame.exposure_start_us + origin_us)),
-            exposure_end=self._time(1000 * (frame.exposure_end_us + origin_us)),
-            frame_end=self._time(1000 * (frame.frame_end_us + origin_us)),
-            shutter=int(not frame.global_shutter),
-        )
+        image = self._image_header(frame, origin_us)
+        return self._bytes(messages.frame_exposure(frame, origin_us, image, blank_message))
 
     def temperature(self, celsius: float, time_us: int) -> bytes:
         """Return a `Temperature` of the inertial unit at a time [us, epoch-based camera clock]."""
-        return self._bytes(
-            'sensor_msgs/msg/Temperature',
-            header=self._header(1000 * time_us, 'imu'),
-            temperature=celsius,
-            variance=0.0,
-        )
+        unit = self._frame_ids['imu']
+        return self._bytes(messages.temperature(celsius, time_us, unit, blank_message))
 
     def camera_clock(self, host_ns: int, camera_us: int) -> bytes:
         """Return the `TimeReference` of the camera clock [us] at a host time [ns]."""
-        return self._bytes(
-            'sensor_msgs/msg/TimeReference',
-            header=self._make('std_msgs/msg/Header', stamp=self._time(host_ns), frame_id=''),
-            time_ref=self._time(1000 * camera_us),
-            source=self._serial,
-        )
+        return self._bytes(messages.camera_clock(host_ns, camera_us, self._serial, blank_message))
 
     def clock_fit(self, truth: ClockTruth, host_ns: int) -> bytes:
         """Return the `ClockFit` that holds in truth."""
-        return self._bytes(
-            'mixtac_msgs/msg/ClockFit',
-            header=self._make('std_msgs/msg/Header', stamp=self._time(host_ns), frame_id=''),
-            a=truth.rate,
-            b=truth.offset_s,
-            covariance=np.zeros(4),
-            camera_epoch=truth.epoch_s,
-            reference_epoch=truth.epoch_s,
-            camera_anchors=np.zeros(0),
-            reference_anchors=np.zeros(0),
-            residuals=np.zeros(0),
-            residual_rms=0.0,
-            method='simulation',
-            message='true relation of the clocks',
-        )
+        message = blank_message(topics.CLOCK_FIT.type_name)
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(host_ns, NS)
+        message.a, message.b = truth.rate, truth.offset_s
+        message.camera_epoch = message.reference_epoch = truth.epoch_s
+        message.method, message.message = 'simulation', 'true relation of the clocks'
+        return self._bytes(message)
 
-    def _wrench_rows(self, frame: str) -> StampedRows:
-        vector = self._make('geometry_msgs/msg/Vector3', x=0.0, y=0.0, z=0.0)
-        wrench = self._make('geometry_msgs/msg/Wrench', force=vector, torque=vector)
-        header = self._header(0, frame)
-        return StampedRows(
-            self._bytes('geometry_msgs/msg/WrenchStamped', header=header, wrench=wrench), 6
-        )
+    def _rows(self, topic: Topic, frame: str, numbers: int) -> StampedRows:
+        message = blank_message(topic.type_name)
+        message.header.frame_id = self._frame_ids[frame]
+        return StampedRows(self._bytes(message), numbers)
 
-    def _point_rows(self) -> StampedRows:
-        point = self._make('geometry_msgs/msg/Point', x=0.0, y=0.0, z=0.0)
-        header = self._header(0, 'contact')
-        return StampedRows(
-            self._bytes('geometry_msgs/msg/PointStamped', header=header, point=point), 3
-        )
+    def _image_header(self, frame: Frame, origin_us: int) -> Any:  # noqa: ANN401
+        return messages.image_header(frame, origin_us, self._frame_ids['camera'], blank_message)
 
-    def _imu_rows(self) -> StampedRows:
-        vector = self._make('geometry_msgs/msg/Vector3', x=0.0, y=0.0, z=0.0)
-        sample = self._bytes(
-            'sensor_msgs/msg/Imu',
-            header=self._header(0, 'imu'),
-            orientation=self._make('geometry_msgs/msg/Quaternion', x=0.0, y=0.0, z=0.0, w=1.0),
-            orientation_covariance=_NO_ORIENTATION,
-            angular_velocity=vector,
-            angular_velocity_covariance=_UNKNOWN,
-            linear_acceleration=vector,
-            linear_acceleration_covariance=_UNKNOWN,
-        )
-        return StampedRows(sample, 37)
-
-    def _frame_header(self, frame: Frame, origin_us: int) -> Any:  # noqa: ANN401
-        return self._header(1000 * (frame.middle_us + origin_us), 'camera')
-
-    def _header(self, stamp_ns: int, frame: str) -> Any:  # noqa: ANN401
-        return self._make(
-            'std_msgs/msg/Header', stamp=self._time(stamp_ns), frame_id=self._frame_ids[frame]
-        )
-
-    def _time(self, t_ns: int) -> Any:  # noqa: ANN401
-        return self._make('builtin_interfaces/msg/Time', sec=t_ns // _NS, nanosec=t_ns % _NS)
-
-    def _make(self, type_name: str, **fields: Any) -> Any:  # noqa: ANN401
-        return self._store.types[type_name](**fields)
-
-    def _bytes(self, type_name: str, **fields: Any) -> bytes:  # noqa: ANN401
-        return bytes(self._store.serialize_cdr(self._make(type_name, **fields), type_name))
+    def _bytes(self, message: Any) -> bytes:  # noqa: ANN401
+        return bytes(self._store.serialize_cdr(message, message.__msgtype__))

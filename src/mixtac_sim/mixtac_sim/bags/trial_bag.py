@@ -12,12 +12,11 @@ import shutil
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from mixtac_node import topics
 from mixtac_recordings.bag import typestore
-from mixtac_recordings.bag_writer import offered_qos
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.bag_writer import McapBag, offered_qos
+from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.camera import CameraMessages
 from mixtac_sim.bags.messages import MessageFactory, MessageSink, TrialClocks
 from mixtac_sim.usb.descriptors import serial_number
@@ -159,7 +158,7 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
 
     Raises:
         SimulationError: The trial cannot be simulated.
-        BagError: The bag cannot be written.
+        RecordingError: The bag cannot be written.
     """
     if is_finished(folder, spec.name):
         return 0
@@ -170,7 +169,7 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
         count = _write(spec, partial, compress=compress)
         partial.rename(folder / spec.name)
     except OSError as error:
-        raise BagError(
+        raise RecordingError(
             f'bag {folder / spec.name} cannot be written ({error}): free some space or choose '
             'another folder'
         ) from error
@@ -180,9 +179,7 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
 def _write(spec: TrialSpec, path: Path, *, compress: bool) -> int:
     trial = TrialStream(spec)
     store, count = typestore(), 0
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-    if compress:
-        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    writer = McapBag(path, compressed=compress)
     writer.set_custom_data('mixtac.simulated', 'true')
     writer.set_custom_data('mixtac.trial', json.dumps(spec.to_dict()))
     with writer:

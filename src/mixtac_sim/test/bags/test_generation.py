@@ -15,7 +15,7 @@ from dataclasses import replace
 import pytest
 
 from mixtac_recordings.dataset import DatasetDescription
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags import generation
 from mixtac_sim.bags.generation import generate
 from mixtac_sim.bags.trial_bag import UNFINISHED, is_finished
@@ -115,10 +115,10 @@ def test_a_finished_data_set_is_left_alone(whole):
 
 
 def test_another_data_set_or_other_files_are_not_touched(whole, tmp_path):
-    with pytest.raises(BagError, match='other trials'):
+    with pytest.raises(RecordingError, match='other trials'):
         generate(description(trials=2), whole)
     (tmp_path / 'notes.txt').write_text('mine')
-    with pytest.raises(BagError, match='not empty'):
+    with pytest.raises(RecordingError, match='not empty'):
         generate(description(), tmp_path)
 
 
@@ -126,7 +126,7 @@ def test_two_runs_do_not_share_a_folder(tmp_path):
     handle = os.open(tmp_path, os.O_RDONLY)
     fcntl.flock(handle, fcntl.LOCK_EX)
     try:
-        with pytest.raises(BagError, match='another run'):
+        with pytest.raises(RecordingError, match='another run'):
             generate(description(), tmp_path)
     finally:
         os.close(handle)
@@ -145,18 +145,18 @@ def test_a_full_disk_is_named(tmp_path, monkeypatch):
         raise OSError(28, 'No space left on device')
 
     monkeypatch.setattr('mixtac_sim.bags.trial_bag.Writer', full)
-    with pytest.raises(BagError, match='No space left'):
+    with pytest.raises(RecordingError, match='No space left'):
         generate(description(trials=1), tmp_path)
 
 
 def test_an_unknown_backend_is_refused(tmp_path):
-    with pytest.raises(BagError, match='loky, dask'):
+    with pytest.raises(RecordingError, match='loky, dask'):
         generate(description(trials=1), tmp_path, backend='ray')
 
 
 def test_dask_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, 'dask.distributed', None)
-    with pytest.raises(BagError, match='pip install'):
+    with pytest.raises(RecordingError, match='pip install'):
         generate(description(trials=1), tmp_path, backend='dask')
 
 
@@ -165,5 +165,5 @@ def test_a_killed_worker_is_an_expected_failure(tmp_path, monkeypatch):
         raise generation.TerminatedWorkerError('gone')
 
     monkeypatch.setattr(generation, 'write_trial', killed)
-    with pytest.raises(BagError, match='fewer jobs'):
+    with pytest.raises(RecordingError, match='fewer jobs'):
         generate(description(trials=1), tmp_path)

@@ -50,7 +50,7 @@ def events(bag):
     """Return the events of the bag as the standard decoder gives them [us]."""
     parts = [
         decode(m.events, m.encoding, int(m.time_base), width=m.width, height=m.height).events
-        for _, m in bag.messages('/mixtac/events')
+        for _, _, m in bag.messages('/mixtac/events')
     ]
     return {
         name: np.concatenate([getattr(part, name) for part in parts])
@@ -111,9 +111,9 @@ def test_events_are_those_of_the_real_path(events, decoded):
 
 def test_frames_are_those_of_the_real_path(bag, decoded):
     frames, origin = decoded[1], TrialClocks(SPEC.trial_seed).origin_us
-    images = [message for _, message in bag.messages('/mixtac/image_raw')]
-    infos = [message for _, message in bag.messages('/mixtac/camera_info')]
-    exposures = [message for _, message in bag.messages('/mixtac/image_exposure')]
+    images = [message for _, _, message in bag.messages('/mixtac/image_raw')]
+    infos = [message for _, _, message in bag.messages('/mixtac/camera_info')]
+    exposures = [message for _, _, message in bag.messages('/mixtac/image_exposure')]
     assert len(images) == len(infos) == len(exposures)
     assert 0 <= len(images) - len(frames) <= 1
     for image, info, exposure, frame in zip(images, infos, exposures, frames, strict=False):
@@ -132,7 +132,7 @@ def test_inertial_samples_are_those_of_the_real_path(bag, decoded):
     times = np.concatenate([samples.t for samples in decoded[2]])
     linear = np.concatenate([samples.acceleration for samples in decoded[2]])
     angular = np.concatenate([samples.angular_velocity for samples in decoded[2]])
-    found = [message for _, message in bag.messages('/mixtac/imu')]
+    found = [message for _, _, message in bag.messages('/mixtac/imu')]
     assert len(times) > 2700
     for index, message in enumerate(found[: len(times)]):
         assert stamp_ns(message) == 1000 * (times[index] + origin)
@@ -195,7 +195,7 @@ def first_messages(folder):
 def test_packets_have_the_layout_of_libcaer_cmp(bag):
     """Reads the words with rules of the format's description alone."""
     events, last_sequence, last_end = 0, -1, 0
-    for _, message in bag.messages('/mixtac/events'):
+    for _, _, message in bag.messages('/mixtac/events'):
         assert (message.width, message.height) == (346, 260)
         assert message.encoding == 'libcaer_cmp'
         assert not message.is_bigendian
@@ -242,13 +242,13 @@ def test_the_bag_is_whole_and_says_that_it_is_simulated(folder, bag):
     assert abs(summary.counts[TRUTH + 'wrench'] - 2800) < 5
     text = (folder / SPEC.name / 'metadata.yaml').read_text()
     assert 'mixtac.simulated' in text
-    received = [when for when, _ in bag.messages('/mixtac/events')]
+    received = [when for _, when, _ in bag.messages('/mixtac/events')]
     assert received == sorted(received)
 
 
 def test_true_clock_fit_maps_the_camera_onto_the_reference(bag):
     """The tap that begins the trial is at one moment on all clocks."""
-    (_, fit), *_ = bag.messages(TRUTH + 'clock_fit')
+    (_, _, fit), *_ = bag.messages(TRUTH + 'clock_fit')
     times, forces = bag.wrenches('/ft_sensor/wrench')
     true_times, true_forces = bag.wrenches(TRUTH + 'wrench')
     trial, clocks = TrialStream(SPEC), TrialClocks(SPEC.trial_seed)
@@ -263,7 +263,7 @@ def test_true_clock_fit_maps_the_camera_onto_the_reference(bag):
 
 def test_contact_truth_goes_with_the_force(bag):
     _, forces = bag.wrenches(TRUTH + 'wrench')
-    depths = np.array([m.point.z for _, m in bag.messages(TRUTH + 'contact')])
+    depths = np.array([m.point.z for _, _, m in bag.messages(TRUTH + 'contact')])
     assert len(depths) == len(forces)
     assert 0.2e-3 < depths.max() < 5e-3
     assert np.corrcoef(depths, forces)[0, 1] > 0.8
@@ -271,7 +271,7 @@ def test_contact_truth_goes_with_the_force(bag):
 
 def test_camera_clock_stays_close_to_the_true_one(bag):
     clocks = TrialClocks(SPEC.trial_seed)
-    for _, message in bag.messages('/mixtac/camera_clock'):
+    for _, _, message in bag.messages('/mixtac/camera_clock'):
         true_us = (stamp_ns(message) - clocks.epoch_ns) // 1000
         stated = message.time_ref.sec * 10**6 + message.time_ref.nanosec // 1000
         # What arrives late says that the camera's clock is behind: up to the smallest delay.

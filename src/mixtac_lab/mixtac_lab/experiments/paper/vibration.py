@@ -25,7 +25,7 @@ from mixtac_lab.experiments.studies.tones import binned
 from mixtac_lab.experiments.training import is_simulated
 from mixtac_lab.store import sensor_digest
 from mixtac_learning.trials.bags import bag_sources
-from mixtac_recordings.recording import BagError
+from mixtac_recordings.recording import RecordingError
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.effects import preset
 from mixtac_sim.world.profiles import Profile, Segment, Tone
@@ -98,11 +98,13 @@ def tone_of(name: str) -> float:
     """Return the frequency that the name of a bag says, such as `speaker_120hz` [Hz].
 
     Raises:
-        BagError: It says none.
+        RecordingError: It says none.
     """
     found = _NAMED.search(name)
     if found is None:
-        raise BagError(f'bag {name} does not say its tone: name it after it, such as speaker_120hz')
+        raise RecordingError(
+            f'bag {name} does not say its tone: name it after it, such as speaker_120hz'
+        )
     return float(found.group(1))
 
 
@@ -115,12 +117,12 @@ def recorded(path: Path, settle_s: float = 1.0) -> Shaken:
 
     Raises:
         RecordingError: The bag is damaged or holds no events.
-        BagError: It is too short, or holds no frames.
+        RecordingError: It is too short, or holds no frames.
     """
     from mixtac_recordings.camera_stream import BagRecording
-    from mixtac_recordings.recording import NONE, PlaybackParameters
+    from mixtac_recordings.recording import NONE, Selection
 
-    recording = BagRecording(path, PlaybackParameters(playback_imu_topic=NONE))
+    recording = BagRecording(path, Selection(imu=NONE))
     parts, frame = [], None
     try:
         for piece in recording.pieces(recording.info.start_us):
@@ -132,7 +134,7 @@ def recorded(path: Path, settle_s: float = 1.0) -> Shaken:
     events = Events.concatenate([part for part in parts if len(part)])
     seconds = int(1e-6 * (events.t[-1] - events.t[0]) - settle_s) if len(events) else 0
     if frame is None or seconds < 1:
-        raise BagError(f'{path}: record frames and at least {1.0 + settle_s:g} s of the tone')
+        raise RecordingError(f'{path}: record frames and at least {1.0 + settle_s:g} s of the tone')
     start = 1e-6 * float(events.t[0]) + settle_s
     return Shaken(events, frame, (start, start + seconds))
 
@@ -336,7 +338,7 @@ def _recorded(context: Context, bags: Path) -> Outcome:
     folder = bags / 'vibration'
     paths = sorted(path.parent for path in folder.glob('*/metadata.yaml'))
     if not paths:
-        raise BagError(
+        raise RecordingError(
             f'{folder} holds no bags: record one bag per tone and name it after it, such as'
             ' speaker_120hz'
         )

@@ -4,14 +4,18 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixtac_events import codec
 from mixtac_events.arrays import Events
-from mixtac_events.codec import decode
 from mixtac_events.packetizer import Packetizer
+
+decode = functools.partial(codec.decode, width=346, height=260)
 
 BASE = 1_760_000_000_000_000
 
