@@ -221,7 +221,8 @@ class MessageFactory:
         self.reference_wrenches = self._rows(topics.REFERENCE_WRENCH, 'reference', 6)
         self.true_wrenches = self._rows(topics.TRUTH_WRENCH, 'contact', 6)
         self.contact_points = self._rows(topics.TRUTH_CONTACT, 'contact', 3)
-        still = InertialSamples(*(np.zeros(shape) for shape in ((1,), (1, 3), (1, 3), (1,))))
+        zero = np.zeros((1, 3))
+        still = InertialSamples(np.zeros(1, np.int64), zero, zero, np.zeros(1))
         sample = messages.imu(still, 0, 0, frame_ids['imu'], blank_message)
         self.imu_samples = StampedRows(self._bytes(sample), 37)
 
