@@ -36,7 +36,7 @@ setup(
             'doctor = mixtac_cli.doctor:doctor',
             'export = mixtac_cli.export:export',
             'inspect = mixtac_cli.export:inspect',
-            'record = mixtac_cli.record.session_node:record',
+            'record = mixtac_cli.record.session:record',
             'simulate = mixtac_cli.simulate:simulate',
             'up = mixtac_cli.up:up',
             'up.slip = mixtac_cli.up:slip',

@@ -13,6 +13,7 @@ from mixtac_events.errors import MixtacError
 from mixtac_node.files import FileError, read_data, structure, write_text
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 
@@ -145,3 +146,49 @@ class DatasetDescription:
             return structure(known, DatasetDescription, str(path))
         except FileError as error:
             raise DatasetError(str(error)) from error
+
+
+RECORDINGS_SCHEMA = 'mixtac-recordings'
+RECORDINGS_VERSION = 1
+
+
+def add_recording(bag: Path, figures: Mapping[str, Any], *, profile: str, split: str) -> Path:
+    """Add a recording to `dataset.yaml` in the parent folder of its bag, and return the file.
+
+    Args:
+        bag: Folder of the bag.
+        figures: Length and losses of the recording.
+        profile: Kind of motion, for example `static`; empty if unknown.
+        split: `train`, `test`, or empty.
+
+    Raises:
+        DatasetError: The existing file describes something else or is damaged.
+        FileError: The file cannot be written.
+    """
+    path = bag.absolute().parent / FILE_NAME
+    document = read_recordings(path)
+    others = [each for each in document['trials'] if each['name'] != bag.name]
+    entry = {'name': bag.name, 'profile': profile, 'split': split, **figures}
+    document['trials'] = [*others, entry]
+    write_text(path, yaml.safe_dump(document, sort_keys=False))
+    return path
+
+
+def read_recordings(path: Path) -> dict[str, Any]:
+    """Return the content of a `dataset.yaml` of recordings, one without trials if there is none.
+
+    Raises:
+        DatasetError: It describes something else.
+        FileError: It is damaged.
+    """
+    if not path.exists():
+        return {'schema': RECORDINGS_SCHEMA, 'schema_version': RECORDINGS_VERSION, 'trials': []}
+    document = read_data(path)
+    known = isinstance(document, dict) and document.get('schema') == RECORDINGS_SCHEMA
+    if not known or document.get('schema_version') != RECORDINGS_VERSION:
+        raise DatasetError(
+            f'{path} does not describe recordings (schema {RECORDINGS_SCHEMA}, version '
+            f'{RECORDINGS_VERSION})',
+            remedy='record to another folder',
+        )
+    return dict(document)

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 OK, WARN, ERROR = 'ok', 'warning', 'error'
 REQUIRED = ('events', 'image_raw')
 LEAST_HZ = {'events': 990.0, 'image_raw': 5.0, 'force': 490.0, 'imu': 50.0}
-"""Rates below which something is wrong [Hz]: packets every ms, windows of 2 ms."""
+"""Smallest expected rates [Hz]: packets every 1 ms, windows of 2 ms."""
 RESERVE_BYTES = 1 << 30
 SHORT_BYTES = 10 << 30
 EARLIEST_NS = 1_577_836_800_000_000_000
-"""2020: a host clock before it was never set."""
+"""2020: an earlier host clock was never set."""
 MOST_CLOCK_OFFSET_S = 1.0
 
 
@@ -34,8 +34,8 @@ class Finding:
 
     Attributes:
         level: `ok`, `warning` or `error`.
-        name: What was checked.
-        text: What was found, and what to do.
+        name: Subject of the check.
+        text: What was found, and the remedy.
     """
 
     level: str
@@ -55,7 +55,9 @@ def check_disk(free_bytes: int, bytes_per_s: float, seconds: float) -> Finding:
     room = f'{free_bytes / 1e9:.1f} GB free, {bytes_per_s / 1e6:.1f} MB/s'
     if free_bytes <= RESERVE_BYTES or left_s < seconds:
         return Finding(
-            ERROR, 'disk', f'{room}: full in {left_s:.0f} s; free some space, or record elsewhere'
+            ERROR,
+            'disk',
+            f'{room}: full in {left_s:.0f} s; free space or choose another disk',
         )
     if not seconds and free_bytes < SHORT_BYTES:
         return Finding(WARN, 'disk', f'{room}: enough for {left_s:.0f} s')
@@ -63,7 +65,7 @@ def check_disk(free_bytes: int, bytes_per_s: float, seconds: float) -> Finding:
 
 
 def free_bytes(path: Path) -> int:
-    """Return the free space on the disk on which a folder is, or will be made [bytes]."""
+    """Return the free space on the disk of a folder, which need not exist yet [bytes]."""
     existing = next(each for each in (path, *path.absolute().parents) if each.exists())
     return shutil.disk_usage(existing).free
 
@@ -71,12 +73,12 @@ def free_bytes(path: Path) -> int:
 def check_topics(
     meters: Sequence[TopicMeter], publishers: Mapping[str, int], seconds: float
 ) -> list[Finding]:
-    """Check that what is published arrives, as often as it should.
+    """Check that published topics arrive at their rates.
 
     Args:
-        meters: What arrived.
+        meters: Meters of the topics.
         publishers: Publishers by name of the topic.
-        seconds: For how long it was listened [s].
+        seconds: Listening time [s].
     """
     return [
         finding
@@ -88,21 +90,21 @@ def check_topics(
 def _check_topic(meter: TopicMeter, publishers: int, seconds: float) -> Finding | None:
     name, required = meter.topic.name, meter.topic.name in REQUIRED
     if publishers == 0:
-        text = 'nobody publishes it: start the sensor, or give its --namespace'
+        text = 'no publisher: start the sensor, or give its --namespace'
         return Finding(ERROR, name, text) if required else None
     if publishers > 1 and name != '/diagnostics':
-        text = f'{publishers} publishers: two sensors share a namespace; end one of them'
+        text = f'{publishers} publishers: two sensors share a namespace; stop one of them'
         return Finding(ERROR, name, text)
     if meter.messages == 0:
-        text = 'it is published, and nothing arrived'
+        text = 'published, but nothing arrived'
         least = LEAST_HZ.get(name)
         return Finding(ERROR if required else WARN, name, text) if least else None
     rate_hz = meter.messages / seconds
     if rate_hz < LEAST_HZ.get(name, 0.0):
-        text = f'{rate_hz:.0f} Hz, {LEAST_HZ[name]:.0f} expected at least; see /diagnostics'
+        text = f'{rate_hz:.0f} Hz, at least {LEAST_HZ[name]:.0f} Hz expected; see /diagnostics'
         return Finding(WARN, name, text)
     if meter.missing:
-        text = f'{rate_hz:.0f} Hz, {meter.missing} messages missing: this computer is too busy'
+        text = f'{rate_hz:.0f} Hz, {meter.missing} messages lost: this computer is too busy'
         return Finding(WARN, name, text)
     return Finding(OK, name, f'{rate_hz:.1f} Hz')
 
@@ -115,11 +117,11 @@ def check_clocks(
     Args:
         now_ns: Host clock [ns since the Unix epoch].
         stamps_ns: Latest stamp of each topic on the camera clock, by name [ns].
-        simulated_time: Whether somebody publishes `/clock`.
+        simulated_time: Whether `/clock` has a publisher.
     """
     findings = []
     if now_ns < EARLIEST_NS:
-        findings.append(Finding(ERROR, 'host clock', 'it was never set: set it, or run NTP'))
+        findings.append(Finding(ERROR, 'host clock', 'never set: set it, or run NTP'))
     if simulated_time:
         text = '/clock is published: the stamps are those of a recording or simulator'
         findings.append(Finding(WARN, 'host clock', text))
@@ -130,11 +132,11 @@ def check_clocks(
     if apart_s > MOST_CLOCK_OFFSET_S:
         early = max(offsets_s, key=lambda name: offsets_s[name])
         late = min(offsets_s, key=lambda name: offsets_s[name])
-        text = f'{early} lies {apart_s:.1f} s behind {late}: they are not of one camera'
+        text = f'{early} lies {apart_s:.1f} s behind {late}: they are not from one camera'
         findings.append(Finding(ERROR, 'camera clock', text))
     worst_s = max(offsets_s.values(), key=abs)
     if abs(worst_s) > MOST_CLOCK_OFFSET_S and not simulated_time:
-        text = f'stamps are {worst_s:+.1f} s from the host: a recording, or the host clock was set'
+        text = f'stamps are {worst_s:+.1f} s from the host: a recording, or a changed host clock'
         findings.append(Finding(WARN, 'camera clock', text))
     elif apart_s <= MOST_CLOCK_OFFSET_S:
         findings.append(Finding(OK, 'camera clock', f'{1e3 * worst_s:+.0f} ms from the host'))
@@ -145,9 +147,9 @@ _COLOUR = {WARN: 'yellow', ERROR: 'red'}
 
 
 def findings_table(findings: Sequence[Finding]) -> Table:
-    """Return what the checks found."""
+    """Return the findings as a table."""
     table = Table(title='Before recording', title_justify='left')
-    for heading in ('', 'check', 'found'):
+    for heading in ('', 'check', 'finding'):
         table.add_column(heading)
     for each in findings:
         table.add_row(each.level, each.name, each.text, style=_COLOUR.get(each.level))
@@ -161,18 +163,18 @@ def progress_table(
 
     Args:
         meters: Its topics; those without messages are left out.
-        title: Where to, since when.
-        dropped: Messages that were not written.
+        title: Folder and elapsed time.
+        dropped: Messages that were not written because the disk was too slow.
         disk_bytes: Space left.
     """
-    size = sum(meter.octets for meter in meters)
+    size = sum(meter.size for meter in meters)
     caption = (
         f'{size / 1e6:.1f} MB, {disk_bytes / 1e9:.1f} GB left on the disk, '
-        f'{dropped} messages not written'
+        f'{dropped} messages dropped'
     )
     table = Table(title=title, title_justify='left', caption=caption, caption_justify='left')
     table.add_column('topic')
-    for heading in ('messages', 'Hz', 'MB', 'missing'):
+    for heading in ('messages', 'Hz', 'MB', 'lost'):
         table.add_column(heading, justify='right')
     for meter in meters:
         if meter.messages:
@@ -180,7 +182,7 @@ def progress_table(
                 meter.topic.name,
                 str(meter.messages),
                 f'{meter.rate_hz:.1f}',
-                f'{meter.octets / 1e6:.2f}',
+                f'{meter.size / 1e6:.2f}',
                 str(meter.missing),
                 style='yellow' if meter.missing else None,
             )

@@ -1,25 +1,27 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Counts what arrived on a topic, and what is missing in between."""
+"""Counts what arrives on a topic and what is missing, and sums up a recording."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mixtac_events.packets import header_stamp_ns, read_packet
+from mixtac_events.sequence import SequenceCounter
+from mixtac_node import topics
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from mixtac_node.topics import Topic
 
-
-EVENT_TYPE = 'event_camera_msgs/msg/EventPacket'
-EVEN = {'image_raw', 'force', 'imu', 'truth/wrench'}
-"""Topics whose messages are evenly spaced in stamps; with `reference_topic`."""
+EVEN = {each.name for each in (topics.IMAGE_RAW, topics.FORCE, topics.IMU, topics.TRUTH_WRENCH)}
+"""Topics whose stamps are evenly spaced; the reference force is another one."""
 GAP = 1.5
-"""A message is missing where the stamps are this many usual intervals apart."""
+"""A message is missing if two stamps are this many usual intervals apart."""
 LEARNING = 16
-"""Intervals from which the usual one is known."""
+"""Number of intervals from which the usual one is taken."""
 
 
 @dataclass
@@ -30,10 +32,10 @@ class TopicMeter:
         topic: The topic.
         even: Whether its stamps are evenly spaced.
         messages: Messages that arrived.
-        octets: Their serialised size [bytes].
-        missing: Messages that did not arrive: by sequence numbers of packets, by gaps in the stamps
-            of topics that are evenly spaced.
-        backwards: Stamps or numbers that are not after the one before.
+        size: Their serialised size [bytes].
+        missing: Messages lost: by the numbers of event packets, by gaps in the stamps of evenly
+            spaced topics.
+        backwards: Stamps or numbers that are not after the previous one.
         first_ns: Host time of the first arrival [ns], 0 before.
         last_ns: Host time of the latest arrival [ns], 0 before.
         stamp_ns: Latest stamp [ns, clock of the topic].
@@ -42,30 +44,30 @@ class TopicMeter:
     topic: Topic
     even: bool
     messages: int = 0
-    octets: int = 0
+    size: int = 0
     missing: int = 0
     backwards: int = 0
     first_ns: int = 0
     last_ns: int = 0
     stamp_ns: int = 0
-    _sequence: int | None = None
+    _sequence: SequenceCounter = field(default_factory=SequenceCounter)
     _intervals: list[int] = field(default_factory=list)
     _usual_ns: int = 0
 
     def add(self, received_ns: int, data: bytes) -> None:
         """Count a serialised message that arrived at a host time [ns]."""
         self.messages += 1
-        self.octets += len(data)
+        self.size += len(data)
         self.first_ns = self.first_ns or received_ns
         self.last_ns = received_ns
-        if self.topic.type_name == EVENT_TYPE:
+        if self.topic.type_name == topics.EVENTS.type_name:
             self._follow_sequence(read_packet(data).seq)
         if self.topic.has_header:
             self._follow_stamp(header_stamp_ns(data))
 
     def restart(self) -> None:
-        """Count from zero; what is known of the usual interval stays."""
-        self.messages = self.octets = self.missing = self.backwards = 0
+        """Count from zero; the usual interval stays known."""
+        self.messages = self.size = self.missing = self.backwards = 0
         self.first_ns = self.last_ns = 0
 
     @property
@@ -74,12 +76,21 @@ class TopicMeter:
         span_ns = self.last_ns - self.first_ns
         return (self.messages - 1) * 1e9 / span_ns if span_ns > 0 else 0.0
 
-    def _follow_sequence(self, sequence: int) -> None:
-        if self._sequence is not None:
-            # The driver counts from zero again when it is restarted.
-            self.missing += max(0, sequence - self._sequence - 1)
-            self.backwards += sequence <= self._sequence
-        self._sequence = sequence
+    def figures(self) -> dict[str, float]:
+        """Return the figures of the topic for YAML and JSON."""
+        return {
+            'messages': self.messages,
+            'rate_hz': round(self.rate_hz, 3),
+            'octets': self.size,
+            'missing': self.missing,
+            'backwards': self.backwards,
+        }
+
+    def _follow_sequence(self, seq: int) -> None:
+        counter = self._sequence
+        before = counter.restarts + counter.repeated
+        self.missing += counter.update(seq)
+        self.backwards += counter.restarts + counter.repeated - before
 
     def _follow_stamp(self, stamp_ns: int) -> None:
         last_ns, self.stamp_ns = self.stamp_ns, stamp_ns
@@ -94,8 +105,62 @@ class TopicMeter:
         self._learn(interval_ns)
 
     def _learn(self, interval_ns: int) -> None:
-        # A median of the latest ones, so that a new exposure interval is followed.
+        # The median of the latest ones follows a change of the exposure interval.
         self._intervals.append(interval_ns)
         if len(self._intervals) == LEARNING:
             self._usual_ns = sorted(self._intervals)[LEARNING // 2]
             self._intervals.clear()
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSummary:
+    """A finished recording.
+
+    Attributes:
+        seconds: Its length on the host clock [s].
+        dropped: Messages that arrived but were not written, because the disk was too slow.
+        simulated: Whether the diagnostics report simulated data.
+        serial: Hardware id of the driver.
+        topics: Figures of the topics with messages, by name; see `TopicMeter.figures`.
+    """
+
+    seconds: float
+    dropped: int
+    simulated: bool
+    serial: str
+    topics: Mapping[str, Mapping[str, float]]
+
+    @staticmethod
+    def of(
+        meters: Sequence[TopicMeter], seconds: float, dropped: int, *, simulated: bool, serial: str
+    ) -> RecordingSummary:
+        """Return the summary of metered topics."""
+        figures = {meter.topic.name: meter.figures() for meter in meters if meter.messages}
+        return RecordingSummary(seconds, dropped, simulated, serial, figures)
+
+    @property
+    def missing(self) -> int:
+        """Lost messages of all topics."""
+        return sum(int(each['missing']) for each in self.topics.values())
+
+    def verdict(self) -> str:
+        """Return one line about the losses."""
+        lost = [f'{each["missing"]} of {n}' for n, each in self.topics.items() if each['missing']]
+        parts = [f'messages lost: {", ".join(lost)}'] if lost else []
+        if self.dropped:
+            parts.append(f'{self.dropped} messages not written because the disk was too slow')
+        back = [name for name, each in self.topics.items() if each['backwards']]
+        if back:
+            parts.append(f'stamps or numbers went backwards on {", ".join(back)}')
+        return '; '.join(parts) if parts else 'no losses'
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures for YAML and JSON."""
+        return {
+            'seconds': round(self.seconds, 3),
+            'simulated': self.simulated,
+            'serial': self.serial,
+            'not_written': self.dropped,
+            'not_arrived': self.missing,
+            'topics': {name: dict(each) for name, each in self.topics.items()},
+        }

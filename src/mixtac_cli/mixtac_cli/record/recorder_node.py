@@ -1,30 +1,209 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Records the sensor's topics to an MCAP bag, on machines without `ros2 bag record`."""
+"""Nodes that record: a listener that meters all topics, and the recorder node.
+
+The recorder node is for machines without `ros2 bag record`.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import sys
+import time
+from dataclasses import replace
+from functools import cached_property, partial
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
 
 from mixtac_cli.parameters import RecorderParameters
-from mixtac_cli.record.listener_node import Listener
-from mixtac_cli.record.summary import add_recording, read_recordings
-from mixtac_node.base_node import declare, run
+from mixtac_cli.record.meter import EVEN, RecordingSummary, TopicMeter
+from mixtac_events.errors import MixtacError
+from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
+from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS
+from mixtac_recordings.bag_writer import BagWriter
+from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_recordings.recording import RecordingError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rosbags.interfaces import Connection
+
+
+CAMERA_CLOCK = ('image_raw', 'imu', 'force')
+"""Topics whose stamps are on the camera clock, which is checked by them."""
+DEPTH = 1000
+"""Least queue depth of a subscription: messages of about one second."""
+
+
+class Listener(BaseNode, Node):  # type: ignore[misc]
+    """Meters all topics; writes them to a bag between `start` and `finish`.
+
+    All methods are for the thread of its executor.
+
+    Args:
+        name: Name of the node.
+        namespace: Namespace of the sensor; one on the command line takes precedence.
+
+    Attributes:
+        meters: One per topic.
+        writer: The bag that is written, or None.
+        simulated: Whether a node reports simulated data on `/diagnostics`.
+        serial: Hardware id of the driver, empty before it is known.
+    """
+
+    def __init__(self, name: str, namespace: str = DEFAULT_NAMESPACE) -> None:
+        super().__init__(name, namespace=namespace)
+        self.meters: list[TopicMeter] = []
+        self.writer: BagWriter | None = None
+        self.simulated = False
+        self.serial = ''
+        self._connections: dict[str, Connection] = {}
+        self._began_ns = 0
+
+    def listen(self, reference_topic: str) -> None:
+        """Subscribe to all topics.
+
+        Args:
+            reference_topic: Topic of the reference force sensor.
+        """
+        for each in TOPICS:
+            reference = each.name == REFERENCE
+            chosen = replace(
+                each,
+                name=reference_topic if reference else each.name,
+                depth=1 if each.latched else max(DEPTH, each.depth),
+            )
+            meter = TopicMeter(chosen, even=reference or each.name in EVEN)
+            self.meters.append(meter)
+            self.subscribe_topic(chosen, partial(self._on_message, meter), raw=True)
+
+    def publishers(self) -> dict[str, int]:
+        """Return the number of publishers by name of the topic, as in `meters`."""
+        namespace = self.get_namespace()
+        return {
+            meter.topic.name: self.count_publishers(meter.topic.resolved(namespace))
+            for meter in self.meters
+        }
+
+    def has_clock(self) -> bool:
+        """Return whether `/clock` has a publisher."""
+        return bool(self.count_publishers('/clock'))
+
+    def stamps_ns(self) -> dict[str, int]:
+        """Return the latest stamp [ns] of the topics that are on the camera clock."""
+        return {
+            meter.topic.name: meter.stamp_ns
+            for meter in self.meters
+            if meter.topic.name in CAMERA_CLOCK
+        }
+
+    def spin_for(self, seconds: float, stopping: Callable[[], bool]) -> None:
+        """Receive for some seconds, or until `stopping` returns True. Not for a node that is run.
+
+        Args:
+            seconds: How long [s].
+            stopping: Called several times a second.
+        """
+        end_s = time.monotonic() + seconds
+        while not stopping() and (left_s := end_s - time.monotonic()) > 0:
+            self._spinner.spin_once(timeout_sec=min(left_s, 0.1))
+
+    @cached_property
+    def _spinner(self) -> EventsExecutor:
+        executor = EventsExecutor()
+        executor.add_node(self)
+        return executor
+
+    def start(self, output: Path) -> None:
+        """Start writing to a new bag; figures count from now.
+
+        Raises:
+            RecordingError: The folder exists already or cannot be made.
+        """
+        writer = BagWriter(output)
+        for meter in self.meters:
+            meter.restart()
+            topic = meter.topic
+            self._connections[topic.name] = writer.add_topic(
+                topic.resolved(self.get_namespace()),
+                topic.type_name,
+                reliable=topic.reliable,
+                latched=topic.latched,
+            )
+        self._began_ns = time.time_ns()
+        self.writer = writer
+
+    def finish(self) -> RecordingSummary | None:
+        """Write the queued messages and close the bag; return its summary, None without a bag.
+
+        Raises:
+            RecordingError: The disk was full, or failed.
+        """
+        writer, self.writer = self.writer, None
+        if writer is None:
+            return None
+        seconds = (time.time_ns() - self._began_ns) / 1e9
+        writer.close()
+        return RecordingSummary.of(
+            self.meters, seconds, writer.dropped, simulated=self.simulated, serial=self.serial
+        )
+
+    def _on_message(self, meter: TopicMeter, data: bytes) -> None:
+        received_ns = time.time_ns()
+        meter.add(received_ns, data)
+        if self.writer is not None:
+            self.writer.write(self._connections[meter.topic.name], received_ns, data)
+        if meter.topic.name == '/diagnostics':
+            self._on_diagnostics(data)
+
+    def _on_diagnostics(self, data: bytes) -> None:
+        own = self.get_namespace().strip('/')
+        for status in deserialize_message(data, DiagnosticArray).status:
+            if not status.name.startswith(f'{own}/'):
+                continue
+            if any(v.key == 'simulated' and v.value == 'True' for v in status.values):
+                self.simulated = True
+            if status.name == f'{own}/driver':
+                self.serial = status.hardware_id
+
+
+@contextlib.contextmanager
+def running_listener(namespace: str) -> Iterator[Listener]:
+    """Yield a listener, outside of any other rclpy program.
+
+    Args:
+        namespace: Namespace of the sensor.
+    """
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = Listener('record', f'/{namespace.strip("/")}')
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
 
 
 class RecorderNode(Listener):
-    """Records from its start to its end; `mixtac record` is the same with checks and figures."""
+    """Records from its start to its end; `mixtac record` adds checks and figures."""
 
     def __init__(self) -> None:
         super().__init__('recorder')
         self._p = declare(self, RecorderParameters)
         if not self._p.output:
-            raise RecordingError('parameter output is empty: name the folder of the new bag')
+            raise RecordingError(
+                'parameter output is empty', remedy='name the folder of the new bag'
+            )
         self._output = Path(self._p.output)
-        read_recordings(self._output.absolute().parent / 'dataset.yaml')
+        read_recordings(self._output.absolute().parent / FILE_NAME)
         self.listen(self._p.reference_topic)
         self.start(self._output)
         self._diagnostics = DiagnosticsPublisher(self, 'recorder', self._status)
@@ -35,27 +214,29 @@ class RecorderNode(Listener):
             summary = self.finish()
             if summary is None:
                 return
-            add_recording(self._output, summary, profile=self._p.profile, split=self._p.split)
-        except RecordingError as error:
+            add_recording(
+                self._output, summary.as_dict(), profile=self._p.profile, split=self._p.split
+            )
+        except MixtacError as error:
             self.get_logger().error(str(error))
             return
-        say = self.get_logger().warning if summary.dropped else self.get_logger().info
-        say(f'{self._output}: {summary.seconds:.1f} s, {summary.verdict()}')
+        log = self.get_logger().warning if summary.dropped else self.get_logger().info
+        log(f'{self._output}: {summary.seconds:.1f} s, {summary.verdict()}')
 
     def _status(self) -> Status:
         writer = self.writer
         dropped = writer.dropped if writer else 0
         missing = {m.topic.name: m.missing for m in self.meters if m.missing}
         values: dict[str, object] = {
-            'dropped': dropped,
+            'messages dropped': dropped,
             'messages': sum(m.messages for m in self.meters),
-            'bytes': sum(m.octets for m in self.meters),
-            **{f'missing {name}': count for name, count in missing.items()},
+            'bytes': sum(m.size for m in self.meters),
+            **{f'lost {name}': count for name, count in missing.items()},
         }
         if writer is not None and writer.failure:
-            return Status(WARN, f'nothing is written any more: {writer.failure}', values)
+            return Status(WARN, f'recording stopped: {writer.failure}', values)
         if dropped:
-            return Status(WARN, f'{dropped} messages lost: disk too slow', values)
+            return Status(WARN, f'{dropped} messages dropped: disk too slow', values)
         return Status(WARN if missing else OK, 'recording', values)
 
 
