@@ -8,3 +8,5 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+# Recordings to play.
+sys.path.insert(0, str(Path(__file__).parents[2] / 'mixtac_recordings' / 'test'))

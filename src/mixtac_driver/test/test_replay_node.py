@@ -8,13 +8,11 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip('event_camera_msgs.msg')
-sys.path.insert(0, str(Path(__file__).parent / 'recordings'))
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray

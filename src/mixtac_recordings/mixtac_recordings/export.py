@@ -399,7 +399,7 @@ def _export_camera(
     recording: Recording, sink: Sink, counts: Counts, progress: Callable[[float], None]
 ) -> None:
     info, packets, reported = recording.info, _EventPackets(sink), 0.0
-    for piece in recording.pieces(info.start_us):
+    for piece in recording.pieces(0):
         _export_piece(piece, packets, sink, counts)
         done = (piece.until_us - info.start_us) / max(info.length_us, 1)
         if done > reported + 0.005:

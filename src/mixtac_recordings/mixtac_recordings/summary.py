@@ -100,7 +100,7 @@ def _summarise_aedat4(path: Path) -> BagSummary:
         info, packets = recording.info, recording.packets
         events = {}
         if 'events' in packets:
-            pieces = recording.pieces(info.start_us)
+            pieces = recording.pieces(0)
             found = _count(piece.events for piece in pieces if len(piece.events))
             events['events'] = EventSummary(packets['events'], 0, *found)
         types = {kind: f'AEDAT4 stream {name!r}' for kind, name in info.contents}

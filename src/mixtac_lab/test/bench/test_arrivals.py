@@ -73,3 +73,10 @@ def test_no_packets_give_no_ages(pattern):
     figures = arrivals(pattern).summary()
     assert figures['periods'] == figures['events'] == 0
     assert np.isnan(figures['age_p50_ms'])
+
+
+def test_a_restart_of_the_driver_is_not_a_loss(pattern):
+    probe = arrivals(pattern)
+    for seq, events, end_us in packets(pattern, 2, 0):
+        probe.add(seq % 50, events, end_us * 1000)
+    assert probe.summary()['packets_lost'] == 0

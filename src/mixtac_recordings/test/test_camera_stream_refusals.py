@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from recording_samples import START_US, Bag, played, scene, some_events, source_of
+from recording_samples import START_US, Bag, read, scene, some_events
 from rosbags.rosbag2 import StoragePlugin
 
 from mixtac_events.codec import encode
@@ -21,7 +21,7 @@ def test_an_unknown_encoding_of_events_is_named(tmp_path, encoding):
         encoded = EncodedPacket(encoding, START_US * 1000, np.zeros(8, np.uint8))
         bag.packet(None, START_US, encoding=encoding, encoded=encoded)
     with pytest.raises(RecordingError) as error:
-        source_of(tmp_path / 'bag')
+        read(tmp_path / 'bag')
     assert '/mixtac/events' in str(error.value)
     assert str(tmp_path / 'bag') in str(error.value)
 
@@ -30,7 +30,7 @@ def test_colour_images_are_refused_by_name(tmp_path):
     with Bag(tmp_path / 'bag') as bag:
         bag.image(np.zeros((4, 12), np.uint8), START_US, encoding='bgr8')
     with pytest.raises(RecordingError):
-        source_of(tmp_path / 'bag')
+        read(tmp_path / 'bag')
 
 
 def test_a_damaged_packet_ends_the_playing_with_its_topic(tmp_path):
@@ -41,14 +41,14 @@ def test_a_damaged_packet_ends_the_playing_with_its_topic(tmp_path):
         bag.packet(None, START_US, encoded=good)
         bag.packet(None, START_US + 5, encoded=bad)
     with pytest.raises(RecordingError):
-        played(tmp_path / 'bag')
+        read(tmp_path / 'bag')
 
 
 def test_a_bag_without_anything_to_play_says_so(tmp_path):
     with Bag(tmp_path / 'bag') as bag:
         bag.info(START_US)
     with pytest.raises(RecordingError):
-        source_of(tmp_path / 'bag')
+        read(tmp_path / 'bag')
 
 
 @pytest.mark.parametrize('plugin', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -72,9 +72,9 @@ def test_a_bag_cut_off_is_read_as_far_as_it_goes_or_refused_in_one_line(tmp_path
 
 def test_a_folder_that_is_no_bag_says_what_to_give(tmp_path):
     with pytest.raises(RecordingError):
-        source_of(tmp_path)
+        read(tmp_path)
     with pytest.raises(RecordingError):
-        source_of(tmp_path / 'missing.mcap')
+        read(tmp_path / 'missing.mcap')
     (tmp_path / 'notes.txt').write_text('no recording')
     with pytest.raises(RecordingError):
-        source_of(tmp_path / 'notes.txt')
+        read(tmp_path / 'notes.txt')

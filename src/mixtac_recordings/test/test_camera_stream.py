@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +13,18 @@ from recording_samples import (
     START_US,
     Bag,
     assert_equal,
-    play,
-    played,
+    read,
     scene,
     some_events,
-    source_of,
 )
 from rosbags.rosbag2 import StoragePlugin
 
 from mixtac_events.arrays import Events
+from mixtac_events.packets import EncodedPacket
 from mixtac_recordings.recording import RecordingError
 
-ROOT = Path(__file__).resolve().parents[4]
-ROLL_OVER = ROOT.parent / 'shared' / 'data' / 'libcaer_rollover_0.db3'
+SHARED = Path(__file__).resolve().parents[4] / 'shared' / 'data'
+ROLL_OVER = Path(os.environ.get('MIXTAC_TEST_DATA', SHARED)) / 'libcaer_rollover_0.db3'
 
 
 @pytest.mark.parametrize('encoding', ['libcaer_cmp', 'libcaer'])
@@ -36,8 +36,7 @@ def test_events_come_out_as_they_went_in(tmp_path, encoding, plugin, compressed)
     events = some_events()
     with Bag(tmp_path / 'bag', plugin, compressed=compressed) as bag:
         bag.events(events, encoding=encoding)
-    found = played(tmp_path / 'bag')
-    assert found.ended
+    found = read(tmp_path / 'bag')
     assert_equal(found.events, events)
 
 
@@ -46,12 +45,12 @@ def test_events_come_out_as_they_went_in(tmp_path, encoding, plugin, compressed)
 )
 def test_the_file_in_the_folder_plays_too(tmp_path, plugin, name):
     events, _ = scene(tmp_path / 'bag', plugin=plugin)
-    assert_equal(played(tmp_path / 'bag' / name).events, events)
+    assert_equal(read(tmp_path / 'bag' / name).events, events)
 
 
 def test_frames_and_samples_come_with_their_exact_times(tmp_path):
     events, frames = scene(tmp_path / 'bag')
-    found = played(tmp_path / 'bag')
+    found = read(tmp_path / 'bag')
     assert_equal(found.events, events)
     assert found.frame_times == [START_US + 5000, START_US + 25_000]
     for frame, sent in zip(found.frames, frames, strict=True):
@@ -65,8 +64,7 @@ def test_frames_and_samples_come_with_their_exact_times(tmp_path):
 def test_what_an_imu_did_not_measure_stays_unknown(tmp_path):
     with Bag(tmp_path / 'bag') as bag:
         bag.imu(START_US, (1, 2, 3), None)
-    source = source_of(tmp_path / 'bag')
-    ((_, acceleration, rotation, _),) = play(source).imu
+    ((_, acceleration, rotation, _),) = read(tmp_path / 'bag').imu
     np.testing.assert_array_equal(acceleration, (1, 2, 3))
     assert np.isnan(rotation).all()
 
@@ -82,8 +80,7 @@ def test_frames_get_the_exposure_that_was_recorded_after_them(tmp_path, later_us
             times = (t_us - 2500, t_us - 2000, t_us + 2001, t_us + 9000)
             bag.exposure(t_us, times, shutter, t_us + 3001 + later_us)
         bag.image(pixels, START_US + 199_000)
-    found = played(tmp_path / 'bag')
-    assert found.ended
+    found = read(tmp_path / 'bag')
     known = later_us < 20_000
     for number, frame in enumerate(found.frames[:2]):
         t_us = START_US + 80_000 * number + 5000
@@ -100,14 +97,14 @@ def test_edges_come_with_their_times(tmp_path):
         bag.events(some_events())
         bag.edge(START_US + 1234, 3)
         bag.edge(START_US + 5678, 2)
-    assert played(tmp_path / 'bag').edges == [(START_US + 1234, 3), (START_US + 5678, 2)]
+    assert read(tmp_path / 'bag').edges == [(START_US + 1234, 3), (START_US + 5678, 2)]
 
 
 def test_the_time_base_of_every_packet_is_kept(tmp_path):
     events = some_events()
     with Bag(tmp_path / 'bag') as bag:
         bag.events(events)
-    times = played(tmp_path / 'bag').times
+    times = read(tmp_path / 'bag').times
     first = -(-START_US // 1000) * 1000
     assert times[:-1] == list(range(first, first + 1000 * (len(times) - 1), 1000))
 
@@ -118,14 +115,12 @@ def test_a_bag_of_frames_only_takes_its_size_from_camera_info(tmp_path):
         for number in range(4):
             pixels = np.full((20, 30), 37 << 6, np.uint16)
             bag.image(pixels, START_US + 40_000 * number, encoding='bayer_gbrg16')
-    source = source_of(tmp_path / 'bag')
-    assert source.identity.geometry.event_size == (346, 260)
+    found = read(tmp_path / 'bag')
+    assert (found.info.width, found.info.height) == (346, 260)
     # An odd first row: the pattern of the whole array begins with the other pair of rows.
-    assert source.identity.features.color_filter == 1
-    found = play(source)
+    assert found.info.color_filter == 1
     assert found.frame_times == [START_US + 40_000 * number for number in range(4)]
     assert (found.frames[0].x, found.frames[0].y) == (100, 51)
-    assert found.ended
     assert len(found.events) == 0
 
 
@@ -141,7 +136,7 @@ def test_a_bag_of_frames_only_takes_its_size_from_camera_info(tmp_path):
 def test_pixels_become_ten_bits(tmp_path, pixels, encoding, big, expected):
     with Bag(tmp_path / 'bag') as bag:
         bag.image(pixels, START_US, encoding=encoding, big=big)
-    (frame,) = played(tmp_path / 'bag').frames
+    (frame,) = read(tmp_path / 'bag').frames
     assert frame.image.dtype == np.uint16
     assert frame.image.tolist() == expected
 
@@ -153,10 +148,32 @@ def test_host_stamps_of_other_drivers_are_moved_to_the_camera_clock(tmp_path):
             part = events.between(start, start + 10_000)
             bag.packet(part, start + 9999, encoding='libcaer', stamp_us=START_US + start)
         bag.image(np.zeros((260, 346), np.uint16), START_US + 8000)
-    found = played(tmp_path / 'bag')
+    found = read(tmp_path / 'bag')
     assert_equal(found.events, events)
     # The first packet is stamped by the host START_US + 5000, and begins with the event at 5000.
     assert found.frame_times == [8000]
+
+
+def test_a_restart_of_the_driver_is_not_a_loss(tmp_path):
+    with Bag(tmp_path / 'bag') as bag:
+        for number, end_us in enumerate(range(START_US + 1000, START_US + 20_000, 1000)):
+            bag.sequence = 0 if number == 10 else bag.sequence
+            bag.packet(some_events(length_us=10, count=2, start_us=end_us - 500), end_us)
+    assert read(tmp_path / 'bag').counters.packets_missing == 0
+
+
+def test_a_topic_in_an_unknown_encoding_leaves_the_others(tmp_path):
+    events = some_events()
+    encoded = EncodedPacket('evt3', START_US * 1000, np.zeros(8, np.uint8))
+    with Bag(tmp_path / 'bag') as bag:
+        bag.packet(None, START_US, encoding='evt3', encoded=encoded, topic='/other/events')
+        bag.events(events)
+        bag.image(np.zeros((4, 12), np.uint8), START_US, encoding='bgr8')
+        bag.imu(START_US, (0.5, 1.0, 9.8))
+    found = read(tmp_path / 'bag')
+    assert_equal(found.events, events)
+    assert (len(found.frames), len(found.imu)) == (0, 1)
+    assert all(each in found.info.damage for each in ('/other/events', 'evt3', 'bgr8'))
 
 
 def test_packets_that_the_recorder_missed_are_counted(tmp_path):
@@ -165,9 +182,7 @@ def test_packets_that_the_recorder_missed_are_counted(tmp_path):
         for number, end_us in enumerate(range(START_US + 1000, START_US + 50_000, 1000)):
             bag.sequence += 3 if number == 20 else 0
             bag.packet(events.between(end_us - 1000, end_us), end_us)
-    source = source_of(tmp_path / 'bag')
-    play(source)
-    assert source.figures()['packets missing in the recording'] == 3
+    assert read(tmp_path / 'bag').counters.packets_missing == 3
 
 
 def test_topics_are_chosen_by_name_where_there_are_several(tmp_path):
@@ -181,19 +196,19 @@ def test_topics_are_chosen_by_name_where_there_are_several(tmp_path):
             )
         bag.imu(START_US, (0, 0, 0))
     with pytest.raises(RecordingError) as error:
-        source_of(tmp_path / 'bag')
+        read(tmp_path / 'bag')
     assert '/left/events, /right/events' in str(error.value)
-    found = played(tmp_path / 'bag', playback_events_topic='/right/events')
+    found = read(tmp_path / 'bag', events='/right/events')
     assert_equal(found.events, right)
     assert len(found.frames) == 1
     assert len(found.imu) == 1
     with pytest.raises(RecordingError):
-        source_of(tmp_path / 'bag', playback_events_topic='/middle/events')
-    found = played(
+        read(tmp_path / 'bag', events='/middle/events')
+    found = read(
         tmp_path / 'bag',
-        playback_events_topic='none',
-        playback_image_topic='/left/image',
-        playback_imu_topic='none',
+        events='none',
+        image='/left/image',
+        imu='none',
     )
     assert (len(found.events), len(found.frames), len(found.imu)) == (0, 1, 0)
 
@@ -227,11 +242,10 @@ def plain_words(path):
 
 @pytest.mark.skipif(not ROLL_OVER.exists(), reason='the recording shared/data is not here')
 def test_a_real_recording_over_a_roll_over_of_the_camera_time():
-    source = source_of(ROLL_OVER)
-    assert source.identity.geometry.event_size == (640, 480)
-    found = play(source)
+    found = read(ROLL_OVER)
+    assert (found.info.width, found.info.height) == (640, 480)
     t, x, y, polarity = plain_words(ROLL_OVER)
     assert len(t) > 300_000
     expected = Events(t, x.astype(np.uint16), y.astype(np.uint16), polarity)
     assert_equal(found.events, expected)
-    assert source.decoder_counters.timestamps_backwards == 0
+    assert (np.diff(found.events.t) >= 0).all()

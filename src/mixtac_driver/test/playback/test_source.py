@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recording_samples import START_US, Bag, assert_equal, play, some_events, until_end
+from playing import play, until_end
+from recording_samples import START_US, Bag, assert_equal, some_events
 
 from mixtac_driver.davis346.settings import Configuration
 from mixtac_driver.errors import ConfigurationError, EndOfStream

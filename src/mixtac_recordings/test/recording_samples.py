@@ -1,21 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings to test with: scenes, the bags that hold them, and what came out of a source."""
+"""Recordings to test with: scenes, the bags that hold them, and their content read back."""
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, field
 
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
-from mixtac_driver.errors import EndOfStream
-from mixtac_driver.parameters import PlaybackParameters
-from mixtac_driver.playback.source import RecordedSource
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_recordings.bag import typestore
+from mixtac_recordings.camera_stream import open_recording
+from mixtac_recordings.recording import ReadCounters, RecordingInfo, Selection, from_time
 
 EVENT_PACKET = 'event_camera_msgs/msg/EventPacket'
 IMAGE = 'sensor_msgs/msg/Image'
@@ -163,57 +163,42 @@ class Bag:
 
 
 @dataclass
-class Played:
-    """Everything a source gave, on its published clock."""
+class Read:
+    """Everything a recording held."""
 
+    info: RecordingInfo
+    counters: ReadCounters
     events: Events = field(default_factory=Events.empty)
     times: list = field(default_factory=list)
     frames: list = field(default_factory=list)
     frame_times: list = field(default_factory=list)
     imu: list = field(default_factory=list)
     edges: list = field(default_factory=list)
-    ended: bool = False
 
 
-def play(source, batches=None):
-    """Play an open source to its end, or so many batches of it."""
-    played, parts = Played(), []
-    source.start()
-    try:
-        for number, batch in enumerate(source.batches(), 1):
-            decoded, origin_us = batch.decoded, batch.origin.us
-            parts.append(decoded.events.shifted(origin_us))
-            played.times.append(batch.time_us)
-            played.frames += decoded.frames
-            played.frame_times += [frame.middle_us + origin_us for frame in decoded.frames]
-            for index, t in enumerate(decoded.imu.t):
-                played.imu.append(
-                    (
-                        int(t) + origin_us,
-                        decoded.imu.acceleration[index],
-                        decoded.imu.angular_velocity[index],
-                        decoded.imu.temperature[index],
-                    )
-                )
-            for t, kind in zip(decoded.edges.t, decoded.edges.kind, strict=True):
-                played.edges.append((int(t) + origin_us, int(kind)))
-            if number == batches:
-                break
-    except EndOfStream:
-        played.ended = True
-    played.events = Events.concatenate(parts)
-    return played
+def read(path, from_us=0, **selection):
+    """Read a recording to its end; times are those of the recorded clock.
 
-
-def until_end(source):
-    """Yield the batches of a started source, which must end by itself and be content."""
-    batches = source.batches()
-    while True:
-        try:
-            batch = next(batches)
-        except EndOfStream:
-            return
-        yield batch
+    Args:
+        path: The recording.
+        from_us: Where to begin [us].
+        selection: Fields of `Selection`.
+    """
+    with contextlib.closing(open_recording(path, Selection(**selection))) as recording:
+        found, parts = Read(recording.info, recording.counters), []
+        for piece in from_time(recording.pieces(from_us), from_us):
+            parts.append(piece.events)
+            if piece.advances:
+                found.times.append(piece.until_us)
+            found.frames += piece.frames
+            found.frame_times += [frame.middle_us for frame in piece.frames]
+            imu = piece.imu
+            found.imu += zip(
+                imu.t.tolist(), imu.acceleration, imu.angular_velocity, imu.temperature, strict=True
+            )
+            found.edges += zip(piece.edges.t.tolist(), piece.edges.kind.tolist(), strict=True)
+    found.events = Events.concatenate(parts)
+    return found
 
 
 def scene(path, **options):
@@ -230,23 +215,6 @@ def scene(path, **options):
         for number in range(3):
             bag.imu(START_US + 1000 * number, (0.5, number, 9.8), (0.1, 0.2, 0.3))
     return events, frames
-
-
-def source_of(path, **parameters):
-    """Open a recording as a source that plays as fast as possible."""
-    values = {'playback_rate': 0.0, **parameters}
-    source = RecordedSource(str(path), PlaybackParameters(**values))
-    source.open()
-    return source
-
-
-def played(path, **parameters):
-    """Play a recording to its end."""
-    source = source_of(path, **parameters)
-    try:
-        return play(source)
-    finally:
-        source.close()
 
 
 def assert_equal(found, expected):

@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Playing recordings through the driver's source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mixtac_driver.errors import EndOfStream
+from mixtac_events.arrays import Events
+
+
+@dataclass
+class Played:
+    """Everything a source gave, on its published clock."""
+
+    events: Events = field(default_factory=Events.empty)
+    times: list = field(default_factory=list)
+    frames: list = field(default_factory=list)
+    frame_times: list = field(default_factory=list)
+    imu: list = field(default_factory=list)
+    edges: list = field(default_factory=list)
+    ended: bool = False
+
+
+def play(source, batches=None):
+    """Play an open source to its end, or so many batches of it."""
+    played, parts = Played(), []
+    source.start()
+    try:
+        for number, batch in enumerate(source.batches(), 1):
+            decoded, origin_us = batch.decoded, batch.origin.us
+            parts.append(decoded.events.shifted(origin_us))
+            played.times.append(batch.time_us)
+            played.frames += decoded.frames
+            played.frame_times += [frame.middle_us + origin_us for frame in decoded.frames]
+            for index, t in enumerate(decoded.imu.t):
+                played.imu.append(
+                    (
+                        int(t) + origin_us,
+                        decoded.imu.acceleration[index],
+                        decoded.imu.angular_velocity[index],
+                        decoded.imu.temperature[index],
+                    )
+                )
+            for t, kind in zip(decoded.edges.t, decoded.edges.kind, strict=True):
+                played.edges.append((int(t) + origin_us, int(kind)))
+            if number == batches:
+                break
+    except EndOfStream:
+        played.ended = True
+    played.events = Events.concatenate(parts)
+    return played
+
+
+def until_end(source):
+    """Yield the batches of a started source, which must end by itself and be content."""
+    batches = source.batches()
+    while True:
+        try:
+            batch = next(batches)
+        except EndOfStream:
+            return
+        yield batch

@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of real cameras that other software wrote; they are not part of the project.
+
+The folder is `shared/data` beside the checkout, or named by MIXTAC_TEST_DATA.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mixtac_recordings.camera_stream import open_recording
+from mixtac_recordings.export import export_recording
+from mixtac_recordings.recording import RecordingError, Selection
+from mixtac_recordings.summary import summarise
+
+DATA = Path(os.environ.get('MIXTAC_TEST_DATA', Path(__file__).parents[4] / 'shared' / 'data'))
+
+
+def data(name: str) -> Path:
+    if not (DATA / name).exists():
+        pytest.skip(f'no recording {name} in {DATA}')
+    return DATA / name
+
+
+def pieces(path: Path):
+    with contextlib.closing(open_recording(path)) as recording:
+        return recording.info, list(recording.pieces(0))
+
+
+def test_an_aedat4_file_whose_table_has_no_counts():
+    # Figures of dv-processing for the same file.
+    _, found = pieces(data('davis346_sample.aedat4'))
+    assert sum(len(piece.events) for piece in found) == 6676
+    assert sum(len(piece.frames) for piece in found) == 4
+    assert sum(len(piece.imu.t) for piece in found) == 160
+
+
+def test_the_same_file_cut_inside_a_packet(tmp_path):
+    whole = data('davis346_sample.aedat4').read_bytes()
+    path = tmp_path / 'cut.aedat4'
+    path.write_bytes(whole[: len(whole) // 2])
+    info, found = pieces(path)
+    assert info.damage
+    assert 0 < sum(len(piece.events) for piece in found) < 6676
+    summary = summarise(path)
+    assert summary.damage == info.damage
+    assert summary.events['events'].events == sum(len(piece.events) for piece in found)
+
+
+def test_a_bag_with_an_empty_storage_identifier(tmp_path):
+    # Figures of event_camera_py's own tests.
+    summary = summarise(data('davis346_bag'))
+    (events,) = summary.events.values()
+    assert events.events == 571_266
+    _, found = pieces(data('davis346_bag'))
+    polarity = np.concatenate([piece.events.polarity for piece in found])
+    assert (int(polarity.sum()), int((~polarity).sum())) == (211_043, 360_223)
+    counts = export_recording(data('davis346_bag'), 'npz', tmp_path / 'out')
+    assert counts.events == 571_266
+
+
+def test_a_bag_in_an_unknown_encoding_is_summarised_and_refused_by_name():
+    path = data('evt3_bag')
+    summary = summarise(path)
+    (topic,) = (t for t, kind in summary.types.items() if kind.endswith('EventPacket'))
+    assert summary.counts[topic] > 0
+    assert summary.events == {}
+    assert 'evt3' in summary.damage
+    for selection in (None, Selection(events=topic)):
+        with pytest.raises(RecordingError) as caught:
+            open_recording(path, selection)
+        assert 'evt3' in str(caught.value)
+        assert topic in str(caught.value)
+
+
+def test_a_rollover_of_the_camera_clock():
+    _, found = pieces(data('libcaer_rollover_0.db3'))
+    t = np.concatenate([piece.events.t for piece in found])
+    assert 330_000 < len(t) < 340_000
+    assert (np.diff(t) >= 0).all()
