@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_events.sequence import SequenceCounter
+
 if TYPE_CHECKING:
     from mixtac_events.codec import PacketMessage
 
@@ -102,19 +104,25 @@ class PacketBacklog:
     """Takes packets from the subscription, hands them to the picture.
 
     Attributes:
-        packets: Packets received.
         skipped: Those given up because pictures were made too slowly for them.
-        lost: Those that never arrived, by the gaps of their sequence number.
     """
 
     def __init__(self) -> None:
-        self.packets = 0
         self.skipped = 0
-        self.lost = 0
+        self._counter = SequenceCounter()
         self._waiting: deque[PacketMessage] = deque()
         self._bytes = 0
-        self._sequence: int | None = None
         self._lock = threading.Lock()
+
+    @property
+    def packets(self) -> int:
+        """Packets received."""
+        return self._counter.received
+
+    @property
+    def lost(self) -> int:
+        """Packets that never arrived, by the gaps of their sequence numbers."""
+        return self._counter.lost
 
     def add(self, message: PacketMessage, sequence: int) -> None:
         """Keep a packet; the oldest ones leave when there are too many.
@@ -123,10 +131,7 @@ class PacketBacklog:
             message: The packet.
             sequence: Its field `seq`.
         """
-        self.packets += 1
-        if self._sequence is not None and sequence > self._sequence:
-            self.lost += sequence - self._sequence - 1
-        self._sequence = sequence
+        self._counter.update(sequence)
         with self._lock:
             self._waiting.append(message)
             self._bytes += len(message.events)
