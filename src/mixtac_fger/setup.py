@@ -24,5 +24,8 @@ setup(
     maintainer_email='maintainers@mixtac.example.org',
     description='Normal force from frames and events',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['fger_node = mixtac_fger.fger_node:main']},
+    entry_points={
+        'console_scripts': ['fger_node = mixtac_fger.fger_node:main'],
+        'mixtac.estimators': ['fger_small = mixtac_fger.fger_net:FgerEstimator'],
+    },
 )

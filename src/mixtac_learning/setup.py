@@ -27,5 +27,6 @@ setup(
             'evaluate = mixtac_learning.commands:evaluate',
             'adapt = mixtac_learning.commands:adapt',
         ],
+        'mixtac.estimators': ['fger_paper = mixtac_learning.paper.live:PaperEstimator'],
     },
 )

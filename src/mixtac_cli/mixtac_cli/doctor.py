@@ -51,7 +51,6 @@ SAFE_DOMAINS = range(102)
 DEVICE_SEED, SEED = 1001, 1001
 STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
 DEFAULT_SECONDS = 3.0
-MODEL_REMEDY = 'install the shipped model again, or train one with `mixtac train`'
 
 
 @dataclass
@@ -235,13 +234,14 @@ def check_domain(environment: Mapping[str, str]) -> Finding:
 
 def check_model() -> Finding:
     """Check whether the shipped model of the estimator can be loaded."""
-    from mixtac_fger.weights import DEFAULT_MODEL, find_model, load_model
+    from mixtac_fger.estimator import open_estimator
+    from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
 
     path = find_model(DEFAULT_MODEL)
     try:
-        load_model(path)
+        open_estimator(read_model(path))
     except MixtacError as error:
-        return Finding('model', Level.ERROR, error.message, error.remedy or MODEL_REMEDY)
+        return Finding('model', Level.ERROR, error.message, error.remedy)
     return ok('model', str(path))
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixtac_events.frames import (
@@ -17,11 +17,10 @@ from mixtac_events.frames import (
     gradients,
     log_contrast,
 )
-from mixtac_fger.config import FgerConfig
 
 
 def waves(shift_x: float = 0.0, shift_y: float = 0.0) -> np.ndarray:
-    rows, columns = FgerConfig().frame_shape
+    rows, columns = 65, 86
     y, x = np.mgrid[0:rows, 0:columns].astype(np.float64)
     x, y = x - shift_x, y - shift_y
     return (0.4 * np.sin(0.8 * x + 0.2 * y) + 0.4 * np.cos(0.7 * y - 0.1 * x)).astype(np.float32)
@@ -36,6 +35,7 @@ def test_bins_are_block_means(kind):
     assert np.allclose(out, expected, rtol=1e-6)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(st.floats(0.01, 1000.0))
 def test_log_contrast_does_not_depend_on_exposure(gain):
     image = np.exp(waves())
@@ -55,6 +55,7 @@ def test_gradients_are_those_of_numpy_inside():
     assert np.allclose(along_y[1:-1, 1:-1], expected_y[1:-1, 1:-1], atol=1e-6)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 4), st.integers(0, 1000))
 def test_box_sums_are_those_of_the_definition(rows, columns, radius, seed):
     field = np.random.default_rng(seed).integers(-9, 9, (rows, columns)).astype(np.float32)
@@ -67,6 +68,7 @@ def test_box_sums_are_those_of_the_definition(rows, columns, radius, seed):
     assert np.array_equal(out, windows.sum(axis=(2, 3)))
 
 
+@settings(deadline=None)  # the first call compiles
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 def test_displacement_finds_how_far_a_texture_moved(shift_x, shift_y):
     reference = waves()

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The configuration of FGER-Net: everything that fixes what a weight file means."""
+"""The configuration of FGER-Net: everything that fixes what a weight file means, and its cost."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -181,10 +182,76 @@ class FgerConfig:
         if set(values) != names:
             odd = sorted(names.symmetric_difference(values))
             raise ConfigError(
-                f'FgerConfig fields {odd} are missing or unknown: train the model anew'
+                f'FgerConfig fields {odd} are missing or unknown', remedy='retrain the model'
             )
         fields: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in values.items()
         }
         return cls(**fields)
+
+
+STATISTICS = ('frame.mean', 'frame.scale', 'event.scale', 'deviation.scale')
+"""Tensors of a weight file that are not trained by gradients."""
+
+
+def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each tensor that a weight file of this configuration holds, by name."""
+    shapes: dict[str, tuple[int, ...]] = {}
+
+    def linear(name: str, inputs: int, outputs: int, *, bias: bool = True) -> None:
+        shapes[f'{name}.weight'] = (outputs, inputs)
+        if bias:
+            shapes[f'{name}.bias'] = (outputs,)
+
+    channels, (rows, columns) = len(config.frame_channels), config.frame_shape
+    shapes['frame.mean'] = shapes['frame.scale'] = (channels, 1, 1)
+    for index, width in enumerate(config.frame_widths):
+        name = f'frame.convolutions.{2 * index}'  # a ReLU stands between two convolutions
+        shapes[f'{name}.weight'], shapes[f'{name}.bias'] = (width, channels, 3, 3), (width,)
+        channels, rows, columns = width, (rows + 1) // 2, (columns + 1) // 2
+    linear('frame.project', channels * rows * columns, config.frame_size)
+    linear('frame.head', config.frame_size, 1)
+    shapes['event.scale'] = (CELL_FEATURES,)
+    linear('event.hidden', config.event_inputs, config.event_hidden)
+    linear('event.output', config.event_hidden, config.event_size)
+    gates = 4 * config.lstm_size
+    linear('gates_event', config.event_size, gates)
+    linear('gates_force', 1, gates, bias=False)
+    linear('gates_hidden', config.lstm_size, gates, bias=False)
+    shortcut = config.event_size if config.event_shortcut else 0
+    for name, inputs in (
+        ('increment', config.lstm_size + shortcut),
+        ('correction', 1 + config.frame_size),
+    ):
+        linear(f'{name}.0', inputs, config.mlp_size)
+        linear(f'{name}.2', config.mlp_size, 1)
+    if config.deviation_size:
+        linear('deviation.hidden', config.lstm_size + 1, config.deviation_size)
+        linear('deviation.output', config.deviation_size, 1)
+        shapes['deviation.scale'] = (1,)
+    return shapes
+
+
+def count_parameters(config: FgerConfig) -> int:
+    """Return the number of trained parameters."""
+    shapes = tensor_shapes(config)
+    return sum(math.prod(shapes[name]) for name in shapes if name not in STATISTICS)
+
+
+def operations_per_cycle(config: FgerConfig, cycle_us: int = 40_000) -> int:
+    """Return floating-point operations (2 per multiply-add) per frame interval of `cycle_us`."""
+    shapes = tensor_shapes(config)
+    sizes = {name: math.prod(shapes[name]) for name in shapes if name not in STATISTICS}
+    rows, columns = config.frame_shape
+    total = 0
+    for name, size in sizes.items():
+        if name.startswith('frame.convolutions') and name.endswith('weight'):
+            rows, columns = (rows + 1) // 2, (columns + 1) // 2
+            total += size * rows * columns
+    total += sizes['frame.project.weight']
+    total += sum(size for name, size in sizes.items() if name.startswith('correction'))
+    per_window = sum(
+        size for name, size in sizes.items() if not name.startswith(('frame', 'correction'))
+    )
+    return 2 * (total + per_window * cycle_us // config.window_us)

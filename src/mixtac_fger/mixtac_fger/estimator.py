@@ -1,16 +1,152 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What an estimator gives, what it reports, and which camera its model was made for."""
+"""The estimator of an architecture: its interface, its registry, and what an estimate is.
+
+A package registers an architecture by an entry point of the group `mixtac.estimators`, named like
+the architecture in the weight file:
+
+    'mixtac.estimators': ['my_network = my_package.live:MyEstimator']
+
+`MyEstimator(model)` takes a `mixtac_fger.weights.Model` and returns an `Estimator`.
+`mixtac_fger.streaming.ForceEstimator` follows the stream and calls it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from mixtac_fger.config import ModelError
 
 if TYPE_CHECKING:
-    from mixtac_fger.weights import LoadedModel
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
+    from mixtac_fger.reference import Reference
+    from mixtac_fger.weights import Model, ModelCard
+
+    Image = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+ESTIMATORS: Final = 'mixtac.estimators'
+"""Entry-point group of architectures."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EncodedFrame:
+    """A frame as an estimator uses it.
+
+    Attributes:
+        mid_us: Centre of the exposure, camera clock [us].
+        force: Frames-only force [N].
+        reference: `Reference.number` of the reference it was compared with, 0 without one.
+        content: Private to the estimator.
+    """
+
+    mid_us: int
+    force: float
+    reference: int
+    content: Any
+
+
+class Estimator(Protocol):
+    """One architecture with its weights and its state; windows come in order of time.
+
+    `encode` may be called from another thread than the rest, which belongs to one thread.
+    """
+
+    @property
+    def width(self) -> int:
+        """Columns of the sensor [px]."""
+
+    @property
+    def height(self) -> int:
+        """Rows of the sensor [px]."""
+
+    @property
+    def window_us(self) -> int:
+        """Length of a window [us]; one force per window."""
+
+    @property
+    def gives_deviation(self) -> bool:
+        """Whether `step` returns a standard deviation."""
+
+    @property
+    def parameters(self) -> int:
+        """Number of trained parameters."""
+
+    @property
+    def operations(self) -> int:
+        """Floating-point operations per frame interval of 40 ms (2 per multiply-add)."""
+
+    @property
+    def reference(self) -> Reference | None:
+        """The no-contact reference; None if the architecture needs none."""
+
+    def encode(self, image: Image, mid_us: int) -> EncodedFrame | None:
+        """Return a frame as the estimator uses it; None while the reference is incomplete.
+
+        Args:
+            image: Intensity, [height, width]; uint8, or uint16 with the camera's bits left-aligned.
+            mid_us: Centre of the exposure, camera clock [us].
+
+        Raises:
+            ImageError: The image has another size.
+        """
+
+    def correct(self, frame: EncodedFrame, lag: int) -> None:
+        """Correct the estimate by a frame that has become available.
+
+        Args:
+            frame: From `encode`.
+            lag: Windows between the last estimate and the centre of the exposure.
+        """
+
+    def start_at(self, frame: EncodedFrame) -> None:
+        """Start over from a frame, possibly in contact."""
+
+    def step(self, events: Events, end_us: int) -> tuple[float, float | None]:
+        """Advance by one window and return the force and its standard deviation [N].
+
+        Called only after `correct` or `start_at` has been given a frame.
+
+        Args:
+            events: Events of the window, camera clock.
+            end_us: End of the window, camera clock [us].
+        """
+
+    def clear(self) -> None:
+        """Forget the recurrent state: no force, nothing remembered. The latest frame is kept."""
+
+
+def open_estimator(model: Model) -> Estimator:
+    """Return a new estimator of a model, by the architecture that its weight file names.
+
+    Raises:
+        ModelError: No package registers the architecture, or its version, configuration or tensors
+            do not fit.
+    """
+    found = entry_points(group=ESTIMATORS)
+    chosen = [each for each in found if each.name == model.architecture]
+    if not chosen:
+        known = ', '.join(sorted({each.name for each in found})) or 'none'
+        raise ModelError(
+            f'no estimator is installed for the architecture {model.architecture!r}'
+            f' (installed: {known})',
+            remedy='install the package that provides it (mixtac_learning for fger_paper), or use'
+            ' the model that comes with mixtac_fger',
+        )
+    try:
+        make = chosen[0].load()
+    except ImportError as error:
+        raise ModelError(
+            f'the estimator of {model.architecture!r} cannot be loaded ({error})',
+            remedy='install what it needs; fger_paper needs PyTorch',
+        ) from error
+    estimator: Estimator = make(model)
+    return estimator
 
 
 class Estimate(NamedTuple):
@@ -19,10 +155,10 @@ class Estimate(NamedTuple):
     Attributes:
         end_us: End of the window, camera clock [us].
         force: Normal force [N].
-        deviation: Standard deviation of it [N]; None of a model that gives none.
+        deviation: Its standard deviation [N]; None from a model that gives none.
         frame_age_us: From the centre of the latest frame's exposure to the end of the window [us].
         complete: All packets of the window arrived.
-        saturated: So many events that the sensor's readout is likely to have lost some.
+        saturated: Whether the sensor's readout has probably lost events because there were so many.
     """
 
     end_us: int
@@ -33,59 +169,68 @@ class Estimate(NamedTuple):
     saturated: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class EstimatorStatus:
-    """What the estimator says of itself.
+@dataclass(slots=True)
+class EstimatorCounters:
+    """What the live estimator counts, since it was made.
+
+    Attributes:
+        windows: Windows closed.
+        estimates: Forces given.
+        withheld: Windows without a force although there was an estimate: no packet covered them, or
+            the latest frame was too old.
+        incomplete: Forces of windows with missing packets.
+        saturated: Windows with so many events that the sensor has probably lost some.
+        frames: Frames applied.
+        frames_dropped: Frames replaced by a newer one before they were encoded or applied.
+        frames_off_clock: Frames not used because their exposure is not near the time of the events.
+        bad_frames: Frames of a size that the model does not read (background only).
+        gaps: Holes in the stream.
+        skipped_windows: Windows in holes so long that the estimate started over.
+        late_events: Events dropped because their window was closed.
+        resets: Times the clock went backwards or the state was not finite.
+    """
+
+    windows: int = 0
+    estimates: int = 0
+    withheld: int = 0
+    incomplete: int = 0
+    saturated: int = 0
+    frames: int = 0
+    frames_dropped: int = 0
+    frames_off_clock: int = 0
+    bad_frames: int = 0
+    gaps: int = 0
+    skipped_windows: int = 0
+    late_events: int = 0
+    resets: int = 0
+
+
+@dataclass(slots=True)
+class EstimatorStatus(EstimatorCounters):
+    """Counters of the live estimator and its present state.
 
     Attributes:
         ready: Whether windows give forces now.
         reason: Why not; empty when ready.
-        windows: Windows closed so far.
-        estimates: Forces given so far.
-        withheld: Windows without a force although there was an estimate: no packet told of them, or
-            the latest frame was too old.
-        incomplete: Forces of windows of which a part of the packets is missing.
-        saturated: Windows with so many events that the sensor is likely to have lost some.
-        frames: Frames applied so far.
-        frames_dropped: Frames replaced by a newer one before they were encoded or applied.
-        frames_off_clock: Frames not used as their exposure is not near the time of the events.
-        bad_frames: Frames of a size that the model does not read (background only).
-        gaps: Holes in the stream.
-        skipped_windows: Windows in holes so long that the estimate began anew.
-        late_events: Events dropped since their window was closed.
-        resets: Times the clock went backwards or the state was not finite.
         frame_age_us: Camera time since the centre of the latest frame's exposure, -1 without one.
         frame_force: Frames-only force of the latest frame [N].
-        deviation: Standard deviation of the latest force [N], -1 of a model that gives none.
+        deviation: Standard deviation of the latest force [N], -1 from a model that gives none.
     """
 
-    ready: bool
-    reason: str
-    windows: int
-    estimates: int
-    withheld: int
-    incomplete: int
-    saturated: int
-    frames: int
-    frames_dropped: int
-    frames_off_clock: int
-    bad_frames: int
-    gaps: int
-    skipped_windows: int
-    late_events: int
-    resets: int
-    frame_age_us: int
-    frame_force: float
-    deviation: float
+    ready: bool = False
+    reason: str = ''
+    frame_age_us: int = -1
+    frame_force: float = 0.0
+    deviation: float = -1.0
 
 
 SERIAL_KEY = 'sensor_serial'
-"""In `ModelCard.training` of a model that was adapted to one sensor: the camera's serial number."""
+"""Key in `ModelCard.training` of the camera's serial number, for a model adapted to one sensor."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraFacts:
-    """What a camera says of itself.
+    """What is known about the camera.
 
     Attributes:
         width: Columns of its frames [px]; 0 while unknown.
@@ -100,26 +245,26 @@ class CameraFacts:
     serial: str = ''
 
 
-def check_camera(model: LoadedModel, camera: CameraFacts) -> None:
-    """Refuse a camera that the model was not made for; what is unknown is not judged.
+def check_camera(estimator: Estimator, card: ModelCard, camera: CameraFacts) -> None:
+    """Refuse a camera that the model was not made for; unknown facts are not checked.
 
     Raises:
         ModelError: Size, region or serial number do not fit.
     """
-    config = model.config
-    wanted = (config.width, config.height)
+    wanted = (estimator.width, estimator.height)
     if camera.width and (camera.width, camera.height) != wanted:
         raise ModelError(
             f'the camera has {camera.width} x {camera.height} pixels, the model reads'
-            f' {wanted[0]} x {wanted[1]}: choose a model of this size'
+            f' {wanted[0]} x {wanted[1]}',
+            remedy='choose a model of this size',
         )
     if camera.cut:
         raise ModelError(
-            'the camera sends binned pixels or a region only: set it to full resolution'
+            'the camera sends binned pixels or a region only', remedy='set it to full resolution'
         )
-    serial = str(model.card.training.get(SERIAL_KEY, ''))
+    serial = str(card.training.get(SERIAL_KEY, ''))
     if serial and camera.serial and serial != camera.serial:
         raise ModelError(
-            f'the model was adapted to sensor {serial}, the camera is {camera.serial}: adapt one'
-            ' to it with "mixtac adapt", or choose a general model'
+            f'the model was adapted to sensor {serial}, the camera is {camera.serial}',
+            remedy='adapt one to this camera with "mixtac adapt", or choose a general model',
         )

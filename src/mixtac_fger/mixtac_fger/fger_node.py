@@ -7,42 +7,37 @@ from __future__ import annotations
 import gc
 import sys
 import time
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from event_camera_msgs.msg import EventPacket
-from geometry_msgs.msg import WrenchStamped
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from sensor_msgs.msg import CameraInfo, Image, TimeReference
 from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError, SerialisedPacket, read_packet
-from mixtac_fger.estimator import CameraFacts, check_camera
-from mixtac_fger.frames import load_reference, save_reference
-from mixtac_fger.live_feed import ForceMessage, LiveFeed, judge_feed
+from mixtac_fger.config import ModelError
+from mixtac_fger.estimator import CameraFacts, check_camera, open_estimator
+from mixtac_fger.live_feed import ForceMessage, LiveFeed, feed_diagnosis
 from mixtac_fger.parameters import FgerParameters
-from mixtac_fger.streaming import warm_up
-from mixtac_fger.weights import find_model, load_model
+from mixtac_fger.reference import TareError
+from mixtac_fger.streaming import ForceEstimator, warm_up
+from mixtac_fger.weights import find_model, read_model
 from mixtac_msgs.msg import ForceQuality
-from mixtac_node.base_node import (
-    QOS_EVENTS,
-    QOS_FORCE,
-    QOS_LATCHED,
-    QOS_SENSOR,
-    BaseNode,
-    declare,
-    run,
-)
+from mixtac_node import topics
+from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
+from mixtac_node.files import state_file
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 
 if TYPE_CHECKING:
+    from event_camera_msgs.msg import EventPacket
+    from lifecycle_msgs.srv import ChangeState
     from numpy.typing import NDArray
+    from sensor_msgs.msg import CameraInfo, Image, TimeReference
 
-    from mixtac_fger.estimator import Estimate
-    from mixtac_fger.weights import LoadedModel
+    from mixtac_fger.estimator import Estimate, Estimator
+    from mixtac_fger.weights import Model
 
 
 class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
@@ -55,7 +50,8 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__('fger')
         self._settings = declare(self, FgerParameters, self._change)
-        self._model: LoadedModel | None = None
+        self._model: Model | None = None
+        self._estimator: Estimator | None = None
         self._reference: NDArray[Any] | None = None
         self._feed: LiveFeed | None = None
         self._camera = CameraFacts()
@@ -66,47 +62,53 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._message = ForceMessage(self._settings.frame_id)
         self._diagnostics = DiagnosticsPublisher(self, self._settings.model, self._status)
         self.create_service(Trigger, '~/tare', self._tare)
-        self.create_subscription(TimeReference, 'camera_clock', self._on_clock, QOS_LATCHED)
+        self.subscribe_topic(topics.CAMERA_CLOCK, self._on_clock)
         self._info: object | None = None
         self._ask_camera()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load and check the model, compile what runs in real time."""
+        """Load and check the model and the reference, compile what runs in real time."""
         self._ask_camera()
+        settings = self._settings
         try:
-            model = load_model(find_model(self._settings.model))
-            check_camera(model, self._camera)
-            self._reference = self._stored_reference(model)
+            path = find_model(settings.model)
+            model = read_model(path)
+            estimator = open_estimator(model)
+            check_camera(estimator, model.card, self._camera)
+            self._reference = _stored_reference(settings, estimator)
         except MixtacError as error:
-            self.get_logger().error(str(error))
+            self.get_logger().error(f'{settings.model}: {error}')
             return TransitionCallbackReturn.FAILURE
-        warm_up(model)
-        self._model, self._misfit = model, ''
-        self._force = self.create_lifecycle_publisher(WrenchStamped, 'force', QOS_FORCE)
-        self._quality = self.create_lifecycle_publisher(ForceQuality, 'force_quality', QOS_FORCE)
-        self._diagnostics.hardware_id = self._settings.model
+        warm_up(open_estimator(model))
+        self._model, self._estimator, self._misfit = model, estimator, ''
+        self._force = self.publish_topic(topics.FORCE, managed=True)
+        self._quality = self.publish_topic(topics.FORCE_QUALITY, managed=True)
+        self._diagnostics.hardware_id = settings.model
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start estimating."""
         assert self._model is not None  # noqa: S101  (the state machine configures first)
         settings = self._settings
-        self._message = ForceMessage(settings.frame_id)
+        self._estimator = open_estimator(self._model)
+        if self._reference is not None and self._estimator.reference is not None:
+            self._estimator.reference.use(self._reference)
         self._feed = LiveFeed(
-            self._model,
-            settings.contact_threshold,
-            settings.force_scale,
-            longest_without_frame_us=round(settings.longest_without_frame * 1e6),
+            ForceEstimator(
+                self._estimator,
+                background_frames=True,
+                force_scale=settings.force_scale,
+                contact_threshold_n=settings.contact_threshold,
+                longest_without_frame_us=round(settings.longest_without_frame * 1e6),
+            ),
             deadline_s=settings.deadline,
         )
-        if self._reference is not None:
-            self._feed.estimator.use_reference(self._reference)
-        # What has been loaded stays: a search through all of it for garbage takes many windows.
+        # Freeze loaded objects: a full GC pass would stall several windows.
         gc.collect()
         gc.freeze()
         self._inputs = [
-            self.create_subscription(EventPacket, 'events', self._on_events, QOS_EVENTS, raw=True),
-            self.create_subscription(Image, 'image_raw', self._on_image, QOS_SENSOR),
+            self.subscribe_topic(topics.EVENTS, self._on_events, raw=True),
+            self.subscribe_topic(topics.IMAGE_RAW, self._on_image),
         ]
         return super().on_activate(state)
 
@@ -126,7 +128,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Go back to the unconfigured state after a defect, so that a new start is possible."""
+        """Return to the unconfigured state after a defect, to allow another start."""
         self._end()
         super().on_error(state)
         return TransitionCallbackReturn.SUCCESS
@@ -145,22 +147,52 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         for publisher in (self._force, self._quality):
             if publisher is not None:
                 self.destroy_publisher(publisher)
-        self._force = self._quality = self._model = None
+        self._force = self._quality = self._model = self._estimator = None
 
-    def _stored_reference(self, model: LoadedModel) -> NDArray[Any] | None:
-        path = Path(self._settings.reference).expanduser()
-        if not self._settings.reference or not path.exists():
-            return None
-        return load_reference(path, model.config)
+    def _LifecycleNodeMixin__on_change_state(  # noqa: N802 - rclpy's own name for it
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        """Refuse a transition that is not possible now; rclpy would end the process."""
+        handle = super()._LifecycleNodeMixin__on_change_state
+        try:
+            return handle(request, response)
+        except rclpy_implementation.RCLError as error:
+            wanted = request.transition.label or request.transition.id
+            text = ' '.join(str(error).split())
+            self.get_logger().error(f'transition {wanted} is not possible now ({text})')
+            response.success = False
+            return response
 
     def _change(self, wanted: FgerParameters) -> None:
+        """Apply new parameters, or refuse all of them.
+
+        Raises:
+            MixtacError: The model is in use or missing, or the reference cannot be used.
+        """
+        before = self._settings
+        if wanted.model != before.model:
+            if self._model is not None:
+                raise ModelError(
+                    f'model {wanted.model} cannot replace {before.model} in a configured node',
+                    remedy='clean up the node, set the model, configure it',
+                )
+            read_model(find_model(wanted.model))
+        if wanted.reference != before.reference:
+            state_file(wanted.reference or 'none')
+            if self._estimator is not None:
+                self._reference = _stored_reference(wanted, self._estimator)
+        if self._feed is not None:
+            estimator = self._feed.estimator
+            estimator.force_scale = wanted.force_scale
+            estimator.contact_threshold_n = wanted.contact_threshold
+            estimator.longest_without_frame_us = round(wanted.longest_without_frame * 1e6)
+            self._feed.deadline_s = wanted.deadline
+        self._message = ForceMessage(wanted.frame_id)
         self._settings = wanted
 
     def _ask_camera(self) -> None:
         if self._info is None:
-            self._info = self.create_subscription(
-                CameraInfo, 'camera_info', self._on_camera_info, QOS_SENSOR
-            )
+            self._info = self.subscribe_topic(topics.CAMERA_INFO, self._on_camera_info)
 
     def _on_camera_info(self, info: CameraInfo) -> None:
         whole = (0, 0, info.width, info.height), (0, 0, 0, 0)
@@ -176,10 +208,10 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if camera == self._camera:
             return
         self._camera = camera
-        if self._model is None:
+        if self._model is None or self._estimator is None:
             return
         try:
-            check_camera(self._model, camera)
+            check_camera(self._estimator, self._model.card, camera)
             self._misfit = ''
         except MixtacError as error:
             self._misfit = str(error)
@@ -201,7 +233,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         for estimate in estimates:
             self._force.publish(self._message.serialised(estimate.end_us, estimate.force))
         now_ns = time.time_ns()
-        # What follows is not waited for.
+        # Off the critical path from here on.
         arrival_ns = (
             packet.stamp_ns
             if isinstance(packet, SerialisedPacket)
@@ -229,23 +261,23 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
     def _tare(self, _request: Trigger.Request, reply: Trigger.Response) -> Trigger.Response:
         try:
             if self._feed is None:
-                raise MixtacError('the node is not active: activate it first')  # noqa: TRY301
+                raise TareError('the node is not active', remedy='activate it first')
             self._feed.estimator.tare()
             stored = self._store_reference(self._feed)
         except MixtacError as error:
             reply.success, reply.message = False, str(error)
         else:
-            reply.success, reply.message = True, 'the present state is zero now' + stored
+            reply.success, reply.message = True, 'the present force is zero now' + stored
         return reply
 
     def _store_reference(self, feed: LiveFeed) -> str:
         reference = feed.estimator.reference
-        if not self._settings.reference or reference is None or self._model is None:
+        if not self._settings.reference or reference is None:
             return ''
-        path = Path(self._settings.reference).expanduser()
-        save_reference(path, reference, self._model.config)
-        self._reference = reference
-        return f'; written to {path}'
+        path = state_file(self._settings.reference)
+        reference.save(path)
+        self._reference = reference.array
+        return f'; reference written to {path}'
 
     def _status(self) -> Status:
         if self._info is not None and self._camera.width:
@@ -257,11 +289,23 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if self._feed is None:
             return Status(OK, 'not active: no force is published')
         found = self._feed.status()
-        level, message = judge_feed(found, self._settings.stale_frame_age)
-        values = asdict(found)
-        del values['lately']
-        values['camera_checked'] = bool(self._camera.width)
-        return Status(level, message, values.pop('estimator') | values)
+        level, message = feed_diagnosis(found, self._settings.stale_frame_age)
+        values = found.values() | {'camera_checked': bool(self._camera.width)}
+        return Status(level, message, values)
+
+
+def _stored_reference(settings: FgerParameters, estimator: Estimator) -> NDArray[Any] | None:
+    """Give an estimator its stored reference, and return it; None where there is none.
+
+    Raises:
+        MixtacError: The name is not plain, or the file cannot be used.
+    """
+    if not settings.reference:
+        return None
+    path = state_file(settings.reference)
+    if estimator.reference is None or not path.exists():
+        return None
+    return estimator.reference.load(path)
 
 
 def main(args: list[str] | None = None) -> int:

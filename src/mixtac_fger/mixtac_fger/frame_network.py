@@ -14,15 +14,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from torch import nn
-
-from mixtac_fger.config import ModelError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_fger.config import FgerConfig
-    from mixtac_learning.network import FrameNetwork
+    from mixtac_fger.weights import Tensors
 
     F32 = NDArray[np.float32]
 
@@ -67,28 +64,26 @@ class FrameWeights(NamedTuple):
     head_bias: F32
 
 
-def frame_weights(network: FrameNetwork, config: FgerConfig) -> FrameWeights:
+def frame_weights(tensors: Tensors, config: FgerConfig) -> FrameWeights:
     """Return copies of the weights in the layout of the compiled step.
 
-    Raises:
-        ModelError: A convolution is not 3 x 3 with stride 2 and padding 1.
+    Args:
+        tensors: Of a weight file, with the shapes of `mixtac_fger.config.tensor_shapes`.
+        config: Network configuration.
     """
-    layers = [layer for layer in network.convolutions if isinstance(layer, nn.Conv2d)]
-    for layer in layers:
-        shape = (layer.kernel_size, layer.stride, layer.padding)
-        if shape != ((3, 3), (2, 2), (1, 1)):
-            raise ModelError(f'convolution {shape}: only 3 x 3, stride 2, padding 1 runs live')
+    layers = [f'frame.convolutions.{2 * index}' for index in range(len(config.frame_widths))]
     rows, columns = map_shapes(config)[-1][:2]
-    project = _array(network.project.weight).reshape(config.frame_size, -1, rows, columns)
+    project = copied(tensors['frame.project.weight'])
+    project = project.reshape(config.frame_size, -1, rows, columns)
     return FrameWeights(
-        mean=_array(network.mean).ravel(),
-        scale=_array(network.scale).ravel(),
-        kernels=tuple(_kernel(_array(layer.weight)) for layer in layers),
-        biases=tuple(_array(layer.bias) for layer in layers),
-        project=np.ascontiguousarray(project.transpose(2, 3, 1, 0)),
-        project_bias=_array(network.project.bias),
-        head=_array(network.head.weight).ravel(),
-        head_bias=_array(network.head.bias),
+        mean=copied(tensors['frame.mean']).ravel(),
+        scale=copied(tensors['frame.scale']).ravel(),
+        kernels=tuple(_kernel(tensors[f'{layer}.weight']) for layer in layers),
+        biases=tuple(copied(tensors[f'{layer}.bias']) for layer in layers),
+        project=copied(project.transpose(2, 3, 1, 0)),
+        project_bias=copied(tensors['frame.project.bias']),
+        head=copied(tensors['frame.head.weight']).ravel(),
+        head_bias=copied(tensors['frame.head.bias']),
     )
 
 
@@ -125,14 +120,15 @@ def row_scratch(config: FgerConfig) -> tuple[RowScratch, ...]:
     )
 
 
-def _array(tensor: Any) -> F32:  # noqa: ANN401
-    return np.array(tensor.detach().numpy(), np.float32, order='C')
+def copied(tensor: NDArray[np.generic]) -> F32:
+    """Return a C-ordered float32 copy."""
+    return np.array(tensor, np.float32, order='C')
 
 
-def _kernel(weight: F32) -> F32:
+def _kernel(weight: NDArray[np.generic]) -> F32:
     """Return [outputs, inputs, 3, 3] as [9 inputs, outputs]."""
     outputs = weight.shape[0]
-    return np.ascontiguousarray(weight.transpose(2, 3, 1, 0).reshape(-1, outputs))
+    return copied(weight.transpose(2, 3, 1, 0).reshape(-1, outputs))
 
 
 @njit(cache=True, nogil=True, fastmath={'contract'})

@@ -1,22 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Between ROS messages and the estimator: decoding, counting losses, timing, diagnostics.
-
-Works on the fields of messages and needs no ROS.
-"""
+"""From ROS messages to the estimator: decoding, counting losses, timing, diagnostics."""
 
 from __future__ import annotations
 
 import struct
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 from mixtac_events.codec import PacketMessage, decode_message
 from mixtac_events.packets import CDR_LITTLE_ENDIAN, CodecError
+from mixtac_events.sequence import SequenceCounter
 from mixtac_fger.features import ImageError
-from mixtac_fger.streaming import NO_LIMIT_US, ForceEstimator
-from mixtac_node.diagnostics import RateMeter, RecentValues
+from mixtac_node.diagnostics import OK, WARN, RateMeter, RecentValues
 from mixtac_node.images import ImageConversionError, grey
 
 if TYPE_CHECKING:
@@ -24,7 +21,7 @@ if TYPE_CHECKING:
 
     from mixtac_events.packets import DecodedPacket
     from mixtac_fger.estimator import Estimate, EstimatorStatus
-    from mixtac_fger.weights import LoadedModel
+    from mixtac_fger.streaming import ForceEstimator
 
 
 _START: Final = 4
@@ -65,10 +62,10 @@ class ForceMessage:
 
 
 COMPARABLE_NS = 10_000_000_000
-"""Ages beyond this, or below zero, are those of replayed stamps or of another host's clock."""
+"""Ages beyond this, or below zero, come from replayed stamps or another host's clock [ns]."""
 WATCHED = {
     'lost_packets': 'event packets lost',
-    'repeated_packets': 'event packets came twice: is there a second publisher?',
+    'repeated_packets': 'event packets received twice (is there a second publisher?)',
     'publisher_restarts': 'restarts of the publisher',
     'bad_messages': 'messages refused',
     'resets': 'restarts of the clock or the state',
@@ -76,10 +73,11 @@ WATCHED = {
     'withheld': 'windows without force',
     'saturated': 'windows saturated',
     'late': 'forces late',
-    'frames_off_clock': 'frames not of the time of the events',
-    'frames_dropped': 'frames left out',
+    'slow_windows': 'windows that took longer to compute than they last',
+    'frames_off_clock': 'frames whose time does not match the events',
+    'frames_dropped': 'frames dropped',
 }
-"""Counters that are a warning when they rise, and what each counts."""
+"""Counters whose rise is a warning, and what each counts."""
 
 
 class NumberedPacket(PacketMessage, Protocol):
@@ -101,23 +99,24 @@ class ImageMessage(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FeedStatus:
-    """The estimator's status and the losses before it.
+    """Status of the estimator, and losses and times on the way to it.
 
     Attributes:
-        estimator: Of the estimator.
+        estimator: Status of the estimator.
         rate_hz: Forces per second since the previous status.
-        step_p50_ms: Median time of a window, packet decoding included.
+        step_p50_ms: Median computing time of a window, including decoding.
         step_p99_ms: 99th percentile of it.
-        age_p50_ms: Median of the time from the arrival of a packet's first events at the host to
-            the publication of the forces that it completes, NaN where clocks do not compare.
+        age_p50_ms: Median time from the arrival of a packet at the host to the publication of the
+            forces it completes; NaN if the clocks cannot be compared.
         age_p99_ms: 99th percentile of it.
         late: Forces published later than the deadline after that arrival.
+        slow_windows: Windows that took longer to compute than they last.
         lost_packets: Event packets missing by their sequence numbers.
-        repeated_packets: Packets left out as they came twice.
+        repeated_packets: Packets ignored because they came twice.
         publisher_restarts: Times the sequence numbers went back.
         bad_messages: Packets and images that could not be read.
-        problem: The latest reason for one since the previous status, empty if there was none.
-        lately: What rose since the previous status, by name, of `WATCHED`.
+        problem: Reason for the latest one since the previous status, empty if there was none.
+        lately: Counters that rose since the previous status, a part of `WATCHED`.
     """
 
     estimator: EstimatorStatus
@@ -127,6 +126,7 @@ class FeedStatus:
     age_p50_ms: float
     age_p99_ms: float
     late: int
+    slow_windows: int
     lost_packets: int
     repeated_packets: int
     publisher_restarts: int
@@ -134,38 +134,32 @@ class FeedStatus:
     problem: str
     lately: dict[str, int]
 
+    def values(self) -> dict[str, object]:
+        """Return everything by name, for /diagnostics."""
+        own = asdict(self)
+        del own['lately']
+        estimator: dict[str, object] = own.pop('estimator')
+        return estimator | own
+
 
 class LiveFeed:
-    """Feeds an estimator with the contents of messages; never raises on bad ones.
+    """Feeds an estimator with the contents of messages; bad messages are counted, never raised.
 
     Args:
-        model: Network with its weights.
-        contact_threshold_n: See `ForceEstimator`.
-        force_scale: See `ForceEstimator`.
-        longest_without_frame_us: See `ForceEstimator`.
-        deadline_s: Forces published later than this after the arrival of their packet are late [s].
+        estimator: With `background_frames`.
+        deadline_s: See below.
+
+    Attributes:
+        estimator: As given.
+        deadline_s: Forces published later than this after the arrival of their packet are late [s];
+            may be changed at any time.
     """
 
-    def __init__(
-        self,
-        model: LoadedModel,
-        contact_threshold_n: float,
-        force_scale: float = 1.0,
-        *,
-        longest_without_frame_us: int = NO_LIMIT_US,
-        deadline_s: float = 0.003,
-    ) -> None:
-        self.estimator = ForceEstimator(
-            model,
-            background_frames=True,
-            force_scale=force_scale,
-            contact_threshold_n=contact_threshold_n,
-            longest_without_frame_us=longest_without_frame_us,
-        )
-        self._size = (model.config.width, model.config.height)
-        self._deadline_ns = round(deadline_s * 1e9)
-        self._sequence: int | None = None
-        self._lost = self._repeated = self._restarts = self._late = self._bad_messages = 0
+    def __init__(self, estimator: ForceEstimator, *, deadline_s: float = 0.003) -> None:
+        self.estimator = estimator
+        self.deadline_s = deadline_s
+        self._sequence = SequenceCounter()
+        self._late = self._slow = self._bad_messages = 0
         self._missing = False
         self._before = dict.fromkeys(WATCHED, 0)
         self._problem = ''
@@ -175,8 +169,11 @@ class LiveFeed:
     def packet(self, message: NumberedPacket) -> list[Estimate]:
         """Take an event packet and return the forces of the windows that it closes."""
         started = time.perf_counter()
-        if not self._follow(message.seq):
+        repeated = self._sequence.repeated
+        self._sequence.update(message.seq)
+        if self._sequence.repeated > repeated:
             return []
+        self._missing |= not self._sequence.continuous
         try:
             packet = self._decoded(message)
         except (CodecError, ImageError) as error:
@@ -187,8 +184,11 @@ class LiveFeed:
             packet.events, packet.complete_until, lost_before=missing
         )
         if forces:
-            self._durations.add((time.perf_counter() - started) * 1e3 / len(forces))
+            step_ms = (time.perf_counter() - started) * 1e3 / len(forces)
+            self._durations.add(step_ms)
             self._rate.add(len(forces))
+            if step_ms * 1e3 > self.estimator.window_us:
+                self._slow += len(forces)
         return forces
 
     def refuse(self, problem: str) -> None:
@@ -202,7 +202,7 @@ class LiveFeed:
         self._missing = True
 
     def published(self, count: int, arrival_ns: int, now_ns: int) -> None:
-        """Take note that forces have been published.
+        """Record that forces have been published.
 
         Args:
             count: How many.
@@ -212,14 +212,14 @@ class LiveFeed:
         age_ns = now_ns - arrival_ns
         if 0 <= age_ns < COMPARABLE_NS:
             self._ages.add(age_ns / 1e6)
-            if age_ns > self._deadline_ns:
+            if age_ns > 1e9 * self.deadline_s:
                 self._late += count
 
     def image(self, message: ImageMessage, mid_us: int) -> None:
         """Take an image; colours become grey.
 
         Args:
-            message: A `sensor_msgs/Image`; its data are not to be changed afterwards.
+            message: A `sensor_msgs/Image`; its data must not be changed afterwards.
             mid_us: Centre of the exposure, camera clock [us].
         """
         try:
@@ -229,7 +229,7 @@ class LiveFeed:
             self._bad_messages += 1
 
     def status(self) -> FeedStatus:
-        """Return the figures; the rate is that since the previous call."""
+        """Return the figures; rate and `lately` cover the time since the previous call."""
         estimator = self.estimator.status()
         problem, self._problem = self._problem, ''
         found = FeedStatus(
@@ -240,9 +240,10 @@ class LiveFeed:
             age_p50_ms=self._ages.quantile(0.5),
             age_p99_ms=self._ages.quantile(0.99),
             late=self._late,
-            lost_packets=self._lost,
-            repeated_packets=self._repeated,
-            publisher_restarts=self._restarts,
+            slow_windows=self._slow,
+            lost_packets=self._sequence.lost,
+            repeated_packets=self._sequence.repeated,
+            publisher_restarts=self._sequence.restarts,
             bad_messages=self._bad_messages,
             problem=problem,
             lately={},
@@ -254,24 +255,13 @@ class LiveFeed:
         self.estimator.close()
 
     def _decoded(self, message: NumberedPacket) -> DecodedPacket:
-        if (message.width, message.height) != self._size:
-            size = (message.width, message.height)
-            raise ImageError(f'events of a {size} sensor: the model reads {self._size}')
+        size, wanted = (message.width, message.height), self.estimator.size
+        if size != wanted:
+            raise ImageError(
+                f'events of a sensor of {size[0]} x {size[1]} pixels; the model reads'
+                f' {wanted[0]} x {wanted[1]}'
+            )
         return decode_message(message)
-
-    def _follow(self, sequence: int) -> bool:
-        """Take a sequence number, count what is missing; False if the packet has been there."""
-        before, self._sequence = self._sequence, sequence
-        step = 1 if before is None else sequence - before
-        if step == 0:
-            self._repeated += 1
-            return False
-        if step < 0:
-            self._restarts += 1
-        else:
-            self._lost += step - 1
-        self._missing |= step != 1
-        return True
 
     def _risen(self, found: FeedStatus) -> dict[str, int]:
         now = {
@@ -282,17 +272,12 @@ class LiveFeed:
         return {name: rise for name in WATCHED if (rise := now[name] - before[name]) > 0}
 
 
-OK: Final = 0
-WARN: Final = 1
-"""Levels of `diagnostic_msgs/DiagnosticStatus`."""
-
-
-def judge_feed(found: FeedStatus, stale_s: float) -> tuple[int, str]:
-    """Return the level and the message that a status deserves.
+def feed_diagnosis(found: FeedStatus, stale_s: float) -> tuple[int, str]:
+    """Return the level and the message of a status on /diagnostics.
 
     Args:
-        found: Figures of the active estimator.
-        stale_s: Age from which frames are too old [s].
+        found: Status of the active estimator.
+        stale_s: Frames older than this are too old [s].
     """
     parts = []
     if found.estimator.reason:

@@ -12,54 +12,59 @@ from mixtac_node.parameters import parameter
 
 @dataclass(frozen=True)
 class FgerParameters:
-    """What the node can be told; changes apply at the next configure."""
+    """Parameters of the node; changes take effect at once unless a description excludes it."""
 
     model: str = parameter(
         DEFAULT_MODEL,
         'Network weights: the path of a .safetensors file, or the name of a model that comes with'
-        ' mixtac_fger.',
+        ' mixtac_fger. Any architecture with an installed estimator. Fixed while the node is'
+        ' configured: clean it up to change the model.',
     )
     frame_id: str = parameter(
-        'mixtac_contact', 'Frame of the published force: z points from the contact into the gel.'
+        'mixtac_contact',
+        'Frame of the published force; z points from the contact into the gel.',
     )
     force_scale: float = parameter(
         1.0,
-        'True force over estimated force of this very sensor, from its calibration: gels differ in'
-        ' stiffness, which no image shows.',
+        'Factor of the published force: true force over estimated force, from the calibration of'
+        ' this sensor. Gels differ in stiffness, which no image shows.',
         minimum=0.1,
         maximum=10.0,
     )
     reference: str = parameter(
         '',
-        'File of the no-contact reference of this sensor (.npz). ~/tare writes it; where it exists,'
-        ' estimating may begin in contact. Empty: the first still frames are the reference, so that'
-        ' the sensor has to be untouched when the node is activated.',
+        'Name of the file of the no-contact reference of this sensor, such as left_finger.npz, in'
+        ' the state folder ($MIXTAC_HOME, by default ~/.local/state/mixtac). ~/tare writes it. If'
+        ' it exists, the sensor may be in contact at the start. If empty, the first still frames'
+        ' are the reference, so the sensor must be untouched when the node is activated.',
     )
     contact_threshold: float = parameter(
         0.15,
-        'Forces above this count as contact, in which ~/tare refuses.',
+        'Forces above this count as contact; ~/tare is refused during contact.',
         unit='N',
         minimum=0.01,
         maximum=10.0,
     )
     stale_frame_age: float = parameter(
         0.5,
-        'Frames older than this make the diagnostics warn: without them the force drifts.',
+        'Age of the latest frame above which the diagnostics warn. Without frames the force'
+        ' drifts.',
         unit='s',
         minimum=0.05,
         maximum=60.0,
     )
     longest_without_frame: float = parameter(
         2.0,
-        'Frames older than this end the output: no force is published until the next frame.',
+        'Age of the latest frame above which no force is published until the next frame.',
         unit='s',
         minimum=0.05,
         maximum=3600.0,
     )
     deadline: float = parameter(
         0.003,
-        'Forces published later than this after the first events of the packet that completes their'
-        ' window arrived at the host count as late on /diagnostics; a packet spans 1 ms.',
+        'Longest time from the arrival of the packet that completes a window (its first events, at'
+        ' the host) to the publication of its force; later forces count as late on /diagnostics.'
+        ' A packet spans 1 ms.',
         unit='s',
         minimum=0.0005,
         maximum=1.0,

@@ -8,17 +8,19 @@ the reference that this is tested against.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from mixtac_fger.config import CELL_FEATURES, HIGHEST_LOG_DEVIATION, LOWEST_LOG_DEVIATION
+from mixtac_fger.frame_network import copied
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_learning.network import DeviationHead, FgerNetwork
+    from mixtac_fger.config import FgerConfig
+    from mixtac_fger.weights import Tensors
 
     F32 = NDArray[np.float32]
 
@@ -74,37 +76,33 @@ class StepState(NamedTuple):
     increment_hidden: F32
 
 
-def step_weights(network: FgerNetwork) -> StepWeights:
+def step_weights(tensors: Tensors) -> StepWeights:
     """Return copies of the recurrent path's weights in the layout of the compiled step."""
-    event = network.event
-    increment = cast('Any', network.increment)
     return StepWeights(
-        event_scale=_array(event.scale),
-        event_hidden=_array(event.hidden.weight.T),
-        event_hidden_bias=_array(event.hidden.bias),
-        event_output=_array(event.output.weight.T),
-        event_output_bias=_array(event.output.bias),
-        gates_event=_array(network.gates_event.weight.T),
-        gates_bias=_array(network.gates_event.bias),
-        gates_force=_array(network.gates_force.weight[:, 0]),
-        gates_hidden=_array(network.gates_hidden.weight.T),
-        increment_hidden=_array(increment[0].weight.T),
-        increment_hidden_bias=_array(increment[0].bias),
-        increment_output=_array(increment[2].weight[0]),
-        increment_output_bias=_array(increment[2].bias),
+        event_scale=copied(tensors['event.scale']),
+        event_hidden=copied(tensors['event.hidden.weight'].T),
+        event_hidden_bias=copied(tensors['event.hidden.bias']),
+        event_output=copied(tensors['event.output.weight'].T),
+        event_output_bias=copied(tensors['event.output.bias']),
+        gates_event=copied(tensors['gates_event.weight'].T),
+        gates_bias=copied(tensors['gates_event.bias']),
+        gates_force=copied(tensors['gates_force.weight'][:, 0]),
+        gates_hidden=copied(tensors['gates_hidden.weight'].T),
+        increment_hidden=copied(tensors['increment.0.weight'].T),
+        increment_hidden_bias=copied(tensors['increment.0.bias']),
+        increment_output=copied(tensors['increment.2.weight'][0]),
+        increment_output_bias=copied(tensors['increment.2.bias']),
     )
 
 
-def correction_weights(network: FgerNetwork) -> CorrectionWeights:
+def correction_weights(tensors: Tensors) -> CorrectionWeights:
     """Return copies of MLP_corr's weights in the layout of the compiled step."""
-    hidden, _, output = cast('Any', network.correction)
     return CorrectionWeights(
-        _array(hidden.weight.T), _array(hidden.bias), _array(output.weight[0]), _array(output.bias)
+        copied(tensors['correction.0.weight'].T),
+        copied(tensors['correction.0.bias']),
+        copied(tensors['correction.2.weight'][0]),
+        copied(tensors['correction.2.bias']),
     )
-
-
-def _array(tensor: Any) -> F32:  # noqa: ANN401
-    return np.array(tensor.detach().numpy(), np.float32, order='C')
 
 
 def step_state(weights: StepWeights) -> StepState:
@@ -218,15 +216,16 @@ class DeviationWeights(NamedTuple):
     middle: F32
 
 
-def deviation_weights(head: DeviationHead) -> DeviationWeights:
+def deviation_weights(tensors: Tensors) -> DeviationWeights:
     """Return copies of the head's weights in the layout of the compiled step."""
+    bias = copied(tensors['deviation.hidden.bias'])
     return DeviationWeights(
-        _array(head.hidden.weight.T),
-        _array(head.hidden.bias),
-        _array(head.output.weight[0]),
-        _array(head.output.bias),
-        _array(head.scale),
-        np.zeros(head.hidden.out_features, np.float32),
+        copied(tensors['deviation.hidden.weight'].T),
+        bias,
+        copied(tensors['deviation.output.weight'][0]),
+        copied(tensors['deviation.output.bias']),
+        copied(tensors['deviation.scale']),
+        np.zeros_like(bias),
     )
 
 
@@ -263,18 +262,18 @@ class RecurrentPath:
     """State of the recurrent path: LSTM, force estimate and the estimates of the recent past.
 
     Args:
-        network: Weights are copied out of it.
+        config: Network configuration.
+        tensors: Of its weight file; copied.
     """
 
-    def __init__(self, network: FgerNetwork) -> None:
-        self._config = config = network.config
+    def __init__(self, config: FgerConfig, tensors: Tensors) -> None:
+        self._config = config
         self._event_shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
-        self._weights = step_weights(network)
-        self._correction = correction_weights(network)
-        head = network.deviation
-        self._deviation = None if head is None else deviation_weights(head)
+        self._weights = step_weights(tensors)
+        self._correction = correction_weights(tensors)
+        self._deviation = deviation_weights(tensors) if config.deviation_size else None
         self._state = step_state(self._weights)
-        self._history = np.zeros(network.config.history_windows, np.float32)
+        self._history = np.zeros(config.history_windows, np.float32)
         self._newest = 0
 
     @property

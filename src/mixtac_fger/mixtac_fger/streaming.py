@@ -4,13 +4,13 @@
 
 All times are on the camera clock [us].
 
-* No reference or no frame yet: no output; `EstimatorStatus.reason` says which.
-* A frame arrives late, as all do: the estimate at the centre of its exposure is corrected and the
-  correction carried forward. A frame that arrives before its events waits for them; a frame whose
-  exposure is not near the time of the events is not used.
+* No reference or no frame yet: no output; `EstimatorStatus.reason` names what is missing.
+* A frame arrives late, as every frame does: the estimate at the centre of its exposure is corrected
+  and the correction carried forward. A frame that arrives before its events waits for them; a frame
+  whose exposure is not near the time of the events is not used.
 * No frames: the force continues on events alone, up to `longest_without_frame_us`; then there is no
   output until the next frame.
-* Packets are missing: windows with no data produce no force, windows with incomplete data are
+* Packets are missing: windows without data produce no force, windows with incomplete data are
   marked. The state is kept, because a contact does not end with a lost packet; after a hole longer
   than `LONG_HOLE_US`, output resumes with the first frame exposed after it.
 * The camera clock goes backwards: the recurrent state is reset and counted; the reference is kept,
@@ -20,9 +20,13 @@ All times are on the camera clock [us].
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import queue
+import threading
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import asdict
 from enum import Enum
 from typing import TYPE_CHECKING, Final
 
@@ -31,57 +35,38 @@ import numpy as np
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode, encode
 from mixtac_events.windows import WindowSlicer
-from mixtac_fger.estimator import Estimate, EstimatorStatus
-from mixtac_fger.features import WindowFeatures, correction_lag
-from mixtac_fger.frames import FrameEncoder, FrameWorker, TareError
-from mixtac_fger.recurrent_network import RecurrentPath
+from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus
+from mixtac_fger.features import ImageError, correction_lag
+from mixtac_fger.reference import Reference, TareError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_fger.frames import EncodedFrame
-    from mixtac_fger.weights import LoadedModel
-
-
-@dataclass(slots=True)
-class EstimatorCounts:
-    """What the estimator counts; see `EstimatorStatus`."""
-
-    windows: int = 0
-    estimates: int = 0
-    withheld: int = 0
-    incomplete: int = 0
-    saturated: int = 0
-    frames: int = 0
-    frames_dropped: int = 0
-    frames_off_clock: int = 0
-    resets: int = 0
+    from mixtac_fger.estimator import EncodedFrame, Estimator, Image
 
 
 BACKWARD_US: Final = 20_000
-"""A step back beyond this is a restarted clock: packets of one camera come in order."""
+"""A larger step back is a restarted clock, because packets of one camera come in order [us]."""
 LONG_HOLE_US: Final = 100_000
-"""A hole beyond this makes the estimate start from the next frame; shorter ones it gets over."""
+"""After a longer hole the estimate starts from the next frame [us]."""
 JUMP_US: Final = 1_000_000
-"""A step forward beyond this is a hole also without lost packets: no camera is silent so long."""
+"""A larger step forward is a hole even if no packet was lost: no camera is silent so long [us]."""
 
 
 class Arrival(Enum):
-    """How a packet follows the one before."""
+    """How a packet relates to the one before."""
 
-    GOES_ON = 'goes on'
+    CONTINUES = 'continues'
     AFTER_HOLE = 'after a hole'
     STARTS = 'starts a stream, or follows a long hole or a restart of the clock'
 
 
 class StreamTime:
-    """Follows the time of a stream and remembers the stretch that no packet told of.
+    """Follows the time of a stream and remembers the latest stretch that no packet covered.
 
     Attributes:
         newest_us: Time up to which the stream is known, camera clock [us]; None before the first.
-        gaps: Holes, the long ones included.
+        gaps: Holes of any length.
         restarts: Times the clock went back.
-        skipped_us: Camera time in holes that began the estimate anew [us].
+        skipped_us: Camera time in holes after which the estimate started over [us].
     """
 
     def __init__(self) -> None:
@@ -92,7 +77,7 @@ class StreamTime:
         self._hole_us = (0, 0)
 
     def push(self, first_us: int, complete_until_us: int, *, lost_before: bool) -> Arrival:
-        """Take the times of a packet and say how it follows.
+        """Take the times of a packet and return how it relates to the one before.
 
         Args:
             first_us: Its first event, or `complete_until_us` without one.
@@ -108,7 +93,7 @@ class StreamTime:
         self.newest_us = max(newest, complete_until_us)
         step = first_us - newest
         if step <= 0 or not (lost_before or step > JUMP_US):
-            return Arrival.GOES_ON
+            return Arrival.CONTINUES
         self.gaps += 1
         if step > LONG_HOLE_US:
             self.skipped_us += step
@@ -117,86 +102,194 @@ class StreamTime:
         return Arrival.AFTER_HOLE
 
     def covered(self, end_us: int, width_us: int) -> tuple[bool, bool]:
-        """Return whether packets told of anything, and of everything, in a window.
+        """Return whether packets covered any part of a window, and whether they covered all of it.
 
         Args:
             end_us: End of the window.
-            width_us: Width of it.
+            width_us: Its length.
         """
         begin, end = self._hole_us
         missing = min(end_us, end) - max(end_us - width_us, begin)
         return missing < width_us, missing <= 0
 
-    def forget(self) -> None:
-        """Have the next packet start a stream."""
-        self.newest_us = None
-
     def _start(self, first_us: int, complete_until_us: int) -> Arrival:
         self.newest_us = complete_until_us
-        # Of what was before the first event nothing is known.
+        # Nothing is known about the time before the first event.
         self._hole_us = (first_us - JUMP_US, first_us)
         return Arrival.STARTS
 
 
+UNFETCHED_FRAMES = 4
+"""Encoded frames that wait to be fetched; beyond that the oldest are dropped."""
+NICENESS = 5
+"""Niceness of the frame thread, so that the 500 Hz step wins on a busy CPU."""
+
+
+class FrameWorker:
+    """Encodes the latest frame in the background; at most one waits, newer ones replace it.
+
+    Attributes:
+        refused: Frames of a size that the model does not read.
+        problem: Why the latest of these was refused.
+
+    Args:
+        estimator: Its `encode` is called in the thread.
+    """
+
+    def __init__(self, estimator: Estimator) -> None:
+        self._estimator = estimator
+        self._inbox: queue.Queue[tuple[Image, int] | None] = queue.Queue()
+        self._outbox: deque[EncodedFrame] = deque()
+        self._thread = threading.Thread(target=self._run, name='fger_frames', daemon=True)
+        self._replaced = self._unfetched = 0
+        self.refused = 0
+        self.problem = ''
+        self._closed = False
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread runs, or was ended on purpose."""
+        return self._closed or self._thread.is_alive()
+
+    @property
+    def dropped(self) -> int:
+        """Frames replaced by a newer one before they were encoded or fetched."""
+        return self._replaced + self._unfetched
+
+    def push(self, image: Image, mid_us: int) -> None:
+        """Take a frame; the caller must not change `image` afterwards."""
+        with contextlib.suppress(queue.Empty):
+            while self._inbox.get_nowait() is not None:
+                self._inbox.task_done()
+                self._replaced += 1
+        self._inbox.put((image, mid_us))
+
+    def results(self) -> list[EncodedFrame]:
+        """Return the frames encoded since the last call, oldest first."""
+        found = []
+        with contextlib.suppress(IndexError):
+            while True:
+                found.append(self._outbox.popleft())
+        return found
+
+    def wait(self) -> None:
+        """Wait until every frame pushed so far is encoded or the thread has ended."""
+        while self._inbox.unfinished_tasks and self._thread.is_alive():
+            self._thread.join(timeout=0.001)
+
+    def close(self) -> None:
+        """End the thread."""
+        self._closed = True
+        self._inbox.put(None)
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
+        while (job := self._inbox.get()) is not None:
+            try:
+                encoded = self._estimator.encode(*job)
+            except ImageError as error:
+                self.refused += 1
+                self.problem = str(error)
+            else:
+                if encoded is not None:
+                    self._hand_out(encoded)
+            self._inbox.task_done()
+
+    def _hand_out(self, frame: EncodedFrame) -> None:
+        with contextlib.suppress(IndexError):
+            while len(self._outbox) >= UNFETCHED_FRAMES:
+                self._outbox.popleft()
+                self._unfetched += 1
+        self._outbox.append(frame)
+
+
 TARE_WINDOWS = 100
-"""Estimates that must all be near zero before a tare is allowed."""
+"""Number of latest estimates that must be near zero before a tare is allowed."""
 WAITING_FRAMES = 4
-"""Encoded frames that wait for the next window; of more the oldest are dropped."""
+"""Encoded frames that wait for the next window; beyond that the oldest are dropped."""
 SATURATION_PER_US = 10
-"""Events per microsecond beyond which the sensor's readout loses some: 10 million per second."""
+"""Event rate beyond which the sensor's readout loses some [1/us]: 10 million per second."""
 FRAME_AHEAD_US = 100_000
-"""Frames exposed later than the events by more than this are on another clock."""
+"""Frames exposed later than the events by more than this are on another clock [us]."""
 FRAME_BEHIND_US = 1_000_000
-"""Frames exposed earlier than the events by more than this are on another clock, or too old."""
+"""Frames exposed earlier than the events by more than this are too old or on another clock [us]."""
 NO_LIMIT_US = 2**62
 
 
 class ForceEstimator:
-    """Estimates the normal force live, with memory that does not grow.
+    """Follows a live stream and gives a force per window, with memory that does not grow.
 
-    `push_events`, `tare` and `reset` belong to one thread; `push_frame` may be called from another
-    when `background_frames` is set.
+    `push_events`, `tare`, `drain` and `reset` belong to one thread; `push_frame` may be called from
+    another if `background_frames` is set.
 
     Args:
-        model: Network with its weights.
-        background_frames: Run the frame network in a thread; else `push_frame` does the work.
-        force_scale: Multiplies the estimates; from the sensor's calibration.
+        estimator: Architecture with weights and state, not shared with others.
+        background_frames: Encode frames in a thread; otherwise `push_frame` does it.
+        force_scale: See below.
+        contact_threshold_n: See below.
+        longest_without_frame_us: See below.
+
+    Attributes:
+        force_scale: Factor of the estimates, from the calibration of the sensor; may be changed at
+            any time, as the next two.
         contact_threshold_n: Estimates above this count as contact, in which `tare` refuses [N].
         longest_without_frame_us: Age of the latest frame beyond which no force is given [us].
     """
 
     def __init__(
         self,
-        model: LoadedModel,
+        estimator: Estimator,
         *,
         background_frames: bool = False,
         force_scale: float = 1.0,
         contact_threshold_n: float = 0.15,
         longest_without_frame_us: int = NO_LIMIT_US,
     ) -> None:
-        self._config = model.config
-        self._longest_us = longest_without_frame_us
-        self._saturation = SATURATION_PER_US * model.config.window_us
-        self._scale = force_scale
-        self._threshold = contact_threshold_n
-        self._encoder = FrameEncoder(model.network)
-        self._worker = FrameWorker(self._encoder) if background_frames else None
-        self._path = RecurrentPath(model.network)
-        self._window_features = WindowFeatures(model.config)
-        self._features = np.zeros(self._window_features.shape, np.float32)
-        self._slicer = WindowSlicer(model.config.window_us)
+        self.force_scale = force_scale
+        self.contact_threshold_n = contact_threshold_n
+        self.longest_without_frame_us = longest_without_frame_us
+        self._estimator = estimator
+        self._width_us = estimator.window_us
+        self._saturation = SATURATION_PER_US * estimator.window_us
+        self._worker = FrameWorker(estimator) if background_frames else None
+        self._slicer = WindowSlicer(estimator.window_us)
         self._time = StreamTime()
         self._encoded: deque[EncodedFrame] = deque()
         self._frame: EncodedFrame | None = None
         self._recent: deque[float] = deque(maxlen=TARE_WINDOWS)
+        self._deviation: float | None = None
         self._since_us = -NO_LIMIT_US
-        self._count = EstimatorCounts()
+        self._count = EstimatorCounters()
 
-    def push_frame(self, image: NDArray[np.uint16] | NDArray[np.uint8], mid_us: int) -> None:
-        """Hand over a frame as it arrives.
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows of the sensor [px]."""
+        return self._estimator.width, self._estimator.height
+
+    @property
+    def window_us(self) -> int:
+        """Length of a window [us]."""
+        return self._width_us
+
+    @property
+    def reference(self) -> Reference | None:
+        """The no-contact reference; None if the architecture needs none."""
+        return self._estimator.reference
+
+    @property
+    def frame_force(self) -> float:
+        """Frames-only force of the latest frame [N]; 0 without one."""
+        return 0.0 if self._frame is None else self.force_scale * self._frame.force
+
+    def push_frame(self, image: Image, mid_us: int) -> None:
+        """Take a frame as it arrives.
 
         Args:
-            image: Intensity, [height, width], any number of bits; not to be changed afterwards.
+            image: Intensity, [height, width]; uint8, or uint16 with the camera's bits left-aligned;
+                must not be changed afterwards.
             mid_us: Centre of the exposure, camera clock [us].
 
         Raises:
@@ -206,14 +299,20 @@ class ForceEstimator:
         if self._worker is not None:
             self._worker.push(image, mid_us)
             return
-        encoded = self._encoder.encode(image, mid_us)
+        encoded = self._estimator.encode(image, mid_us)
         if encoded is not None:
             self._keep([encoded])
+
+    def drain(self) -> None:
+        """Wait until all frames pushed so far are encoded; for runs that must be repeatable."""
+        if self._worker is not None:
+            self._worker.wait()
+            self._keep(self._worker.results())
 
     def push_events(
         self, events: Events, complete_until_us: int, *, lost_before: bool = False
     ) -> list[Estimate]:
-        """Hand over events and get the forces of the windows that they complete.
+        """Take events and return the forces of the windows that they complete.
 
         Args:
             events: The next events, camera clock; may be empty.
@@ -221,7 +320,7 @@ class ForceEstimator:
             lost_before: Events between the previous call and these are missing.
 
         Returns:
-            In order of time; empty until the estimator is ready.
+            Estimates in order of time; empty until the estimator is ready.
         """
         if self._worker is not None:
             self._keep(self._worker.results())
@@ -235,47 +334,34 @@ class ForceEstimator:
         closed = self._slicer.push(events, complete_until_us)
         return [found for end, part in closed if (found := self._window(end, part)) is not None]
 
-    @property
-    def deviation(self) -> float | None:
-        """Standard deviation of the latest force [N]; None of a model that gives none."""
-        deviation = self._path.deviation
-        return None if deviation is None else self._scale * deviation
-
     def tare(self) -> None:
         """Make the present state zero: the latest frames become the reference.
 
         Raises:
-            TareError: Not ready, in contact, or too few still frames.
+            TareError: Not ready, in contact, too few still frames, or a model without reference.
         """
-        if self._frame is None or not self._recent:
-            raise TareError(f'no zero without estimates: {self._reason()}')
-        largest = max(self._recent, key=abs)
-        if abs(largest) > self._threshold:
+        reference = self._estimator.reference
+        if reference is None:
             raise TareError(
-                f'in contact ({largest:.2f} N within the last {len(self._recent)} windows): release'
-                ' the sensor and try again'
+                'this model has no no-contact reference', remedy='subtract the force at rest'
             )
-        self._encoder.renew_reference()
-        self._path.clear()
+        if self._frame is None or not self._recent:
+            raise TareError(f'there are no estimates yet: {self._reason()}')
+        largest = self.force_scale * max(self._recent, key=abs)
+        if abs(largest) > self.contact_threshold_n:
+            raise TareError(
+                f'in contact ({largest:.2f} N within the last {len(self._recent)} windows)',
+                remedy='release the sensor and try again',
+            )
+        reference.renew()
+        self._estimator.clear()
         self._recent.clear()
 
-    @property
-    def reference(self) -> NDArray[np.float32] | None:
-        """The no-contact reference (see `FrameEncoder.reference`), to be kept in a file."""
-        return self._encoder.reference
-
-    def use_reference(self, reference: NDArray[np.float32]) -> None:
-        """Compare frames with a kept reference instead of the first still ones.
-
-        Args:
-            reference: Of `reference`, of the same sensor.
-        """
-        self._encoder.use_reference(reference)
-
     def reset(self) -> None:
-        """Start over, as just made: the next still frames become the reference."""
+        """Start over: the next still frames become the reference."""
         self._forget()
-        self._encoder.forget_reference()
+        if self._estimator.reference is not None:
+            self._estimator.reference.forget()
 
     def close(self) -> None:
         """End the frame thread, if there is one."""
@@ -284,27 +370,22 @@ class ForceEstimator:
 
     def status(self) -> EstimatorStatus:
         """Return counters and the reason for having no output."""
-        frame, worker, count, time = self._frame, self._worker, self._count, self._time
-        reason = self._reason()
+        worker, time, reason = self._worker, self._time, self._reason()
+        counted = asdict(self._count) | {
+            'frames_dropped': self._count.frames_dropped + (worker.dropped if worker else 0),
+            'bad_frames': worker.refused if worker else 0,
+            'gaps': time.gaps,
+            'skipped_windows': time.skipped_us // self._width_us,
+            'late_events': self._slicer.late_events,
+            'resets': self._count.resets + time.restarts,
+        }
         return EstimatorStatus(
+            **counted,
             ready=not reason,
             reason=reason,
-            windows=count.windows,
-            estimates=count.estimates,
-            withheld=count.withheld,
-            incomplete=count.incomplete,
-            saturated=count.saturated,
-            frames=count.frames,
-            frames_dropped=count.frames_dropped + (worker.dropped if worker else 0),
-            frames_off_clock=count.frames_off_clock,
-            bad_frames=worker.refused if worker else 0,
-            gaps=time.gaps,
-            skipped_windows=time.skipped_us // self._config.window_us,
-            late_events=self._slicer.late_events,
-            resets=count.resets + time.restarts,
             frame_age_us=self._frame_age_us(),
-            frame_force=0.0 if frame is None else self._scale * frame.force,
-            deviation=-1.0 if self.deviation is None else self.deviation,
+            frame_force=self.frame_force,
+            deviation=-1.0 if self._deviation is None else self._deviation,
         )
 
     def _frame_age_us(self) -> int:
@@ -313,21 +394,20 @@ class ForceEstimator:
         return self._time.newest_us - self._frame.mid_us
 
     def _reason(self) -> str:
-        encoder, worker = self._encoder, self._worker
+        reference, worker = self._estimator.reference, self._worker
         if worker is not None and not worker.alive:
             return 'the frame thread has ended: deactivate and activate the estimator'
-        if encoder.reference_complete:
+        problem = f'; {worker.problem}' if worker is not None and worker.problem else ''
+        if reference is None or reference.array is not None:
             if self._frame is None:
-                return 'waiting for a frame'
+                return f'waiting for a frame{problem}'
             age_us = self._frame_age_us()
-            late = age_us > self._longest_us
-            return f'no frame for {age_us / 1e6:.1f} s: no force without' if late else ''
-        progress = f'{encoder.reference_progress} of {self._config.reference_frames} still frames'
-        if encoder.disturbances:
-            progress += f', restarted {encoder.disturbances} times by motion'
-        if worker is not None and worker.problem:
-            progress += f'; {worker.problem}'
-        return f'waiting for the no-contact reference: {progress}'
+            late = age_us > self.longest_without_frame_us
+            return f'no frame for {age_us / 1e6:.1f} s, so no force is given' if late else ''
+        progress = f'{reference.progress} of {reference.frames} still frames'
+        if reference.disturbances:
+            progress += f', restarted {reference.disturbances} times by motion'
+        return f'waiting for the no-contact reference: {progress}{problem}'
 
     def _window(self, end_us: int, events: Events) -> Estimate | None:
         count = self._count
@@ -336,23 +416,24 @@ class ForceEstimator:
             self._apply(self._encoded.popleft(), end_us)
         if self._frame is None:
             return None
-        self._window_features.compute(events, self._frame.guide, self._features)
-        force = self._scale * self._path.step(self._features)
-        deviation = self.deviation
+        raw, spread = self._estimator.step(events, end_us)
+        force = self.force_scale * raw
+        deviation = None if spread is None else self.force_scale * spread
         if not math.isfinite(force if deviation is None else force + deviation):
             count.resets += 1
             self._forget()
             return None
+        self._deviation = deviation
         age_us = end_us - self._frame.mid_us
-        told, complete = self._time.covered(end_us, self._config.window_us)
-        if not told or age_us > self._longest_us:
+        covered, complete = self._time.covered(end_us, self._width_us)
+        if not covered or age_us > self.longest_without_frame_us:
             count.withheld += 1
             return None
         saturated = len(events) > self._saturation
         count.estimates += 1
         count.incomplete += not complete
         count.saturated += saturated
-        self._recent.append(force)
+        self._recent.append(raw)
         return Estimate(end_us, force, deviation, age_us, complete, saturated)
 
     def _keep(self, frames: list[EncodedFrame]) -> None:
@@ -367,25 +448,26 @@ class ForceEstimator:
 
     def _apply(self, frame: EncodedFrame, end_us: int) -> None:
         """Correct the estimate at the end of the last window by a frame that has arrived since."""
-        width = self._config.window_us
         behind_us = end_us - frame.mid_us
         if not -FRAME_AHEAD_US <= behind_us <= FRAME_BEHIND_US:
             self._count.frames_off_clock += 1
             return
-        if frame.mid_us < self._since_us or frame.reference != self._encoder.reference_number:
+        reference = self._estimator.reference
+        replaced = reference is not None and frame.reference != reference.number
+        if frame.mid_us < self._since_us or replaced:
             # Exposed before events were lost, or compared with a reference that was replaced.
             self._count.frames_dropped += 1
             return
         if self._frame is None and self._since_us > -NO_LIMIT_US:
-            # Maybe in contact already; a start at zero would take several frames to get over.
-            self._path.start_at(frame.force)
+            self._estimator.start_at(frame)
         else:
-            self._path.correct(frame.feature, correction_lag(end_us - width, frame.mid_us, width))
+            width = self._width_us
+            self._estimator.correct(frame, correction_lag(end_us - width, frame.mid_us, width))
         self._frame = frame
         self._count.frames += 1
 
     def _forget(self) -> None:
-        self._path.clear()
+        self._estimator.clear()
         self._recent.clear()
         self._encoded.clear()
         self._frame = None
@@ -394,29 +476,32 @@ class ForceEstimator:
 WARM_UP_START_US = 1_000_000
 
 
-def warm_up(model: LoadedModel) -> list[Estimate]:
-    """Run a throw-away estimator on a few frames and packets; seconds at the very first time.
+def warm_up(estimator: Estimator) -> list[Estimate]:
+    """Run an estimator on a few frames and packets, so that everything is compiled and loaded.
+
+    It takes seconds the very first time. The estimator must not be used afterwards.
 
     Returns:
-        What it gave: something, as else it would not have been through everything.
+        Its estimates; none would mean that a part has not been run.
     """
-    config = model.config
-    estimator = ForceEstimator(model)
+    feed = ForceEstimator(estimator)
+    reference = estimator.reference
+    frames = 1 if reference is None else reference.frames
     for kind in (np.uint8, np.uint16):
-        for index in range(config.reference_frames):
-            image = np.full((config.height, config.width), 100, kind)
-            estimator.push_frame(image, WARM_UP_START_US - 1000 * index)
+        for index in range(frames):
+            image = np.full((estimator.height, estimator.width), 100, kind)
+            feed.push_frame(image, WARM_UP_START_US - 1000 * index)
     t_us = np.arange(WARM_UP_START_US + 1000, WARM_UP_START_US + 11_000, 100, dtype=np.int64)
     zeros = np.zeros(len(t_us), np.uint16)
     packet = encode(
         Events(t_us, zeros, zeros, t_us % 200 == 0), complete_until=WARM_UP_START_US + 12_000
     )
-    # As from the middleware: bytes that must not be changed.
+    # Read-only bytes, as the middleware gives them.
     decoded = decode(
         packet.payload.tobytes(),
         packet.encoding,
         packet.time_base,
-        width=config.width,
-        height=config.height,
+        width=estimator.width,
+        height=estimator.height,
     )
-    return estimator.push_events(decoded.events, decoded.complete_until)
+    return feed.push_events(decoded.events, decoded.complete_until)

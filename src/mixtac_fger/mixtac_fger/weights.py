@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Weight files: where models are found, and what their header and tensors have to be.
+"""Weight files: where models are found, and their one format for all architectures.
 
 A weight file is a safetensors file whose header names the architecture and its version and holds
 the configuration, where the training data came from, and figures on data that were not trained on.
@@ -9,19 +9,23 @@ the configuration, where the training data came from, and figures on data that w
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mixtac_fger.config import ARCHITECTURE, VERSION, ConfigError, FgerConfig, ModelError
-from mixtac_learning.network import FgerNetwork
+import numpy as np
+from numpy.typing import NDArray
+
+from mixtac_fger.config import ModelError
+from mixtac_node.files import replacing
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from mixtac_events.errors import MixtacError
 
 
+Tensors = Mapping[str, NDArray[Any]]
+"""Arrays by name."""
 DEFAULT_MODEL = 'fger_small'
 SUFFIX = '.safetensors'
 
@@ -37,7 +41,7 @@ def shipped_models() -> Path:
 
 
 def find_model(name: str) -> Path:
-    """Return the file that `name` means; it may not exist (`load_model` says so).
+    """Return the file that `name` means; it may not exist (`read_model` checks that).
 
     Args:
         name: A path (with a folder or the suffix `.safetensors`), or a name like `fger_small`.
@@ -49,52 +53,53 @@ def find_model(name: str) -> Path:
     return shipped_models() / (name + SUFFIX)
 
 
-def write_tensors(path: Path, tensors: dict[str, Tensor], header: dict[str, str]) -> None:
-    """Write a file; an existing one is replaced only once the new one is complete.
+def write_tensors(path: Path, tensors: Tensors, header: Mapping[str, str]) -> None:
+    """Write a safetensors file; an existing one is replaced only once the new one is complete.
 
     Args:
         path: File; its folder is made if need be.
-        tensors: By name.
+        tensors: Arrays by name.
         header: Texts by name.
-    """
-    from safetensors.torch import save_file
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + '.partial')
-    # Copies: safetensors refuses tensors that share memory.
-    kept = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
-    save_file(kept, partial, metadata=header)
-    partial.replace(path)
+    Raises:
+        FileError: It cannot be written.
+    """
+    from safetensors.numpy import save_file
+
+    # Contiguous copies: safetensors would write the memory of a view as it lies.
+    whole = {name: np.array(tensor, order='C') for name, tensor in tensors.items()}
+    with replacing(path) as scratch:
+        save_file(whole, scratch, metadata=dict(header))
 
 
 def read_tensors(
     path: Path, error_type: type[MixtacError], remedy: str
-) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """Return header and tensors of a file.
+) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
+    """Return header and tensors of a safetensors file.
 
     Args:
         path: File.
         error_type: Raised where the file is missing or damaged.
-        remedy: What to do then, the end of that error's text.
+        remedy: Of that error.
     """
     from safetensors import SafetensorError, safe_open
 
     if not path.is_file():
-        raise error_type(f'{path} does not exist: {remedy}')
+        raise error_type(f'{path} does not exist', remedy=remedy)
     try:
-        with safe_open(path, framework='pt') as file:
+        with safe_open(path, framework='np') as file:
             return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
-        raise error_type(f'{path} is not a safetensors file ({error}): {remedy}') from error
+        text = ' '.join(str(error).split())
+        raise error_type(f'{path} is not a safetensors file ({text})', remedy=remedy) from error
 
 
-_REMEDY = 'train one with "mixtac train" or use the model that comes with the package'
-_WANTED = f'{ARCHITECTURE} version {VERSION}'
+MODEL_REMEDY = 'train one with "mixtac train" or use the model that comes with the package'
 
 
 @dataclass(frozen=True, slots=True)
 class ModelCard:
-    """What a weight file says of itself.
+    """The description of a model in its weight file.
 
     Attributes:
         training: Where the training data came from (seeds, trials, labels) and how it was trained.
@@ -105,94 +110,75 @@ class ModelCard:
     metrics: dict[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class LoadedModel:
-    """A network that is ready to use.
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """The content of a weight file, of any architecture.
+
+    `mixtac_fger.estimator.open_estimator` makes an estimator of it.
 
     Attributes:
-        network: In evaluation mode, on the CPU.
-        card: What the file says of itself.
+        architecture: Name under which its estimator is registered.
+        version: Version of the architecture.
+        config: Configuration of the network, JSON-ready.
+        card: Description.
+        tensors: Weights by name.
     """
 
-    network: FgerNetwork
+    architecture: str
+    version: int
+    config: dict[str, Any]
     card: ModelCard
-
-    @property
-    def config(self) -> FgerConfig:
-        """The configuration of the network."""
-        return self.network.config
+    tensors: Tensors
 
 
-def save_model(path: Path, network: FgerNetwork, card: ModelCard) -> None:
-    """Write a weight file; an existing file is replaced only once the new one is complete."""
-    from safetensors.torch import save_file
-
-    header = {
-        'architecture': ARCHITECTURE,
-        'version': str(VERSION),
-        'config': json.dumps(network.config.to_dict()),
-        'training': json.dumps(card.training),
-        'metrics': json.dumps(card.metrics),
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + '.partial')
-    tensors = {name: tensor.contiguous() for name, tensor in network.state_dict().items()}
-    save_file(tensors, partial, metadata=header)
-    partial.replace(path)
-
-
-def load_model(path: Path) -> LoadedModel:
-    """Read a weight file and check it.
-
-    Args:
-        path: A file written by `save_model`.
+def write_model(path: Path, model: Model) -> None:
+    """Write a weight file; an existing file is replaced only once the new one is complete.
 
     Raises:
-        ModelError: The file is missing or damaged, of another architecture or version, or its
-            tensors do not have the shapes that its configuration asks for, or hold numbers that
-            are not finite.
+        FileError: It cannot be written.
     """
-    header, tensors = _read(path)
-    found = f'{header.get("architecture", "no architecture")} version {header.get("version", "-")}'
-    if found != _WANTED:
-        raise ModelError(f'model {path} holds {found}, but {_WANTED} is needed: {_REMEDY}')
+    header = {
+        'architecture': model.architecture,
+        'version': str(model.version),
+        'config': json.dumps(model.config),
+        'training': json.dumps(model.card.training),
+        'metrics': json.dumps(model.card.metrics),
+    }
+    write_tensors(path, model.tensors, header)
+
+
+def read_model(path: Path) -> Model:
+    """Read a weight file of any architecture.
+
+    Args:
+        path: A file written by `write_model`.
+
+    Raises:
+        ModelError: The file is missing or damaged, its header is incomplete, or its tensors hold
+            numbers that are not finite.
+    """
+    header, tensors = read_tensors(path, ModelError, MODEL_REMEDY)
+    if 'architecture' not in header:
+        raise ModelError(f'{path} is not a Mixtac weight file', remedy=MODEL_REMEDY)
     try:
-        config = FgerConfig.from_dict(json.loads(header['config']))
-        card = ModelCard(json.loads(header['training']), json.loads(header['metrics']))
-    except (KeyError, ValueError, TypeError, ConfigError) as error:
-        message = f'model {path} has a header that cannot be used ({error}): {_REMEDY}'
-        raise ModelError(message) from error
-    network = FgerNetwork(config)
-    _check_shapes(path, network, tensors)
-    network.load_state_dict(tensors)
-    return LoadedModel(network.eval(), card)
-
-
-def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
-    from safetensors import SafetensorError, safe_open
-
-    if not path.is_file():
-        raise ModelError(f'model {path} does not exist, but {_WANTED} is needed: {_REMEDY}')
-    try:
-        with safe_open(path, framework='pt') as file:
-            return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        message = (
-            f'model {path} is not a safetensors file ({error}); {_WANTED} is needed: {_REMEDY}'
+        config, training, metrics = (
+            _mapping(header[name]) for name in ('config', 'training', 'metrics')
         )
-        raise ModelError(message) from error
+        version = int(header['version'])
+    except (KeyError, ValueError) as error:
+        raise ModelError(
+            f'{path} has a header that cannot be used ({error})', remedy=MODEL_REMEDY
+        ) from error
+    for name, tensor in tensors.items():
+        if not np.isfinite(tensor).all():
+            raise ModelError(
+                f'{path}: tensor {name} holds numbers that are not finite', remedy=MODEL_REMEDY
+            )
+    return Model(header['architecture'], version, config, ModelCard(training, metrics), tensors)
 
 
-def _check_shapes(path: Path, network: FgerNetwork, tensors: dict[str, Tensor]) -> None:
-    wanted = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
-    found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
-    for name in sorted({*wanted, *found}):
-        if wanted.get(name) != found.get(name):
-            raise ModelError(
-                f'model {path}: tensor {name} has shape {found.get(name)}, but {_WANTED} with its'
-                f' configuration needs {wanted.get(name)}: {_REMEDY}'
-            )
-        if not bool(tensors[name].isfinite().all()):
-            raise ModelError(
-                f'model {path}: tensor {name} holds numbers that are not finite: {_REMEDY}'
-            )
+def _mapping(text: str) -> dict[str, Any]:
+    value = json.loads(text)
+    if not isinstance(value, dict):
+        raise ValueError(f'{text} is not a mapping')  # noqa: TRY004 - of a file, not of a call
+    return value

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mixtac_events.codec import encode
-from mixtac_fger.weights import ModelCard, save_model
+from mixtac_fger.weights import write_model
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('event_camera_msgs', reason='needs the built workspace: source install/setup')
@@ -25,11 +25,13 @@ from event_camera_msgs.msg import EventPacket
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 
-from mixtac_fger.frames import load_reference
+from mixtac_fger.reference import Reference
 from mixtac_msgs.msg import ForceQuality
 from mixtac_node.base_node import QOS_SENSOR
 from mixtac_node.stamps import stamp_to_us, us_to_stamp
@@ -115,10 +117,10 @@ class Harness:
 @pytest.fixture
 def harness(ros_domain, tmp_path, model) -> Iterator[Harness]:
     path = tmp_path / 'toy.safetensors'
-    save_model(path, model.network, ModelCard())
+    write_model(path, model)
     # All that the toy sensor does is below this threshold, so that ~/tare does not refuse.
-    stored = tmp_path / 'reference.npz'
-    harness = Harness(ros_domain, str(path), contact_threshold=10.0, reference=stored)
+    env = {**ros_domain, 'MIXTAC_HOME': str(tmp_path)}
+    harness = Harness(env, str(path), contact_threshold=10.0, reference='reference.npz')
     yield harness
     harness.close()
 
@@ -126,7 +128,7 @@ def harness(ros_domain, tmp_path, model) -> Iterator[Harness]:
 def packets(trial) -> Iterator[tuple[int, EventPacket]]:
     """Yield (camera time [us] since the start, packet) every millisecond."""
     events = trial.events.shifted(ORIGIN_US)
-    for sequence, until in enumerate(range(PACKET_US, int(trial.label.t_us[-1]), PACKET_US)):
+    for sequence, until in enumerate(range(PACKET_US, int(trial.t_us[-1]), PACKET_US)):
         now = ORIGIN_US + until
         encoded = encode(events.between(now - PACKET_US, now), complete_until=now)
         message = EventPacket(height=260, width=346, seq=sequence, encoding=encoded.encoding)
@@ -162,7 +164,7 @@ def play(harness: Harness, trial) -> tuple[list[WrenchStamped], list[ForceQualit
         events.publish(message)
         rclpy.spin_once(node, timeout_sec=0)
         time.sleep(max(0.0, started + until * 1e-6 - time.monotonic()))
-    last_us = ORIGIN_US + int(trial.label.t_us[-1]) - 2000
+    last_us = ORIGIN_US + int(trial.t_us[-1]) - 2000
     harness.until(lambda: stamp_to_us(received[-1].header.stamp) >= last_us if received else False)
     harness.until(lambda: len(quality) >= len(received))
     return received, quality
@@ -216,12 +218,17 @@ def test_forces_come_at_500_hz_on_the_camera_clock(harness, trial, tmp_path, con
     assert {message.header.frame_id for message in received} == {'mixtac_contact'}
     assert (stamps % 2000 == 0).all()
     assert (np.diff(stamps) == 2000).all()
-    assert stamps[-1] - ORIGIN_US == trial.label.t_us[-1] - 2000
+    # A transition that is not possible now is refused, and the node goes on.
+    assert harness.transition(Transition.TRANSITION_CONFIGURE) == (
+        False,
+        State.PRIMARY_STATE_ACTIVE,
+    )
+    assert stamps[-1] - ORIGIN_US == trial.t_us[-1] - 2000
     assert len(stamps) > 400
     check_quality(received, quality)
     assert any(report.message for report in reports)
     tare_with_still_frames(harness, trial)
-    assert load_reference(tmp_path / 'reference.npz', config).shape == config.frame_shape
+    assert Reference(config).load(tmp_path / 'reference.npz').shape == config.frame_shape
     assert harness.transition(Transition.TRANSITION_DEACTIVATE) == (
         True,
         State.PRIMARY_STATE_INACTIVE,
@@ -258,12 +265,11 @@ def test_a_camera_that_does_not_fit_is_refused_before_and_after_the_start(harnes
 
 @pytest.mark.parametrize('kind', ['missing', 'another architecture'])
 def test_a_model_that_cannot_be_used_fails_the_configuration(ros_domain, tmp_path, kind):
-    import torch
-    from safetensors.torch import save_file
+    from safetensors.numpy import save_file
 
     path = tmp_path / 'model.safetensors'
     if kind != 'missing':
-        save_file({'w': torch.zeros(1)}, path, metadata={'architecture': 'resnet18'})
+        save_file({'w': np.zeros(1)}, path, metadata={'architecture': 'resnet18'})
     harness = Harness(ros_domain, str(path))
     try:
         assert harness.transition(Transition.TRANSITION_CONFIGURE) == (
@@ -272,7 +278,31 @@ def test_a_model_that_cannot_be_used_fails_the_configuration(ros_domain, tmp_pat
         )
     finally:
         harness.close()
-    said = [line for line in harness.errors if str(path) in line]
-    assert len(said) == 1
-    assert 'mixtac train' in said[0]
+    assert len([line for line in harness.errors if str(path) in line]) == 1
     assert not any('Traceback' in line for line in harness.errors)
+
+
+def test_parameters_take_effect_at_once_or_are_refused(harness, tmp_path):
+    setter = harness.node.create_client(SetParameters, 'fger/set_parameters')
+    assert setter.wait_for_service(timeout_sec=30)
+
+    def set_to(**values: object) -> str:
+        request = SetParameters.Request(
+            parameters=[
+                Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+            ]
+        )
+        (result,) = harness.call(setter, request).results
+        return '' if result.successful else result.reason
+
+    harness.transition(Transition.TRANSITION_CONFIGURE)
+    harness.transition(Transition.TRANSITION_ACTIVATE)
+    assert set_to(force_scale=2.0) == ''
+    assert set_to(deadline=0.01) == ''
+    assert 'clean up' in set_to(model='fger_small')
+    before = sorted(tmp_path.iterdir())
+    for name in ('/etc/passwd', '../outside.npz', '.hidden', 'a/b.npz'):
+        assert set_to(reference=name) != ''
+    assert set_to(reference='toy.safetensors') != ''
+    assert set_to(reference='other.npz') == ''
+    assert sorted(tmp_path.iterdir()) == before

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import time
 from array import array
 from types import SimpleNamespace
 
@@ -13,24 +12,26 @@ import pytest
 
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
+from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.live_feed import LiveFeed
-from mixtac_fger.streaming import warm_up
+from mixtac_fger.streaming import ForceEstimator, warm_up
 
 SIZE = (346, 260)
 
 
 @pytest.fixture
 def feed(model, trial):
-    feed = LiveFeed(model, 0.15)
+    feed = feed_of(model)
     image = array('B', trial.frames[0].tobytes())
     for index in range(5):
         feed.image(picture(image, 'mono16', SIZE, 692), index * 40_000)
-        while feed.estimator._worker._inbox.qsize():
-            time.sleep(0.001)
-    while not feed.estimator._worker._outbox:
-        time.sleep(0.001)
+        feed.estimator.drain()
     yield feed
     feed.close()
+
+
+def feed_of(model) -> LiveFeed:
+    return LiveFeed(ForceEstimator(FgerEstimator(model), background_frames=True))
 
 
 def picture(data, encoding, size, step) -> SimpleNamespace:
@@ -105,7 +106,7 @@ def test_a_packet_that_could_not_be_read_leaves_a_hole(feed):
 
 
 def test_late_forces_are_counted_where_clocks_compare(model):
-    feed = LiveFeed(model, 0.15, deadline_s=0.002)
+    feed = LiveFeed(ForceEstimator(FgerEstimator(model)), deadline_s=0.002)
     for age_ns in (1_000_000, 3_000_000, -5, 10**12):
         feed.published(2, 10**18, 10**18 + age_ns)
     status = feed.status()
@@ -139,26 +140,26 @@ def test_bad_images_are_counted_and_explained(feed):
     feed.image(picture(array('B', bytes(12)), 'yuv422', (2, 2), 6), 0)
     assert 'yuv422' in feed.status().problem
     feed.image(picture(array('B', bytes(12)), 'mono8', (4, 3), 4), 0)
-    while not feed.status().estimator.bad_frames:
-        time.sleep(0.001)
+    feed.estimator.drain()
+    assert feed.status().estimator.bad_frames == 1
     assert feed.status().bad_messages == 1
     assert packet(feed, 1, 205_000) == []
     assert packet(feed, 2, 206_500)
 
 
 def test_warming_up_leaves_the_model_alone(model):
-    before = {name: tensor.clone() for name, tensor in model.network.state_dict().items()}
-    assert warm_up(model)
-    assert all(bool((before[k] == v).all()) for k, v in model.network.state_dict().items())
+    before = {name: tensor.copy() for name, tensor in model.tensors.items()}
+    assert warm_up(FgerEstimator(model))
+    assert all((before[name] == tensor).all() for name, tensor in model.tensors.items())
 
 
 def test_colour_frames_are_taken_as_grey(model, trial):
     width, height = SIZE
     colours = np.repeat((trial.frames[0] >> 2).astype(np.uint8)[:, :, None], 3, axis=2)
-    feed = LiveFeed(model, 0.15)
+    feed = feed_of(model)
     feed.image(picture(array('B', colours.tobytes()), 'rgb8', SIZE, 3 * width), 0)
-    while not feed.status().estimator.reason.startswith('waiting for the no-contact reference: 1'):
-        time.sleep(0.001)
+    feed.estimator.drain()
+    assert feed.estimator.reference.progress == 1
     feed.close()
     assert feed.status().bad_messages == 0
     assert colours.shape[0] == height

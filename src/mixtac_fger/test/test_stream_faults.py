@@ -5,23 +5,62 @@
 from __future__ import annotations
 
 import tracemalloc
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-import torch
+from toy_sensor import random_model
 
 from mixtac_events.arrays import Events
+from mixtac_fger.config import FgerConfig
+from mixtac_fger.estimator import EncodedFrame
+from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.streaming import SATURATION_PER_US, ForceEstimator
-from mixtac_fger.weights import LoadedModel, ModelCard
-from mixtac_learning.network import FgerNetwork
+
+if TYPE_CHECKING:
+    from mixtac_fger.weights import Model
 
 START_US = 200_000
 FRAME_US = 40_000
 
 
-def ready(model: LoadedModel, trial, **options) -> ForceEstimator:
+class Scripted:
+    """An architecture whose force is the number of its windows; see `Estimator`.
+
+    Attributes:
+        scripted: Forces to return first.
+    """
+
+    width, height, window_us, gives_deviation = 346, 260, 2000, False
+    parameters = operations = 0
+    reference = None
+
+    def __init__(self, *scripted: float) -> None:
+        self.scripted = list(scripted)
+        self.windows = 0
+
+    def encode(self, image, mid_us: int) -> EncodedFrame:
+        if not image.size:
+            raise RuntimeError('a defect in the architecture')
+        return EncodedFrame(mid_us, 0.5, 0, None)
+
+    def correct(self, frame: EncodedFrame, lag: int) -> None:
+        pass
+
+    def start_at(self, frame: EncodedFrame) -> None:
+        pass
+
+    def step(self, events: Events, end_us: int) -> tuple[float, None]:
+        self.windows += 1
+        return (self.scripted.pop(0) if self.scripted else float(self.windows)), None
+
+    def clear(self) -> None:
+        self.windows = 0
+
+
+def ready(model: Model, trial, **options) -> ForceEstimator:
     """Return an estimator that has its reference and a stream that has reached START_US."""
-    estimator = ForceEstimator(model, **options)
+    estimator = ForceEstimator(FgerEstimator(model), **options)
     for index in range(5):
         estimator.push_frame(trial.frames[0], index * 35_000)
     estimator.push_events(Events.empty(), START_US)
@@ -52,7 +91,7 @@ def ends(found) -> list[int]:
     return [estimate.end_us for estimate in found]
 
 
-def test_windows_of_which_no_packet_told_give_no_force(model, trial):
+def test_windows_that_no_packet_covers_give_no_force(model, trial):
     estimator = ready(model, trial)
     before = run(estimator, START_US, START_US + 5000)
     after = run(estimator, START_US + 11_000, START_US + 20_000, lost_before=True)
@@ -87,9 +126,9 @@ def test_after_a_long_hole_the_next_frame_that_saw_its_end_brings_the_force_back
 
 def test_the_force_after_a_long_hole_begins_at_the_frame_whatever_was_before(model, trial):
     one, other = ready(model, trial), ready(model, trial)
-    run(one, START_US, START_US + 20_000)
-    other.push_events(events(START_US, START_US + 20_000, 9000), START_US + 20_000)
-    assert one._path.force != other._path.force
+    few = run(one, START_US, START_US + 20_000)
+    many = other.push_events(events(START_US, START_US + 20_000, 9000), START_US + 20_000)
+    assert few[-1].force != many[-1].force
     back = START_US + 220_000
     after = []
     for estimator in (one, other):
@@ -133,7 +172,7 @@ def test_without_frames_the_force_goes_on_for_a_stated_time(model, trial):
     # The latest frame was exposed at 140 ms.
     assert ends(found) == list(range(202_000, 440_001, 2000))
     assert found[-1].frame_age_us == 300_000
-    assert estimator.status().reason == 'no frame for 0.5 s: no force without'
+    assert estimator.status().reason == 'no frame for 0.5 s, so no force is given'
     assert estimator.status().withheld == 80
     estimator.push_frame(trial.frames[0], 590_000)
     assert ends(run(estimator, 600_000, 604_000)) == [602_000, 604_000]
@@ -178,32 +217,32 @@ def test_frames_compared_with_the_reference_before_a_tare_are_left_out(model, tr
     run(estimator, START_US, START_US + 4000)
     estimator.push_frame(trial.frames[5], START_US)
     estimator.push_frame(trial.frames[0], START_US + 1000)
-    before = estimator.status().frames
+    before = estimator.status()
     for _ in range(5):
-        estimator._encoder.encode(trial.frames[0], 0)
+        estimator.push_frame(trial.frames[0], 0)
     estimator.tare()
     run(estimator, START_US + 4000, START_US + 8000)
-    assert estimator.status().frames == before
-    assert estimator.status().frames_dropped == 2
+    # Seven frames have been compared with the old reference.
+    assert estimator.status().frames == before.frames
+    assert estimator.status().frames_dropped - before.frames_dropped == 7
 
 
 def test_a_stored_reference_serves_from_the_first_frame(model, trial):
-    first, second = ready(model, trial), ForceEstimator(model)
-    assert second.reference is None
-    second.use_reference(first.reference)
-    for estimator in (first, second):
-        estimator._encoded.clear()
-        estimator.push_frame(trial.frames[8], START_US - 5000)
-    second.push_events(Events.empty(), START_US)
-    fresh = run(second, START_US, START_US + 10_000)
-    assert len(fresh) == 5
-    first._path.clear()
-    assert fresh == run(first, START_US, START_US + 10_000)
+    first = ready(model, trial)
+    fresh = []
+    for _ in range(2):
+        second = ForceEstimator(FgerEstimator(model))
+        assert second.reference.array is None
+        second.reference.use(first.reference.array)
+        second.push_frame(trial.frames[8], START_US - 5000)
+        second.push_events(Events.empty(), START_US)
+        fresh.append(run(second, START_US, START_US + 10_000))
+    assert len(fresh[0]) == 5
+    assert fresh[0] == fresh[1]
 
 
 def test_memory_does_not_grow(model, trial):
     estimator = ready(model, trial)
-    state = [id(part) for part in (estimator._features, *estimator._path._state)]
 
     def second(start_us: int) -> None:
         for frame in range(25):
@@ -222,38 +261,67 @@ def test_memory_does_not_grow(model, trial):
         tracemalloc.stop()
     # A leak of one object per window shows in every second: 500 times 24 bytes at least.
     assert min(np.diff(held)) < 5000
-    assert state == [id(part) for part in (estimator._features, *estimator._path._state)]
 
 
-@pytest.mark.parametrize('longest', [0, 1])
-def test_frames_that_nobody_fetches_do_not_pile_up(model, trial, longest):
-    estimator = ForceEstimator(model, background_frames=True)
+def test_frames_that_nobody_fetches_do_not_pile_up():
+    estimator = ForceEstimator(Scripted(), background_frames=True)
     try:
-        for index in range(5 + 30 * longest):
-            estimator.push_frame(trial.frames[0], index * 1000)
-            while estimator._worker._inbox.qsize():
-                pass
-        estimator._worker._inbox.put(None)
-        estimator._worker._thread.join(30)
-        waiting = len(estimator._worker._outbox)
-        assert waiting <= 4
-        assert waiting + estimator._worker.dropped == 1 + 30 * longest
-        assert 'frame thread has ended' in estimator.status().reason
+        image = np.zeros((260, 346), np.uint16)
+        estimator.push_events(Events.empty(), 2000)
+        for index in range(30):
+            estimator.push_frame(image, index * 1000)
+        estimator.drain()
+        estimator.push_events(Events.empty(), 40_000)
+        status = estimator.status()
+        assert status.frames + status.frames_dropped == 30
+        assert status.frames <= 4
     finally:
         estimator.close()
 
 
+@pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
+def test_a_frame_thread_that_ends_is_the_reason_for_no_force():
+    estimator = ForceEstimator(Scripted(), background_frames=True)
+    estimator.push_frame(np.zeros((0, 0), np.uint16), 0)
+    estimator.drain()
+    assert 'frame thread has ended' in estimator.status().reason
+    estimator.close()
+
+
+def test_numbers_that_are_not_finite_never_leave():
+    estimator = ForceEstimator(Scripted(0.1, float('nan'), 0.2))
+    image = np.zeros((260, 346), np.uint16)
+    estimator.push_frame(image, 190_000)
+    estimator.push_events(Events.empty(), 200_000)
+    assert ends(estimator.push_events(Events.empty(), 210_000)) == [202_000]
+    assert estimator.status().resets == 1
+    estimator.push_frame(image, 209_000)
+    forces = [each.force for each in estimator.push_events(Events.empty(), 220_000)]
+    assert len(forces) == 5
+    assert np.isfinite(forces).all()
+
+
+def test_settings_take_effect_at_once():
+    estimator = ForceEstimator(Scripted(*[1.0] * 100))
+    estimator.push_frame(np.zeros((260, 346), np.uint16), 190_000)
+    estimator.push_events(Events.empty(), 200_000)
+    assert {each.force for each in estimator.push_events(Events.empty(), 204_000)} == {1.0}
+    estimator.force_scale = 3.0
+    assert {each.force for each in estimator.push_events(Events.empty(), 208_000)} == {3.0}
+    estimator.longest_without_frame_us = 10_000
+    assert estimator.push_events(Events.empty(), 212_000) == []
+
+
 def test_with_frames_and_packets_missing_the_force_comes_back_within_a_frame(trial):
     """A network whose correction is the frame's force shows what the engine does with both."""
-    torch.manual_seed(1)
     model = correcting_model()
-    whole, broken = ForceEstimator(model), ForceEstimator(model)
+    whole, broken = (ForceEstimator(FgerEstimator(model)) for _ in range(2))
     random = np.random.default_rng(4)
     forces: dict[int, dict[int, float]] = {0: {}, 1: {}}
     arrival = list(trial.arrival_us)
     gap = (700_000, 900_000)
     missing = False
-    for end in range(1000, int(trial.label.t_us[-1]), 1000):
+    for end in range(1000, int(trial.t_us[-1]), 1000):
         part = trial.events.between(end - 1000, end)
         for frame in np.flatnonzero((np.array(arrival) > end - 1000) & (np.array(arrival) <= end)):
             middle = (int(trial.exposure_start_us[frame]) + int(trial.exposure_end_us[frame])) // 2
@@ -277,19 +345,15 @@ def test_with_frames_and_packets_missing_the_force_comes_back_within_a_frame(tri
     assert error.max() < 0.1 * np.ptp(list(forces[0].values()))
 
 
-def correcting_model() -> LoadedModel:
+def correcting_model() -> Model:
     """Return a network that follows its frames: MLP_corr takes the estimate to a value of f."""
-    from mixtac_fger.config import FgerConfig
-
-    network = FgerNetwork(FgerConfig()).eval()
-    with torch.no_grad():
-        network.frame.scale.mul_(0.3)
-        for part in (network.increment, network.correction):
-            for parameter in part.parameters():
-                parameter.zero_()
-        hidden, _, output = network.correction
-        # relu(f - F) - relu(F - f): the first of the frame's features less the estimate.
-        for row, sign in ((0, 1.0), (1, -1.0)):
-            hidden.weight[row, 0], hidden.weight[row, 1:] = -sign, 0.3 * sign
-            output.weight[0, row] = sign
-    return LoadedModel(network, ModelCard())
+    model = random_model(FgerConfig(), seed=1)
+    for name, tensor in model.tensors.items():
+        if name.startswith(('increment', 'correction')):
+            tensor[:] = 0.0
+    hidden, output = model.tensors['correction.0.weight'], model.tensors['correction.2.weight']
+    # relu(f - F) - relu(F - f): the first of the frame's features less the estimate.
+    for row, sign in ((0, 1.0), (1, -1.0)):
+        hidden[row, 0], hidden[row, 1:] = -sign, 0.3 * sign
+        output[0, row] = sign
+    return model

@@ -5,71 +5,89 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
-import torch
-from safetensors.torch import load_file, save_file
+from safetensors.numpy import load_file, save_file
+from toy_sensor import random_model
 
-from mixtac_fger.config import ConfigError, FgerConfig, ModelError
-from mixtac_fger.weights import ModelCard, find_model, load_model, save_model, shipped_models
-from mixtac_learning.network import FgerNetwork
+from mixtac_fger.config import ConfigError, FgerConfig, ModelError, tensor_shapes
+from mixtac_fger.estimator import open_estimator
+from mixtac_fger.weights import ModelCard, find_model, read_model, shipped_models, write_model
 
 
 @pytest.fixture
 def saved(tmp_path):
-    network = FgerNetwork(FgerConfig(lstm_size=16))
+    card = ModelCard({'seed': 4}, {'all': {'mae': 0.03}})
+    model = replace(random_model(FgerConfig(lstm_size=16)), card=card)
     path = tmp_path / 'deep' / 'model.safetensors'
-    save_model(path, network, ModelCard({'seed': 4}, {'all': {'mae': 0.03}}))
-    return path, network
+    write_model(path, model)
+    return path, model
 
 
 def rewritten(path, tensors=None, **header):
     from safetensors import safe_open
 
-    with safe_open(path, framework='pt') as file:
+    with safe_open(path, framework='np') as file:
         metadata = {**file.metadata(), **header}
     save_file(tensors or load_file(path), path, metadata=metadata)
     return path
 
 
 def refusal(path) -> str:
+    """Return the one line that opening a file fails with."""
     with pytest.raises(ModelError) as caught:
-        load_model(path)
-    text = str(caught.value)
-    assert str(path) in text
-    assert 'mixtac train' in text
-    assert '\n' not in text
-    return text
+        open_estimator(read_model(path))
+    assert caught.value.remedy
+    assert '\n' not in str(caught.value)
+    return str(caught.value)
 
 
 def test_what_was_saved_is_loaded(saved):
-    path, network = saved
-    loaded = load_model(path)
-    assert loaded.config == network.config
-    assert loaded.card == ModelCard({'seed': 4}, {'all': {'mae': 0.03}})
-    assert not loaded.network.training
-    for name, tensor in network.state_dict().items():
-        assert torch.equal(tensor, loaded.network.state_dict()[name])
+    path, model = saved
+    loaded = read_model(path)
+    assert loaded.config == model.config
+    assert loaded.card == model.card
+    assert (loaded.architecture, loaded.version) == (model.architecture, model.version)
+    assert set(loaded.tensors) == set(model.tensors)
+    for name, tensor in model.tensors.items():
+        assert np.array_equal(tensor, loaded.tensors[name])
     assert [entry.name for entry in path.parent.iterdir()] == ['model.safetensors']
 
 
+def test_views_are_written_as_they_look(tmp_path, model):
+    turned = replace(model, tensors={'w': np.arange(6).reshape(2, 3).T})
+    write_model(tmp_path / 'a.safetensors', turned)
+    found = read_model(tmp_path / 'a.safetensors').tensors['w']
+    assert np.array_equal(found, [[0, 3], [1, 4], [2, 5]])
+
+
+def test_the_shipped_model_has_the_shapes_of_its_configuration():
+    model = read_model(find_model('fger_small'))
+    shapes = {name: tensor.shape for name, tensor in model.tensors.items()}
+    assert shapes == tensor_shapes(FgerConfig.from_dict(model.config))
+    assert open_estimator(model).parameters == 49_164
+
+
 def test_a_missing_file_is_named(tmp_path):
-    text = refusal(tmp_path / 'no.safetensors')
-    assert 'does not exist, but fger_small version 1 is needed' in text
+    assert 'no.safetensors' in refusal(tmp_path / 'no.safetensors')
 
 
-def test_another_architecture_is_named(saved):
-    assert 'holds resnet18 version 1' in refusal(rewritten(saved[0], architecture='resnet18'))
+def test_another_architecture_is_named_with_those_that_are_installed(saved):
+    text = refusal(rewritten(saved[0], architecture='resnet18'))
+    assert 'resnet18' in text
+    assert 'fger_small' in text
 
 
 def test_another_version_is_named(saved):
-    assert 'holds fger_small version 0' in refusal(rewritten(saved[0], version='0'))
+    assert 'version 0' in refusal(rewritten(saved[0], version='0'))
 
 
 def test_a_file_without_our_header_is_named(tmp_path):
     path = tmp_path / 'bare.safetensors'
-    save_file({'w': torch.zeros(1)}, path)
-    assert 'no architecture' in refusal(path)
+    save_file({'w': np.zeros(1)}, path)
+    assert str(path) in refusal(path)
 
 
 @pytest.mark.parametrize('value', [float('nan'), float('inf')])
@@ -77,33 +95,35 @@ def test_numbers_that_are_not_finite_are_named(saved, value):
     path, _ = saved
     tensors = load_file(path)
     tensors['correction.2.bias'][0] = value
-    assert 'tensor correction.2.bias holds numbers' in refusal(rewritten(path, tensors))
+    assert 'correction.2.bias' in refusal(rewritten(path, tensors))
 
 
 def test_another_shape_is_named(saved):
     path, _ = saved
     tensors = load_file(path)
-    tensors['correction.2.bias'] = torch.zeros(7)
-    assert 'tensor correction.2.bias has shape (7,)' in refusal(rewritten(path, tensors))
+    tensors['correction.2.bias'] = np.zeros(7, np.float32)
+    text = refusal(rewritten(path, tensors))
+    assert 'correction.2.bias' in text
+    assert '(7,)' in text
 
 
 def test_a_missing_tensor_is_named(saved):
     path, _ = saved
     tensors = load_file(path)
     del tensors['event.hidden.bias']
-    assert 'tensor event.hidden.bias has shape None' in refusal(rewritten(path, tensors))
+    assert 'event.hidden.bias' in refusal(rewritten(path, tensors))
 
 
 @pytest.mark.parametrize('content', [b'', b'not a model', b'\xff' * 64])
 def test_another_kind_of_file_is_named(tmp_path, content):
     path = tmp_path / 'photo.safetensors'
     path.write_bytes(content)
-    assert 'not a safetensors file' in refusal(path)
+    assert str(path) in refusal(path)
 
 
 @pytest.mark.parametrize('config', ['{', '[]', '{"width": 1}', 'null'])
 def test_an_unusable_configuration_is_named(saved, config):
-    assert 'header that cannot be used' in refusal(rewritten(saved[0], config=config))
+    refusal(rewritten(saved[0], config=config))
 
 
 @pytest.mark.parametrize(
@@ -118,8 +138,9 @@ def test_an_unusable_configuration_is_named(saved, config):
     ],
 )
 def test_impossible_configurations_are_refused(field, value):
-    with pytest.raises(ConfigError, match='FgerConfig'):
+    with pytest.raises(ConfigError) as caught:
         FgerConfig(**{field: value})
+    assert field in str(caught.value)
 
 
 def test_configurations_survive_json():

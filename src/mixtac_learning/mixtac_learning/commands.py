@@ -104,18 +104,22 @@ def evaluate(
     json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
 ) -> None:
     """Judge a model on bags, or on simulated trials of sensors that no training has used."""
-    from mixtac_learning.judge.evaluation import (
-        Simulated,
-        Wanted,
-        evaluate_bags,
-        evaluate_simulated,
-    )
+    from mixtac_learning.judge.evaluation import evaluate_bags, evaluate_simulated
 
-    path, wanted = find_model(model), Wanted(figures, json, robustness)
+    path = find_model(model)
     if bags:
-        evaluate_bags(path, bags, reference, wanted)
+        evaluate_bags(path, bags, reference, figures=figures, json=json, with_losses=robustness)
     else:
-        evaluate_simulated(path, Simulated(gels, seconds, seed, preset), wanted)
+        evaluate_simulated(
+            path,
+            gels=gels,
+            seconds=seconds,
+            seed=seed,
+            preset=preset,
+            figures=figures,
+            json=json,
+            with_losses=robustness,
+        )
 
 
 OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
@@ -144,6 +148,14 @@ def adapt(
     json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
 ) -> None:
     """Calibrate a model to another sensor by at most a minute of presses with known forces."""
-    from mixtac_learning.adapt.adaptation import AdaptRequest, run_adaptation
+    from mixtac_learning.adapt.adaptation import run_adaptation
 
-    run_adaptation(AdaptRequest(bags, find_model(model), out, load or (), reference, json, serial))
+    run_adaptation(
+        bags,
+        find_model(model),
+        out,
+        loads=load or (),
+        reference=reference,
+        json=json,
+        serial=serial,
+    )

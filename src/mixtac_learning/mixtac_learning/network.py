@@ -11,14 +11,19 @@ from torch import Tensor, nn
 from torch.nn.functional import linear
 
 from mixtac_fger.config import (
+    ARCHITECTURE,
     CELL_FEATURES,
     HIGHEST_LOG_DEVIATION,
     LOWEST_LOG_DEVIATION,
+    VERSION,
     ModelError,
 )
+from mixtac_fger.fger_net import checked_config
+from mixtac_fger.weights import Model
 
 if TYPE_CHECKING:
     from mixtac_fger.config import FgerConfig
+    from mixtac_fger.weights import ModelCard, Tensors
 
 
 class DeviationHead(nn.Module):
@@ -296,18 +301,36 @@ def _perceptron(inputs: int, hidden: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, 1))
 
 
-def operations_per_cycle(network: FgerNetwork, cycle_us: int = 40_000) -> int:
-    """Return floating-point operations (2 per multiply-add) per frame interval of `cycle_us`."""
-    config = network.config
-    rows, columns = config.frame_shape
-    total = 0
-    for layer in network.frame.convolutions:
-        if isinstance(layer, nn.Conv2d):
-            rows, columns = (rows + 1) // 2, (columns + 1) // 2
-            total += layer.weight.numel() * rows * columns
-    total += network.frame.project.weight.numel()
-    total += sum(p.numel() for p in network.correction.parameters())
-    steps = [network.event, network.gates_event, network.gates_force, network.gates_hidden]
-    steps += [network.increment, *([network.deviation] if network.deviation is not None else [])]
-    per_window = sum(p.numel() for part in steps for p in part.parameters())
-    return 2 * (total + per_window * cycle_us // config.window_us)
+def arrays_of(network: nn.Module) -> Tensors:
+    """Return the weights and statistics of a network as arrays by name."""
+    return {name: tensor.detach().cpu().numpy() for name, tensor in network.state_dict().items()}
+
+
+def load_arrays(network: nn.Module, tensors: Tensors) -> None:
+    """Copy arrays into a network.
+
+    Raises:
+        ModelError: Names or shapes do not fit.
+    """
+    # A copy: torch refuses or warns about arrays that cannot be written to.
+    state = {name: torch.from_numpy(tensor.copy()) for name, tensor in tensors.items()}
+    try:
+        network.load_state_dict(state)
+    except RuntimeError as error:
+        raise ModelError(f'the weights do not fit: {" ".join(str(error).split())}') from error
+
+
+def network_of(model: Model) -> FgerNetwork:
+    """Return the network of an FGER-Net model, in evaluation mode on the CPU.
+
+    Raises:
+        ModelError: The model is of another architecture, or its tensors do not fit.
+    """
+    network = FgerNetwork(checked_config(model))
+    load_arrays(network, model.tensors)
+    return network.eval()
+
+
+def model_of(network: FgerNetwork, card: ModelCard) -> Model:
+    """Return the content of a weight file of a network."""
+    return Model(ARCHITECTURE, VERSION, network.config.to_dict(), card, arrays_of(network))

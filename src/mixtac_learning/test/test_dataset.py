@@ -21,7 +21,7 @@ from mixtac_sim.world.training_trials import evaluation_plan, training_plan, uns
 
 
 def test_frames_are_used_from_their_arrival_on(config, trial):
-    sample = make_sample(config, trial, trial.label, {})
+    sample = make_sample(config, trial, trial.label(), {})
     at = np.flatnonzero(sample.slots >= 0)
     middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
     assert np.array_equal(sample.slots[at], np.arange(len(at)))
@@ -35,10 +35,10 @@ def test_frames_are_used_from_their_arrival_on(config, trial):
 
 
 def test_no_event_after_a_window_reaches_it(config, trial):
-    full = make_sample(config, trial, trial.label, {})
+    full = make_sample(config, trial, trial.label(), {})
     cut = int(full.window_end_us[150])
     early = replace(trial, events=trial.events.between(0, cut))
-    part = make_sample(config, early, trial.label, {})
+    part = make_sample(config, early, trial.label(), {})
     assert np.array_equal(full.event_features[:151], part.event_features[:151])
     assert not part.event_features[151:].any()
     assert full.event_features[151:].any()
@@ -64,7 +64,7 @@ def test_simulated_truth_becomes_a_label():
 
 
 def test_samples_survive_the_disk(tmp_path, config, trial):
-    sample = make_sample(config, trial, trial.label, {'device_seed': 3})
+    sample = make_sample(config, trial, trial.label(), {'device_seed': 3})
     save_sample(tmp_path / 'a' / 's.npz', sample, config)
     loaded = load_sample(tmp_path / 'a' / 's.npz', FgerConfig(lstm_size=12))
     assert loaded.origin == {'device_seed': 3}
@@ -84,7 +84,7 @@ def test_unreadable_samples_are_named(tmp_path, config, content):
 
 
 def test_a_trial_that_begins_in_contact_is_refused(config, trial):
-    pressed = ForceLabel(trial.label.t_us, trial.label.force + 0.2)
+    pressed = ForceLabel(trial.truth.t_us, trial.truth.force + 0.2)
     with pytest.raises(DatasetError, match=r'begins with 0.20 N'):
         make_sample(config, trial, pressed, {})
 
@@ -92,7 +92,7 @@ def test_a_trial_that_begins_in_contact_is_refused(config, trial):
 def test_a_trial_that_is_too_short_is_refused(config, trial):
     short = replace(trial, frames=trial.frames[:5], arrival_us=trial.arrival_us[:5])
     with pytest.raises(DatasetError, match='5 frames'):
-        make_sample(config, short, trial.label, {})
+        make_sample(config, short, trial.label(), {})
 
 
 @pytest.mark.parametrize(('columns', 'rows'), [(True, False), (False, True), (True, True)])
@@ -109,7 +109,7 @@ def test_mirror_images_are_what_a_mirrored_sensor_sees(config, trial, columns, r
         frames=np.ascontiguousarray(np.flip(first.frames, axes)),
         events=Events(events.t, x, y, events.polarity),
     )
-    one, other = (make_sample(narrow, part, trial.label, {}) for part in (first, second))
+    one, other = (make_sample(narrow, part, trial.label(), {}) for part in (first, second))
     turned = mirror_events(torch.from_numpy(one.event_features).float(), columns, rows)
     assert np.allclose(turned.numpy(), other.event_features, atol=2e-2)
     frames = mirror_frames(torch.from_numpy(one.frame_inputs).float(), narrow, columns, rows)
@@ -118,8 +118,8 @@ def test_mirror_images_are_what_a_mirrored_sensor_sees(config, trial, columns, r
 
 
 def test_stacked_trials_keep_their_frames_and_their_lengths(config, trial):
-    long = make_sample(config, trial, trial.label, {})
-    until = ForceLabel(trial.label.t_us[:900], trial.label.force[:900])
+    long = make_sample(config, trial, trial.label(), {})
+    until = ForceLabel(trial.truth.t_us[:900], trial.truth.force[:900])
     short = make_sample(config, trial, until, {})
     both = stack([long, short])
     assert both.valid.sum(dim=0).tolist() == [len(long.force), len(short.force)]

@@ -111,15 +111,15 @@ def test_deviations_are_bounded_and_never_infinite():
             assert one == pytest.approx(np.exp(bound), rel=1e-5)
 
 
-def test_collected_errors_are_those_of_the_batch(model, toy_sequences):
+def test_collected_errors_are_those_of_the_batch(network, toy_sequences):
     sequences = toy_sequences[1]
-    found = collect(model.network, MemoryGroups(sequences))
-    force, _ = estimate(model.network, sequences)
+    found = collect(network, MemoryGroups(sequences))
+    force, _ = estimate(network, sequences)
     errors = (force - sequences.force)[sequences.valid]
     assert found.error.sort().values == pytest.approx(errors.sort().values, abs=1e-6)
-    few = collect(model.network, MemoryGroups(sequences), most=100)
+    few = collect(network, MemoryGroups(sequences), most=100)
     assert few.error.shape == (100,)
-    assert few.hidden.shape == (100, model.config.lstm_size)
+    assert few.hidden.shape == (100, network.config.lstm_size)
 
 
 def test_a_network_without_the_head_says_so(config):

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from mixtac_fger.config import FgerConfig
-from mixtac_learning.network import FgerNetwork, FrameSlots, count_parameters, operations_per_cycle
+from mixtac_fger.config import FgerConfig, count_parameters, operations_per_cycle, tensor_shapes
+from mixtac_learning.network import FgerNetwork, FrameSlots
 
 MOST_PARAMETERS = 50_000
 MOST_OPERATIONS = 5_000_000
@@ -17,9 +18,22 @@ WINDOWS = 20
 
 
 def test_fewer_parameters_than_promised():
-    network = FgerNetwork(FgerConfig())
-    assert count_parameters(network) == sum(p.numel() for p in network.parameters())
-    assert count_parameters(network) < MOST_PARAMETERS
+    assert count_parameters(FgerConfig()) < MOST_PARAMETERS
+
+
+@pytest.mark.parametrize(
+    'config',
+    [
+        FgerConfig(),
+        FgerConfig(event_shortcut=False, deviation_size=0),
+        FgerConfig(frame_widths=(4, 8), frame_channels=('frame',), lstm_size=7),
+    ],
+)
+def test_shapes_without_torch_are_those_of_the_network(config):
+    network = FgerNetwork(config)
+    shapes = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+    assert tensor_shapes(config) == shapes
+    assert count_parameters(config) == sum(p.numel() for p in network.parameters())
 
 
 def test_fewer_operations_than_promised():
@@ -35,4 +49,4 @@ def test_fewer_operations_than_promised():
     counted = counter.get_total_flops()
     assert counted < MOST_OPERATIONS
     # Biases are operations for us and none for torch.
-    assert counted <= operations_per_cycle(network) < 1.05 * counted
+    assert counted <= operations_per_cycle(config) < 1.05 * counted

@@ -12,6 +12,8 @@ import dataclasses
 import difflib
 import functools
 import json
+import os
+import re
 import secrets
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
@@ -31,6 +33,36 @@ T = TypeVar('T')
 
 class FileError(MixtacError):
     """A file that cannot be read or written, or whose content is not what it should be."""
+
+
+_PLAIN = re.compile(r'[A-Za-z0-9][A-Za-z0-9._-]*')
+
+
+def state_file(name: str) -> Path:
+    """Return the file of a name in the user's state folder.
+
+    The folder is `$MIXTAC_HOME`, or else `$XDG_STATE_HOME/mixtac` (`~/.local/state/mixtac`). Nodes
+    take names of files to write from parameters, which anyone on the network may set: they write
+    nowhere else.
+
+    Args:
+        name: Letters, digits, `.`, `_` and `-`; or the full path of such a file in this folder.
+
+    Raises:
+        FileError: The name is not plain.
+    """
+    home = os.environ.get('MIXTAC_HOME')
+    state = os.environ.get('XDG_STATE_HOME') or '~/.local/state'
+    folder = Path(home or f'{state}/mixtac').expanduser()
+    path = Path(name).expanduser()
+    plain = path.name if path.parent in {Path(), folder} else name
+    if not _PLAIN.fullmatch(plain):
+        raise FileError(
+            f'{name!r} is not the name of a file in {folder}',
+            remedy='give a name of letters, digits, ".", "_" and "-", such as left_finger.npz, or'
+            ' set MIXTAC_HOME to another folder',
+        )
+    return folder / plain
 
 
 @contextlib.contextmanager

@@ -20,6 +20,7 @@ from rich.table import Table
 
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
+from mixtac_fger.estimator import open_estimator
 from mixtac_fger.live_feed import LiveFeed
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_recordings.dataset import TrialSpec
@@ -28,7 +29,7 @@ from mixtac_sim.world.trial import TrialStream
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_fger.weights import LoadedModel
+    from mixtac_fger.weights import Model
 
 
 PACKET_US: Final = 1000
@@ -129,7 +130,6 @@ def _cut(scene: Scene, events: Events, start_us: int, end_us: int) -> None:
         )
 
 
-CONTACT_THRESHOLD_N: Final = 0.15
 DEADLINE_S: Final = 0.002
 """A force that comes later than the end of the next window is late."""
 
@@ -156,14 +156,14 @@ class PacedRun:
     cpu: float
 
 
-def run_paced(model: LoadedModel, scene: Scene) -> PacedRun:
+def run_paced(model: Model, scene: Scene) -> PacedRun:
     """Hand over every packet and frame when the camera would.
 
     Args:
-        model: Network with its weights, warmed up.
+        model: Content of a weight file whose estimator is warmed up.
         scene: What to hand over.
     """
-    feed = LiveFeed(model, CONTACT_THRESHOLD_N)
+    feed = LiveFeed(ForceEstimator(open_estimator(model), background_frames=True))
     steps: list[float] = []
     frames, late, count, thread_s = deque(scene.frames), 0, 0, 0.0
     cpu_s, start_s = time.process_time(), time.perf_counter()
@@ -184,20 +184,21 @@ def run_paced(model: LoadedModel, scene: Scene) -> PacedRun:
     cpu = (time.process_time() - cpu_s) / (time.perf_counter() - start_s)
     dropped = feed.status().estimator.frames_dropped
     feed.close()
-    windows = max(len(scene.packets) * PACKET_US // model.config.window_us, 1)
+    windows = max(len(scene.packets) * PACKET_US // feed.estimator.window_us, 1)
     return PacedRun(steps, 1e3 * thread_s / windows, count, late, dropped, cpu)
 
 
-def frame_times_ms(model: LoadedModel, scene: Scene) -> list[float]:
+def frame_times_ms(model: Model, scene: Scene) -> list[float]:
     """Return the time of each frame step of one thread, from image to correction-ready [ms]."""
-    estimator = ForceEstimator(model)
+    estimator = ForceEstimator(open_estimator(model))
     times = []
     for frame in scene.frames:
         start_s = time.perf_counter()
         estimator.push_frame(frame.image, frame.mid_us)
         times.append(1e3 * (time.perf_counter() - start_s))
     estimator.close()
-    return times[model.config.reference_frames :]
+    reference = estimator.reference
+    return times[0 if reference is None else reference.frames :]
 
 
 def quantiles(values: list[float]) -> dict[str, float]:
@@ -257,19 +258,19 @@ def measure(model_name: str | None, seconds: float, preset: str) -> dict[str, An
     """
     # These compile; the command line starts without them.
     from mixtac_fger.streaming import warm_up
-    from mixtac_fger.weights import DEFAULT_MODEL, find_model, load_model
-    from mixtac_learning.network import count_parameters, operations_per_cycle
+    from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
 
-    model = load_model(find_model(model_name or DEFAULT_MODEL))
+    model = read_model(find_model(model_name or DEFAULT_MODEL))
+    estimator = open_estimator(model)
     scene = make_scene(seconds, preset)
-    warm_up(model)
+    warm_up(estimator)
     frames_ms = frame_times_ms(model, scene)
     paced = run_paced(model, scene)
     return {
         'step_ms': quantiles(paced.step_ms),
         'frame_ms': quantiles(frames_ms),
-        'flops_per_cycle': operations_per_cycle(model.network),
-        'parameters': count_parameters(model.network),
+        'flops_per_cycle': estimator.operations,
+        'parameters': estimator.parameters,
         'windows': paced.forces,
         'events_per_s': scene.events / seconds,
         **_live_figures(paced),

@@ -348,13 +348,14 @@ class JudgePiece:
         """
         import torch
 
-        from mixtac_learning.judge.estimators import load_estimator
+        from mixtac_fger.weights import read_model
+        from mixtac_learning.judge.estimators import trial_estimator
 
         torch.set_num_threads(1)
         trial = self.source.load()
         files = {}
         for model, weights in self.weights.items():
-            estimate = load_estimator(folder / f'{weights}.safetensors').estimate(trial)
+            estimate = trial_estimator(read_model(folder / f'{weights}.safetensors'))(trial)
             files[model] = f'{stem}_{model}.npz'
             save_estimate(folder / files[model], estimate)
         return {'files': files}

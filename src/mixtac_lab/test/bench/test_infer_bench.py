@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from mixtac_events.codec import decode_message
+from mixtac_fger.estimator import open_estimator
 from mixtac_fger.streaming import warm_up
-from mixtac_fger.weights import DEFAULT_MODEL, LoadedModel, find_model, load_model
+from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.bench.infer import (
     DEVICE_SEED,
     EPOCH_US,
@@ -31,9 +32,9 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope='module')
-def model() -> LoadedModel:
-    model = load_model(find_model(DEFAULT_MODEL))
-    warm_up(model)
+def model() -> Model:
+    model = read_model(find_model(DEFAULT_MODEL))
+    warm_up(open_estimator(model))
     return model
 
 
@@ -51,15 +52,15 @@ def test_packets_say_how_far_they_reach(scene: Scene) -> None:
     assert set(np.diff(ends)) == {1000}
 
 
-def test_paced_run_gives_a_force_per_window(scene: Scene, model: LoadedModel) -> None:
+def test_paced_run_gives_a_force_per_window(scene: Scene, model: Model) -> None:
     run = run_paced(model, scene)
-    first_frame_us = scene.frames[model.config.reference_frames - 1].ready_us - EPOCH_US
-    possible = (SECONDS * 1e6 - first_frame_us) / model.config.window_us
+    first_frame_us = scene.frames[model.config['reference_frames'] - 1].ready_us - EPOCH_US
+    possible = (SECONDS * 1e6 - first_frame_us) / model.config['window_us']
     # The frame thread of a busy machine may take its time for the first frame.
     assert 0 < len(run.step_ms) <= run.forces <= possible
     assert 0 <= run.late <= len(run.step_ms)
 
 
-def test_frame_times_leave_out_the_reference(scene: Scene, model: LoadedModel) -> None:
+def test_frame_times_leave_out_the_reference(scene: Scene, model: Model) -> None:
     times = frame_times_ms(model, scene)
-    assert len(times) == len(scene.frames) - model.config.reference_frames
+    assert len(times) == len(scene.frames) - model.config['reference_frames']

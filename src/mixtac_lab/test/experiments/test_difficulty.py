@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from mixtac_lab.experiments.studies.difficulty import Judged, Scales, explained, summarise
-from mixtac_learning.judge.estimators import Run
+from mixtac_learning.judge.estimators import TrialEstimate
 
 T_US = np.arange(0, 8_000_000, 2000)
 TRUTH = (0.5 + 0.5 * np.sin(T_US / 4e5)).astype(np.float32)
 
 
 def run(force, frames_only=TRUTH):
-    return Run(T_US, np.asarray(force, np.float64), np.asarray(frames_only, np.float64), TRUTH)
+    force, frames_only = np.asarray(force, np.float64), np.asarray(frames_only, np.float64)
+    return TrialEstimate('a', 'dynamic', '0', T_US, force, TRUTH, None, frames_only)
 
 
 def test_each_estimator_gets_its_own_scale():

@@ -9,7 +9,6 @@ and a larger change has to win by a margin. The winner is then fitted to all pre
 from __future__ import annotations
 
 import copy
-import json as json_module
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -19,14 +18,16 @@ from rich.console import Console
 from torch import Tensor, nn
 
 from mixtac_fger.estimator import SERIAL_KEY
-from mixtac_fger.weights import ModelCard, load_model, save_model
+from mixtac_fger.weights import ModelCard, read_model, write_model
 from mixtac_learning.adapt.presses import folds, gather_presses, parse_load
 from mixtac_learning.judge.metrics import SMALLEST_FORCE_N, CalibrationError, fit_scale
+from mixtac_learning.model_card import write_model_card
+from mixtac_learning.network import model_of, network_of
 from mixtac_learning.train.batches import MemoryGroups, stack
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import LoopSettings, TrainingLoop
 from mixtac_learning.train.stages import (
-    GainedNetwork,
+    NetworkWithGains,
     SequenceStage,
     calibrate_deviation,
     collect,
@@ -34,7 +35,8 @@ from mixtac_learning.train.stages import (
 )
 from mixtac_learning.train.trainer import estimate
 from mixtac_learning.trials.bags import bag_sources
-from mixtac_learning.weights import write_model_card
+from mixtac_node.files import write_json
+from mixtac_node.topics import REFERENCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -42,14 +44,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mixtac_learning.adapt.presses import Material
+    from mixtac_learning.adapt.presses import PressSet
     from mixtac_learning.network import FgerNetwork
     from mixtac_learning.train.batches import Sequences
     from mixtac_learning.train.stages import Errors
     from mixtac_learning.trials.bags import BagSource
     from mixtac_learning.trials.samples import Sample
 
-    Say = Callable[[str], None]
+    Report = Callable[[str], None]
 
 
 @torch.no_grad()
@@ -135,7 +137,7 @@ def tuned(network: FgerNetwork, data: Sequences, seed: int = 0) -> FgerNetwork:
     Raises:
         TrainingError: The loss is no number any more.
     """
-    model = GainedNetwork(network.config, 1)
+    model = NetworkWithGains(network.config, 1)
     model.network = copy.deepcopy(network)
     loop = TrainingLoop(model, LoopSettings(seed, SETTINGS.weight_decay))
     loop.run([LastLayers(model, MemoryGroups(data), SETTINGS)])
@@ -179,14 +181,14 @@ class Adapted:
 
 
 def adapt(
-    network: FgerNetwork, presses: Sequence[Sample], say: Say = lambda _text: None
+    network: FgerNetwork, presses: Sequence[Sample], report: Report = lambda _text: None
 ) -> Adapted:
     """Adapt a network to the sensor that made the presses.
 
     Args:
         network: Not changed.
         presses: At least two; forces are nan where they are not known.
-        say: Called with what is done now.
+        report: Called with what is being done.
 
     Raises:
         CalibrationError: The presses are too few, too short, too weak, or do not belong to what
@@ -199,12 +201,12 @@ def adapt(
         fitted_to = [each for index, each in enumerate(presses) if index not in held]
         judged_on = MemoryGroups(side_by_side([presses[index] for index in held]))
         for way in WAYS:
-            say(f'{way}, part {number + 1} of {len(groups)}')
+            report(f'{way}, part {number + 1} of {len(groups)}')
             candidate, _ = _fitted(network, way, fitted_to)
             errors[way].append(collect(candidate, judged_on))
     mae = {way: float(torch.cat([e.error for e in errors[way]]).abs().mean()) for way in WAYS}
     way = choose(mae)
-    say(f'{way}, all presses')
+    report(f'{way}, all presses')
     final, gain = _fitted(network, way, presses)
     if final.deviation is not None:
         # Presses were held out: errors on what was fitted to are too small.
@@ -276,91 +278,88 @@ def _check(network: FgerNetwork, presses: Sequence[Sample]) -> float:
     return pressed_s
 
 
-@dataclass(frozen=True, slots=True)
-class AdaptRequest:
-    """What to adapt by what.
+def run_adaptation(
+    bags: Sequence[Path],
+    model: Path,
+    out: Path,
+    *,
+    loads: Sequence[str] = (),
+    reference: str = REFERENCE,
+    json: Path | None = None,
+    serial: str = '',
+) -> None:
+    """Adapt a model, write weight file and card, print what was chosen and why.
 
-    Attributes:
+    Args:
         bags: Recordings of one sensor, or folders of them.
         model: Weight file to start from.
         out: Weight file to write.
-        loads: Known loads, texts like `0.5:3.0-6.0`; empty for the reference in the bags.
+        loads: Known loads, texts like `0.5:3.0-6.0`; empty to use the reference in the bags.
         reference: Topic of the reference force.
         json: File for the figures; None for none.
-        serial: Serial number of the sensor's camera: the node refuses the file with another one.
-            Empty where any camera will do.
-    """
-
-    bags: Sequence[Path]
-    model: Path
-    out: Path
-    loads: Sequence[str] = ()
-    reference: str = '/ft_sensor/wrench'
-    json: Path | None = None
-    serial: str = ''
-
-
-def run_adaptation(request: AdaptRequest) -> None:
-    """Adapt a model, write weight file and card, print what was chosen and why.
+        serial: Serial number of the sensor's camera, so that the node refuses other cameras; empty
+            to allow any.
 
     Raises:
-        CalibrationError: The presses do not allow it; the text says why.
+        CalibrationError: The presses cannot be used; the text explains why.
         MixtacError: A bag or the model cannot be used.
     """
     torch.set_num_threads(1)
     console = Console()
-    model = load_model(request.model)
-    loads = [parse_load(text) for text in request.loads]
-    sources = _sources(request)
+    start = read_model(model)
+    network = network_of(start)
+    known = [parse_load(text) for text in loads]
+    sources = _sources(bags, reference, loads=bool(known))
     console.print(f'reading {len(sources)} recordings')
-    trials = (each.load_camera() if loads else each.load() for each in sources)
-    material = gather_presses(model.network, trials, loads)
+    trials = (each.load_camera() if known else each.load() for each in sources)
+    presses = gather_presses(network, trials, known)
     with console.status('adapting') as status:
-        adapted = adapt(model.network, material.presses, status.update)
-    figures = adaptation_figures(adapted, material)
-    training = model.card.training | {
-        'adapted': {'from': request.model.name, 'bags': [each.name for each in sources]} | figures
+        adapted = adapt(network, presses.presses, status.update)
+    figures = adaptation_figures(adapted, presses)
+    training = start.card.training | {
+        'adapted': {'from': model.name, 'bags': [each.name for each in sources]} | figures
     }
-    if request.serial:
-        training[SERIAL_KEY] = request.serial
+    if serial:
+        training[SERIAL_KEY] = serial
     card = ModelCard(training, {'adaptation': figures})
-    save_model(request.out, adapted.network, card)
-    write_model_card(request.out.with_suffix('.md'), request.out.name, card)
-    _report(console, adapted, material)
-    console.print(f'wrote {request.out}')
-    if request.json is not None:
-        content = {'model': str(request.model), 'out': str(request.out)} | figures
-        request.json.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')
+    write_model(out, model_of(adapted.network, card))
+    write_model_card(out.with_suffix('.md'), out.name, card)
+    _report(console, adapted, presses)
+    console.print(f'wrote {out}')
+    if json is not None:
+        write_json(json, {'model': str(model), 'out': str(out)} | figures)
 
 
-def _sources(request: AdaptRequest) -> list[BagSource]:
-    """Return the recordings to adapt by; test trials of a data set are not among them.
+def _sources(bags: Sequence[Path], reference: str, *, loads: bool) -> list[BagSource]:
+    """Return the recordings to adapt by, without test trials of a data set.
 
     Raises:
         CalibrationError: There are none, or of several sensors, or too many for known loads.
     """
-    found = [each for bag in request.bags for each in bag_sources(bag, request.reference)]
+    found = [each for bag in bags for each in bag_sources(bag, reference)]
     sources = [each for each in found if each.origin.get('split', 'train') != 'test']
     if not sources:
         raise CalibrationError(
-            f'all of {len(found)} recordings are test trials of a data set: a model that was'
-            ' adapted by them could not be judged; give others'
+            f'all {len(found)} recordings are test trials of a data set, on which the adapted'
+            ' model is to be judged',
+            remedy='give other recordings',
         )
     origins = [each.origin for each in sources]
     sensors = {str(origin.get('device_seed', origin.get('sensor', ''))) for origin in origins}
     if len(sensors) > 1:
         raise CalibrationError(
-            f'the recordings are of {len(sensors)} sensors: give those of one, as each has a gel'
-            ' of its own'
+            f'the recordings are from {len(sensors)} sensors, and each has its own gel',
+            remedy='give recordings of one sensor',
         )
-    if request.loads and len(sources) != 1:
+    if loads and len(sources) != 1:
         raise CalibrationError(
-            f'known loads belong to one recording, but there are {len(sources)}: give one bag'
+            f'known loads belong to one recording, but there are {len(sources)}',
+            remedy='give one bag',
         )
     return sources
 
 
-def adaptation_figures(adapted: Adapted, material: Material) -> dict[str, Any]:
+def adaptation_figures(adapted: Adapted, presses: PressSet) -> dict[str, Any]:
     """Return what was chosen and why, JSON-ready; forces in N, times in s."""
     held_out = {f'held_out_mae_{way}': round(v, 4) for way, v in adapted.held_out_mae.items()}
     return {
@@ -368,13 +367,13 @@ def adaptation_figures(adapted: Adapted, material: Material) -> dict[str, Any]:
         'gain': round(adapted.gain, 4),
         'presses': adapted.presses,
         'pressed_s': round(adapted.pressed_s, 1),
-        'recorded_s': round(material.used_s, 1),
+        'recorded_s': round(presses.used_s, 1),
     } | held_out
 
 
-def _report(console: Console, adapted: Adapted, material: Material) -> None:
-    if material.left_out_s > 0.0:
-        console.print(f'left out {material.left_out_s:.0f} s beyond the first minute')
+def _report(console: Console, adapted: Adapted, presses: PressSet) -> None:
+    if presses.left_out_s > 0.0:
+        console.print(f'left out {presses.left_out_s:.0f} s beyond the first minute')
     errors = ', '.join(f'{way} {mae:.3f} N' for way, mae in adapted.held_out_mae.items())
     console.print(f'{adapted.presses} presses; error on held-out presses: {errors}')
     console.print(f'chosen: {adapted.way}, gain {adapted.gain:.3f}')

@@ -195,8 +195,8 @@ LONGEST_S = 60.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Material:
-    """What a model is adapted by.
+class PressSet:
+    """The presses that a model is adapted by.
 
     Attributes:
         presses: Presses, forces nan where they are not known.
@@ -214,7 +214,7 @@ def gather_presses(
     trials: Iterable[TrialArrays],
     loads: Sequence[Load] = (),
     longest_s: float = LONGEST_S,
-) -> Material:
+) -> PressSet:
     """Cut recordings of one sensor into presses.
 
     Args:
@@ -244,7 +244,7 @@ def gather_presses(
             'the model sees no press with a known force: press the sensor during the recording,'
             ' and let go in between'
         )
-    return Material(presses, used * config.window_us / 1e6, left_out * config.window_us / 1e6)
+    return PressSet(presses, used * config.window_us / 1e6, left_out * config.window_us / 1e6)
 
 
 def _sample(network: FgerNetwork, trial: TrialArrays, loads: Sequence[Load]) -> Sample:

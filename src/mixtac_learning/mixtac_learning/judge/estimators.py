@@ -1,34 +1,35 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Running any model over trials as it would run live; trials that cannot be used are named."""
+"""Estimates of models over trials, as they would run live; trials that cannot be used are named."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mixtac_events.errors import MixtacError
+from mixtac_fger.estimator import open_estimator
 from mixtac_fger.streaming import ForceEstimator
-from mixtac_fger.weights import load_model
 from mixtac_learning.judge.metrics import CalibrationError, fit_scale
-from mixtac_learning.paper.samples import make_paper_sample
+from mixtac_learning.paper.live import LEFT_ALIGNED
+from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, paper_network_of
+from mixtac_learning.paper.samples import FULL_SCALE, make_paper_sample
 from mixtac_learning.paper.segments import run_samples
-from mixtac_learning.trials.trial import DatasetError, camera_end_us, window_ends
-from mixtac_learning.weights import PAPER_ARCHITECTURE as PAPER
-from mixtac_learning.weights import architecture_of, load_paper_model
+from mixtac_learning.trials.trial import DatasetError, TrialArrays, camera_end_us, window_ends
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from pathlib import Path
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from mixtac_fger.weights import LoadedModel
+    from mixtac_fger.weights import Model
     from mixtac_learning.paper.networks import PaperNetwork
     from mixtac_learning.trials.changes import Losses
-    from mixtac_learning.trials.trial import ForceLabel, RecordedTrial, TrialArrays, TrialSource
+    from mixtac_learning.trials.trial import TrialSource
 
     Advance = Callable[[], object]
 
@@ -40,7 +41,7 @@ class TrialEstimate:
     Attributes:
         name: Name of the trial.
         profile: Its force profile.
-        device: What tells its sensor from others.
+        device: Identifier of its sensor.
         t_us: End of each window [us], int64 [T].
         force: Estimate [N], float64 [T].
         known: Force that counts: the true one where it is known, else the reference's [N] [T].
@@ -66,64 +67,34 @@ class TrialEstimate:
         return replace(self, force=scale * self.force, frames_only=frames, deviation=deviation)
 
 
-class TrialEstimator(Protocol):
-    """A model that can be run over a trial as it would run live."""
-
-    def estimate(self, trial: TrialArrays) -> TrialEstimate:
-        """Return the model's estimates.
-
-        Raises:
-            MixtacError: The trial cannot be used.
-        """
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Run:
-    """Estimates of one trial.
-
-    Attributes:
-        t_us: End of each window, camera clock [us].
-        force: Estimate [N].
-        frames_only: Force of the latest frame, held [N].
-        truth: True force [N].
-        deviation: Standard deviation of the estimate [N]; None of a model that gives none.
-    """
-
-    t_us: NDArray[np.int64]
-    force: NDArray[np.float64]
-    frames_only: NDArray[np.float64]
-    truth: NDArray[np.float32]
-    deviation: NDArray[np.float64] | None = None
-
-    def scaled(self, scale: float) -> Run:
-        """Return the run as an estimator with this `force_scale` would have made it."""
-        deviation = None if self.deviation is None else scale * self.deviation
-        return replace(
-            self,
-            force=scale * self.force,
-            frames_only=scale * self.frames_only,
-            deviation=deviation,
-        )
+TrialEstimator = Callable[[TrialArrays], TrialEstimate]
+"""Estimates a trial; raises a MixtacError if the trial cannot be used."""
 
 
 def stream(
-    model: LoadedModel,
-    trial: RecordedTrial,
-    label: ForceLabel,
+    model: Model,
+    trial: TrialArrays,
+    *,
     frames: int | None = None,
     losses: Losses | None = None,
-) -> Run:
+) -> TrialEstimate:
     """Feed a trial to the live estimator in order of arrival.
 
     Args:
-        model: Network with its weights.
+        model: Content of a weight file, of any architecture.
         trial: Events and frames; frames are handed over at `arrival_us`.
-        label: True force on the camera clock.
         frames: Only the first so many frames are handed over; None for all.
         losses: What does not arrive; None for nothing.
+
+    Returns:
+        The estimates; none if the model gives none.
+
+    Raises:
+        DatasetError: The force of the trial is not known.
     """
-    estimator = ForceEstimator(model)
-    width = model.config.window_us
+    opened = open_estimator(model)
+    estimator = ForceEstimator(opened)
+    label, width = trial.label(), opened.window_us
     middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
     begin = min(int(trial.arrival_us[0]), int(label.t_us[0])) // width * width
     last = min(int(label.t_us[-1]), camera_end_us(trial))
@@ -137,137 +108,104 @@ def stream(
     for index, end in enumerate(ends.tolist()):
         for frame in range(done, arrived[index]):
             if frame_lost is None or not frame_lost[frame]:
-                estimator.push_frame(trial.frames[frame], int(middle[frame]))
+                # Left-aligned, as the driver publishes it.
+                image = np.minimum(trial.frames[frame], np.uint16(FULL_SCALE)) * LEFT_ALIGNED
+                estimator.push_frame(image, int(middle[frame]))
         done = max(done, int(arrived[index]))
         if packet_lost[index]:
             continue
         events = trial.events[cuts[index] : cuts[index + 1]]
         lost_before = index > 0 and bool(packet_lost[index - 1])
         for found in estimator.push_events(events, end, lost_before=lost_before):
-            frame_force = estimator.status().frame_force
-            rows.append((found.end_us, found.force, frame_force, found.deviation or 0.0))
+            deviation = found.deviation or 0.0
+            rows.append((found.end_us, found.force, estimator.frame_force, deviation))
     table = np.array(rows, np.float64).reshape(-1, 4)
+    deviations = table[:, 3] if opened.gives_deviation else None
     times = table[:, 0].astype(np.int64)
-    known = model.network.deviation is not None
-    deviations = table[:, 3] if known else None
-    return Run(times, table[:, 1], table[:, 2], label.at(times), deviations)
+    return _estimate(trial, times, table[:, 1], table[:, 2], deviations)
 
 
 SETTLE_FRAMES = 5
-"""Frames before the first window that counts: those of FGER-Net's reference."""
+"""Frames before the first window that is judged: those of FGER-Net's reference."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StreamingEstimator:
-    """FGER-Net through the live estimator.
+def trial_estimator(model: Model) -> TrialEstimator:
+    """Return the estimator of a model.
 
-    Attributes:
-        model: Network with its weights.
+    It is the live one, except for the paper's networks, which run half a second at a time.
+
+    Raises:
+        ModelError: The weights do not fit their architecture, or it is unknown.
     """
-
-    model: LoadedModel
-
-    def estimate(self, trial: TrialArrays) -> TrialEstimate:
-        """Return the estimates of a trial, from its first force on.
-
-        Raises:
-            DatasetError: There is none: too few still frames at the beginning.
-        """
-        run = stream(self.model, trial, trial.label())
-        if not len(run.t_us):
-            raise DatasetError(
-                f'{trial.origin.get("name")} gives no estimate: it must begin with'
-                f' {self.model.config.reference_frames} frames without contact'
-            )
-        return _beside(trial, run.t_us, run.force, run.frames_only, run.deviation)
+    if model.architecture == PAPER_ARCHITECTURE:
+        return partial(paper_estimate, paper_network_of(model))
+    open_estimator(model)
+    return partial(live_estimate, model)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PaperEstimator:
-    """One of the paper's networks.
+def live_estimate(model: Model, trial: TrialArrays) -> TrialEstimate:
+    """Return the live estimates of a trial, from its first force on.
 
-    Attributes:
-        network: In evaluation mode.
-        settle_frames: Frames before the first estimate that counts: as many as the reference of
-            FGER-Net takes, so that all models are judged on the same windows.
+    Raises:
+        DatasetError: There are none: too few still frames at the beginning.
     """
-
-    network: PaperNetwork
-    settle_frames: int = SETTLE_FRAMES
-
-    def estimate(self, trial: TrialArrays) -> TrialEstimate:
-        """Return the estimates of a trial.
-
-        Raises:
-            DatasetError: Its frames are too few or of another size.
-        """
-        sample = make_paper_sample(self.network.config, trial)
-        (force,) = run_samples(self.network, [sample])
-        later = sample.window_end_us > _settled_us(trial, self.settle_frames)
-        return _beside(trial, sample.window_end_us[later], force[later].astype(np.float64), None)
+    found = stream(model, trial)
+    if not len(found.t_us):
+        raise DatasetError(
+            f'{found.name} gives no estimate',
+            remedy=f'begin trials with {SETTLE_FRAMES} frames without contact',
+        )
+    return found
 
 
-@dataclass(frozen=True, slots=True)
-class ConstantEstimator:
-    """Says the same whatever the sensor sees: what any model must beat.
+def paper_estimate(network: PaperNetwork, trial: TrialArrays) -> TrialEstimate:
+    """Return the estimates of one of the paper's networks, in evaluation mode.
 
-    Attributes:
-        force: What it says [N].
-        window_us: One estimate per so much time [us].
+    The first `SETTLE_FRAMES` frames do not count, so that all models are judged on the same
+    windows.
+
+    Raises:
+        DatasetError: The frames of the trial are too few or of another size.
     """
+    sample = make_paper_sample(network.config, trial)
+    (force,) = run_samples(network, [sample])
+    later = sample.window_end_us > _settled_us(trial)
+    found = _estimate(trial, sample.window_end_us[later], force[later].astype(np.float64))
+    if not len(found.t_us):
+        raise DatasetError(f'{found.name} gives no estimate at a time with a known force')
+    return found
 
-    force: float
-    window_us: int = 2000
 
-    def estimate(self, trial: TrialArrays) -> TrialEstimate:
-        """Return the constant on the windows that other models are judged on."""
-        ends = _judged_windows(trial, self.window_us)
-        return _beside(trial, ends, np.full(len(ends), self.force), None)
+def constant_estimator(force: float, window_us: int = 2000) -> TrialEstimator:
+    """Return the estimator that always gives `force` [N], which any model must beat."""
+
+    def estimate(trial: TrialArrays) -> TrialEstimate:
+        found = known_force(trial, window_us)
+        return replace(found, force=np.full(len(found.t_us), force))
+
+    return estimate
 
 
 def known_force(trial: TrialArrays, window_us: int = 2000) -> TrialEstimate:
     """Return the known force itself on the windows that models are judged on."""
-    ends = _judged_windows(trial, window_us)
-    return _beside(trial, ends, trial.label().at(ends).astype(np.float64), None)
+    ends = window_ends(trial, trial.label(), window_us, _settled_us(trial))
+    return _estimate(trial, ends, trial.label().at(ends).astype(np.float64))
 
 
-def _judged_windows(trial: TrialArrays, window_us: int) -> NDArray[np.int64]:
-    return window_ends(trial, trial.label(), window_us, _settled_us(trial, SETTLE_FRAMES))
+def _settled_us(trial: TrialArrays) -> int:
+    return int(trial.arrival_us[min(SETTLE_FRAMES, len(trial.arrival_us)) - 1])
 
 
-def _settled_us(trial: TrialArrays, frames: int) -> int:
-    return int(trial.arrival_us[min(frames, len(trial.arrival_us)) - 1])
-
-
-def constant_estimator(force: float) -> TrialEstimator:
-    """Return the estimator that always says `force` [N]."""
-    return ConstantEstimator(force)
-
-
-def load_estimator(path: Path) -> TrialEstimator:
-    """Return the estimator of a weight file of either kind.
-
-    Raises:
-        ModelError: The file is missing, damaged, or of another architecture.
-    """
-    if architecture_of(path) == PAPER:
-        return PaperEstimator(load_paper_model(path).network)
-    return StreamingEstimator(load_model(path))
-
-
-def _beside(
+def _estimate(
     trial: TrialArrays,
     t_us: NDArray[np.int64],
     force: NDArray[np.float64],
-    frames_only: NDArray[np.float64] | None,
+    frames_only: NDArray[np.float64] | None = None,
     deviation: NDArray[np.float64] | None = None,
 ) -> TrialEstimate:
+    """Return estimates beside the known force, at the times at which it is known."""
     label = trial.label()
     inside = (t_us >= label.t_us[0]) & (t_us <= label.t_us[-1])
-    if not inside.any():
-        raise DatasetError(
-            f'{trial.origin.get("name")}: no estimate at a time of which the force is known'
-        )
     times = t_us[inside]
     reference = trial.reference if trial.truth is not None else None
     return TrialEstimate(
@@ -314,7 +252,7 @@ def judge_sources(
     judged = Judged()
     for source in sources:
         try:
-            judged.estimates.append(estimator.estimate(source.load()))
+            judged.estimates.append(estimator(source.load()))
         except MixtacError as error:
             judged.skipped[source.name] = str(error)
         advance()
@@ -339,12 +277,12 @@ def sensor_scales(
         fallback: Scale of a sensor whose press the model does not see; None to fail.
 
     Raises:
-        CalibrationError: As said.
+        CalibrationError: A press is not seen, and there is no fallback.
         MixtacError: A press cannot be used.
     """
     scales = {}
     for source in presses:
-        press = estimator.estimate(source.load())
+        press = estimator(source.load())
         try:
             scales[press.device] = fit_scale(press.force, press.known).force_scale
         except CalibrationError:

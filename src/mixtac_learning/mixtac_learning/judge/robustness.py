@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mixtac_fger.weights import LoadedModel
-    from mixtac_learning.judge.estimators import Run
+    from mixtac_fger.weights import Model
+    from mixtac_learning.judge.estimators import TrialEstimate
     from mixtac_learning.trials.trial import TrialArrays, TrialSource
 
 
@@ -38,14 +38,14 @@ UNDISTURBED, GAP = 'undisturbed', 'gap_200ms'
 
 
 def robustness(
-    model: LoadedModel,
+    model: Model,
     sources: Iterable[TrialSource],
     advance: Callable[[], object] = lambda: None,
 ) -> dict[str, dict[str, Any]]:
     """Return the figures of a model with and without losses; forces in N, times in ms.
 
     Args:
-        model: Network with its weights.
+        model: Content of a weight file.
         sources: Trials; those that cannot be used are passed over.
         advance: Called after each.
 
@@ -75,29 +75,28 @@ def robustness(
     return {kind: _pooled(kind, rows) for kind, rows in collected.items()}
 
 
-def _of_trial(model: LoadedModel, trial: TrialArrays) -> dict[str, list[dict[str, float]]]:
-    label = trial.label()
-    whole = stream(model, trial, label)
+def _of_trial(model: Model, trial: TrialArrays) -> dict[str, list[dict[str, float]]]:
+    whole = stream(model, trial)
     if not len(whole.t_us):
         return {}
     rows = {UNDISTURBED: [_errors(whole, whole)]}
     for kind, losses in KINDS.items():
-        rows[kind] = [_errors(stream(model, trial, label, losses=losses), whole)]
+        rows[kind] = [_errors(stream(model, trial, losses=losses), whole)]
     last_us = int(whole.t_us[-1]) - Losses().gap_us - 2 * AFTER_US
     gaps = tuple(range(int(whole.t_us[0]) + FIRST_GAP_US, last_us, GAP_EVERY_US))
     losses = Losses(gaps_us=gaps)
-    holed = stream(model, trial, label, losses=losses)
+    holed = stream(model, trial, losses=losses)
     rows[GAP] = [_gap(holed, whole, trial, begin, losses) for begin in gaps]
     return rows
 
 
-def _errors(run: Run, whole: Run) -> dict[str, float]:
-    error = np.abs(run.force - run.truth)
+def _errors(run: TrialEstimate, whole: TrialEstimate) -> dict[str, float]:
+    error = np.abs(run.force - run.known)
     return {'sum': float(error.sum()), 'count': len(error), 'whole': len(whole.t_us)}
 
 
 def _gap(
-    run: Run, whole: Run, trial: TrialArrays, begin_us: int, losses: Losses
+    run: TrialEstimate, whole: TrialEstimate, trial: TrialArrays, begin_us: int, losses: Losses
 ) -> dict[str, float]:
     """Return what happened at one gap; nan where there was nothing."""
     end_us = begin_us + losses.gap_us
@@ -114,9 +113,9 @@ def _gap(
     }
 
 
-def _between(run: Run, after_us: int, until_us: int) -> float:
+def _between(run: TrialEstimate, after_us: int, until_us: int) -> float:
     chosen: NDArray[np.bool_] = (run.t_us > after_us) & (run.t_us <= until_us)
-    error = np.abs(run.force - run.truth)[chosen]
+    error = np.abs(run.force - run.known)[chosen]
     return float(error.mean()) if len(error) else float('nan')
 
 

@@ -12,8 +12,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import max_pool2d
 
+from mixtac_fger.config import ConfigError, ModelError
+from mixtac_fger.weights import Model
+from mixtac_learning.network import arrays_of, load_arrays
+from mixtac_learning.paper.config import PaperConfig
+
 if TYPE_CHECKING:
-    from mixtac_learning.paper.config import PaperConfig
+    from mixtac_fger.weights import ModelCard
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,7 +302,6 @@ class FgerPaper(nn.Module):
 
     def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
         """Return the force [N] at the end of each window, [T, B], and the state after the last."""
-        continuous = not self.training and self.config.correction == 'continuous'
         frames = self.frame(batch.frames)
         state = recall(state, frames, batch)
         arrivals = (batch.slots >= 0).any(1).tolist()
@@ -305,17 +309,38 @@ class FgerPaper(nn.Module):
         for features, slots, arrives in zip(
             self.recurrence.features(batch), batch.slots, arrivals, strict=True
         ):
-            state = self.recurrence.step(features, state)
-            fresh = slots >= 0
-            if arrives:
-                state = _see(state, frames, slots)
-                force = torch.where(fresh, state.force + self._correct(state), state.force)
-                state = state._replace(force=force)
-            given = state.force
-            if continuous:
-                given = torch.where(state.seen & ~fresh, given + self._correct(state), given)
+            given, state = self.window(features, frames, slots, state, arrives=arrives)
             forces.append(given)
         return torch.stack(forces), state
+
+    def window(
+        self,
+        features: Tensor,
+        frames: Tensor,
+        slots: Tensor,
+        state: PaperState,
+        *,
+        arrives: bool,
+    ) -> tuple[Tensor, PaperState]:
+        """Return the force [N] at the end of one window, [B], and the state after it.
+
+        Args:
+            features: f_e of the window, [B, size].
+            frames: f_frame of frames, [N, channels].
+            slots: Frame that arrives in the window, -1 for none, int64 [B].
+            state: Before the window.
+            arrives: Whether any frame arrives.
+        """
+        state = self.recurrence.step(features, state)
+        fresh = slots >= 0
+        if arrives:
+            state = _see(state, frames, slots)
+            force = torch.where(fresh, state.force + self._correct(state), state.force)
+            state = state._replace(force=force)
+        given = state.force
+        if not self.training and self.config.correction == 'continuous':
+            given = torch.where(state.seen & ~fresh, given + self._correct(state), given)
+        return given, state
 
     def _correct(self, state: PaperState) -> Tensor:
         fusion = torch.cat([state.force[:, None], state.feature], 1)
@@ -426,6 +451,40 @@ _CLASSES: dict[str, type[FgerPaper | EventsOnly | FramesOnly | FeatureFusion]] =
 def build(config: PaperConfig) -> PaperNetwork:
     """Return a network with fresh weights."""
     return _CLASSES[config.model](config)
+
+
+PAPER_ARCHITECTURE = 'fger_paper'
+PAPER_VERSION = 1
+_REMEDY = 'train one with "mixtac train fger_paper"'
+
+
+def paper_model_of(network: PaperNetwork, card: ModelCard) -> Model:
+    """Return the content of a weight file of one of the paper's networks."""
+    config = network.config.to_dict()
+    return Model(PAPER_ARCHITECTURE, PAPER_VERSION, config, card, arrays_of(network))
+
+
+def paper_network_of(model: Model) -> PaperNetwork:
+    """Return the network of a model, in evaluation mode on the CPU.
+
+    Raises:
+        ModelError: The model is of another architecture or version, or its tensors do not fit.
+    """
+    found = (model.architecture, model.version)
+    if found != (PAPER_ARCHITECTURE, PAPER_VERSION):
+        raise ModelError(
+            f'the weights are of {found[0]} version {found[1]}, but {PAPER_ARCHITECTURE} version'
+            f' {PAPER_VERSION} is needed',
+            remedy=_REMEDY,
+        )
+    try:
+        network = build(PaperConfig.from_dict(model.config))
+    except (ConfigError, ValueError, TypeError) as error:
+        raise ModelError(
+            f'the configuration of the weights cannot be used ({error})', remedy=_REMEDY
+        ) from error
+    load_arrays(network, model.tensors)
+    return network.eval()
 
 
 def one_cycle(config: PaperConfig) -> SegmentBatch:

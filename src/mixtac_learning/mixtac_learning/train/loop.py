@@ -111,7 +111,8 @@ def save_checkpoint(
             tensors[f'optimiser.{index}.{name}'] = torch.as_tensor(value)
     state = {name: getattr(progress, name) for name in Progress.__slots__}
     header = {'schema': SCHEMA, 'fingerprint': fingerprint, 'progress': json.dumps(state)}
-    write_tensors(path, tensors, header)
+    arrays = {name: value.detach().cpu().numpy() for name, value in tensors.items()}
+    write_tensors(path, arrays, header)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,12 +170,13 @@ def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
     """
     if not path.exists():
         return None
-    header, tensors = read_tensors(path, TrainingError, 'remove it to start over')
+    header, arrays = read_tensors(path, TrainingError, 'remove it to start over')
     if header.get('schema') != SCHEMA or header.get('fingerprint') != fingerprint:
         raise TrainingError(
             f'{path} belongs to a run with other settings or other data: give another folder with'
             ' --folder, or remove it to start over'
         )
+    tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
     return Checkpoint(Progress(**json.loads(header['progress'])), tensors)
 
 

@@ -14,19 +14,17 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from rich.console import Console
-from rich.progress import Progress, track
+from rich.progress import Progress
 
 from mixtac_fger.config import FgerConfig
-from mixtac_fger.weights import LoadedModel, ModelCard, save_model
-from mixtac_learning.judge.estimators import (
-    PaperEstimator,
-    StreamingEstimator,
-    judge_sources,
-    sensor_scales,
-)
-from mixtac_learning.judge.report import by_profile, show_figures, show_skipped
+from mixtac_fger.weights import ModelCard, write_model
+from mixtac_learning.judge.estimators import trial_estimator
+from mixtac_learning.judge.evaluation import judge_devices
+from mixtac_learning.judge.report import show_figures, show_skipped
+from mixtac_learning.model_card import write_model_card
+from mixtac_learning.network import model_of
 from mixtac_learning.paper.config import PaperConfig
-from mixtac_learning.paper.networks import build
+from mixtac_learning.paper.networks import build, paper_model_of
 from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
 from mixtac_learning.train.batches import DiskGroups
 from mixtac_learning.train.config import OURS, TrainingSettings
@@ -38,12 +36,9 @@ from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import prepare
-from mixtac_learning.weights import save_paper_model, write_model_card
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.training_trials import (
     TRAINING_PROFILES,
-    calibration_plan,
-    evaluation_plan,
     training_plan,
     unseen_devices,
 )
@@ -51,13 +46,12 @@ from mixtac_sim.world.training_trials import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from mixtac_learning.judge.estimators import TrialEstimator
+    from mixtac_fger.weights import Model
     from mixtac_learning.paper.networks import PaperNetwork
     from mixtac_learning.train.config import DataConfig, RunConfig
     from mixtac_learning.train.loop import Report
     from mixtac_learning.trials.store import Recipe
     from mixtac_learning.trials.trial import TrialSource
-    from mixtac_sim.world.training_trials import TrialSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,17 +328,16 @@ def save(path: Path, trained: Trained, metrics: dict[str, Any]) -> None:
         trained: The run.
         metrics: Figures on trials that were not trained on.
     """
-    card = ModelCard(trained.card.training, metrics)
-    if trained.card.training['model'] == OURS:
-        save_model(path, trained.network, card)
-    else:
-        save_paper_model(path, trained.network, card)
-    write_model_card(path.with_suffix('.md'), path.name, card)
+    model = trained_model(trained, metrics)
+    write_model(path, model)
+    write_model_card(path.with_suffix('.md'), path.name, model.card)
 
 
-def loaded(trained: Trained) -> LoadedModel:
-    """Return a run of our network as the model that is judged."""
-    return LoadedModel(trained.network, trained.card)
+def trained_model(trained: Trained, metrics: dict[str, Any] | None = None) -> Model:
+    """Return the content of the weight file of a run."""
+    card = ModelCard(trained.card.training, metrics or {})
+    make = model_of if card.training['model'] == OURS else paper_model_of
+    return make(trained.network, card)
 
 
 def chosen_device(name: str) -> str:
@@ -449,39 +442,10 @@ def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:
     count = min(data.sensors, data.trials)
     most = -(-config.judged // 2)
     seen = list(range(first, first + count, max(count // most, 1)))[:most]
-    estimator = estimator_of(trained)
+    estimator = trial_estimator(trained_model(trained))
     return {
-        'seen_devices': judge_devices(estimator, seen, EVALUATION_SECONDS, 0, data.preset),
+        'seen_devices': judge_devices(estimator, seen, EVALUATION_SECONDS, 0, data.preset)[1],
         'unseen_devices': judge_devices(
             estimator, unseen_devices(config.judged, 0), EVALUATION_SECONDS, 1, data.preset
-        ),
+        )[1],
     }
-
-
-def estimator_of(trained: Trained) -> TrialEstimator:
-    """Return a run's network as an estimator."""
-    if trained.card.training['model'] == OURS:
-        return StreamingEstimator(loaded(trained))
-    return PaperEstimator(trained.network)
-
-
-def judge_devices(
-    estimator: TrialEstimator, devices: list[int], seconds: float, seed: int, preset: str
-) -> dict[str, Any]:
-    """Return figures by profile on simulated sensors, raw and with one gain from one press.
-
-    Args:
-        estimator: The model.
-        devices: Seeds of the sensors.
-        seconds: Length of a trial.
-        seed: Which days.
-        preset: How hard.
-    """
-    presses = _sources(calibration_plan(devices, seconds, seed, preset), 'calibrating')
-    scales = sensor_scales(estimator, presses)
-    trials = _sources(evaluation_plan(devices, seconds, seed, preset=preset), 'judging')
-    return by_profile(judge_sources(estimator, trials).estimates, scales)
-
-
-def _sources(specs: list[TrialSpec], title: str) -> Any:  # noqa: ANN401 - rich's own type
-    return track([SimulatedSource(spec) for spec in specs], title, transient=True)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _ENCODE_BATCH = 512
 
 
-class GainedNetwork(nn.Module):
+class NetworkWithGains(nn.Module):
     """FGER-Net and one gain per sensor of the training data.
 
     How stiff a gel is cannot be seen: force is stiffness times what is seen. So each sensor of the
@@ -115,7 +115,7 @@ class FrameStage:
         name: Of the stage.
     """
 
-    model: GainedNetwork
+    model: NetworkWithGains
     groups: SequenceGroups
     settings: TrainingSettings
     processes: Processes
@@ -265,7 +265,7 @@ class SequenceStage:
         checked: Trials to validate on; None for none.
     """
 
-    model: GainedNetwork
+    model: NetworkWithGains
     groups: SequenceGroups
     settings: TrainingSettings
     joint: bool = False
@@ -444,7 +444,7 @@ class DeviationStage:
         name: Of the stage.
     """
 
-    model: GainedNetwork
+    model: NetworkWithGains
     groups: SequenceGroups
     settings: TrainingSettings
     checked: SequenceGroups | None = None

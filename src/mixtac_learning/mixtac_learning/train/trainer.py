@@ -14,7 +14,7 @@ from mixtac_learning.train.parallel import Processes
 from mixtac_learning.train.stages import (
     DeviationStage,
     FrameStage,
-    GainedNetwork,
+    NetworkWithGains,
     SequenceStage,
     calibrate_deviation,
     collect,
@@ -82,7 +82,7 @@ class Trainer:
         held = None if checked is None else _grouped(checked)
         settings, processes = self._settings, self._processes
         torch.manual_seed(settings.seed)
-        model = GainedNetwork(self._config, groups.devices)
+        model = NetworkWithGains(self._config, groups.devices)
         model.fit_scales(groups.load(0))
         processes.average_buffers(model)
         model.to(self._device)
@@ -123,13 +123,13 @@ def estimate(network: FgerNetwork, sequences: Sequences) -> tuple[Tensor, Tensor
     Returns:
         Force at the end of each window [T, B] and frames-only force of each frame [N], in N.
     """
-    model = GainedNetwork(network.config, 1)
+    model = NetworkWithGains(network.config, 1)
     model.network = network
     return model.estimate(sequences)
 
 
 def encode(network: FgerNetwork, sequences: Sequences) -> Tensor:
     """Return f_frame of all frames, [N, frame_size]."""
-    model = GainedNetwork(network.config, 1)
+    model = NetworkWithGains(network.config, 1)
     model.network = network
     return model.encode(sequences)

@@ -12,13 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
-from mixtac_learning.trials.trial import (
-    DatasetError,
-    ForceLabel,
-    RecordedTrial,
-    frame_arrivals,
-    window_ends,
-)
+from mixtac_learning.trials.trial import DatasetError, frame_arrivals, window_ends
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_fger.config import FgerConfig
-    from mixtac_learning.trials.trial import TrialArrays
+    from mixtac_learning.trials.trial import ForceLabel, TrialArrays
 
 
 CONTACT_N = 0.01
@@ -65,7 +59,7 @@ class Sample:
 
 def make_sample(
     config: FgerConfig,
-    trial: RecordedTrial,
+    trial: TrialArrays,
     label: ForceLabel,
     origin: dict[str, Any],
     contact_n: float = CONTACT_N,
@@ -120,7 +114,7 @@ def make_sample(
 
 def _features(
     config: FgerConfig,
-    trial: RecordedTrial,
+    trial: TrialArrays,
     ends: NDArray[np.int64],
     slots: NDArray[np.int64],
 ) -> tuple[NDArray[np.float16], NDArray[np.float16]]:

@@ -12,6 +12,7 @@ from mixtac_sim.world import training_trials as generation
 
 if TYPE_CHECKING:
     from mixtac_sim.world.training_trials import TrialSpec
+    from mixtac_sim.world.trial import Trial
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,22 +40,26 @@ class SimulatedSource:
         return f'{generation.simulator_digest()} {self.name}'
 
     def load(self) -> TrialArrays:
-        """Simulate the trial; the reference is aligned by the simulator's own clock map.
+        """Simulate the trial.
 
         Raises:
             SimulationError: Unknown profile or preset, or too short a duration.
         """
-        trial = generation.simulate(self.spec)
-        scale, offset_us = trial.clock
-        return TrialArrays(
-            events=trial.events,
-            frames=trial.frames,
-            exposure_start_us=trial.exposure_start_us,
-            exposure_end_us=trial.exposure_end_us,
-            arrival_us=trial.arrival_us,
-            truth=true_force(trial.truth),
-            reference=aligned_force(
-                trial.reference_t_us, trial.reference_wrench[:, 2], scale, offset_us
-            ),
-            origin=self.origin,
-        )
+        return arrays_of(generation.simulate(self.spec), self.origin)
+
+
+def arrays_of(trial: Trial, origin: dict[str, Any]) -> TrialArrays:
+    """Return a simulated trial as arrays, its reference aligned by the simulator's clock map."""
+    scale, offset_us = trial.clock
+    return TrialArrays(
+        events=trial.events,
+        frames=trial.frames,
+        exposure_start_us=trial.exposure_start_us,
+        exposure_end_us=trial.exposure_end_us,
+        arrival_us=trial.arrival_us,
+        truth=true_force(trial.truth),
+        reference=aligned_force(
+            trial.reference_t_us, trial.reference_wrench[:, 2], scale, offset_us
+        ),
+        origin=origin,
+    )

@@ -21,30 +21,6 @@ class DatasetError(MixtacError):
     """Training data that cannot be read or do not fit the configuration."""
 
 
-class RecordedTrial(Protocol):
-    """What a trial must offer, as `mixtac_sim.world.trial.Trial` does; camera clock [us]."""
-
-    @property
-    def events(self) -> Events:
-        """Events, sorted."""
-
-    @property
-    def frames(self) -> NDArray[np.uint16]:
-        """Intensities [N, height, width]."""
-
-    @property
-    def exposure_start_us(self) -> NDArray[np.int64]:
-        """When each exposure began [N]."""
-
-    @property
-    def exposure_end_us(self) -> NDArray[np.int64]:
-        """When it ended [N]."""
-
-    @property
-    def arrival_us(self) -> NDArray[np.int64]:
-        """When the host had the frame [N]."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceLabel:
     """The force to learn, as a curve.
@@ -178,7 +154,7 @@ class TrialSource(Protocol):
 
 
 def window_ends(
-    trial: RecordedTrial, label: ForceLabel, window_us: int, begin_us: int
+    trial: TrialArrays, label: ForceLabel, window_us: int, begin_us: int
 ) -> NDArray[np.int64]:
     """Return the ends of the windows of a trial, multiples of `window_us`.
 
@@ -218,7 +194,7 @@ def frame_arrivals(
     return slots
 
 
-def camera_end_us(trial: RecordedTrial) -> int:
+def camera_end_us(trial: TrialArrays) -> int:
     """Return until when the camera is known to have run [us, camera clock]."""
     latest = int(trial.events.t[-1]) if len(trial.events) else 0
     return max(latest, int(trial.arrival_us[-1]) if len(trial.arrival_us) else 0)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -47,13 +46,13 @@ def outputs(network, sample):
 
 @pytest.fixture(scope='module')
 def sample(config, trial):
-    return make_sample(config, trial, trial.label, {})
+    return make_sample(config, trial, trial.label(), {})
 
 
 @pytest.fixture(scope='module')
-def network(model, sample):
+def following(network, sample):
     """A network that gives out a sum of the frame feature, which a press changes, and no more."""
-    built = copy.deepcopy(model.network)
+    built = copy.deepcopy(network)
     hidden, _, output = built.correction
     with torch.no_grad():
         for layer in (hidden, output, built.increment[2]):
@@ -83,18 +82,18 @@ def stiffer(presses, gain):
 
 
 @pytest.mark.parametrize('gain', [0.3, 1.0, 2.5])
-def test_a_folded_gain_multiplies_forces_and_deviations(model, sample, gain):
-    force, deviation = outputs(model.network, sample)
-    scaled_force, scaled_deviation = outputs(with_gain(model.network, gain), sample)
+def test_a_folded_gain_multiplies_forces_and_deviations(network, sample, gain):
+    force, deviation = outputs(network, sample)
+    scaled_force, scaled_deviation = outputs(with_gain(network, gain), sample)
     assert scaled_force == pytest.approx(gain * force, rel=1e-4, abs=1e-4)
     assert scaled_deviation == pytest.approx(gain * deviation, rel=1e-3)
-    assert outputs(model.network, sample)[0] == pytest.approx(force, abs=0.0)
+    assert outputs(network, sample)[0] == pytest.approx(force, abs=0.0)
 
 
-def test_impossible_gains_are_refused(model):
+def test_impossible_gains_are_refused(network):
     for gain in (0.0, -1.0, float('nan'), float('inf')):
         with pytest.raises(CalibrationError, match='impossible'):
-            with_gain(model.network, gain)
+            with_gain(network, gain)
 
 
 @pytest.fixture
@@ -104,28 +103,28 @@ def fast(monkeypatch):
     monkeypatch.setattr(adaptation, 'SHORTEST_PRESSED_S', 0.5)
 
 
-def test_a_stiffer_gel_is_found_as_a_gain(network, presses, fast):
-    adapted = adapt(network, stiffer(presses, 1.7))
+def test_a_stiffer_gel_is_found_as_a_gain(following, presses, fast):
+    adapted = adapt(following, stiffer(presses, 1.7))
     assert adapted.way == 'gain'
     assert adapted.gain == pytest.approx(1.7, rel=0.02)
     assert adapted.held_out_mae['gain'] < 0.5 * adapted.held_out_mae['unchanged']
     assert adapted.presses == 4
 
 
-def test_a_model_that_fits_stays_as_it_is(network, presses, fast):
-    adapted = adapt(network, presses)
+def test_a_model_that_fits_stays_as_it_is(following, presses, fast):
+    adapted = adapt(following, presses)
     assert adapted.way == 'unchanged'
     assert adapted.gain == 1.0
 
 
-def test_the_deviation_covers_what_was_held_out(network, presses, fast):
+def test_the_deviation_covers_what_was_held_out(following, presses, fast):
     noise = np.random.default_rng(0).laplace(0.0, 0.05, (4, len(presses[0].force)))
     noisy = [
         replace(press, force=(press.force + each).astype(np.float32))
         for press, each in zip(stiffer(presses, 1.7), noise, strict=True)
     ]
-    adapted = adapt(network, noisy)
-    force, deviation = outputs(adapted.network, presses[0])
+    adapted = adapt(following, noisy)
+    force, deviation = outputs(adapted.following, presses[0])
     covered = [np.mean(np.abs(force - press.force) <= deviation) for press in noisy]
     # Wider than one deviation of these presses: a further press is to be covered after four.
     wider = stats.t.ppf(0.8413, 4)
@@ -142,14 +141,14 @@ def test_the_deviation_covers_what_was_held_out(network, presses, fast):
         (lambda press: replace(press, force=press.force[::-1].copy()), 'correlation'),
     ],
 )
-def test_what_does_not_belong_together_is_refused(network, presses, fast, change, reason):
+def test_what_does_not_belong_together_is_refused(following, presses, fast, change, reason):
     with pytest.raises(CalibrationError, match=reason):
-        adapt(network, [change(press) for press in presses])
+        adapt(following, [change(press) for press in presses])
 
 
-def test_one_press_is_too_few(network, presses):
+def test_one_press_is_too_few(following, presses):
     with pytest.raises(CalibrationError, match='let go in between'):
-        adapt(network, presses[:1])
+        adapt(following, presses[:1])
 
 
 def test_larger_changes_have_to_earn_their_keep():
@@ -160,13 +159,13 @@ def test_larger_changes_have_to_earn_their_keep():
     assert choose({'unchanged': 0.1, 'gain': 0.2, 'last_layers': 0.09}) == 'last_layers'
 
 
-def test_the_last_layers_learn_and_nothing_else_changes(network, presses):
+def test_the_last_layers_learn_and_nothing_else_changes(following, presses):
     data = side_by_side([part_of(press, 0, 200) for press in stiffer(presses[:2], 1.2)])
-    before, _ = estimate(network, data)
-    adapted = tuned(network, data)
+    before, _ = estimate(following, data)
+    adapted = tuned(following, data)
     after, _ = estimate(adapted, data)
     assert (after - data.force).abs().mean() < (before - data.force).abs().mean()
-    old, new = network.state_dict(), adapted.state_dict()
+    old, new = following.state_dict(), adapted.state_dict()
     changed = {name.split('.')[0] for name in old if not torch.equal(old[name], new[name])}
     assert changed == {'increment', 'correction'}
 
@@ -225,26 +224,22 @@ def test_loads_that_cannot_be_are_refused():
             load_label(loads, 0, 5_000_000)
 
 
-def test_recordings_beyond_the_limit_are_left_out(model, trial):
-    fields = {name: getattr(trial, name) for name in ('events', 'frames', 'arrival_us')}
-    fields |= {n: getattr(trial, n) for n in ('exposure_start_us', 'exposure_end_us')}
-    recorded = SimpleNamespace(
-        **fields, truth=trial.label, origin={}, label=lambda _kind='best': trial.label
-    )
-    whole = gather_presses(model.network, [recorded])
-    material = gather_presses(model.network, [recorded, recorded], longest_s=whole.used_s + 0.2)
+def test_recordings_beyond_the_limit_are_left_out(network, trial):
+    recorded = trial
+    whole = gather_presses(network, [recorded])
+    material = gather_presses(network, [recorded, recorded], longest_s=whole.used_s + 0.2)
     assert material.used_s == pytest.approx(whole.used_s + 0.2)
     assert material.left_out_s == pytest.approx(whole.used_s - 0.2)
-    known = gather_presses(model.network, [recorded], [Load(0.5, 0.6, 1.0)])
+    known = gather_presses(network, [recorded], [Load(0.5, 0.6, 1.0)])
     forces = np.concatenate([press.force for press in known.presses])
     assert np.nanmax(forces) == pytest.approx(0.5)
     assert np.isnan(forces).mean() > 0.5
 
 
-def test_a_recording_without_a_press_is_refused(model, sample, monkeypatch):
+def test_a_recording_without_a_press_is_refused(network, sample, monkeypatch):
     monkeypatch.setattr('mixtac_learning.adapt.presses._sample', lambda *_: sample)
     monkeypatch.setattr(
         'mixtac_learning.adapt.presses.estimate', lambda _n, s: (torch.zeros_like(s.force), None)
     )
     with pytest.raises(CalibrationError, match='no press'):
-        gather_presses(model.network, [None])
+        gather_presses(network, [None])

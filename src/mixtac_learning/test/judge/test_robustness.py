@@ -40,16 +40,13 @@ def test_a_gap_takes_everything_within_it():
 
 @pytest.fixture
 def source(trial):
-    fields = {name: getattr(trial, name) for name in ('events', 'frames', 'arrival_us')}
-    fields |= {n: getattr(trial, n) for n in ('exposure_start_us', 'exposure_end_us')}
-    loaded = SimpleNamespace(**fields, label=lambda: trial.label)
-    return SimpleNamespace(load=lambda: loaded)
+    return SimpleNamespace(load=lambda: trial)
 
 
 def test_windows_without_a_packet_have_no_force(model, trial):
-    whole = stream(model, trial, trial.label)
+    whole = stream(model, trial)
     losses = Losses(packet_part=0.05, seed=3)
-    holed = stream(model, trial, trial.label, losses=losses)
+    holed = stream(model, trial, losses=losses)
     assert set(holed.t_us) < set(whole.t_us)
     # The toy has no noise: what a lost packet leaves open ends with the next event only.
     assert 0.85 * len(whole.t_us) < len(holed.t_us) < 0.97 * len(whole.t_us)
@@ -72,5 +69,5 @@ def test_nothing_to_judge_is_an_error(model):
     def load():
         raise DatasetError('damaged')
 
-    with pytest.raises(DatasetError, match='no trial'):
+    with pytest.raises(DatasetError):
         robustness(model, [SimpleNamespace(load=load)])

@@ -33,7 +33,7 @@ def test_the_start_follows_the_frames(config):
 @pytest.fixture
 def sequences(config, trial):
     """One trial twice, with made-up forces: zero, and blows of one window."""
-    both = stack([make_sample(config, trial, trial.label, {}) for _ in range(2)])
+    both = stack([make_sample(config, trial, trial.label(), {}) for _ in range(2)])
     force = torch.zeros_like(both.force)
     force[100, 0] = force[300, 0] = force[20, 0] = 8.0
     force[200:204, 1] = 5.0

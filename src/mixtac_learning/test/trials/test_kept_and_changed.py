@@ -19,16 +19,7 @@ from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
 
 @pytest.fixture
 def arrays(trial) -> TrialArrays:
-    return TrialArrays(
-        trial.events,
-        trial.frames,
-        trial.exposure_start_us,
-        trial.exposure_end_us,
-        trial.arrival_us,
-        trial.label,
-        None,
-        {'name': 'toy', 'profile': 'press'},
-    )
+    return replace(trial, reference=None, origin={'name': 'toy', 'profile': 'press'})
 
 
 class Source:

@@ -208,14 +208,15 @@ def _samples(
     """Return samples to train on and to judge by, with the true force, and the former's trials."""
     from mixtac_fger.config import FgerConfig
     from mixtac_learning.trials.samples import make_sample
-    from mixtac_learning.trials.trial import true_force
+    from mixtac_learning.trials.simulated import arrays_of
 
     samples: list[Sample] = []
     kept: list[Trial] = []
     for number in range(plan.trials + plan.checks):
         trial = _trial(number, plan.seconds, plan.preset)
         origin = {'device_seed': 0}
-        samples.append(make_sample(FgerConfig(), trial, true_force(trial.truth), origin))
+        arrays = arrays_of(trial, origin)
+        samples.append(make_sample(FgerConfig(), arrays, arrays.label(), origin))
         if number < plan.trials:
             kept.append(trial)
         advance()

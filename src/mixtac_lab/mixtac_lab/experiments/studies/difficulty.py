@@ -27,7 +27,8 @@ from rich.table import Table
 from mixtac_fger.weights import DEFAULT_MODEL, find_model
 from mixtac_learning.judge.estimators import stream
 from mixtac_learning.judge.metrics import fit_scale, measure
-from mixtac_learning.trials.trial import DatasetError, true_force
+from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_learning.trials.trial import DatasetError
 from mixtac_sim.world.training_trials import calibration_plan, evaluation_plan, unseen_devices
 
 if TYPE_CHECKING:
@@ -36,11 +37,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_events.arrays import Events
-    from mixtac_fger.weights import LoadedModel
-    from mixtac_learning.judge.estimators import Run
-    from mixtac_learning.trials.trial import ForceLabel, RecordedTrial
+    from mixtac_fger.weights import Model
+    from mixtac_learning.judge.estimators import TrialEstimate
+    from mixtac_learning.trials.trial import ForceLabel, TrialArrays
     from mixtac_sim.world.training_trials import TrialSpec
-    from mixtac_sim.world.trial import Trial
 
 
 WINDOW_US = 10_000
@@ -67,7 +67,7 @@ class Increments:
     force: NDArray[np.float64]
 
 
-def increments(trial: RecordedTrial, label: ForceLabel, reference_frames: int) -> Increments:
+def increments(trial: TrialArrays, label: ForceLabel, reference_frames: int) -> Increments:
     """Return the windows of a trial.
 
     Args:
@@ -219,14 +219,14 @@ class Scales:
     frames: float
 
     @classmethod
-    def fit(cls, press: Run) -> Scales:
+    def fit(cls, press: TrialEstimate) -> Scales:
         """Return the scales that one calibration press gives.
 
         Raises:
             CalibrationError: It was no press.
         """
-        fused = fit_scale(press.force, press.truth).force_scale
-        return cls(fused, fit_scale(press.frames_only, press.truth).force_scale)
+        fused = fit_scale(press.force, press.known).force_scale
+        return cls(fused, fit_scale(_frames_only(press), press.known).force_scale)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,31 +240,37 @@ class Judged:
         counts: Events per window.
     """
 
-    run: Run
-    blind: Run
+    run: TrialEstimate
+    blind: TrialEstimate
     brightness: NDArray[np.float64]
     counts: NDArray[np.float64]
 
 
-def judge(model: LoadedModel, trial: Trial, scales: Scales) -> Judged:
+def _frames_only(estimate: TrialEstimate) -> NDArray[np.float64]:
+    if estimate.frames_only is None:
+        raise DatasetError(f'the model gives no force of frames alone for {estimate.name}')
+    return estimate.frames_only
+
+
+def judge(model: Model, trial: TrialArrays, scales: Scales) -> Judged:
     """Run all estimators on a trial.
 
     Args:
-        model: Network with its weights.
+        model: Content of a weight file of FGER-Net.
         trial: A simulated trial.
         scales: Gains of its sensor.
     """
-    label = true_force(trial.truth)
-    kept = model.config.reference_frames
-    run = stream(model, trial, label)
-    blind = stream(model, trial, label, frames=kept)
+    kept = model.config['reference_frames']
+    run = stream(model, trial)
+    blind = stream(model, trial, frames=kept)
     brightness = _brightness(trial, run.t_us, kept)
-    cuts = np.searchsorted(trial.events.t, [run.t_us[0] - model.config.window_us, *run.t_us])
-    both = type(run)(run.t_us, scales.fused * run.force, scales.frames * run.frames_only, run.truth)
+    cuts = np.searchsorted(trial.events.t, [run.t_us[0] - model.config['window_us'], *run.t_us])
+    frames_only = scales.frames * _frames_only(run)
+    both = replace(run.scaled(scales.fused), frames_only=frames_only)
     return Judged(both, blind.scaled(scales.fused), brightness, np.diff(cuts).astype(np.float64))
 
 
-def _brightness(trial: RecordedTrial, t_us: NDArray[np.int64], kept: int) -> NDArray[np.float64]:
+def _brightness(trial: TrialArrays, t_us: NDArray[np.int64], kept: int) -> NDArray[np.float64]:
     means = trial.frames.reshape(len(trial.frames), -1).mean(axis=1)
     latest = np.searchsorted(trial.arrival_us, t_us, side='right') - 1
     return np.asarray(means[np.maximum(latest, 0)] / means[:kept].mean(), np.float64)
@@ -279,9 +285,9 @@ def summarise(judged: Sequence[Judged]) -> dict[str, float]:
         `events_only_drift` [N/s], the slope of the absolute error; `r2_brightness` and `r2_count`,
         what a straight line through all trials explains at best.
     """
-    truth = np.concatenate([each.run.truth for each in judged])
+    truth = np.concatenate([each.run.known for each in judged])
     fused = measure(truth, np.concatenate([each.run.force for each in judged])).mae
-    frames = measure(truth, np.concatenate([each.run.frames_only for each in judged])).mae
+    frames = measure(truth, np.concatenate([_frames_only(each.run) for each in judged])).mae
     early, late, slope = _drift([each.blind for each in judged])
     return {
         'trials': len(judged),
@@ -296,10 +302,10 @@ def summarise(judged: Sequence[Judged]) -> dict[str, float]:
     }
 
 
-def _drift(runs: Sequence[Run]) -> tuple[float, float, float]:
+def _drift(runs: Sequence[TrialEstimate]) -> tuple[float, float, float]:
     quarters, slopes = [], []
     for run in runs:
-        error = np.abs(run.force - run.truth)
+        error = np.abs(run.force - run.known)
         part = len(error) // 4
         quarters.append((error[:part].mean(), error[-part:].mean()))
         slopes.append(np.polyfit((run.t_us - run.t_us[0]) / 1e6, error, 1)[0])
@@ -342,7 +348,7 @@ def difficulty(
         bar = progress.add_task('judging', total=total)
         loaded = _load(model)
         figures = _judge_all(loaded, specs, presses, lambda: progress.advance(bar))
-        kept = loaded.config.reference_frames
+        kept = loaded.config['reference_frames']
         figures |= _integrate_all(kept, specs, lambda: progress.advance(bar))
     table = Table(title=f'dynamic, {preset}, simulated', title_justify='left')
     table.add_column('figure')
@@ -398,30 +404,25 @@ def _plans(
     return specs, calibration_plan(seeds, 8.0, seed, preset)
 
 
-def _load(model: str) -> LoadedModel:
-    from mixtac_fger.weights import load_model
+def _load(model: str) -> Model:
+    from mixtac_fger.weights import read_model
 
-    return load_model(find_model(model))
+    return read_model(find_model(model))
 
 
 def _judge_all(
-    model: LoadedModel,
+    model: Model,
     specs: Sequence[TrialSpec],
     presses: Sequence[TrialSpec],
     advance: Callable[[], None],
 ) -> dict[str, float]:
-    from mixtac_learning.judge.estimators import stream
-    from mixtac_learning.trials.trial import true_force
-    from mixtac_sim.world.training_trials import simulate
-
     scales = {}
     for spec in presses:
-        trial = simulate(spec)
-        scales[spec.device_seed] = Scales.fit(stream(model, trial, true_force(trial.truth)))
+        scales[spec.device_seed] = Scales.fit(stream(model, SimulatedSource(spec).load()))
         advance()
     judged = []
     for spec in specs:
-        judged.append(judge(model, simulate(spec), scales[spec.device_seed]))
+        judged.append(judge(model, SimulatedSource(spec).load(), scales[spec.device_seed]))
         advance()
     return summarise(judged)
 
@@ -430,15 +431,11 @@ def _integrate_all(
     reference_frames: int, specs: Sequence[TrialSpec], advance: Callable[[], None]
 ) -> dict[str, float]:
     """Return the figures of an event integrator of each sensor, fitted to other trials of it."""
-    import numpy as np
-
-    from mixtac_learning.trials.trial import true_force
-    from mixtac_sim.world.training_trials import simulate
 
     def windows(spec: TrialSpec) -> Increments:
-        trial = simulate(spec)
+        trial = SimulatedSource(spec).load()
         advance()
-        return increments(trial, true_force(trial.truth), reference_frames)
+        return increments(trial, trial.label(), reference_frames)
 
     rows, fits = [], []
     for spec in specs:

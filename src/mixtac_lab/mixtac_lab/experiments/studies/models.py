@@ -22,7 +22,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from mixtac_fger.config import ConfigError
-from mixtac_fger.weights import DEFAULT_MODEL, LoadedModel, find_model
+from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model
 from mixtac_lab.experiments.sizes import (
     ALL_ROWS,
     BOUND,
@@ -35,16 +35,17 @@ from mixtac_lab.experiments.sizes import (
 from mixtac_learning.adapt.adaptation import adapt
 from mixtac_learning.adapt.presses import gather_presses
 from mixtac_learning.judge.estimators import (
-    StreamingEstimator,
     constant_estimator,
     judge_sources,
     known_force,
     sensor_scales,
+    trial_estimator,
 )
 from mixtac_learning.judge.metrics import CalibrationError
 from mixtac_learning.judge.report import by_profile, summarise
+from mixtac_learning.network import model_of, network_of
 from mixtac_learning.train.config import OURS
-from mixtac_learning.train.run import Run, estimator_of, save, training_sources
+from mixtac_learning.train.run import Run, save, trained_model, training_sources
 from mixtac_learning.trials.changes import MISMATCHES, ChangedSource
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import CachedSource
@@ -73,7 +74,7 @@ class StiffnessBound:
 
     known_devices: frozenset[int]
 
-    def estimate(self, trial: TrialArrays) -> TrialEstimate:
+    def __call__(self, trial: TrialArrays) -> TrialEstimate:
         """Return the force that the picture of a simulated trial means on a usual gel."""
         spec = TrialSpec(**{name: trial.origin[name] for name in _FIELDS})
         known = spec.device_seed in self.known_devices
@@ -138,7 +139,7 @@ class Job:
             name = f'{self.size}_{self.model}_s{self.seed}'
             trained = Run(config, self.folder / name, jobs, report).carry_out()
             save(self.folder / name / 'model.safetensors', trained, {})
-            training, estimator = trained.card.training, estimator_of(trained)
+            training, estimator = trained.card.training, trial_estimator(trained_model(trained))
         say(f'{self.model}, seed {self.seed}: judging')
         figures = judge_all(estimator, self.suite, self.folder / 'trials')
         found = {'model': self.model, 'seed': self.seed, 'size': self.size, 'figures': figures}
@@ -264,12 +265,12 @@ PRESSES = 3
 
 
 def adaptation_study(
-    model: LoadedModel, sensors: int, cache: Path, say: Callable[[str], None]
+    model: Model, sensors: int, cache: Path, say: Callable[[str], None]
 ) -> dict[str, Any]:
     """Judge a model on sensors that no training used, in three states.
 
     Args:
-        model: Network with its weights.
+        model: Content of a weight file of FGER-Net.
         sensors: How many.
         cache: Where trials are kept.
         say: Called with what is done now.
@@ -289,14 +290,14 @@ def adaptation_study(
         say(f'sensor {test.device_seed}')
         seeds = [press.trial_seed + 10_000 * number for number in range(PRESSES)]
         presses = [cached(replace(press, trial_seed=seed)) for seed in seeds]
-        estimator = StreamingEstimator(model)
+        estimator = trial_estimator(model)
         raw = judge_sources(estimator, [cached(test)]).estimates
         scales = sensor_scales(estimator, presses[:1], fallback=1.0)
         network, way = _adapted(model, presses)
         ways.append(way)
         found[BEFORE] += raw
         found[ONE_GAIN] += [each.scaled(scales[each.device]) for each in raw]
-        after = StreamingEstimator(LoadedModel(network, model.card))
+        after = trial_estimator(model_of(network, model.card))
         found[ADAPTED] += judge_sources(after, [cached(test)]).estimates
     rows: dict[str, Any] = {
         name: summarise(estimates) | {'sensor_mae': _each(estimates)}
@@ -305,13 +306,14 @@ def adaptation_study(
     return rows | {'ways': ways}
 
 
-def _adapted(model: LoadedModel, presses: list[TrialSource]) -> tuple[Any, str]:
+def _adapted(model: Model, presses: list[TrialSource]) -> tuple[Any, str]:
     """Return the adapted network and what was chosen; the model itself where it is refused."""
-    material = gather_presses(model.network, (each.load() for each in presses))
+    network = network_of(model)
+    material = gather_presses(network, (each.load() for each in presses))
     try:
-        adapted = adapt(model.network, material.presses)
+        adapted = adapt(network, material.presses)
     except CalibrationError as error:
-        return model.network, f'refused: {error}'
+        return network, f'refused: {error}'
     return adapted.network, adapted.way
 
 
@@ -401,12 +403,12 @@ def adaptation(
     """Judge a model on simulated sensors that no training used: as it is, one gain, adapted."""
     import torch
 
-    from mixtac_fger.weights import load_model
+    from mixtac_fger.weights import read_model
     from mixtac_learning.judge.report import show_figures
 
     torch.set_num_threads(1)
     console = Console()
-    found = adaptation_study(load_model(find_model(model)), sensors, out / 'trials', console.print)
+    found = adaptation_study(read_model(find_model(model)), sensors, out / 'trials', console.print)
     rows = {name: row for name, row in found.items() if isinstance(row, dict)}
     show_figures(console, f'dynamic trials of {sensors} unseen sensors, simulated', rows)
     console.print(f'chosen: {", ".join(found["ways"])}')

@@ -37,7 +37,7 @@ def trial_of(spec: TrialSpec) -> TrialArrays:
 
 
 def test_of_an_unknown_sensor_modulus_and_day_are_missing():
-    found = StiffnessBound(frozenset()).estimate(trial_of(SPEC))
+    found = StiffnessBound(frozenset())(trial_of(SPEC))
     chosen = preset(SPEC.preset)
     modulus = draw_device(SPEC.device_seed, chosen).layer.modulus_kpa
     day = draw_conditions(SPEC.trial_seed, chosen).stiffness
@@ -47,7 +47,7 @@ def test_of_an_unknown_sensor_modulus_and_day_are_missing():
 
 
 def test_of_a_known_sensor_only_the_day_is_missing():
-    found = StiffnessBound(frozenset({SPEC.device_seed})).estimate(trial_of(SPEC))
+    found = StiffnessBound(frozenset({SPEC.device_seed}))(trial_of(SPEC))
     low, high = preset(SPEC.preset).gel.day
     ratio = found.force / found.known
     assert np.ptp(ratio) < 1e-9

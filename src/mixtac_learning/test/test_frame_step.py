@@ -9,9 +9,9 @@ import pytest
 import torch
 from torch import nn
 
-from mixtac_fger.config import FgerConfig, ModelError
+from mixtac_fger.config import FgerConfig
 from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, map_shapes, row_scratch
-from mixtac_learning.network import FrameNetwork
+from mixtac_learning.network import FrameNetwork, arrays_of
 
 CONFIGS = {
     'default': FgerConfig(),
@@ -28,7 +28,9 @@ def test_features_and_force_are_those_of_torch(name):
     network.mean.copy_(torch.randn_like(network.mean))
     network.scale.copy_(torch.rand_like(network.scale) + 0.1)
     weights, maps, scratch = (
-        frame_weights(network, config),
+        frame_weights(
+            {f'frame.{name}': value for name, value in arrays_of(network).items()}, config
+        ),
         frame_maps(config),
         row_scratch(config),
     )
@@ -57,11 +59,3 @@ def test_shapes_are_those_of_torch():
         if isinstance(layer, nn.Conv2d):
             shapes.append(tuple(maps.shape[i] for i in (2, 3, 1)))
     assert map_shapes(config) == shapes
-
-
-def test_another_convolution_is_refused():
-    config = FgerConfig()
-    network = FrameNetwork(config)
-    network.convolutions[0] = nn.Conv2d(3, config.frame_widths[0], 5, stride=2, padding=2)
-    with pytest.raises(ModelError, match='3 x 3'):
-        frame_weights(network, config)

@@ -1,0 +1,169 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator of FGER-Net, small version: compiled, without torch."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mixtac_fger.config import (
+    ARCHITECTURE,
+    VERSION,
+    ConfigError,
+    FgerConfig,
+    ModelError,
+    count_parameters,
+    operations_per_cycle,
+    tensor_shapes,
+)
+from mixtac_fger.estimator import EncodedFrame
+from mixtac_fger.features import EventGuide, FramePreparation, WindowFeatures
+from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
+from mixtac_fger.recurrent_network import RecurrentPath
+from mixtac_fger.reference import Reference
+from mixtac_fger.weights import MODEL_REMEDY
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_events.arrays import Events
+    from mixtac_fger.estimator import Image
+    from mixtac_fger.weights import Model
+
+
+class _Content(NamedTuple):
+    """What the recurrent path needs of a frame: f_frame, and what events are multiplied with."""
+
+    feature: NDArray[np.float32]
+    guide: EventGuide
+
+
+def checked_config(model: Model) -> FgerConfig:
+    """Return the configuration of an FGER-Net model.
+
+    Raises:
+        ModelError: The model is of another architecture or version, its configuration cannot be
+            used, or its tensors do not have the shapes that the configuration asks for.
+    """
+    found = (model.architecture, model.version)
+    if found != (ARCHITECTURE, VERSION):
+        raise ModelError(
+            f'the weights are of {found[0]} version {found[1]}, but {ARCHITECTURE} version'
+            f' {VERSION} is needed',
+            remedy=MODEL_REMEDY,
+        )
+    try:
+        config = FgerConfig.from_dict(model.config)
+    except (ConfigError, ValueError, TypeError) as error:
+        raise ModelError(
+            f'the configuration of the weights cannot be used ({error})', remedy=MODEL_REMEDY
+        ) from error
+    wanted = tensor_shapes(config)
+    shapes = {name: tuple(tensor.shape) for name, tensor in model.tensors.items()}
+    for name in sorted({*wanted, *shapes}):
+        if wanted.get(name) != shapes.get(name):
+            raise ModelError(
+                f'tensor {name} has shape {shapes.get(name)}, but {wanted.get(name)} is needed',
+                remedy=MODEL_REMEDY,
+            )
+    return config
+
+
+class FgerEstimator:
+    """FGER-Net with its state; see `mixtac_fger.estimator.Estimator`.
+
+    Args:
+        model: Weights are copied.
+
+    Attributes:
+        config: Network configuration.
+        reference: The no-contact reference.
+
+    Raises:
+        ModelError: As `checked_config`.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.config = config = checked_config(model)
+        self.reference = Reference(config)
+        self._weights = frame_weights(model.tensors, config)
+        self._maps = frame_maps(config)
+        self._scratch = row_scratch(config)
+        self._preparation = FramePreparation(config)
+        self._encoding = threading.Lock()
+        self._path = RecurrentPath(config, model.tensors)
+        self._window_features = WindowFeatures(config)
+        self._features = np.zeros(self._window_features.shape, np.float32)
+        self._guide: EventGuide | None = None
+
+    @property
+    def width(self) -> int:
+        """Columns of the sensor [px]."""
+        return self.config.width
+
+    @property
+    def height(self) -> int:
+        """Rows of the sensor [px]."""
+        return self.config.height
+
+    @property
+    def window_us(self) -> int:
+        """Length of a window [us]."""
+        return self.config.window_us
+
+    @property
+    def gives_deviation(self) -> bool:
+        """Whether the model has an uncertainty head."""
+        return self.config.deviation_size > 0
+
+    @property
+    def parameters(self) -> int:
+        """Number of trained parameters."""
+        return count_parameters(self.config)
+
+    @property
+    def operations(self) -> int:
+        """Floating-point operations per frame interval of 40 ms."""
+        return operations_per_cycle(self.config)
+
+    def encode(self, image: Image, mid_us: int) -> EncodedFrame | None:
+        """Compare a frame with the reference; the number of its bits does not matter.
+
+        Raises:
+            ImageError: The image has another size.
+        """
+        with self._encoding:
+            contrast = self._preparation.contrast(image)
+            found = self.reference.add(contrast.coarse)
+            if found is None:
+                return None
+            reference, number = found
+            inputs = self._preparation.network_input(contrast, reference)
+            feature = np.empty(self.config.frame_size, np.float32)
+            force = frame_step(inputs, self._weights, self._maps, self._scratch, feature)
+            guide = self._preparation.guide(contrast)
+            return EncodedFrame(mid_us, float(force), number, _Content(feature, guide))
+
+    def correct(self, frame: EncodedFrame, lag: int) -> None:
+        """Correct the estimate at the centre of the exposure, and with it all later ones."""
+        self._path.correct(frame.content.feature, lag)
+        self._guide = frame.content.guide
+
+    def start_at(self, frame: EncodedFrame) -> None:
+        """Start over at the frames-only force."""
+        # A start at zero would take several frames to recover from, if in contact.
+        self._path.start_at(frame.force)
+        self._guide = frame.content.guide
+
+    def step(self, events: Events, end_us: int) -> tuple[float, float | None]:  # noqa: ARG002
+        """Advance by one window; returns force and standard deviation [N]."""
+        assert self._guide is not None  # noqa: S101  (the caller waits for a frame)
+        self._window_features.compute(events, self._guide, self._features)
+        return self._path.step(self._features), self._path.deviation
+
+    def clear(self) -> None:
+        """Forget the recurrent state."""
+        self._path.clear()

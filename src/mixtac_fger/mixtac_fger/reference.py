@@ -1,0 +1,178 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The no-contact reference that frames are compared with, and the file that keeps it."""
+
+from __future__ import annotations
+
+import threading
+import zipfile
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mixtac_events.errors import MixtacError
+from mixtac_fger.features import mean_contrast
+from mixtac_node.files import FileError, replacing
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mixtac_fger.config import FgerConfig
+
+    F32 = NDArray[np.float32]
+
+
+class TareError(MixtacError):
+    """A request for a new zero that would be wrong now."""
+
+
+class ReferenceFileError(MixtacError):
+    """A stored no-contact reference that cannot be read, written or used."""
+
+
+_REMEDY = 'delete it, or write a new one with ~/tare while the sensor is untouched'
+
+
+class Reference:
+    """The no-contact reference of a sensor; may be used from any thread.
+
+    It is the mean of the first `FgerConfig.reference_frames` frames that do not change.
+
+    Args:
+        config: Configuration of the network that prepares the frames.
+
+    Attributes:
+        frames: Still frames that make a reference.
+        disturbances: How often motion restarted the collection of the first reference.
+    """
+
+    def __init__(self, config: FgerConfig) -> None:
+        self.frames = config.reference_frames
+        self.disturbances = 0
+        self._shape, self._stillness = config.frame_shape, config.reference_stillness
+        # What decides how a frame becomes a coarse contrast.
+        self._preparation = np.array(
+            [config.height, config.width, config.frame_bin, config.gradient_bin, config.log_floor]
+        )
+        self._lock = threading.Lock()
+        self._recent: deque[F32] = deque(maxlen=config.reference_frames)
+        self._array: F32 | None = None
+        self._number = 0
+
+    @property
+    def array(self) -> F32 | None:
+        """Coarse log contrast without contact, float32 `FgerConfig.frame_shape`; None so far."""
+        return self._array
+
+    @property
+    def number(self) -> int:
+        """How many references there have been, this one included."""
+        return self._number
+
+    @property
+    def progress(self) -> int:
+        """Still frames collected, up to `frames`."""
+        return len(self._recent)
+
+    def add(self, coarse: F32) -> tuple[F32, int] | None:
+        """Take a frame, and return the reference and its number; None while it is incomplete.
+
+        Args:
+            coarse: Coarse log contrast of the frame, float32 `FgerConfig.frame_shape`.
+        """
+        with self._lock:
+            if self._recent:
+                change = np.mean(np.abs(coarse - mean_contrast(self._recent)))
+                if change > self._stillness:
+                    self._recent.clear()
+                    self.disturbances += self._array is None
+            self._recent.append(coarse)
+            if self._array is None and len(self._recent) == self.frames:
+                self._set(mean_contrast(self._recent))
+            return None if self._array is None else (self._array, self._number)
+
+    def renew(self) -> None:
+        """Make the latest frames the reference.
+
+        Raises:
+            TareError: There are too few frames since the last motion.
+        """
+        with self._lock:
+            if len(self._recent) < self.frames:
+                raise TareError(
+                    f'only {len(self._recent)} of {self.frames} still frames since the last motion',
+                    remedy='leave the sensor untouched and try again',
+                )
+            self._set(mean_contrast(self._recent))
+
+    def use(self, array: F32) -> None:
+        """Use a stored reference from now on.
+
+        Args:
+            array: Coarse log contrast without contact, float32 `FgerConfig.frame_shape`.
+        """
+        with self._lock:
+            self._set(array)
+
+    def forget(self) -> None:
+        """Start over: the next still frames become the reference."""
+        with self._lock:
+            self._array = None
+            self._recent.clear()
+
+    def save(self, path: Path) -> None:
+        """Write the reference to a `.npz` file; an existing reference file is replaced.
+
+        Raises:
+            ReferenceFileError: There is no reference yet, the file holds something else, or it
+                cannot be written.
+        """
+        array = self._array
+        if array is None:
+            raise ReferenceFileError('there is no reference yet', remedy='show still frames first')
+        if path.exists():
+            _read(path)  # Raises for a file that is no reference.
+        try:
+            with replacing(path) as scratch, scratch.open('wb') as file:
+                np.savez(file, contrast=array, preparation=self._preparation)
+        except FileError as error:
+            raise ReferenceFileError(f'reference: {error.message}', remedy=error.remedy) from error
+
+    def load(self, path: Path) -> F32:
+        """Read a file that `save` wrote, use its reference and return it.
+
+        Raises:
+            ReferenceFileError: The file is missing or damaged, or its reference was prepared in
+                another way.
+        """
+        contrast, preparation = _read(path)
+        if not np.array_equal(preparation, self._preparation):
+            raise ReferenceFileError(
+                f'reference {path} was made for a model that prepares frames in another way',
+                remedy=_REMEDY,
+            )
+        if contrast.shape != self._shape or not np.isfinite(contrast).all():
+            raise ReferenceFileError(
+                f'reference {path} is not an image that this model can use', remedy=_REMEDY
+            )
+        array = np.ascontiguousarray(contrast, np.float32)
+        self.use(array)
+        return array
+
+    def _set(self, array: F32) -> None:
+        self._array = array
+        self._number += 1
+
+
+def _read(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return np.asarray(file['contrast']), np.asarray(file['preparation'])
+    # np.load gives a plain array, which is no context manager, for a .npy file.
+    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
+        raise ReferenceFileError(
+            f'{path} is not a reference file ({error})', remedy=_REMEDY
+        ) from error

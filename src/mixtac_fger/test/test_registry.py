@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""An architecture of another package: registered by an entry point, run like any other."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from mixtac_events.arrays import Events
+from mixtac_fger.config import ModelError
+from mixtac_fger.estimator import open_estimator
+from mixtac_fger.streaming import ForceEstimator, warm_up
+from mixtac_fger.weights import Model, ModelCard, read_model, write_model
+
+SOURCE = '''
+from mixtac_fger.estimator import EncodedFrame
+
+class Counting:
+    """Returns `gain` newtons per event."""
+    reference, gives_deviation, parameters, operations = None, False, 1, 2
+
+    def __init__(self, model):
+        self.width, self.height = model.config['width'], model.config['height']
+        self.window_us = 2000
+        self.gain = float(model.tensors['gain'][0])
+
+    def encode(self, image, mid_us):
+        return EncodedFrame(mid_us, 0.0, 0, None)
+
+    def correct(self, frame, lag): ...
+    def start_at(self, frame): ...
+    def clear(self): ...
+
+    def step(self, events, end_us):
+        return self.gain * len(events), None
+'''
+
+
+@pytest.fixture
+def outside(tmp_path, monkeypatch) -> Model:
+    """Install a package that registers `counting`, and return a model of it from a file."""
+    (tmp_path / 'counting_estimator.py').write_text(SOURCE)
+    info = tmp_path / 'counting_estimator-1.0.dist-info'
+    info.mkdir()
+    (info / 'METADATA').write_text(
+        'Metadata-Version: 2.1\nName: counting_estimator\nVersion: 1.0\n'
+    )
+    (info / 'entry_points.txt').write_text(
+        '[mixtac.estimators]\ncounting = counting_estimator:Counting\n'
+        'broken = counting_estimator_missing:Broken\n'
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, 'counting_estimator', raising=False)
+    tensors = {'gain': np.array([0.5], np.float32)}
+    path = tmp_path / 'counting.safetensors'
+    write_model(path, Model('counting', 1, {'width': 8, 'height': 6}, ModelCard(), tensors))
+    return read_model(path)
+
+
+def test_an_architecture_from_outside_runs_like_any_other(outside):
+    assert warm_up(open_estimator(outside))
+    estimator = ForceEstimator(open_estimator(outside), background_frames=True)
+    estimator.push_frame(np.zeros((6, 8), np.uint8), 1000)
+    estimator.drain()
+    pixels = np.zeros(3, np.uint16)
+    events = Events(np.array([2000, 2500, 3999]), pixels, pixels, np.ones(3, np.bool_))
+    found = estimator.push_events(events, 4000)
+    estimator.close()
+    assert [(each.end_us, each.force) for each in found] == [(4000, 1.5)]
+
+
+def test_an_architecture_that_cannot_be_loaded_is_an_error_with_a_remedy(outside):
+    broken = Model('broken', 1, {}, ModelCard(), {})
+    with pytest.raises(ModelError) as caught:
+        open_estimator(broken)
+    assert caught.value.remedy

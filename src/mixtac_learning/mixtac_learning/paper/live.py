@@ -1,0 +1,187 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's networks on a live stream, on a GPU where there is one, otherwise on the CPU.
+
+A window is computed as in `mixtac_learning.paper.segments.run_samples`, one at a time. Two things
+differ from it: the events between two frames, which the deep fusion reads, are counted in whole
+windows, and a frame that arrives late belongs to a later window.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from mixtac_events.frames import bin_mean
+from mixtac_fger.estimator import EncodedFrame
+from mixtac_fger.features import ImageError
+from mixtac_learning.network import count_parameters
+from mixtac_learning.paper.networks import (
+    EventsOnly,
+    FeatureFusion,
+    FgerPaper,
+    FramesOnly,
+    operations_per_cycle,
+    paper_network_of,
+)
+from mixtac_learning.paper.samples import FULL_SCALE, event_counts, packet_points
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from torch import Tensor
+
+    from mixtac_events.arrays import Events
+    from mixtac_fger.estimator import Image
+    from mixtac_fger.weights import Model
+    from mixtac_learning.paper.networks import PaperState
+
+LEFT_ALIGNED = 64
+"""Value of the converter's lowest bit in a left-aligned image of 16 bits."""
+
+
+class PaperEstimator:
+    """One of the paper's networks with its state; see `mixtac_fger.estimator.Estimator`.
+
+    There is no no-contact reference. The frames-only force of FGER-Net is its correction of no
+    force; that of the network without frames is 0.
+
+    Args:
+        model: Weights are copied.
+        device: Where to compute; empty for a GPU where there is one.
+
+    Raises:
+        ModelError: The model is of another architecture, or its tensors do not fit.
+    """
+
+    reference = None
+    gives_deviation = False
+
+    def __init__(self, model: Model, device: str = '') -> None:
+        chosen = device or ('cuda' if torch.cuda.is_available() else 'cpu')
+        self._device = torch.device(chosen)
+        self._network = paper_network_of(model).to(self._device)
+        self._config = self._network.config
+        self._frame: EncodedFrame | None = None
+        self._counts = self._no_counts()
+        self._state: PaperState
+        self.clear()
+
+    @property
+    def width(self) -> int:
+        """Columns of the sensor [px]."""
+        return self._config.width
+
+    @property
+    def height(self) -> int:
+        """Rows of the sensor [px]."""
+        return self._config.height
+
+    @property
+    def window_us(self) -> int:
+        """Length of a window [us]."""
+        return self._config.window_us
+
+    @property
+    def parameters(self) -> int:
+        """Number of trained parameters."""
+        return count_parameters(self._network)
+
+    @property
+    def operations(self) -> int:
+        """Floating-point operations per frame interval of 40 ms at full load."""
+        return operations_per_cycle(self._config)
+
+    @torch.inference_mode()
+    def encode(self, image: Image, mid_us: int) -> EncodedFrame:
+        """Run the frame network.
+
+        Raises:
+            ImageError: The image has another size.
+        """
+        config, network = self._config, self._network
+        if image.shape != (config.height, config.width):
+            raise ImageError(
+                f'image of shape {image.shape}; the model reads {config.height} rows and'
+                f' {config.width} columns',
+                remedy='set the camera to full resolution',
+            )
+        mean = np.empty(config.frame_shape, np.float32)
+        bin_mean(image, config.scale, mean)
+        full = 255.0 if image.dtype == np.uint8 else FULL_SCALE * LEFT_ALIGNED
+        # As samples on disk are rounded.
+        frame = torch.from_numpy((mean / full).astype(np.float16).astype(np.float32))[None, None]
+        frame = frame.to(self._device)
+        content, force = None, 0.0
+        if isinstance(network, FgerPaper):
+            content = network.frame(frame)
+            nothing = torch.zeros(1, 1, device=self._device)
+            force = float(network.correction(torch.cat([nothing, content], 1))[0, 0])
+        elif isinstance(network, FramesOnly):
+            content = network.head(network.frame(frame))[:, 0]
+            force = float(content[0])
+        elif isinstance(network, FeatureFusion):
+            content = network.frame(frame)
+        return EncodedFrame(mid_us, force, 0, content)
+
+    def correct(self, frame: EncodedFrame, lag: int) -> None:  # noqa: ARG002
+        """Use a frame in the next window, at whose end the estimate is corrected."""
+        self._frame = frame
+
+    def start_at(self, frame: EncodedFrame) -> None:
+        """Start over, corrected by this frame at the end of the next window."""
+        self.clear()
+        self._frame = frame
+
+    @torch.inference_mode()
+    def step(self, events: Events, end_us: int) -> tuple[float, float | None]:
+        """Advance by one window; returns the force [N] and no standard deviation."""
+        network, state = self._network, self._state
+        frame, self._frame = self._frame, None
+        if isinstance(network, (FgerPaper, EventsOnly)):
+            features = self._event_features(network, events, end_us)
+            if isinstance(network, EventsOnly):
+                state = network.recurrence.step(features, state)
+                force = state.force
+            else:
+                slots = torch.full((1,), -1 if frame is None else 0, device=self._device)
+                frames = state.feature if frame is None else frame.content
+                force, state = network.window(
+                    features, frames, slots, state, arrives=frame is not None
+                )
+        else:
+            if isinstance(network, FeatureFusion):
+                ends = np.array([end_us - self._config.window_us, end_us])
+                counts = event_counts(self._config, events, ends)[0].astype(np.int64)
+                self._counts = np.minimum(self._counts + counts, 255)
+            force = state.force
+            if frame is not None:
+                force = self._frame_force(frame.content)
+                state = state._replace(force=force)
+        self._state = state
+        return float(force[0]), None
+
+    def clear(self) -> None:
+        """Forget the recurrent state."""
+        self._state = self._network.initial_state(1)
+        self._counts = self._no_counts()
+
+    def _event_features(
+        self, network: FgerPaper | EventsOnly, events: Events, end_us: int
+    ) -> Tensor:
+        points, _ = packet_points(self._config, events, np.array([end_us]))
+        inputs = torch.from_numpy(points.astype(np.float32)).to(self._device)
+        packet = torch.zeros(len(points), dtype=torch.int64, device=self._device)
+        return network.recurrence.encoder(inputs, packet, 1)  # type: ignore[no-any-return]
+
+    def _frame_force(self, content: Tensor) -> Tensor:
+        if not isinstance(self._network, FeatureFusion):
+            return content
+        counts, self._counts = self._counts, self._no_counts()
+        events = torch.from_numpy(np.log1p(counts.astype(np.float32)))[None].to(self._device)
+        features = torch.cat([content, self._network.events(events)], 1)
+        return torch.Tensor(self._network.head(features)[:, 0])
+
+    def _no_counts(self) -> NDArray[np.int64]:
+        return np.zeros((2, *self._config.frame_shape), np.int64)

@@ -1,0 +1,40 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The live estimator of FGER-Net against the torch network over whole trials."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from mixtac_learning.judge.estimators import stream
+from mixtac_learning.train.batches import stack
+from mixtac_learning.train.trainer import estimate
+from mixtac_learning.trials.samples import make_sample
+
+
+def test_streaming_equals_the_batch_network(model, network, config, trial, monkeypatch):
+    monkeypatch.setattr('mixtac_learning.trials.samples.STORED', np.float32)
+    # Samples are kept as float16 on disk; the two paths are compared without that rounding.
+    sample = make_sample(config, trial, trial.label(), {})
+    force, _ = estimate(network, stack([sample]))
+    run = stream(model, trial)
+    assert np.abs(run.force - force[:, 0].numpy()).max() < 1e-5
+    assert np.array_equal(run.t_us, sample.window_end_us)
+    assert np.ptp(run.force) > 0.3
+
+
+def test_deviations_are_those_of_the_batch_network(model, network, config, trial, monkeypatch):
+    monkeypatch.setattr('mixtac_learning.trials.samples.STORED', np.float32)
+    batch = stack([make_sample(config, trial, trial.label(), {})])
+    with torch.inference_mode():
+        _, expected, _ = network.forces_and_deviations(
+            batch.event_features,
+            network.frame(batch.frame_inputs),
+            batch.slots,
+            network.initial_state(1),
+        )
+    deviation = stream(model, trial).deviation
+    assert deviation == pytest.approx(expected[:, 0].numpy(), rel=1e-4)
+    assert deviation.min() > 0
