@@ -19,6 +19,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from mixtac_cli.options import JsonFile
+from mixtac_driver.device import check_device, is_real
 from mixtac_driver.doctor.computer import (
     Finding,
     HostFiles,
@@ -30,7 +31,6 @@ from mixtac_driver.doctor.computer import (
 )
 from mixtac_driver.doctor.stream import check_running
 from mixtac_driver.doctor.usb import check_attached
-from mixtac_driver.usb.device import check_device, is_real
 from mixtac_events.errors import MixtacError
 from mixtac_node.files import write_json
 
@@ -265,7 +265,7 @@ def virtual_camera(device: str) -> Iterator[tuple[Any, Finding]]:
     Yields:
         A pyusb backend, None if the named sensor does not answer, and the finding.
     """
-    from mixtac_driver.usb.device import open_backend
+    from mixtac_driver.device import open_backend
     from mixtac_sim.usb.faults import NoVirtualSensorError
 
     name = 'virtual sensor'

@@ -6,60 +6,33 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from mixtac_driver.clock import ClockEpochs
 from mixtac_driver.davis346.control import CameraControl
-from mixtac_driver.davis346.identity import Identity, read_identity, read_is_master
-from mixtac_driver.davis346.settings import Configuration
-from mixtac_driver.decode.decoder import DEFAULT_CAPACITY, StreamDecoder
+from mixtac_driver.davis346.model import Identity, models_for, read_identity, read_is_master
+from mixtac_driver.decode.decoder import StreamDecoder
+from mixtac_driver.device import DATA_ENDPOINT, Connection, attached_cameras
 from mixtac_driver.errors import DriverError, StreamError
-from mixtac_driver.usb.device import DATA_ENDPOINT, Connection, attached_cameras
+from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.libusb import AsynchronousReader
-from mixtac_driver.usb.transport import (
-    BulkReader,
-    DebugMessage,
-    DebugReader,
-    Transfer,
-    TransportCounters,
-)
+from mixtac_driver.usb.transport import BulkReader, DebugMessage, DebugReader, TransportCounters
 from mixtac_events.clock_map import ClockMap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from types import TracebackType
 
-    from mixtac_driver.clock import Origin
+    from mixtac_driver.clock import ClockEpochs, Origin
+    from mixtac_driver.davis346.control import PixelFilter
     from mixtac_driver.decode.state import DecoderCounters
+    from mixtac_driver.usb.transport import Transfer
     from mixtac_events.readings import DecodedBatch
-
-
-@dataclass(frozen=True, slots=True)
-class StreamSettings:
-    """How data are taken from the camera.
-
-    Attributes:
-        transfers: Reads that wait at the endpoint at once, where the backend can do that.
-        transfer_size: Bytes asked for per read.
-        queue_size: Bytes that may wait to be decoded, besides those in the transfers.
-        event_capacity: Events per batch.
-        silence_s: Time without any data [s] after which the stream counts as dead; a running
-            camera sends time wraps every 33 ms.
-        confirmation_s: Time [s] within which the camera has to confirm the reset of its clock.
-    """
-
-    transfers: int = 128
-    transfer_size: int = 65536
-    queue_size: int = 32 << 20
-    event_capacity: int = DEFAULT_CAPACITY
-    silence_s: float = 3.0
-    confirmation_s: float = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraBatch:
-    """A stretch of what the camera saw.
+    """A stretch of the stream.
 
     Attributes:
         decoded: Events, frames, inertial samples and edges [us on the camera clock since its
@@ -79,54 +52,70 @@ class CameraBatch:
         return self.decoded.time_us + self.origin.us
 
 
-Reader = AsynchronousReader | BulkReader
-"""What reads the data endpoint."""
+@dataclass(frozen=True)
+class SourceStatus:
+    """State of a source; figures are named as on `/diagnostics`.
 
-
-def make_reader(
-    connection: Connection, settings: StreamSettings, now_ns: Callable[[], int]
-) -> Reader:
-    """Return a reader of a camera's data: asynchronous through libusb, else one read at a time.
-
-    Args:
-        connection: The open camera.
-        settings: How data are taken.
-        now_ns: Host clock [ns since the Unix epoch].
+    Attributes:
+        is_open: True between `open` and `close`.
+        identity: The camera, also after closing; None before it was first opened.
+        clock: Map from the camera's clock [us since its reset] to the host's.
+        origin: Add it to the camera's clock for published times; None before it is known.
+        losses: Data lost or damaged since the start, by kind.
+        totals: Running totals whose rates are of interest.
+        figures: Everything else.
+        paused: True while playback is paused.
+        trouble: What is wrong although data come, or empty.
     """
-    port = connection.libusb_port()
-    if port is not None:
-        return AsynchronousReader(
-            port,
-            DATA_ENDPOINT,
-            connection.clear_halt,
-            transfers=settings.transfers,
-            transfer_size=settings.transfer_size,
-            queue_size=settings.queue_size,
-            now_ns=now_ns,
-        )
-    return BulkReader(
-        connection.read_data,
-        connection.clear_halt,
-        transfer_size=settings.transfer_size,
-        now_ns=now_ns,
-    )
+
+    is_open: bool
+    identity: Identity | None
+    clock: ClockMap
+    origin: Origin | None
+    losses: Mapping[str, int] = field(default_factory=dict)
+    totals: Mapping[str, int] = field(default_factory=dict)
+    figures: Mapping[str, object] = field(default_factory=dict)
+    paused: bool = False
+    trouble: str = ''
 
 
-POLL_S = 0.1
+LOSSES = (
+    'events_outside',
+    'events_without_row',
+    'rows_outside',
+    'timestamps_backwards',
+    'specials_unknown',
+    'misc_unknown',
+    'samples_unexpected',
+    'aps_unexpected',
+    'frames_dropped',
+    'imu_dropped',
+    'imu_unexpected',
+    'bytes_dropped',
+    'bytes_lost',
+)
+"""Counters of the decoder that stay at zero on an intact stream."""
+LONGEST_GET_S = 0.1
+
+
+@dataclass(slots=True, eq=False)
+class _Stream:
+    """One stream, from `start` on; its counters can still be read after its end."""
+
+    reader: AsynchronousReader | BulkReader
+    decoder: StreamDecoder
 
 
 class Davis346:
-    """A DAVIS346 camera, as a context manager that opens and closes it.
+    """A DAVIS camera, as a context manager that opens and closes it.
 
     `batches` is for one thread; everything else may be used from others too.
 
     Args:
-        device: Device string (see `mixtac_driver.usb.device`).
-        serial: Serial number, or empty for the only camera.
-        configuration: Settings.
-        stream: How data are taken.
+        parameters: Device, transport and settings.
+        pixel_filter: Pixels whose events the camera drops, most important first.
         on_debug: Called, in a thread of its own, with messages of the camera's USB controller.
-        backend: A pyusb backend to use instead of the one that `device` names.
+        backend: A pyusb backend to use instead of the one that the device string names.
         now_ns: Host clock [ns since the Unix epoch].
 
     Attributes:
@@ -137,29 +126,23 @@ class Davis346:
 
     def __init__(
         self,
-        device: str = 'davis346',
+        parameters: DriverParameters | None = None,
         *,
-        serial: str = '',
-        configuration: Configuration | None = None,
-        stream: StreamSettings | None = None,
+        pixel_filter: PixelFilter = (),
         on_debug: Callable[[DebugMessage], None] | None = None,
         backend: Any = None,  # noqa: ANN401
         now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
+        self._p = p = parameters or DriverParameters()
         self.clock = ClockMap()
         self.is_master = True
-        self._device, self._serial, self._backend = device, serial, backend
-        self.control = CameraControl(configuration or Configuration(), now_ns)
-        self._stream = stream or StreamSettings()
-        self._now_ns = now_ns
+        self.control = CameraControl(p, pixel_filter, now_ns)
+        self._backend, self._now_ns, self._on_debug = backend, now_ns, on_debug
         self._stopping = threading.Event()
         self._connection: Connection | None = None
         self._identity: Identity | None = None
-        self._reader: Reader | None = None
-        self._on_debug = on_debug
+        self._stream: _Stream | None = None
         self._debug_reader: DebugReader | None = None
-        self._decoder: StreamDecoder | None = None
-        self._epochs: ClockEpochs | None = None
 
     def __enter__(self) -> Davis346:
         """Open the camera."""
@@ -177,66 +160,79 @@ class Davis346:
 
     @property
     def identity(self) -> Identity:
-        """What the camera is.
+        """The camera, also after closing.
 
         Raises:
             DriverError: It was not opened.
         """
         if self._identity is None:
-            raise DriverError('the camera is not open: call open() or use it in a with statement')
+            raise DriverError(
+                'the camera is not open', remedy='call open() or use it in a with statement'
+            )
         return self._identity
-
-    @property
-    def known_identity(self) -> Identity | None:
-        """What the camera is, or was when last open; None before."""
-        return self._identity
-
-    @property
-    def is_open(self) -> bool:
-        """True between `open` and `close`."""
-        return self._connection is not None
-
-    def attached(self) -> frozenset[tuple[int, int]]:
-        """Return bus and address of every camera that could be opened."""
-        return attached_cameras(self._device, self._backend)
-
-    @property
-    def origin(self) -> Origin | None:
-        """Host time at which the camera's clock read zero; None before it said so."""
-        return self._epochs.origin if self._epochs else None
 
     @property
     def clock_resets(self) -> int:
-        """Resets of the camera's clock since the start that this driver did not ask for."""
-        return self._epochs.unasked if self._epochs else 0
+        """Resets of the camera's clock since the start that this driver did not request."""
+        return self.control.epochs.unasked if self.control.epochs else 0
 
     @property
     def transport_counters(self) -> TransportCounters:
-        """What the USB reader did since the start."""
-        return self._reader.counters if self._reader else TransportCounters()
+        """Counters of the USB reader since the start."""
+        return self._stream.reader.counters if self._stream else TransportCounters()
 
     @property
     def decoder_counters(self) -> DecoderCounters | None:
-        """What the decoder saw and dropped since the start; None before it."""
-        return self._decoder.counters if self._decoder else None
+        """Counters of the decoder since the start; None before it."""
+        return self._stream.decoder.counters if self._stream else None
+
+    def status(self) -> SourceStatus:
+        """Return the state of the camera and its stream."""
+        usb, decoder = self.transport_counters, self.decoder_counters
+        counted = decoder.as_dict() if decoder else {}
+        return SourceStatus(
+            is_open=self._connection is not None,
+            identity=self._identity,
+            clock=self.clock,
+            origin=self.control.epochs.origin if self.control.epochs else None,
+            losses={
+                'usb transfers dropped': usb.dropped_transfers,
+                **{name.replace('_', ' '): counted[name] for name in LOSSES if name in counted},
+            },
+            totals={'usb bytes': usb.size},
+            figures={
+                'usb queue [bytes]': usb.queued_size,
+                'usb queue maximum [bytes]': usb.most_queued_size,
+                'usb stalls': usb.stalls,
+                'clock resets': self.clock_resets,
+                'clock master': self.is_master,
+            },
+        )
+
+    def attached(self) -> frozenset[tuple[int, int]]:
+        """Return bus and address of every camera that could be opened."""
+        return attached_cameras(self._p.device, self._backend)
 
     def open(self) -> None:
         """Find, claim, identify and configure the camera.
 
         Raises:
-            UnknownDeviceError: Nothing is known by that device string.
+            UnknownDeviceError: The device string names nothing known.
             NoCameraError: No such camera is attached.
-            UnsupportedCameraError: It is none that this driver speaks to.
+            UnsupportedCameraError: The camera fits no model.
             UsbError: A request failed.
         """
-        known = self._identity.serial if self._identity else ''
-        connection = Connection(self._device, self._serial, self._backend, known)
+        p, known = self._p, self._identity.serial if self._identity else ''
+        connection = Connection(p.device, p.serial, self._backend, known)
         try:
-            self._identity = read_identity(
-                connection.protocol, bcd_device=connection.bcd_device, serial=connection.serial
+            identity = read_identity(
+                connection.protocol,
+                models_for(p.device),
+                bcd_device=connection.bcd_device,
+                serial=connection.serial,
             )
-            self.is_master = self._identity.is_master
-            self.control.attach(connection.protocol, self._identity)
+            self._identity, self.is_master = identity, identity.is_master
+            self.control.attach(connection.protocol, identity)
             self._connection = connection
         except Exception:
             connection.close()
@@ -249,74 +245,68 @@ class Davis346:
             UsbError: A request failed.
             DriverError: The camera is not open.
         """
-        identity, connection = self.identity, self._opened()
+        identity, connection = self.identity, self._connection
+        if connection is None:
+            raise DriverError('the camera is closed', remedy='call open() first')
         self._stopping.clear()
         self.clock.restart()
-        self._decoder = StreamDecoder(
-            identity.geometry,
-            imu_flips=identity.imu_flips,
-            imu_type=identity.imu_type,
-            capacity=self._stream.event_capacity,
+        decoder = StreamDecoder(
+            identity.geometry, imu_flips=identity.imu_flips, imu_type=identity.imu_type
         )
-        reader = self._reader = make_reader(connection, self._stream, self._now_ns)
-        self._listen(connection)
+        reader = self._make_reader(connection)
+        if self._on_debug is not None and self._debug_reader is None:
+            self._debug_reader = DebugReader(connection.read_debug, self._on_debug)
+            self._debug_reader.start()
 
         def begin_reading() -> None:
             connection.clear_halt()
             reader.start()
 
-        asked = self.control.start(begin_reading)
-        latest_us = self._epochs.latest_us if self._epochs else 0
-        delay_us = self.control.configuration.early_packet_delay_us
-        self._epochs = ClockEpochs(asked, delay_us, latest_us)
+        self._stream = _Stream(reader, decoder)
+        self.control.start(begin_reading)
 
     def batches(self) -> Iterator[CameraBatch]:
-        """Yield what the camera sees from the reset of its clock on, until it is stopped.
+        """Yield the data from the reset of the camera's clock on, until stopped.
 
         Raises:
-            UsbError: The camera went away, or does not answer any more.
+            UsbError: The camera went away, or no longer answers.
             StreamError: No data came for too long, or the reset was not confirmed.
         """
-        reader, deadline_s = self._reader, time.monotonic() + self._stream.confirmation_s
-        heard_s, connection = time.monotonic(), self._connection
-        while reader is not None and connection is not None and not self._stopping.is_set():
+        stream, connection, epochs = self._stream, self._connection, self.control.epochs
+        if stream is None or connection is None or epochs is None:
+            return
+        timeout_s = self._p.stream_timeout
+        started_s = heard_s = time.monotonic()
+        while not self._stopping.is_set():
             connection.check()
-            transfer = reader.get(POLL_S)
+            transfer = stream.reader.get(LONGEST_GET_S)
             now_s = time.monotonic()
             if transfer is not None:
                 heard_s = now_s
-                yield from self._decode(transfer)
-            elif now_s - heard_s > self._stream.silence_s and not self._stopping.is_set():
+                yield from self._decode(stream.decoder, epochs, connection, transfer)
+            elif now_s - heard_s > timeout_s and not self._stopping.is_set():
                 raise StreamError(
-                    f'no data for {self._stream.silence_s:g} s: the stream died; '
-                    'check the cable and the power of the USB port'
+                    f'no data for {timeout_s:g} s: the stream died',
+                    remedy='check the cable and the power of the USB port',
                 )
-            if self.origin is None and now_s > deadline_s:
+            if epochs.origin is None and now_s > started_s + timeout_s:
                 raise StreamError(
-                    'the camera did not confirm the reset of its clock within '
-                    f'{self._stream.confirmation_s:g} s; plug it anew'
+                    f'the camera did not confirm the reset of its clock within {timeout_s:g} s',
+                    remedy='unplug and reconnect the camera',
                 )
 
-    def apply(self, configuration: Configuration) -> None:
-        """Change settings, at once while the camera is open, else when it is opened.
+    def apply(self, parameters: DriverParameters, pixel_filter: PixelFilter = ()) -> None:
+        """Change settings, at once while the camera is open, otherwise when it is opened.
+
+        Args:
+            parameters: Settings; device and transport stay as they are.
+            pixel_filter: Pixels whose events the camera drops, most important first.
 
         Raises:
-            ConfigurationError: A setting is out of range; nothing was changed.
+            ConfigurationError: A setting does not fit; nothing was changed.
             UsbError: A request failed.
         """
-        self.control.apply(configuration)
-
-    def reset_timestamps(self) -> None:
-        """Set the camera's clock to zero; published time goes on.
-
-        Raises:
-            UsbError: The request failed.
-            DriverError: The camera does not stream.
-        """
-        epochs = self._epochs
-        if epochs is None or epochs.origin is None:
-            raise DriverError('the camera does not stream yet: reset its clock when it does')
-        epochs.ask(self.control.reset_timestamps)
+        self.control.apply(parameters, pixel_filter)
 
     def request_stop(self) -> None:
         """Make `batches` end soon; returns at once."""
@@ -333,37 +323,48 @@ class Davis346:
         debug_reader, self._debug_reader = self._debug_reader, None
         if debug_reader is not None:
             debug_reader.stop()
-        reader = self._reader
-        if reader is not None and self._connection is not None:
-            self.control.stop(reader.stop)
+        if self._stream is not None and self._connection is not None:
+            self.control.stop(self._stream.reader.stop)
 
     def close(self) -> None:
-        """Stop if need be and give the camera back; harmless when it is gone."""
+        """Stop streaming if necessary and close the camera; harmless when it is gone."""
         try:
             self.stop()
         except DriverError:
-            # Gone or stuck: it cannot be told to stop, and the handle below is given back.
+            # Gone or stuck: it cannot be stopped, and the handle below is closed.
             self.request_stop()
         self.control.detach()
         connection, self._connection = self._connection, None
-        self._reader = None
         if connection is not None:
             connection.close()
 
-    def _opened(self) -> Connection:
-        if self._connection is None:
-            raise DriverError('the camera is closed: call open() first')
-        return self._connection
+    def _make_reader(self, connection: Connection) -> AsynchronousReader | BulkReader:
+        """Return a reader of the data: asynchronous through libusb, else one read at a time."""
+        p, port = self._p, connection.libusb_port()
+        if port is None:
+            return BulkReader(
+                connection.read_data,
+                connection.clear_halt,
+                transfer_size=p.usb_transfer_size,
+                now_ns=self._now_ns,
+            )
+        return AsynchronousReader(
+            port,
+            DATA_ENDPOINT,
+            connection.clear_halt,
+            transfers=p.usb_transfers,
+            transfer_size=p.usb_transfer_size,
+            queue_size=p.usb_queue_size,
+            now_ns=self._now_ns,
+        )
 
-    def _listen(self, connection: Connection) -> None:
-        if self._on_debug is not None and self._debug_reader is None:
-            self._debug_reader = DebugReader(connection.read_debug, self._on_debug)
-            self._debug_reader.start()
-
-    def _decode(self, transfer: Transfer) -> Iterator[CameraBatch]:
-        decoder, epochs = self._decoder, self._epochs
-        if decoder is None or epochs is None:
-            return
+    def _decode(
+        self,
+        decoder: StreamDecoder,
+        epochs: ClockEpochs,
+        connection: Connection,
+        transfer: Transfer,
+    ) -> Iterator[CameraBatch]:
         if transfer.gap.size:
             decoder.skip(transfer.gap)
         origin_before = epochs.origin
@@ -373,7 +374,7 @@ class Davis346:
                 yield CameraBatch(batch, origin, transfer.arrival_ns)
         if origin_before is not None and epochs.origin is not origin_before:
             self.clock.restart()
-            # Resets may come over the synchronisation cable: who leads may just have changed.
-            self.is_master = read_is_master(self._opened().protocol)
+            # Resets may come over the synchronisation cable: the master may have changed.
+            self.is_master = read_is_master(connection.protocol)
         if epochs.origin is not None:
             self.clock.add(decoder.time_us, transfer.arrival_ns)

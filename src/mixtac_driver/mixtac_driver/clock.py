@@ -33,30 +33,30 @@ class Origin:
 
 
 JUMP_US = 1_000_000
-"""How far ahead [us] is too far; what was measured of real cameras is 100 us per second at most."""
+"""Largest plausible lead [us]; real cameras were measured to gain at most 100 us per second."""
 
 
 class JumpGuard:
     """Compares time in the stream with the time of its arrival.
 
-    Data can arrive late, but never before they happened. The least lateness is therefore a floor
-    which only the difference in rate of the two clocks moves, slowly; data below it carry a time
-    that was damaged, as one wrong time wrap does for all that follows.
+    Data can arrive late, but never early. The smallest delay is therefore a floor that only moves
+    slowly, with the difference in rate of the two clocks; data below it carry a damaged time, as
+    after one wrong time wrap.
     """
 
     def __init__(self) -> None:
         self._floor_us = 0.0
 
     def restart(self, uncertainty_us: float) -> None:
-        """Begin again after a reset of the camera's clock.
+        """Start again after a reset of the camera's clock.
 
         Args:
-            uncertainty_us: How far off [us] the host time of that reset may be.
+            uncertainty_us: Uncertainty of the host time of that reset [us].
         """
         self._floor_us = -uncertainty_us
 
     def check(self, time_us: int, arrival_us: int) -> None:
-        """Look at a stretch of the stream.
+        """Check a stretch of the stream.
 
         Args:
             time_us: Time it reached [us, epoch-based camera clock].
@@ -70,29 +70,30 @@ class JumpGuard:
             ahead_s = (self._floor_us - late_us) / 1e6
             raise StreamError(
                 f'the camera clock jumped {ahead_s:.1f} s ahead: damaged data, or the host clock '
-                'was set back; starting the camera anew'
+                'was set back',
+                remedy='none needed: the camera is restarted',
             )
         self._floor_us = min(self._floor_us, late_us)
 
 
 CONFIRMATION_NS = 1_000_000_000
-"""A reset that was asked for shows in the stream within this time."""
+"""A requested reset appears in the stream within this time."""
 
 
 class ClockEpochs:
     """Follows the resets of a camera's clock and keeps published time from going back.
 
-    The first reset that arrives after it was asked for is the one whose host time was measured.
-    Others come from the synchronisation cable or from the camera itself: the host time of those
-    is estimated from their arrival.
+    The first reset that arrives after a request is the one whose host time was measured. Others
+    come from the synchronisation cable or from the camera itself; their host time is estimated
+    from their arrival.
 
     Args:
-        asked: Host time of the reset that was asked for.
+        asked: Host time of the requested reset.
         delay_us: Time that data may wait in the camera [us]: the error of an estimated origin.
         latest_us: Time published before, by an earlier stream [us, epoch-based camera clock].
 
     Attributes:
-        unasked: Resets that came without being asked for.
+        unasked: Resets without a request.
         latest_us: Latest time handed out [us, epoch-based camera clock].
     """
 
@@ -167,13 +168,13 @@ class ClockEpochs:
                 return None
             late_ns = arrival_ns - (asked.host_ns - asked.uncertainty_ns)
             if late_ns < 0:
-                # What arrived was on its way already; the one asked for is yet to come.
+                # This reset was on its way already; the requested one is still to come.
                 return None
             self._pending = None
             return asked if late_ns <= CONFIRMATION_NS else None
 
     def _measured(self, asked: Origin, time_us: int, arrival_ns: int) -> None:
-        # What the camera saw after the reset arrived after it happened: that bounds the reset.
+        # Data after the reset arrive after it: their arrival bounds the reset.
         first_ns = asked.host_ns - asked.uncertainty_ns
         last_ns = min(asked.host_ns + asked.uncertainty_ns, arrival_ns - 1000 * time_us)
         if last_ns < first_ns:
@@ -183,7 +184,7 @@ class ClockEpochs:
         self._set(middle_us, (last_ns - first_ns) / 2000)
 
     def _set(self, wanted_us: int, uncertainty_us: float) -> None:
-        # A camera whose clock is fast has published times that the host has yet to reach.
+        # A fast camera clock has published times that lie ahead of the host.
         late_us = max(self.latest_us + 1 - wanted_us, 0)
         uncertainty_ns = round((uncertainty_us + late_us) * 1000)
         self._origin = Origin((wanted_us + late_us) * 1000, uncertainty_ns)

@@ -1,41 +1,45 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the driver node; names follow libcaer_driver where the meaning is the same."""
+"""Parameters of the driver node, which are also the settings of its parts.
+
+Names follow libcaer_driver where the meaning is the same.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
-from mixtac_driver.camera import StreamSettings
-from mixtac_driver.davis346.biases import BiasParameters, biases, number
-from mixtac_driver.davis346.settings import (
-    ApsParameters,
-    ChipParameters,
-    Configuration,
-    DvsParameters,
-    ExternalParameters,
-    ImuParameters,
-    Region,
-    chip_registers,
-)
-from mixtac_driver.errors import ConfigurationError
-from mixtac_driver.supervisor import RecoveryParameters
+from mixtac_driver.davis346.biases import number
+from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_events.codec import ENCODINGS
 from mixtac_node.parameters import parameter
 
 
+class RecoveryPolicy(str, Enum):
+    """Reaction to a failure.
+
+    Attributes:
+        RECONNECT: Open the camera again, with growing pauses, until it is back.
+        FAIL_STOP: End with the reason; a camera that was never there is still waited for.
+    """
+
+    RECONNECT = 'reconnect'
+    FAIL_STOP = 'fail_stop'
+
+
 @dataclass(frozen=True)
 class DeviceParameters:
-    """Device, transport, packets and frames of reference; mostly fixed while the node runs."""
+    """Device, transport, packets, recovery and calibration; all fixed while the node runs."""
 
     device: str = parameter(
         'davis346',
-        'What to open: davis346 for a camera on USB, virtual or virtual:/path/of/socket for the '
-        'virtual sensor, or the path of a recording: an AEDAT4 file, or a bag folder or file',
+        'Device to open: davis346 for a camera on USB, virtual or virtual:/path/of/socket for the '
+        'virtual sensor, or the path of a recording (an AEDAT4 file, or a bag folder or file)',
         read_only=True,
     )
     serial: str = parameter(
-        '', 'Serial number of the camera; empty takes the only one attached', read_only=True
+        '', 'Serial number of the camera. Empty: the only one attached', read_only=True
     )
     encoding: str = parameter(
         'libcaer_cmp', 'Encoding of event packets', choices=ENCODINGS, read_only=True
@@ -50,7 +54,7 @@ class DeviceParameters:
     )
     event_message_size_threshold: int = number(
         300_000,
-        'Longest payload of an event packet',
+        'Largest payload of an event packet',
         100_000_000,
         'bytes',
         minimum=1000,
@@ -60,47 +64,59 @@ class DeviceParameters:
     imu_frame_id: str = parameter('imu', 'Frame of inertial samples', read_only=True)
     stream_timeout: float = parameter(
         3.0,
-        'Time without any data after which the stream counts as dead; a camera sends time every '
-        '33 ms even in the dark',
+        'Time without any data after which the stream counts as dead; a camera sends its time '
+        'every 33 ms even in the dark',
         unit='s',
         minimum=0.1,
         maximum=60.0,
         read_only=True,
     )
     usb_transfers: int = number(
-        128, 'USB reads that wait at the camera at once', 1024, minimum=1, read_only=True
+        128, 'Number of USB reads queued at the camera', 1024, minimum=1, read_only=True
     )
     usb_transfer_size: int = number(
-        65536, 'Bytes per USB read', 1 << 22, 'bytes', minimum=512, read_only=True
+        65536, 'Size of a USB read', 1 << 22, 'bytes', minimum=512, read_only=True
     )
     usb_queue_size: int = number(
         32 << 20,
-        'Bytes that may wait to be decoded besides',
+        'Limit of received data waiting to be decoded',
         1 << 30,
         'bytes',
         minimum=1 << 16,
         read_only=True,
     )
-    usb_early_packet_delay: int = number(
-        200, 'Time after which the camera sends what it has', 15_875, 'us', minimum=125
+    recovery_policy: str = parameter(
+        RecoveryPolicy.RECONNECT.value,
+        'Reaction to a camera failure: reconnect opens the camera again until it is back; '
+        'fail_stop ends the driver with the reason and exit status 1',
+        choices=tuple(policy.value for policy in RecoveryPolicy),
+        read_only=True,
     )
-
-
-def stream_settings(p: DeviceParameters) -> StreamSettings:
-    """Return how data are to be taken from the camera."""
-    return StreamSettings(
-        transfers=p.usb_transfers,
-        transfer_size=p.usb_transfer_size,
-        queue_size=p.usb_queue_size,
-        silence_s=p.stream_timeout,
-        confirmation_s=p.stream_timeout,
+    recovery_first_pause: float = parameter(
+        0.05,
+        'Pause before the first attempt to reconnect',
+        unit='s',
+        minimum=0.01,
+        maximum=60.0,
+        read_only=True,
     )
-
-
-@dataclass(frozen=True)
-class CalibrationParameters:
-    """Where the calibration is, and what it is used for."""
-
+    recovery_longest_pause: float = parameter(
+        0.5,
+        'Longest pause between attempts to reconnect; each pause is twice as long as the previous '
+        'one. Plugging in a camera ends the pause',
+        unit='s',
+        minimum=0.01,
+        maximum=600.0,
+        read_only=True,
+    )
+    recovery_give_up_after: float = parameter(
+        0.0,
+        'Time without a stream after which the driver ends as with fail_stop; 0: never',
+        unit='s',
+        minimum=0.0,
+        maximum=86_400.0,
+        read_only=True,
+    )
     camera_name: str = parameter(
         'davis346',
         'Name of the camera in its calibration: letters, digits and _',
@@ -109,26 +125,25 @@ class CalibrationParameters:
     camerainfo_url: str = parameter(
         '',
         'Calibration written by `mixtac calibrate`: file:///path, package://name/path or a path, '
-        'where ${NAME} is camera_name and ${ROS_HOME} is ~/.ros unless set; empty is '
+        'where ${NAME} is camera_name and ${ROS_HOME} is ~/.ros unless set. Empty: '
         'file://${ROS_HOME}/camera_info/${NAME}.yaml',
         read_only=True,
     )
     undistort_frames: bool = parameter(
         False,
-        'Publish frames without the distortion of the lens as well; needs a calibration',
+        'Also publish frames without lens distortion; needs a calibration',
         read_only=True,
     )
     undistort_events: bool = parameter(
         False,
-        'Publish events at undistorted pixels as well; needs a calibration',
+        'Also publish events at undistorted pixels; needs a calibration',
         read_only=True,
     )
 
 
-# The fields come in the order of the bases from last to first.
 NO_SEEK = -1.0
 """Value of `playback_seek` that does nothing."""
-_WHICH = 'empty takes the only one, none plays none'
+_WHICH = 'Empty: the only one; none: do not play any'
 
 
 @dataclass(frozen=True)
@@ -137,18 +152,19 @@ class PlaybackParameters:
 
     playback_rate: float = parameter(
         1.0,
-        'Speed of a recording: 1 is real time, 0 as fast as its subscribers allow',
+        'Playback speed of a recording: 1 is real time, 0 as fast as the subscribers allow',
         minimum=0.0,
         maximum=1000.0,
     )
     playback_loop: bool = parameter(
         False,
-        'A recording starts again at its end; stamps go on by its length and 1 ms',
+        'Play a recording again from its start when it ends; stamps continue, shifted by its '
+        'length and 1 ms',
     )
-    playback_paused: bool = parameter(False, 'A recording stands still')
+    playback_paused: bool = parameter(False, 'Pause playback of a recording')
     playback_start: float = parameter(
         0.0,
-        'Where in a recording to begin, also when looping',
+        'Position in a recording at which playback starts, also when looping',
         unit='s',
         minimum=0.0,
         maximum=1e9,
@@ -156,112 +172,35 @@ class PlaybackParameters:
     )
     playback_seek: float = parameter(
         NO_SEEK,
-        'A new value jumps there, counted from the first event; stamps never go back: after a jump '
-        'to an earlier place they go on 1 ms after the latest; -1 does nothing; without effect '
-        'once a recording has ended',
+        'Playback jumps to every new value, counted from the first event; -1: no jump. Stamps '
+        'never go back: after a jump to an earlier position they continue 1 ms after the latest. '
+        'No effect once a recording has ended',
         unit='s',
         minimum=NO_SEEK,
         maximum=1e9,
     )
     playback_restamp: bool = parameter(
         False,
-        'Stamps are moved to the time of playing (at the start, at loops and jumps) instead of '
-        'being those recorded',
+        'Move recorded stamps to the time of playback (at the start, at loops and jumps)',
         read_only=True,
     )
     playback_clock: bool = parameter(
         False,
-        'The recorded camera clock is published on /clock, for nodes with use_sim_time; the driver '
+        'Publish the recorded camera clock on /clock, for nodes with use_sim_time; the driver '
         'itself stays on the host clock',
         read_only=True,
     )
     playback_events_topic: str = parameter(
-        '', f'Which topic or stream of events to play; {_WHICH}', read_only=True
+        '', f'Topic or stream of events to play. {_WHICH}', read_only=True
     )
     playback_image_topic: str = parameter(
-        '', f'Which topic or stream of frames to play; {_WHICH}', read_only=True
+        '', f'Topic or stream of frames to play. {_WHICH}', read_only=True
     )
     playback_imu_topic: str = parameter(
-        '', f'Which topic or stream of inertial samples to play; {_WHICH}', read_only=True
+        '', f'Topic or stream of inertial samples to play. {_WHICH}', read_only=True
     )
 
 
 @dataclass(frozen=True)
-class DriverParameters(
-    ChipParameters,
-    BiasParameters,
-    ExternalParameters,
-    ImuParameters,
-    ApsParameters,
-    DvsParameters,
-    CalibrationParameters,
-    PlaybackParameters,
-    RecoveryParameters,
-    DeviceParameters,
-):
-    """What to open, how to run it, and how to publish what it sees."""
-
-
-def camera_configuration(
-    p: DriverParameters, pixel_filter: tuple[tuple[int, int], ...] = ()
-) -> Configuration:
-    """Return the camera settings that node parameters stand for.
-
-    Args:
-        p: The parameters.
-        pixel_filter: Up to eight (column, row) that the camera itself masks.
-
-    Raises:
-        ConfigurationError: They contradict each other.
-    """
-    configuration = Configuration(
-        dvs_enabled=p.dvs_enabled,
-        aps_enabled=p.aps_enabled,
-        imu_accelerometer_enabled=p.imu_acc_enabled,
-        imu_gyroscope_enabled=p.imu_gyro_enabled,
-        imu_temperature_enabled=p.imu_temp_enabled,
-        external_input_enabled=p.external_input_enabled,
-        biases=biases(p),
-        chip=chip_registers(p),
-        pixel_filter=pixel_filter,
-        background_activity_filter_enabled=p.background_activity_filter_enabled,
-        background_activity_filter_time=p.background_activity_filter_time,
-        refractory_period_enabled=p.refractory_period_enabled,
-        refractory_period_time=p.refractory_period_time,
-        roi=Region(p.roi_start_col, p.roi_start_row, p.roi_end_col, p.roi_end_row),
-        skip_enabled=p.skip_enabled,
-        skip_events_every=p.skip_events_every,
-        polarity_flatten=p.polarity_flatten,
-        polarity_suppress=p.polarity_suppress,
-        polarity_suppress_type=p.polarity_suppress_type,
-        aps_global_shutter=p.aps_global_shutter,
-        aps_roi=Region(
-            p.aps_roi_start_col, p.aps_roi_start_row, p.aps_roi_end_col, p.aps_roi_end_row
-        ),
-        aps_exposure_us=p.aps_exposure,
-        aps_frame_interval_us=p.aps_frame_interval,
-        imu_sample_rate_divider=p.imu_sample_rate_divider,
-        imu_low_pass_filter=p.imu_low_pass_filter,
-        imu_gyroscope_low_pass_filter=p.imu_gyro_low_pass_filter,
-        imu_acceleration_scale=p.imu_acc_scale,
-        imu_gyroscope_scale=p.imu_gyro_scale,
-        detect_rising=p.external_input_rising,
-        detect_falling=p.external_input_falling,
-        detect_pulses=p.external_input_pulses,
-        pulse_polarity=p.external_input_pulse_polarity,
-        pulse_length_us=p.external_input_pulse_length,
-        generator_enabled=p.generator_enabled,
-        generator_polarity=p.generator_polarity,
-        generator_interval_us=p.generator_interval,
-        generator_length_us=p.generator_length,
-        inject_on_rising=p.generator_inject_on_rising,
-        inject_on_falling=p.generator_inject_on_falling,
-        early_packet_delay_us=p.usb_early_packet_delay,
-    )
-    configuration.check()
-    if p.aps_auto_exposure_minimum > p.aps_auto_exposure_maximum:
-        raise ConfigurationError(
-            f'aps_auto_exposure_minimum = {p.aps_auto_exposure_minimum}: give at most '
-            f'aps_auto_exposure_maximum = {p.aps_auto_exposure_maximum}'
-        )
-    return configuration
+class DriverParameters(CameraParameters, PlaybackParameters, DeviceParameters):
+    """All parameters: what to open, how to run it, and how to publish its data."""

@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numba import njit
 
-from mixtac_driver.davis346.model import HEIGHT, PIXEL_FILTERS, WIDTH
+from mixtac_driver.davis346.registers import PIXEL_FILTERS
 from mixtac_driver.errors import ConfigurationError
 from mixtac_events.arrays import Events
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
@@ -40,24 +40,27 @@ class PixelMask:
 
     Args:
         pixels: (column, row) of each.
+        size: Columns and rows of the pixel array; an empty mask fits every array.
 
     Attributes:
         pixels: All masked pixels.
+        size: As given.
         dropped: Events dropped so far.
 
     Raises:
         ConfigurationError: A pixel is outside the array.
     """
 
-    def __init__(self, pixels: Iterable[Pixel] = ()) -> None:
+    def __init__(self, pixels: Iterable[Pixel] = (), size: tuple[int, int] = (0, 0)) -> None:
         self.pixels: tuple[Pixel, ...] = tuple(dict.fromkeys(pixels))
+        self.size = size
         self.dropped = 0
-        self._masked = np.zeros((HEIGHT, WIDTH), np.bool_)
+        width, height = size
+        self._masked = np.zeros((height, width), np.bool_)
         for column, row in self.pixels:
-            if not (0 <= column < WIDTH and 0 <= row < HEIGHT):
+            if not (0 <= column < width and 0 <= row < height):
                 raise ConfigurationError(
-                    f'masked pixel ({column}, {row}): give columns below {WIDTH} and rows below '
-                    f'{HEIGHT}'
+                    f'masked pixel ({column}, {row}) is outside the {width} x {height} pixels'
                 )
             self._masked[row, column] = True
         self._kept: tuple[NDArray[Any], ...] = ()
@@ -67,17 +70,29 @@ class PixelMask:
         """Pixels for the camera's own filters."""
         return self.pixels[:PIXEL_FILTERS]
 
-    def with_pixels(self, pixels: Sequence[Pixel]) -> PixelMask:
-        """Return a mask of these pixels, as the noisiest, and of those masked already."""
-        return PixelMask([*pixels, *self.pixels])
+    def check_size(self, size: tuple[int, int]) -> None:
+        """Raise if the mask does not fit a pixel array.
 
-    def keep(self, events: Events) -> Events:
+        Args:
+            size: Columns and rows of the array.
+
+        Raises:
+            ConfigurationError: It has another size.
+        """
+        if self.pixels and self.size != size:
+            raise ConfigurationError(
+                f'pixel mask of {self.size[0]} x {self.size[1]} pixels does not fit the camera',
+                remedy=f'give a mask of {size[0]} x {size[1]} pixels',
+            )
+
+    def keep(self, events: Events, size: tuple[int, int]) -> Events:
         """Return the events of pixels that are not masked; valid until the next call.
 
         Args:
             events: Events with any clock.
+            size: Columns and rows of their array; a mask of another size has no effect.
         """
-        if not self.pixels or not len(events):
+        if not self.pixels or not len(events) or size != self.size:
             return events
         if not self._kept or len(self._kept[0]) < len(events):
             self._kept = _buffers(len(events))
@@ -87,60 +102,62 @@ class PixelMask:
         return Events(t[:n], x[:n], y[:n], polarity[:n])
 
     def image(self) -> NDArray[np.uint8]:
-        """Return the mask as an image, `uint8` [260, 346]: IN_CAMERA, ON_HOST, else black."""
+        """Return the mask as an image, `uint8` [rows, columns]: IN_CAMERA, ON_HOST, else black."""
         image = np.where(self._masked, ON_HOST, 0).astype(np.uint8)
         for column, row in self.in_camera:
             image[row, column] = IN_CAMERA
         return image
 
 
-def mask_of_image(image: NDArray[np.uint8]) -> PixelMask:
-    """Return the mask that an image shows: what is not black, the brightest first.
+def mask_of_image(image: NDArray[Any]) -> PixelMask:
+    """Return the mask in an image: all pixels that are not black, the brightest first.
 
     Args:
-        image: `uint8` [260, 346].
+        image: `uint8` [rows, columns].
 
     Raises:
-        ConfigurationError: It has another shape or depth.
+        ConfigurationError: It is not a grey image of 8 bits.
     """
-    if image.shape != (HEIGHT, WIDTH) or image.dtype != np.uint8:
+    if image.ndim != 2 or image.dtype != np.uint8:
         raise ConfigurationError(
-            f'pixel mask of shape {image.shape}, {image.dtype}: give a grey image of '
-            f'{WIDTH} x {HEIGHT} pixels with 8 bits'
+            f'pixel mask of shape {image.shape}, {image.dtype}',
+            remedy='give a grey image with 8 bits in the size of the camera',
         )
     rows, columns = np.nonzero(image)
     order = np.argsort(-image[rows, columns].astype(int), kind='stable')
     pairs = zip(columns[order].tolist(), rows[order].tolist(), strict=True)
-    return PixelMask(pairs)
+    return PixelMask(pairs, (image.shape[1], image.shape[0]))
 
 
 def load_mask(path: str) -> PixelMask:
     """Return the mask in a PNG file; an empty path is an empty mask.
 
     Raises:
-        ConfigurationError: The file cannot be read or is no such image.
+        ConfigurationError: The file cannot be read or is not such an image.
     """
     if not path:
         return PixelMask()
-    # Slow to import, and few need it.
+    # Slow to import, and rarely needed.
     import cv2
 
     image: Any = cv2.imread(path, cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise ConfigurationError(f'pixel mask {path!r} cannot be read: give a grey PNG image')
+        raise ConfigurationError(
+            f'pixel mask {path!r} cannot be read', remedy='give a grey PNG image'
+        )
     return mask_of_image(image)
 
 
 def check_path(path: str) -> None:
-    """Refuse a path that `save_mask` cannot write to.
+    """Raise if `save_mask` cannot write to a path.
 
     Raises:
-        ConfigurationError: As said.
+        ConfigurationError: It is not a PNG file in an existing folder.
     """
     if not path.endswith('.png') or not Path(path).resolve().parent.is_dir():
         raise ConfigurationError(
-            f'pixel mask {path!r} cannot be written: give a path that ends with .png in a folder '
-            'that exists'
+            f'pixel mask {path!r} cannot be written',
+            remedy='give a path that ends with .png in a folder that exists',
         )
 
 
@@ -154,13 +171,16 @@ def save_mask(mask: PixelMask, path: str) -> None:
     import cv2
 
     if not cv2.imwrite(path, mask.image()):
-        raise ConfigurationError(f'pixel mask {path!r} cannot be written: check its permissions')
+        raise ConfigurationError(
+            f'pixel mask {path!r} cannot be written', remedy='check its permissions'
+        )
 
 
 def warm_up() -> None:
-    """Compile, or load what was compiled, before data wait."""
+    """Compile, or load compiled code, before data arrive."""
     one = np.zeros(1, np.uint16)
-    PixelMask([(0, 0)]).keep(Events(np.zeros(1, np.int64), one, one, np.zeros(1, np.bool_)))
+    events = Events(np.zeros(1, np.int64), one, one, np.zeros(1, np.bool_))
+    PixelMask([(0, 0)], (1, 1)).keep(events, (1, 1))
 
 
 def _buffers(n: int) -> tuple[NDArray[Any], ...]:
@@ -210,14 +230,15 @@ class PixelCounter:
 
     Args:
         duration_us: Length of the stretch [us].
+        size: Columns and rows of the pixel array.
 
     Attributes:
-        counts: `int64` [260, 346], events so far.
+        counts: `int64` [rows, columns], events so far.
         done: Set when the stretch is over.
     """
 
-    def __init__(self, duration_us: int) -> None:
-        self.counts = np.zeros((HEIGHT, WIDTH), np.int64)
+    def __init__(self, duration_us: int, size: tuple[int, int]) -> None:
+        self.counts = np.zeros((size[1], size[0]), np.int64)
         self.done = threading.Event()
         self._duration_us = duration_us
         self._end_us: int | None = None
@@ -226,17 +247,18 @@ class PixelCounter:
         """Count events.
 
         Args:
-            events: Events on the camera clock [us].
-            time_us: Time that the stream has reached [us, camera clock].
+            events: Events; their times are not used.
+            time_us: Time that the stream has reached [us, epoch-based camera clock].
         """
         if self.done.is_set():
             return
         if self._end_us is None:
-            # Those before may have passed filters that have just been changed.
+            # The first events may have passed filters that were just changed.
             self._end_us = time_us + self._duration_us
             return
-        flat = events.y.astype(np.int64) * WIDTH + events.x
-        self.counts += np.bincount(flat, minlength=WIDTH * HEIGHT).reshape(HEIGHT, WIDTH)
+        shape = self.counts.shape
+        flat = events.y.astype(np.int64) * shape[1] + events.x
+        self.counts += np.bincount(flat, minlength=self.counts.size).reshape(shape)
         if time_us >= self._end_us:
             self.done.set()
 
@@ -249,9 +271,9 @@ def hot_pixels(
     Args:
         counts: `int64` [rows, columns], events per pixel.
         duration_s: Time over which they were counted [s].
-        minimum_rate_hz: Pixels with fewer events per second are not hot [1/s].
-        factor: Pixels with fewer events than so many times the fourth noisiest around them are
-            not hot.
+        minimum_rate_hz: Lowest event rate of a hot pixel [1/s].
+        factor: A hot pixel has at least this many times the events of the fourth noisiest pixel
+            around it.
     """
     # Slow to import, and the driver starts without it.
     from scipy.ndimage import rank_filter

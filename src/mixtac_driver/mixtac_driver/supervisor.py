@@ -1,19 +1,18 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps a source streaming: opens it, passes its batches on, reopens it when the stream fails."""
+"""Keeps a source streaming: opens it, passes its batches on, and reopens it after a failure."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections import Counter
-from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
 from mixtac_driver.errors import DriverError, EndOfStream
+from mixtac_driver.parameters import DriverParameters, RecoveryPolicy
 from mixtac_events.errors import MixtacError
-from mixtac_node.parameters import parameter
 from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
@@ -21,39 +20,6 @@ if TYPE_CHECKING:
 
     from mixtac_driver.camera import CameraBatch
     from mixtac_driver.source import Source
-
-
-class RecoveryPolicy(str, Enum):
-    """What a failure leads to.
-
-    Attributes:
-        RECONNECT: Open the camera again, with growing pauses, until it is back.
-        FAIL_STOP: End with the reason; a camera that was never there is still waited for.
-    """
-
-    RECONNECT = 'reconnect'
-    FAIL_STOP = 'fail_stop'
-
-
-@dataclass(frozen=True, slots=True)
-class RecoverySettings:
-    """How failures are dealt with.
-
-    Attributes:
-        policy: What a failure leads to.
-        first_pause_s: Pause before the first attempt to open the camera again [s].
-        longest_pause_s: Longest pause [s]; each is twice as long as the one before.
-        give_up_after_s: Time without a stream [s] after which reconnecting ends; 0 never ends.
-    """
-
-    policy: RecoveryPolicy = RecoveryPolicy.RECONNECT
-    first_pause_s: float = 0.05
-    longest_pause_s: float = 0.5
-    give_up_after_s: float = 0.0
-
-    def gives_up(self, seconds: float) -> bool:
-        """Return whether so many seconds without a stream are too many."""
-        return 0 < self.give_up_after_s <= seconds
 
 
 class Backoff:
@@ -76,61 +42,17 @@ class Backoff:
         return pause_s
 
     def reset(self) -> None:
-        """Begin with the first pause again."""
+        """Start again with the first pause."""
         self._next_s = self._first_s
-
-
-@dataclass(frozen=True)
-class RecoveryParameters:
-    """Reconnect or end, and how patiently."""
-
-    recovery_policy: str = parameter(
-        RecoveryPolicy.RECONNECT.value,
-        'What a failure of the camera leads to: reconnect opens it again until it is back; '
-        'fail_stop ends the driver with the reason and exit status 1',
-        choices=tuple(policy.value for policy in RecoveryPolicy),
-        read_only=True,
-    )
-    recovery_first_pause: float = parameter(
-        0.05,
-        'Pause before the first attempt to reconnect',
-        unit='s',
-        minimum=0.01,
-        maximum=60.0,
-        read_only=True,
-    )
-    recovery_longest_pause: float = parameter(
-        0.5,
-        'Longest pause between attempts; each is twice as long as the one before. A camera that is '
-        'plugged in ends the pause',
-        unit='s',
-        minimum=0.01,
-        maximum=600.0,
-        read_only=True,
-    )
-    recovery_give_up_after: float = parameter(
-        0.0,
-        'Time without a stream after which the driver ends as under fail_stop; 0 never',
-        unit='s',
-        minimum=0.0,
-        maximum=86_400.0,
-        read_only=True,
-    )
-
-
-def recovery_settings(p: RecoveryParameters) -> RecoverySettings:
-    """Return what the parameters ask for."""
-    return RecoverySettings(
-        policy=RecoveryPolicy(p.recovery_policy),
-        first_pause_s=p.recovery_first_pause,
-        longest_pause_s=p.recovery_longest_pause,
-        give_up_after_s=p.recovery_give_up_after,
-    )
 
 
 STOP_TIMEOUT_S = 8.0
 WATCH_S = 0.2
-"""How often a pause looks whether a camera was plugged in [s]."""
+"""Period of checking whether a camera was plugged in [s]."""
+REPORT_AFTER_S = 0.7
+"""Delay of reporting a failure [s], longer than signals take to reach all nodes of a launch."""
+REPORT_ABSENCE_AFTER_S = 30.0
+"""Delay of reporting that a camera was never there [s]: a simulated one may start later."""
 
 
 class State(Enum):
@@ -147,13 +69,16 @@ class State(Enum):
 class Supervisor:
     """Runs a source in a thread of its own until it is stopped, ends, or is given up.
 
+    Failures are reported with a delay: an ordered end, in which the camera may go away first, and
+    a start in which it comes last are no failures.
+
     Args:
-        camera: The source; may be open already.
-        on_start: Called in the thread whenever a stream begins, before its first batch.
-        on_batch: Called in the thread with everything the camera sees.
-        on_error: Called in the thread with one line when the camera could not be opened or its
+        source: The source; may be open already.
+        parameters: How to react to failures (`recovery_*`).
+        on_start: Called in the thread whenever a stream starts, before its first batch.
+        on_batch: Called in the thread with every batch.
+        on_error: Called in the thread with one line when the source could not be opened or its
             stream died; once for each kind of error until a stream was up in between.
-        recovery: What a failure leads to.
 
     Attributes:
         state: What it is doing.
@@ -168,12 +93,12 @@ class Supervisor:
 
     def __init__(
         self,
-        camera: Source,
+        source: Source,
+        parameters: DriverParameters | None = None,
         *,
         on_start: Callable[[], None],
         on_batch: Callable[[CameraBatch], None],
         on_error: Callable[[str], None],
-        recovery: RecoverySettings | None = None,
     ) -> None:
         self.state = State.CONNECTING
         self.error = ''
@@ -183,12 +108,14 @@ class Supervisor:
         self.outage_s = 0.0
         self.finished = threading.Event()
         self.failure: MixtacError | None = None
-        self._camera = camera
+        self._source = source
+        self._p = p = parameters or DriverParameters()
         self._on_start, self._on_batch, self._on_error = on_start, on_batch, on_error
-        self._recovery = recovery or RecoverySettings()
-        self._backoff = Backoff(self._recovery.first_pause_s, self._recovery.longest_pause_s)
-        self._told: set[type[MixtacError]] = set()
-        self._was_open = camera.is_open
+        self._backoff = Backoff(p.recovery_first_pause, p.recovery_longest_pause)
+        self._reported: set[type[MixtacError]] = set()
+        self._to_report: list[str] = []
+        self._report_due_s = 0.0
+        self._was_open = source.status().is_open
         self._has_streamed = False
         self._heard_s = time.monotonic()
         self._stopping = threading.Event()
@@ -200,21 +127,21 @@ class Supervisor:
         return time.monotonic() - self._heard_s
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._heard_s = time.monotonic()
         self._thread.start()
 
     def stop(self) -> bool:
-        """Stop the stream, close the camera and end the thread.
+        """Stop the stream, close the source and end the thread.
 
         Returns:
-            False where the thread did not end in time; it cannot keep the process alive.
+            False if the thread did not end in time; it cannot keep the process alive.
         """
         self._stopping.set()
         deadline_s = time.monotonic() + STOP_TIMEOUT_S
         while self._thread.is_alive() and time.monotonic() < deadline_s:
-            # Again and again, because a stream that is just starting does not see the first.
-            self._camera.request_stop()
+            # Repeated, because a stream that is just starting does not see the first request.
+            self._source.request_stop()
             self._thread.join(0.05)
         return not self._thread.is_alive()
 
@@ -243,7 +170,7 @@ class Supervisor:
 
         Raises:
             EndOfStream: The source has no more data.
-            MixtacError: The policy says that a failure is the end.
+            MixtacError: According to the policy, the failure is the end.
         """
         self.state = State.CONNECTING
         try:
@@ -255,16 +182,16 @@ class Supervisor:
         except Exception as error:  # noqa: BLE001 - a dead thread would look like a quiet scene
             self._fail(DriverError(f'defect in the driver: {error!r}'))
         finally:
-            self._camera.close()
+            self._source.close()
 
     def _stream(self) -> None:
-        if not self._camera.is_open:
-            self._camera.open()
+        if not self._source.status().is_open:
+            self._source.open()
         self._was_open = True
-        self._camera.start()
+        self._source.start()
         began_s = time.monotonic()
         self._on_start()
-        for batch in self._camera.batches():
+        for batch in self._source.batches():
             self._note_batch(began_s)
             self._on_batch(batch)
 
@@ -274,11 +201,13 @@ class Supervisor:
             if self._has_streamed:
                 self.reconnects += 1
                 self.outage_s = now_s - self._heard_s
+                self._report()
             self._has_streamed = True
             self.state, self.error = State.STREAMING, ''
-            self._told.clear()
+            self._reported.clear()
+            self._to_report.clear()
         # A stream that dies at once again and again must not be opened without pause.
-        if now_s - began_s > self._recovery.longest_pause_s:
+        if now_s - began_s > self._p.recovery_longest_pause:
             self._backoff.reset()
         self._heard_s = now_s
 
@@ -286,28 +215,45 @@ class Supervisor:
         self.failures += 1
         self.failures_by_kind[type(error).__name__] += 1
         self.error = str(error)
-        if type(error) not in self._told:
-            self._told.add(type(error))
-            self._on_error(self.error)
-        fail_stop = self._recovery.policy is RecoveryPolicy.FAIL_STOP and self._was_open
+        if type(error) not in self._reported:
+            self._reported.add(type(error))
+            if not self._to_report:
+                delay_s = REPORT_AFTER_S if self._was_open else REPORT_ABSENCE_AFTER_S
+                self._report_due_s = time.monotonic() + delay_s
+            self._to_report.append(self.error)
+        fail_stop = self._p.recovery_policy == RecoveryPolicy.FAIL_STOP.value and self._was_open
         if fail_stop or isinstance(error, RecordingError):
+            self._report()
             raise error
 
+    def _report_if_due(self) -> None:
+        if time.monotonic() >= self._report_due_s:
+            self._report()
+
+    def _report(self) -> None:
+        lines, self._to_report = self._to_report, []
+        if not self._stopping.is_set():
+            for line in lines:
+                self._on_error(line)
+
     def _check_patience(self) -> None:
-        if self._recovery.gives_up(self.quiet_s) and not self._stopping.is_set():
-            raise DriverError(f'no stream for {self.quiet_s:.0f} s, giving up: {self.error}')
+        quiet_s, limit_s = self.quiet_s, self._p.recovery_give_up_after
+        if 0 < limit_s <= quiet_s and not self._stopping.is_set():
+            raise DriverError(f'no stream for {quiet_s:.0f} s, giving up: {self.error}')
 
     def _pause(self) -> None:
         """Wait for the pause to pass, or for a camera to be plugged in."""
         if self._stopping.is_set():
             return
         self.state = State.WAITING
-        before = self._camera.attached()
+        self._report_if_due()
+        before = self._source.attached()
         until_s = time.monotonic() + self._backoff.next()
         while (left_s := until_s - time.monotonic()) > 0:
             if self._stopping.wait(min(left_s, WATCH_S)):
                 return
-            now = self._camera.attached()
+            self._report_if_due()
+            now = self._source.attached()
             if now - before:
                 self._backoff.reset()
                 return

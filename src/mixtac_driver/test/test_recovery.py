@@ -17,9 +17,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from usb.core import USBError, USBTimeoutError
 
+from mixtac_driver import device as connection_module
 from mixtac_driver.camera import Davis346
 from mixtac_driver.clock import JUMP_US, JumpGuard
-from mixtac_driver.davis346.settings import Configuration
+from mixtac_driver.device import Connection, attached_cameras, find_camera
 from mixtac_driver.errors import (
     AccessError,
     BusError,
@@ -32,40 +33,32 @@ from mixtac_driver.errors import (
     StreamError,
     UsbError,
 )
-from mixtac_driver.supervisor import (
-    Backoff,
-    RecoveryParameters,
-    RecoveryPolicy,
-    RecoverySettings,
-    recovery_settings,
-)
-from mixtac_driver.usb import device as connection_module
-from mixtac_driver.usb.device import Connection, attached_cameras, find_camera
+from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.supervisor import Backoff
 from mixtac_driver.usb.protocol import Protocol, Write, usb_failure
-from mixtac_node.parameters import ParameterError, build, specs
 
 
 @pytest.mark.parametrize(
-    ('number', 'kind', 'words'),
+    ('number', 'kind'),
     [
-        (errno.ENODEV, DisconnectedError, 'unplugged'),
-        (errno.ENOENT, DisconnectedError, 'unplugged'),
-        (errno.EACCES, AccessError, '65-mixtac.rules'),
-        (errno.EPERM, AccessError, '65-mixtac.rules'),
-        (errno.EBUSY, InUseError, 'stop the other program'),
-        (errno.EPIPE, StallError, 'stall'),
-        (errno.ETIMEDOUT, NoAnswerError, 'no answer'),
-        (errno.EOVERFLOW, BusError, 'more than was asked'),
-        (errno.EIO, BusError, 'cable'),
-        (errno.ENOMEM, UsbError, 'what pyusb said'),
-        (None, UsbError, 'what pyusb said'),
+        (errno.ENODEV, DisconnectedError),
+        (errno.ENOENT, DisconnectedError),
+        (errno.EACCES, AccessError),
+        (errno.EPERM, AccessError),
+        (errno.EBUSY, InUseError),
+        (errno.EPIPE, StallError),
+        (errno.ETIMEDOUT, NoAnswerError),
+        (errno.EOVERFLOW, BusError),
+        (errno.EIO, BusError),
+        (errno.ENOMEM, UsbError),
+        (None, UsbError),
     ],
 )
-def test_each_error_of_the_bus_has_its_kind_and_remedy(number, kind, words):
+def test_each_error_of_the_bus_has_its_kind_and_remedy(number, kind):
     failure = usb_failure(USBError('what pyusb said', None, number), 'reading data')
     assert type(failure) is kind
-    assert words in str(failure)
-    assert 'reading data' in str(failure)
+    assert 'reading data' in failure.message
+    assert bool(failure.remedy) == (kind not in {DisconnectedError, UsbError})
 
 
 class Device:
@@ -99,7 +92,7 @@ def test_requests_that_may_be_repeated_are_tried_once_more():
 
 def test_they_are_not_tried_a_third_time():
     protocol = Protocol(Device(late(), late(), b'\0\0\0\7'))
-    with pytest.raises(NoAnswerError, match='register 6:0'):
+    with pytest.raises(NoAnswerError):
         protocol.read(6, 0)
 
 
@@ -124,7 +117,7 @@ def test_other_failures_are_not_repeated():
 def test_camera_is_chosen_by_serial_then_by_what_it_was_before(serial, preferred, got):
     cameras = FakeCamera('A'), FakeCamera('B')
     if got is None:
-        with pytest.raises(NoCameraError, match='A, B'):
+        with pytest.raises(NoCameraError):
             find_camera(FakeBackend(*cameras), 'davis346', serial, preferred)
     else:
         camera, number = find_camera(FakeBackend(*cameras), 'davis346', serial, preferred)
@@ -213,7 +206,7 @@ def test_handle_below_a_read_that_not_even_a_reset_ends_is_left_alone(impatient)
     thread = read_in_thread(connection)
     connection.close()
     assert (camera.handles, camera.claimed) == (1, True)
-    with pytest.raises(InUseError, match='restart the driver'):
+    with pytest.raises(InUseError):
         Connection('davis346', backend=backend)
     backend.released.set()
     thread.join(5.0)
@@ -241,11 +234,11 @@ def test_settings_changed_while_the_camera_was_away_are_there_after_it_is_opened
     fake = FakeCamera()
     camera = Davis346(backend=FakeBackend(fake))
     camera.open()
-    camera.apply(Configuration(aps_exposure_us=9000, skip_events_every=7))
+    camera.apply(DriverParameters(aps_exposure=9000, skip_events_every=7))
     before = {address: value for address, value in fake.registers.items() if address[0] != 6}
     camera.close()
     fake.registers = dict(FakeCamera().registers)
-    camera.apply(Configuration(aps_exposure_us=9000, skip_events_every=8))
+    camera.apply(DriverParameters(aps_exposure=9000, skip_events_every=8))
     camera.open()
     after = dict(fake.registers)
     assert after[1, 52] == 8
@@ -259,18 +252,6 @@ def test_pauses_double_up_to_a_bound_and_begin_again():
     backoff.reset()
     assert backoff.next() == 0.1
     assert Backoff(2.0, 0.5).next() == 0.5
-
-
-def test_parameters_name_the_policies():
-    assert recovery_settings(RecoveryParameters()) == RecoverySettings()
-    stop = build(RecoveryParameters, {'recovery_policy': 'fail_stop', 'recovery_give_up_after': 3})
-    assert recovery_settings(stop).policy is RecoveryPolicy.FAIL_STOP
-    assert recovery_settings(stop).gives_up(3.0)
-    assert not recovery_settings(stop).gives_up(2.9)
-    assert not RecoverySettings().gives_up(1e9)
-    assert all(spec.read_only for spec in specs(RecoveryParameters))
-    with pytest.raises(ParameterError, match='reconnect, fail_stop'):
-        build(RecoveryParameters, {'recovery_policy': 'hope'})
 
 
 @given(
@@ -291,6 +272,6 @@ def test_data_from_the_future_are_a_jump(time_us, ahead_us):
     guard = JumpGuard()
     guard.restart(100)
     guard.check(time_us, time_us + 500)
-    with pytest.raises(StreamError, match='ahead'):
+    with pytest.raises(StreamError):
         guard.check(time_us + ahead_us, time_us + 600)
     guard.check(time_us + 100, time_us + 600)

@@ -11,12 +11,15 @@ import pytest
 from davis_fake import FakeBackend, FakeCamera
 
 from mixtac_driver import supervisor as supervisor_module
-from mixtac_driver.camera import Davis346, StreamSettings
-from mixtac_driver.supervisor import RecoverySettings, State, Supervisor
+from mixtac_driver.camera import Davis346
+from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.supervisor import State, Supervisor
 
 
 @pytest.fixture(autouse=True)
 def quick_settling(monkeypatch):
+    monkeypatch.setattr(supervisor_module, 'REPORT_AFTER_S', 0.0)
+    monkeypatch.setattr(supervisor_module, 'REPORT_ABSENCE_AFTER_S', 0.0)
     monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.01)
     monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.01)
 
@@ -33,13 +36,14 @@ class Watch:
 
     def __init__(self, backend, on_batch=None, **kwargs):
         self.starts, self.batches, self.errors = [], [], []
-        self.camera = Davis346(backend=backend, stream=StreamSettings(silence_s=0.3))
+        p = DriverParameters(stream_timeout=0.3, recovery_first_pause=0.02)
+        self.camera = Davis346(p, backend=backend)
         self.supervisor = Supervisor(
             self.camera,
+            p,
             on_start=lambda: self.starts.append(time.monotonic()),
             on_batch=on_batch or self.batches.append,
             on_error=self.errors.append,
-            recovery=RecoverySettings(first_pause_s=0.02),
             **kwargs,
         )
         self.supervisor.start()
@@ -49,8 +53,7 @@ def test_camera_that_comes_late_is_found():
     backend = FakeBackend()
     watch = Watch(backend)
     wait_until(lambda: watch.supervisor.failures >= 2)
-    assert len(watch.errors) == 1
-    assert 'no DAVIS346' in watch.errors[0]
+    wait_until(lambda: len(watch.errors) == 1)
     backend.cameras = (FakeCamera(),)
     wait_until(lambda: watch.batches)
     assert watch.supervisor.state is State.STREAMING
@@ -65,7 +68,6 @@ def test_unplugged_camera_is_named_and_taken_up_again():
     wait_until(lambda: watch.batches)
     fake.unplug()
     wait_until(lambda: watch.errors)
-    assert 'unplugged' in watch.errors[0]
     fake.error = None
     fake.claimed = False
     before = watch.batches[-1].time_us
@@ -83,7 +85,7 @@ def test_silent_camera_is_started_anew():
     fake = FakeCamera()
     watch = Watch(FakeBackend(fake))
     wait_until(lambda: len(watch.starts) == 2)
-    assert 'no data' in watch.errors[0]
+    assert watch.supervisor.failures_by_kind == {'StreamError': 1}
     assert watch.supervisor.stop()
 
 
@@ -93,6 +95,7 @@ def test_defects_are_told_and_do_not_end_the_thread():
 
     watch = Watch(FakeBackend(FakeCamera()), on_batch=broken)
     wait_until(lambda: watch.supervisor.failures >= 2)
+    wait_until(lambda: watch.errors)
     assert 'ZeroDivisionError' in watch.errors[0]
     assert watch.supervisor.stop()
 
@@ -113,4 +116,39 @@ def test_consumer_that_hangs_does_not_keep_stop_from_returning(monkeypatch):
     wait_until(lambda: watch.supervisor.state is State.STREAMING)
     assert not watch.supervisor.stop()
     release.set()
+    assert watch.supervisor.stop()
+
+
+def test_a_camera_that_goes_away_shortly_before_the_stop_is_not_reported(monkeypatch):
+    monkeypatch.setattr(supervisor_module, 'REPORT_AFTER_S', 1000.0)
+    fake = FakeCamera()
+    watch = Watch(FakeBackend(fake))
+    wait_until(lambda: watch.batches)
+    fake.unplug()
+    wait_until(lambda: watch.supervisor.failures >= 2)
+    assert watch.supervisor.stop()
+    assert watch.errors == []
+
+
+def test_a_camera_that_comes_soon_is_not_reported_as_missing(monkeypatch):
+    monkeypatch.setattr(supervisor_module, 'REPORT_ABSENCE_AFTER_S', 1000.0)
+    backend = FakeBackend()
+    watch = Watch(backend)
+    wait_until(lambda: watch.supervisor.failures >= 2)
+    backend.cameras = (FakeCamera(),)
+    wait_until(lambda: watch.batches)
+    assert watch.errors == []
+    assert watch.supervisor.stop()
+
+
+def test_an_outage_is_reported_once_the_stream_is_back(monkeypatch):
+    monkeypatch.setattr(supervisor_module, 'REPORT_AFTER_S', 1000.0)
+    fake = FakeCamera()
+    watch = Watch(FakeBackend(fake))
+    wait_until(lambda: watch.batches)
+    fake.unplug()
+    wait_until(lambda: watch.supervisor.failures)
+    fake.error, fake.claimed = None, False
+    wait_until(lambda: watch.supervisor.reconnects)
+    assert watch.errors
     assert watch.supervisor.stop()

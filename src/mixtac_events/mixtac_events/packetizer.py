@@ -42,13 +42,8 @@ class PendingEvents:
         """The events that wait: views, good until the next call of `append` or `drop`."""
         return self._arrays[: self._count]
 
-    def append(self, events: Events, shift_us: int) -> None:
-        """Copy events to the end.
-
-        Args:
-            events: Events.
-            shift_us: What to add to their times [us].
-        """
+    def append(self, events: Events) -> None:
+        """Copy events to the end."""
         count = len(events)
         if not count:
             return
@@ -58,7 +53,6 @@ class PendingEvents:
             self._copy(waiting, 0)
         start = self._count
         self._copy(events, start)
-        self._arrays.t[start : start + count] += shift_us
         self._count = start + count
 
     def drop(self, count: int) -> None:
@@ -132,21 +126,18 @@ class Packetizer:
         self._pending_arrival_ns = 0
         self._complete_us: int | None = None
 
-    def push(
-        self, events: Events, time_us: int, arrival_ns: int, shift_us: int = 0
-    ) -> list[Packet]:
+    def push(self, events: Events, time_us: int, arrival_ns: int) -> list[Packet]:
         """Take events and return the packets that they close.
 
         Args:
             events: Events on the camera clock [us], in order; not before those already taken.
             time_us: Camera time that the stream has reached; later events are not before it.
             arrival_ns: Host time of their arrival.
-            shift_us: What to add to the times of the events, but not to `time_us` [us].
         """
         held = len(self._pending)
         if not held:
             self._pending_arrival_ns = arrival_ns
-        self._pending.append(events, shift_us)
+        self._pending.append(events)
         closed_us = time_us // self._period_us * self._period_us
         if self._complete_us is None:
             self._complete_us = min(closed_us, self._first_us(closed_us))

@@ -10,7 +10,7 @@ import numpy as np
 
 from mixtac_cli.figures import FORCE, REFERENCE, new_figure, save_figure
 from mixtac_driver.calibration.board import CELLS, coverage_counts, measure, stretched
-from mixtac_driver.calibration.image_undistortion import ImageUndistortion
+from mixtac_driver.calibration.undistortion import ImageUndistortion
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 
 from mixtac_driver.calibration.lens import MODELS, CalibrationError, CameraCalibration
+from mixtac_node.files import FileError, write_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -117,7 +118,7 @@ def read_camera_info(path: Path) -> CameraCalibration:
     try:
         return parse_camera_info(_text(path))
     except CalibrationError as error:
-        raise CalibrationError(f'{path}: {error}') from error
+        raise CalibrationError(f'{path}: {error.message}', remedy=error.remedy) from error
 
 
 def parse_camera_info(text: str) -> CameraCalibration:
@@ -129,12 +130,12 @@ def parse_camera_info(text: str) -> CameraCalibration:
     try:
         document = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise CalibrationError(f'no YAML ({_one_line(error)}): calibrate anew') from error
+        raise CalibrationError(f'no YAML ({_one_line(error)}); recalibrate') from error
     if not isinstance(document, dict):
         raise CalibrationError('no camera_info: it must be a mapping with the key image_width')
     missing = [key for key in _KEYS if key not in document]
     if missing:
-        raise CalibrationError(f'key {missing[0]} is missing: calibrate anew')
+        raise CalibrationError(f'key {missing[0]} is missing; recalibrate')
     model = _string(document, 'distortion_model')
     if model not in MODELS:
         raise CalibrationError(f'distortion_model {model!r} is unknown: use {", ".join(MODELS)}')
@@ -172,7 +173,7 @@ def format_camera_info(calibration: CameraCalibration, comment: str = '') -> str
 
 
 def write_camera_info(path: Path, calibration: CameraCalibration, comment: str = '') -> None:
-    """Write a file, folders included; a reader never sees half of it.
+    """Write a file, and its folder if necessary; readers never see a partial file.
 
     Args:
         path: File to write; an existing one is replaced.
@@ -182,16 +183,10 @@ def write_camera_info(path: Path, calibration: CameraCalibration, comment: str =
     Raises:
         CalibrationError: The file cannot be written.
     """
-    text = format_camera_info(calibration, comment)
-    scratch = path.with_name(f'.{path.name}.new')
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scratch.write_text(text, encoding='utf-8')
-        scratch.replace(path)
-    except OSError as error:
-        raise CalibrationError(
-            f'cannot write {path}: {error}; choose a file in a folder that is yours'
-        ) from error
+        write_text(path, format_camera_info(calibration, comment))
+    except FileError as error:
+        raise CalibrationError(error.message, remedy=error.remedy) from error
 
 
 def _text(path: Path) -> str:
@@ -208,14 +203,14 @@ def _text(path: Path) -> str:
 def _string(document: dict[Any, Any], key: str) -> str:
     value = document[key]
     if not isinstance(value, str):
-        raise CalibrationError(f'{key}: {value!r} is no text')
+        raise CalibrationError(f'{key}: {value!r} is not text')
     return value
 
 
 def _integer(document: dict[Any, Any], key: str) -> int:
     value = document[key]
     if type(value) is not int:
-        raise CalibrationError(f'{key}: {value!r} is no whole number')
+        raise CalibrationError(f'{key}: {value!r} is not a whole number')
     return value
 
 
@@ -232,7 +227,7 @@ def _matrix(document: dict[Any, Any], key: str, rows: int, columns: int) -> NDAr
         raise CalibrationError(f'{key}: data must be a list of {rows * columns} numbers')
     values = np.array([_float(each, key) for each in data])
     if not np.isfinite(values).all():
-        raise CalibrationError(f'{key}: data holds a number that is not finite: calibrate anew')
+        raise CalibrationError(f'{key}: data holds a number that is not finite; recalibrate')
     return values.reshape(rows, columns)
 
 
@@ -243,7 +238,7 @@ def _float(value: object, key: str) -> float:
             return float(value)
         except (ValueError, OverflowError):
             pass
-    raise CalibrationError(f'{key}: {value!r} in data is no number')
+    raise CalibrationError(f'{key}: {value!r} in data is not a number')
 
 
 def _block(key: str, matrix: NDArray[np.float64]) -> list[str]:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -235,8 +235,8 @@ class CameraCalibration:
         turned = self.rectification @ self.rectification.T - np.eye(3)
         if np.abs(turned).max() > _ROTATION_TOLERANCE or np.linalg.det(self.rectification) < 0.0:
             raise CalibrationError(
-                f'rectification_matrix {self.rectification.ravel().tolist()} is no rotation: '
-                'give the identity for a single camera'
+                f'rectification_matrix {self.rectification.ravel().tolist()} is not a rotation',
+                remedy='give the identity for a single camera',
             )
 
     def _check_model(self) -> None:
@@ -255,7 +255,9 @@ class CameraCalibration:
             )
         for field in ('distortion', 'camera_matrix', 'rectification', 'projection'):
             if not np.isfinite(getattr(self, field)).all():
-                raise CalibrationError(f'{field} holds a number that is not finite: calibrate anew')
+                raise CalibrationError(
+                    f'{field} holds a number that is not finite', remedy='recalibrate'
+                )
 
     @property
     def size(self) -> tuple[int, int]:
@@ -276,17 +278,6 @@ class CameraCalibration:
         focal, centre = _focal(self.camera_matrix)
         return distort(self.model, self.distortion, ideal) * focal + centre
 
-    def rectified(self) -> CameraCalibration:
-        """Return the camera that rectified images seem to come from: no distortion, K from P."""
-        return replace(
-            self,
-            distortion=np.zeros_like(self.distortion) if self.model != EQUIDISTANT else np.zeros(5),
-            # Zeros of the equidistant model are a lens of its own; zeros of Brown's are none.
-            model=self.model if self.model != EQUIDISTANT else 'plumb_bob',
-            camera_matrix=self.projection[:, :3].copy(),
-            rectification=np.eye(3),
-        )
-
 
 def _focal(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array([matrix[0, 0], matrix[1, 1]]), matrix[:2, 2]
@@ -304,7 +295,9 @@ def _check_camera(field: str, matrix: NDArray[np.float64]) -> None:
     if fx <= 0.0 or fy <= 0.0:
         raise CalibrationError(f'{field}: focal lengths {fx:g}, {fy:g} px must be positive')
     if abs(matrix[0, 1]) > _EXACT or abs(matrix[1, 0]) > _EXACT:
-        raise CalibrationError(f'{field}: skew {matrix[0, 1]:g} is not supported: calibrate anew')
+        raise CalibrationError(
+            f'{field}: skew {matrix[0, 1]:g} is not supported', remedy='recalibrate'
+        )
     last = np.zeros(matrix.shape[1])
     last[2] = 1.0
     if np.abs(matrix[2] - last).max() > _EXACT:

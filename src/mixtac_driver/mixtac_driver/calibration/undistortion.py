@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mixtac_driver.calibration.image_undistortion import ImageUndistortion
-    from mixtac_driver.parameters import CalibrationParameters
+    from mixtac_driver.parameters import DeviceParameters
 
     Image = NDArray[np.uint8 | np.uint16]
 
 
+_BAYER = 'bayer_'
+_PATTERNS = ('RGGB', 'GRBG', 'GBRG', 'BGGR')
 _NOWHERE = -1
 _ROW = 65536
 _OUTSIDE_PX = -1e6
@@ -53,12 +54,7 @@ class EventUndistortion:
         inside = ((near >= 0.0) & (near < (width, height))).all(axis=1)
         places = (near[:, 1] * _ROW + near[:, 0]).astype(np.int64).astype(np.int32)
         self.table = np.where(inside, places, np.int32(_NOWHERE)).reshape(height, width)
-        self.undistort(Events.empty())  # compile before the first events are waiting
-
-    @property
-    def kept(self) -> float:
-        """Return the share of raw pixels that have a place in the rectified image."""
-        return float((self.table >= 0).mean())
+        self.undistort(Events.empty())  # compile before the first events arrive
 
     def undistort(self, events: Events) -> Events:
         """Return the events that fall inside the rectified image, in the same order.
@@ -80,20 +76,6 @@ class EventUndistortion:
             self.table, events.t, events.x, events.y, events.polarity, t, x, y, polarity
         )
         return Events(t[:kept], x[:kept], y[:kept], polarity[:kept])
-
-    def locate(
-        self, x: NDArray[np.uint16], y: NDArray[np.uint16]
-    ) -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.bool_]]:
-        """Return rectified columns, rows and validity of raw pixels; invalid ones are (0, 0).
-
-        Args:
-            x: Columns [n].
-            y: Rows [n].
-        """
-        new_x, new_y = np.empty_like(x), np.empty_like(y)
-        valid = np.empty(len(x), np.bool_)
-        _locate(self.table, x, y, new_x, new_y, valid)
-        return new_x, new_y, valid
 
 
 @njit(cache=True, nogil=True)
@@ -125,24 +107,86 @@ def _compact(
     return kept
 
 
-@njit(cache=True, nogil=True)
-def _locate(
-    table: NDArray[np.int32],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    new_x: NDArray[np.uint16],
-    new_y: NDArray[np.uint16],
-    valid: NDArray[np.bool_],
-) -> None:
-    """Look up each pixel."""
-    height, width = table.shape
-    for i in range(len(x)):
-        place = -1
-        if x[i] < width and y[i] < height:
-            place = table[y[i], x[i]]
-        valid[i] = place >= 0
-        new_x[i] = place & 0xFFFF if place >= 0 else 0
-        new_y[i] = place >> 16 if place >= 0 else 0
+class ImageUndistortion:
+    """Frames as the rectified camera would see them (bilinear interpolation, black outside).
+
+    Args:
+        calibration: The camera; its R and P say what to rectify to.
+    """
+
+    def __init__(self, calibration: CameraCalibration) -> None:
+        self._size = calibration.size
+        width, height = self._size
+        rows, columns = np.mgrid[0:height, 0:width].astype(np.float64)
+        raw = calibration.distort(np.stack([columns.ravel(), rows.ravel()], axis=1))
+        maps = np.nan_to_num(raw.T, nan=_OUTSIDE_PX).astype(np.float32).reshape(2, height, width)
+        self._full = (maps[0], maps[1])
+        self._offset, self._shifted = (0, 0), self._full
+
+    def undistort(
+        self, image: NDArray[np.uint8 | np.uint16], x: int = 0, y: int = 0
+    ) -> NDArray[np.uint8 | np.uint16]:
+        """Return the rectified image, always of the camera's full size.
+
+        Args:
+            image: `uint8` or `uint16` [height, width] or [height, width, channels]; no Bayer
+                mosaic, whose pattern would be torn.
+            x: Column of the image's first column in the full image, where only a region was read.
+            y: Row of its first row.
+
+        Raises:
+            CalibrationError: The image does not fit into the calibrated size.
+        """
+        height, width = image.shape[:2]
+        if min(x, y) < 0 or x + width > self._size[0] or y + height > self._size[1]:
+            raise CalibrationError(
+                f'image {width}x{height} at ({x}, {y}) is not inside the calibrated '
+                f'{self._size[0]}x{self._size[1]}',
+                remedy='calibrate this camera',
+            )
+        if (x, y) != self._offset:
+            self._offset = (x, y)
+            self._shifted = (self._full[0] - np.float32(x), self._full[1] - np.float32(y))
+        import cv2
+
+        return np.asarray(
+            cv2.remap(
+                image,
+                *self._shifted,
+                cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=0,
+            ),
+            image.dtype,
+        )
+
+
+def without_mosaic(
+    image: NDArray[np.uint8 | np.uint16], encoding: str
+) -> tuple[NDArray[np.uint8 | np.uint16], str]:
+    """Return a frame whose pixels may be moved, and its encoding.
+
+    A Bayer mosaic is interpolated to `bgr8` or `bgr16`; everything else is returned as it is.
+
+    Args:
+        image: `uint8` or `uint16` [height, width].
+        encoding: ROS encoding of the image.
+
+    Raises:
+        CalibrationError: A mosaic of an unknown pattern.
+    """
+    if not encoding.startswith(_BAYER):
+        return image, encoding
+    import cv2
+
+    pattern, bits = encoding[len(_BAYER) :][:4].upper(), encoding[len(_BAYER) :][4:]
+    if pattern not in _PATTERNS:
+        raise CalibrationError(
+            f'encoding {encoding!r} is not supported',
+            remedy=f'use a mosaic of {", ".join(_PATTERNS)}',
+        )
+    colour = cv2.cvtColor(image, getattr(cv2, f'COLOR_Bayer{pattern}2BGR'))
+    return np.asarray(colour, image.dtype), f'bgr{bits}'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +204,7 @@ class CalibratedCamera:
     Frames and events may be undistorted in one thread while another saves a new calibration.
 
     Args:
-        parameters: Where the calibration is, and what it is used for.
+        parameters: Location and use of the calibration.
         size: Columns and rows of the camera.
 
     Attributes:
@@ -171,7 +215,7 @@ class CalibratedCamera:
             undistortion is asked for.
     """
 
-    def __init__(self, parameters: CalibrationParameters, size: tuple[int, int]) -> None:
+    def __init__(self, parameters: DeviceParameters, size: tuple[int, int]) -> None:
         self._parameters = parameters
         self._size = size
         self._tables: _Tables | None = None
@@ -180,8 +224,8 @@ class CalibratedCamera:
             self._use(read_camera_info(self.path))
         elif parameters.undistort_frames or parameters.undistort_events:
             raise CalibrationError(
-                f'undistortion needs a calibration and {self.path} does not exist: write it with '
-                '`mixtac calibrate`, or set camerainfo_url'
+                f'undistortion needs a calibration, and {self.path} does not exist',
+                remedy='write it with `mixtac calibrate`, or set camerainfo_url',
             )
 
     @property
@@ -191,7 +235,7 @@ class CalibratedCamera:
         return tables.calibration if tables else None
 
     def describe(self) -> str:
-        """Return one line for the log: which calibration is used, or that there is none."""
+        """Return one line for the log: the calibration in use, or that there is none."""
         calibration = self.calibration
         if calibration is None:
             return f'not calibrated: no {self.path}; write it with `mixtac calibrate`'
@@ -199,17 +243,11 @@ class CalibratedCamera:
         other = '' if name == self._parameters.camera_name else f', which names the camera {name!r}'
         return f'calibration {self.path}{other}'
 
-    def camera_info_fields(self, *, rectified: bool = False) -> dict[str, Any]:
-        """Return the fields of `sensor_msgs/CameraInfo` by name; without calibration none.
-
-        Args:
-            rectified: For undistorted topics: no distortion, K from P.
-        """
+    def camera_info_fields(self) -> dict[str, Any]:
+        """Return the fields of `sensor_msgs/CameraInfo` by name; none without calibration."""
         calibration = self.calibration
         if calibration is None:
             return {}
-        if rectified:
-            calibration = calibration.rectified()
         return {
             'width': calibration.width,
             'height': calibration.height,
@@ -231,7 +269,7 @@ class CalibratedCamera:
         """
         tables = self._tables
         if tables is None or tables.events is None:
-            raise CalibrationError('events are not undistorted: set undistort_events')
+            raise CalibrationError('events are not undistorted', remedy='set undistort_events')
         return tables.events.undistort(events)
 
     def image(
@@ -253,9 +291,7 @@ class CalibratedCamera:
         """
         tables = self._tables
         if tables is None or tables.frames is None:
-            raise CalibrationError('frames are not undistorted: set undistort_frames')
-        from mixtac_driver.calibration.image_undistortion import without_mosaic
-
+            raise CalibrationError('frames are not undistorted', remedy='set undistort_frames')
         image, encoding = without_mosaic(image, encoding)
         return tables.frames.undistort(image, x, y), encoding
 
@@ -285,7 +321,7 @@ class CalibratedCamera:
             The file.
 
         Raises:
-            CalibrationError: It describes no camera, or another one, or cannot be written.
+            CalibrationError: It is implausible, of another camera, or cannot be written.
         """
         calibration = CameraCalibration(
             name=self._parameters.camera_name,
@@ -307,7 +343,7 @@ class CalibratedCamera:
         wanted = self._parameters
         self._tables = _Tables(
             calibration,
-            _image_undistortion(calibration) if wanted.undistort_frames else None,
+            ImageUndistortion(calibration) if wanted.undistort_frames else None,
             EventUndistortion(calibration) if wanted.undistort_events else None,
         )
 
@@ -315,13 +351,6 @@ class CalibratedCamera:
         if calibration.size != self._size:
             raise CalibrationError(
                 f'calibration for {calibration.width}x{calibration.height} px, this camera has '
-                f'{self._size[0]}x{self._size[1]}: calibrate this one, or name its file in '
-                'camerainfo_url'
+                f'{self._size[0]}x{self._size[1]}',
+                remedy='calibrate this camera, or name its file in camerainfo_url',
             )
-
-
-def _image_undistortion(calibration: CameraCalibration) -> ImageUndistortion:
-    # OpenCV takes 0.1 s to load; a driver that only serves camera_info starts without it.
-    from mixtac_driver.calibration.image_undistortion import ImageUndistortion
-
-    return ImageUndistortion(calibration)

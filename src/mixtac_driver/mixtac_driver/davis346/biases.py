@@ -265,7 +265,7 @@ def _fine(name: str) -> int:
 def _enabled(name: str) -> bool:
     bias = DEFAULT_BIASES[name][1]
     default = isinstance(bias, CurrentBias) and bias.enabled
-    return switch(default, f'{DESCRIPTIONS[name]}, current on')
+    return switch(default, f'{DESCRIPTIONS[name]}, enable the current')
 
 
 def _reference(name: str) -> int:
@@ -288,7 +288,7 @@ def _level(name: str) -> int:
 
 @dataclass(frozen=True)
 class BiasParameters:
-    """Biases: all of them may change while the node runs."""
+    """Biases; every field may change while the node runs."""
 
     ApsOverflowLevel_voltage: int = _voltage('ApsOverflowLevel')
     ApsOverflowLevel_current: int = _current('ApsOverflowLevel')

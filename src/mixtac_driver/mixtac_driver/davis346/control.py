@@ -10,18 +10,28 @@ import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from mixtac_driver.davis346 import writes as sequences
+from mixtac_driver.clock import ClockEpochs
 from mixtac_driver.davis346.registers import Aps, Dvs, Module, Mux
-from mixtac_driver.davis346.writes import STOP_WRITES, exposure_write, register_writes, run_writes
+from mixtac_driver.davis346.settings import SensorParameters
+from mixtac_driver.davis346.writes import (
+    STOP_WRITES,
+    exposure_write,
+    register_writes,
+    reset_clock,
+    run_writes,
+    start_streaming,
+    stop_streaming,
+)
 from mixtac_driver.errors import DriverError, UsbError
 from mixtac_driver.usb.protocol import Write
+from mixtac_node.parameters import specs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from mixtac_driver.clock import Origin
-    from mixtac_driver.davis346.identity import Features, Identity
-    from mixtac_driver.davis346.settings import Configuration
+    from mixtac_driver.davis346.model import Features, Identity
+    from mixtac_driver.davis346.settings import CameraParameters
     from mixtac_driver.usb.protocol import Protocol
 
 
@@ -32,12 +42,12 @@ class CameraStatistics:
     Attributes:
         rows: Row addresses that the pixel array gave.
         columns: Column addresses, that is events, that it gave.
-        dropped: Events that found the event read-out's buffer full.
+        dropped: Events dropped because the buffer of the event read-out was full.
         filtered_pixels: Events dropped by the pixel filters.
         filtered_background_activity: Events dropped by the background activity filter.
         filtered_refractory: Events dropped by the refractory period filter.
-        external_input_dropped: Edges that found the way to the host blocked.
-        dvs_dropped: Event words that found the way to the host blocked.
+        external_input_dropped: Edges dropped because the path to the host was blocked.
+        dvs_dropped: Event words dropped because the path to the host was blocked.
     """
 
     rows: int = 0
@@ -51,7 +61,7 @@ class CameraStatistics:
 
     @property
     def lost(self) -> int:
-        """Everything that was dropped though nobody asked for it."""
+        """Total of unintended drops."""
         return self.dropped + self.external_input_dropped + self.dvs_dropped
 
 
@@ -112,6 +122,12 @@ FRAMES_ON = Write(Module.APS, Aps.RUN, 1)
 FRAMES_OFF = Write(Module.APS, Aps.RUN, 0)
 
 
+PixelFilter = tuple[tuple[int, int], ...]
+"""(column, row) of each pixel whose events the camera drops."""
+Settings = tuple['CameraParameters', PixelFilter]
+_EXPOSURE = {spec.name: spec for spec in specs(SensorParameters)}['aps_exposure']
+
+
 class RegisterWriter:
     """Puts settings into a camera and remembers what it wrote. For one thread at a time.
 
@@ -120,45 +136,46 @@ class RegisterWriter:
         identity: The camera.
 
     Attributes:
+        protocol: As given.
+        identity: As given.
         running: True between `started` and `stopped`: the sensors follow their run bits.
     """
 
     def __init__(self, protocol: Protocol, identity: Identity) -> None:
+        self.protocol = protocol
+        self.identity = identity
         self.running = False
-        self._protocol = protocol
-        self._identity = identity
         self._written: dict[tuple[int, int], int] = {}
 
-    def configure(self, configuration: Configuration) -> None:
-        """Write all settings in the order that cameras know; nothing is started.
+    def configure(self, settings: Settings) -> None:
+        """Write all settings in the order that cameras expect; nothing is started.
 
         Raises:
-            ConfigurationError: A setting is out of range; nothing was written.
-            UsbError: A request failed.
+            MixtacError: A setting is out of range (nothing was written), or a request failed.
         """
-        self._write_each(register_writes(configuration, self._identity))
+        self._write_each(self._wanted(settings))
 
-    def started(self, configuration: Configuration) -> None:
-        """Take note that the sensors of a configuration run."""
-        self._written.update({(m, p): value for m, p, value in run_writes(configuration)})
+    def started(self, run: Sequence[Write]) -> None:
+        """Note that the sensors were started by these writes."""
+        self._written.update({(m, p): value for m, p, value in run})
         self.running = True
 
     def stopped(self) -> None:
-        """Take note that the sensors were stopped; they start with the stream."""
+        """Note that the sensors were stopped; they start with the stream."""
         self.running = False
         for address in map(_address, STOP_WRITES):
             self._written.pop(address, None)
 
-    def change(self, old: Configuration, new: Configuration) -> None:
-        """Write what differs from what the camera has.
+    def change(self, old: Settings, new: Settings) -> None:
+        """Write the differences from what the camera has.
 
         Args:
-            old: Settings so far, to go back to if a request fails.
+            old: Settings so far, to return to if a request fails.
             new: Wanted settings.
 
         Raises:
-            ConfigurationError: A setting is out of range; nothing was written.
-            UsbError: A request failed; what can be was set back.
+            ConfigurationError: A setting does not fit; nothing was written.
+            UsbError: A request failed; what could be was set back.
         """
         wanted = self._wanted(new)
         try:
@@ -174,7 +191,7 @@ class RegisterWriter:
         Raises:
             UsbError: The request failed.
         """
-        self._write_changes([exposure_write(exposure_us, self._identity.clocks)])
+        self._write_changes([exposure_write(exposure_us, self.identity.clocks)])
 
     def request_frame(self) -> None:
         """Make a camera whose frames are off take one.
@@ -182,11 +199,12 @@ class RegisterWriter:
         Raises:
             UsbError: The request failed.
         """
-        self._protocol.write_at_once([FRAMES_ON, FRAMES_OFF])
+        self.protocol.write_at_once([FRAMES_ON, FRAMES_OFF])
 
-    def _wanted(self, configuration: Configuration) -> list[Write]:
-        wanted = register_writes(configuration, self._identity)
-        return wanted + run_writes(configuration) if self.running else wanted
+    def _wanted(self, settings: Settings) -> list[Write]:
+        parameters, pixel_filter = settings
+        wanted = register_writes(parameters, self.identity, pixel_filter)
+        return wanted + run_writes(parameters, self.identity.model) if self.running else wanted
 
     def _write_changes(self, wanted: Sequence[Write]) -> None:
         changed = [w for w in wanted if self._written.get(_address(w)) != w.value]
@@ -200,7 +218,7 @@ class RegisterWriter:
         again = [FRAMES_ON] if running else []
         for write in region:
             self._written.pop(_address(write), None)
-        self._protocol.write_at_once([FRAMES_OFF, *region, *again])
+        self.protocol.write_at_once([FRAMES_OFF, *region, *again])
         for write in region:
             self._written[_address(write)] = write.value
 
@@ -208,7 +226,7 @@ class RegisterWriter:
         for write in writes:
             # A request that failed may or may not have been obeyed.
             self._written.pop(_address(write), None)
-            self._protocol.write(*write)
+            self.protocol.write(*write)
             self._written[_address(write)] = write.value
 
 
@@ -219,66 +237,74 @@ def _address(write: Write) -> tuple[int, int]:
 class CameraControl:
     """Keeps a camera to its settings, over any number of times that it is opened.
 
-    One request goes on at a time; the others wait, but for `set_exposure`.
+    One request runs at a time; the others wait, except `set_exposure`.
 
     Args:
-        configuration: Settings.
+        parameters: Settings.
+        pixel_filter: Pixels whose events the camera drops, most important first.
         now_ns: Host clock [ns since the Unix epoch].
 
+    Attributes:
+        epochs: Clock of the latest stream; None before the first.
+
     Raises:
-        ConfigurationError: A setting is out of range.
+        ConfigurationError: Two settings contradict each other.
+        ParameterError: A setting is out of range.
     """
 
     def __init__(
-        self, configuration: Configuration, now_ns: Callable[[], int] = time.time_ns
+        self,
+        parameters: CameraParameters,
+        pixel_filter: PixelFilter = (),
+        now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        configuration.check()
-        self._configuration = configuration
+        parameters.check()
+        self.epochs: ClockEpochs | None = None
+        self._settings: Settings = parameters, pixel_filter
         self._now_ns = now_ns
         self._lock = threading.Lock()
-        self._protocol: Protocol | None = None
-        self._identity: Identity | None = None
         self._writer: RegisterWriter | None = None
 
     @property
-    def configuration(self) -> Configuration:
+    def parameters(self) -> CameraParameters:
         """The settings."""
-        return self._configuration
+        return self._settings[0]
 
     def attach(self, protocol: Protocol, identity: Identity) -> None:
         """Put the settings into a camera that was just opened.
 
         Raises:
+            ConfigurationError: A setting does not fit this camera.
             UsbError: A request failed; the camera is not attached.
         """
         with self._lock:
             writer = RegisterWriter(protocol, identity)
-            writer.configure(self._configuration)
-            self._protocol, self._identity, self._writer = protocol, identity, writer
+            writer.configure(self._settings)
+            self._writer = writer
 
     def detach(self) -> None:
-        """Forget the camera; returns when no request is under way any more."""
+        """Forget the camera; returns when no request is under way."""
         with self._lock:
-            self._protocol = self._identity = self._writer = None
+            self._writer = None
 
-    def start(self, begin_reading: Callable[[], None]) -> Origin:
-        """Start streaming and reset the camera's clock.
+    def start(self, begin_reading: Callable[[], None]) -> None:
+        """Start streaming and reset the camera's clock; published time continues.
 
         Args:
-            begin_reading: Clears the data endpoint and begins to read it.
-
-        Returns:
-            When the clock read zero.
+            begin_reading: Clears the data endpoint and starts to read it.
 
         Raises:
             UsbError: A request failed.
             DriverError: The camera is closed.
         """
         with self._lock:
-            protocol, _, writer = self._attached()
-            sequences.start(protocol, self._configuration, begin_reading)
-            writer.started(self._configuration)
-            return sequences.reset_timestamps(protocol, self._now_ns)
+            writer = self._attached()
+            run = run_writes(self.parameters, writer.identity.model)
+            start_streaming(writer.protocol, run, begin_reading)
+            writer.started(run)
+            reset = reset_clock(writer.protocol, self._now_ns)
+            latest_us = self.epochs.latest_us if self.epochs else 0
+            self.epochs = ClockEpochs(reset, self.parameters.usb_early_packet_delay, latest_us)
 
     def stop(self, end_reading: Callable[[], None]) -> None:
         """Stop streaming.
@@ -287,71 +313,82 @@ class CameraControl:
             end_reading: Ends the reads of the data endpoint.
 
         Raises:
-            UsbError: A request failed; reading was ended all the same.
+            UsbError: A request failed; reading was ended nevertheless.
             DriverError: The camera is closed.
         """
         with self._lock:
-            protocol, _, writer = self._attached()
+            writer = self._attached()
             writer.stopped()
-            sequences.stop(protocol, end_reading)
+            stop_streaming(writer.protocol, end_reading)
 
-    def apply(self, configuration: Configuration) -> None:
-        """Change settings, at once while the camera is open, else when it is opened.
+    def apply(self, parameters: CameraParameters, pixel_filter: PixelFilter = ()) -> None:
+        """Change settings, at once while the camera is open, otherwise when it is opened.
+
+        Args:
+            parameters: Settings.
+            pixel_filter: Pixels whose events the camera drops, most important first.
 
         Raises:
-            ConfigurationError: A setting is out of range; nothing was changed.
+            ConfigurationError: A setting does not fit; nothing was changed.
+            ParameterError: A setting is out of range; nothing was changed.
             UsbError: A request failed.
         """
-        configuration.check()
+        parameters.check()
         with self._lock:
+            wanted: Settings = parameters, pixel_filter
             if self._writer is not None:
-                self._writer.change(self._configuration, configuration)
-            self._configuration = configuration
+                self._writer.change(self._settings, wanted)
+            self._settings = wanted
 
     def set_exposure(self, exposure_us: int) -> bool:
-        """Change nothing but the exposure [us]; for control loops, as it waits for nobody.
+        """Change only the exposure [us]; for control loops, because it never waits.
 
         Returns:
-            False where the camera was busy with another request: try again later.
+            False if the camera was busy with another request: try again later.
 
         Raises:
-            ConfigurationError: It is out of range; nothing was changed.
+            ParameterError: It is out of range; nothing was changed.
             UsbError: The request failed.
         """
+        _EXPOSURE.check(exposure_us)
         if not self._lock.acquire(blocking=False):
             return False
         try:
-            configuration = replace(self._configuration, aps_exposure_us=exposure_us)
-            configuration.check()
             if self._writer is not None:
                 self._writer.set_exposure(exposure_us)
-            self._configuration = configuration
+            parameters, pixel_filter = self._settings
+            self._settings = replace(parameters, aps_exposure=exposure_us), pixel_filter
         finally:
             self._lock.release()
         return True
 
     def request_frame(self) -> None:
-        """Make the camera take one frame, unless it takes frames all the time.
+        """Make the camera take one frame, unless it takes frames continuously.
 
         Raises:
             UsbError: The request failed.
-            DriverError: The camera is closed.
+            DriverError: The camera is closed or has no frames.
         """
         with self._lock:
-            _, _, writer = self._attached()
-            if not self._configuration.aps_enabled:
+            writer = self._attached()
+            if not writer.identity.model.has_frames:
+                raise DriverError(f'a {writer.identity.model.name} has no frames')
+            if not self.parameters.aps_enabled:
                 writer.request_frame()
 
-    def reset_timestamps(self) -> Origin:
-        """Set the camera's clock to zero and return when that was.
+    def reset_timestamps(self) -> None:
+        """Set the camera's clock to zero; published time goes on.
 
         Raises:
             UsbError: The request failed.
-            DriverError: The camera is closed.
+            DriverError: The camera does not stream.
         """
-        with self._lock:
-            protocol, _, _ = self._attached()
-            return sequences.reset_timestamps(protocol, self._now_ns)
+        epochs = self.epochs
+        if epochs is None or epochs.origin is None:
+            raise DriverError(
+                'the camera does not stream yet', remedy='reset its clock while it streams'
+            )
+        epochs.ask(self._reset_clock)
 
     def statistics(self) -> CameraStatistics | None:
         """Return the counters of the camera itself; None while it is closed.
@@ -360,11 +397,15 @@ class CameraControl:
             UsbError: A request failed.
         """
         with self._lock:
-            if self._protocol is None or self._identity is None:
+            if self._writer is None:
                 return None
-            return read_statistics(self._protocol, self._identity.features)
+            return read_statistics(self._writer.protocol, self._writer.identity.features)
 
-    def _attached(self) -> tuple[Protocol, Identity, RegisterWriter]:
-        if self._protocol is None or self._identity is None or self._writer is None:
-            raise DriverError('the camera is closed: call open() first')
-        return self._protocol, self._identity, self._writer
+    def _reset_clock(self) -> Origin:
+        with self._lock:
+            return reset_clock(self._attached().protocol, self._now_ns)
+
+    def _attached(self) -> RegisterWriter:
+        if self._writer is None:
+            raise DriverError('the camera is closed', remedy='call open() first')
+        return self._writer

@@ -1,11 +1,42 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The camera model: chips, firmware and logic versions, pixel arrays, limits of its settings."""
+"""Camera models, and the identity of an opened camera: versions, chip, clocks, geometry, features.
+
+`CameraModel` describes one camera of the DAVIS family; the sizes, the orientation of the arrays
+and the blocks of the logic are read from the camera itself. Other packages add models by the
+entry-point group `mixtac.camera_models`. Cameras that fit no model are refused.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
+from mixtac_driver.davis346.biases import DEFAULT_BIASES
+from mixtac_driver.davis346.registers import (
+    Aps,
+    Chip,
+    Dvs,
+    ExternalInput,
+    Imu,
+    Module,
+    Mux,
+    SystemInfo,
+)
+from mixtac_driver.errors import UnsupportedCameraError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from mixtac_driver.davis346.biases import Bias
+    from mixtac_driver.usb.protocol import Protocol
+
+
+GROUP = 'mixtac.camera_models'
+"""Entry points of this group name a `CameraModel`."""
 CHIP_NAMES = {
     0: 'DAVIS240A',
     1: 'DAVIS240B',
@@ -18,10 +49,104 @@ CHIP_NAMES = {
     8: 'DAVIS208',
     9: 'DAVIS346C',
 }
-SUPPORTED_CHIPS = (4, 5, 9)
-LOGIC_VERSION = 18
-MINIMUM_LOGIC_PATCH = 1
-MINIMUM_FIRMWARE = 6
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A camera of the DAVIS family, as far as it is the same for all cameras of that model.
+
+    Attributes:
+        name: Device string that opens such a camera on USB.
+        vendor: USB vendor number.
+        product: USB product number.
+        chips: Identifiers of the chips of this model (see CHIP_NAMES).
+        width: Columns of the pixel arrays.
+        height: Rows of the pixel arrays.
+        has_frames: False for a camera with event pixels only.
+        minimum_firmware: Oldest minor version of USB firmware 0.x; 1.0 and newer speak another
+            protocol.
+        logic_version: Version of the FPGA logic, which defines the register layout
+            (`mixtac_driver.davis346.registers`).
+        minimum_logic_patch: Oldest patch of that version.
+        biases: Register address and default of each bias, in the order of writing. Biases that
+            `BiasParameters` knows by the same name can be set, the others keep their default.
+        chip_registers: Chip registers and their defaults, in the order of writing.
+    """
+
+    name: str
+    vendor: int
+    product: int
+    chips: tuple[int, ...]
+    width: int
+    height: int
+    has_frames: bool
+    minimum_firmware: int
+    logic_version: int
+    minimum_logic_patch: int
+    biases: Mapping[str, tuple[int, Bias]]
+    chip_registers: Mapping[Chip, int]
+
+    @property
+    def usb_id(self) -> tuple[int, int]:
+        """USB vendor and product number."""
+        return self.vendor, self.product
+
+    @property
+    def chip_names(self) -> str:
+        """Names of its chips, for messages."""
+        return ', '.join(CHIP_NAMES.get(chip, str(chip)) for chip in self.chips)
+
+    def check_array(self, columns: int, rows: int) -> None:
+        """Raise unless a pixel array has the size of this model, in either orientation.
+
+        Raises:
+            UnsupportedCameraError: The size is another one.
+        """
+        if sorted((columns, rows)) != sorted((self.width, self.height)):
+            raise UnsupportedCameraError(
+                f'pixel array of {columns} x {rows}: a {self.name} has {self.width} x {self.height}'
+            )
+
+
+DAVIS346 = CameraModel(
+    name='davis346',
+    vendor=0x152A,
+    product=0x841A,
+    chips=(4, 5, 9),
+    width=346,
+    height=260,
+    has_frames=True,
+    minimum_firmware=6,
+    logic_version=18,
+    minimum_logic_patch=1,
+    biases=DEFAULT_BIASES,
+    chip_registers=MappingProxyType(
+        {
+            **{Chip(number): 0 for number in range(128, 136)},
+            Chip.RESET_CALIBRATION_NEURON: 1,
+            Chip.TYPE_N_CALIBRATION_NEURON: 0,
+            Chip.RESET_TEST_PIXEL: 1,
+            Chip.AER_NAROW: 0,
+            Chip.USE_A_OUT: 0,
+            Chip.SELECT_GRAY_COUNTER: 1,
+            Chip.TEST_ADC: 0,
+        }
+    ),
+)
+
+
+@cache
+def camera_models() -> tuple[CameraModel, ...]:
+    """Return the DAVIS346 and the models that installed packages add."""
+    return DAVIS346, *(point.load() for point in entry_points(group=GROUP))
+
+
+def models_for(device: str) -> tuple[CameraModel, ...]:
+    """Return the models that a device string may open: the one it names, otherwise all."""
+    if device == DAVIS346.name:
+        return (DAVIS346,)
+    models = camera_models()
+    return tuple(model for model in models if model.name == device) or models
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +190,210 @@ class Geometry:
         return (size[1], size[0]) if self.dvs_inverted else size
 
 
-WIDTH, HEIGHT = 346, 260
-PIXEL_FILTERS = 8
-MAXIMUM_EXPOSURE_US = 4_194_303
-MAXIMUM_FRAME_INTERVAL_US = 8_388_607
-MAXIMUM_PULSE_US = 1_048_575
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """Clock frequencies of the logic [MHz], deviation included."""
+
+    logic: float
+    adc: float
+    usb: float
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """Blocks that a build of the logic may lack, and the colour filter of the pixels.
+
+    Attributes:
+        color_filter: 0 monochrome, 1 .. 8 a colour filter.
+    """
+
+    pixel_filter: bool = True
+    background_activity: bool = True
+    roi: bool = True
+    skip: bool = True
+    polarity: bool = True
+    dvs_statistics: bool = True
+    color_filter: int = 0
+    global_shutter: bool = True
+    generator: bool = True
+    mux_statistics: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What an opened camera reports about itself.
+
+    Attributes:
+        model: Its model.
+        serial: Serial number.
+        firmware: USB controller firmware, (major, minor).
+        logic: FPGA logic, (version, patch).
+        chip: Name of the sensor chip.
+        is_master: False where another camera's clock drives this one.
+        clocks: Clocks for converting times to cycles.
+        geometry: Pixel arrays.
+        imu_type: 0 none, 1 MPU6050, 2 MPU9250.
+        imu_flips: True per axis (x, y, z) whose direction on the unit is reversed.
+        features: Blocks the logic has.
+    """
+
+    model: CameraModel
+    serial: str
+    firmware: tuple[int, int]
+    logic: tuple[int, int]
+    chip: str
+    is_master: bool
+    clocks: Clocks
+    geometry: Geometry
+    imu_type: int
+    imu_flips: tuple[bool, bool, bool]
+    features: Features
+
+
+def check_firmware(bcd_device: int, minimum: int = DAVIS346.minimum_firmware) -> tuple[int, int]:
+    """Return the firmware version of a USB device release number.
+
+    Args:
+        bcd_device: Release number from the device descriptor.
+        minimum: Oldest supported minor version.
+
+    Raises:
+        UnsupportedCameraError: Older than that, or the 1.0 series with its other protocol.
+    """
+    major, minor = bcd_device >> 8, bcd_device & 0xFF
+    if major != 0:
+        raise UnsupportedCameraError(
+            f'camera firmware {major}.{minor} has another USB protocol than the 0.{minimum} series',
+            remedy=f'use a camera with firmware 0.{minimum} or newer below 1.0',
+        )
+    if minor < minimum:
+        raise UnsupportedCameraError(
+            f'camera firmware 0.{minor} is older than 0.{minimum}',
+            remedy='update the firmware of the camera',
+        )
+    return major, minor
+
+
+def read_identity(
+    protocol: Protocol, models: Sequence[CameraModel], *, bcd_device: int, serial: str
+) -> Identity:
+    """Read the identity of a camera, in the order of libcaer, and match it with a model.
+
+    Args:
+        protocol: Register access.
+        models: Models to choose from.
+        bcd_device: Release number from the device descriptor.
+        serial: Serial number from the string descriptor.
+
+    Raises:
+        UnsupportedCameraError: Firmware, logic, chip or array size fits none of the models.
+        UsbError: A request failed.
+    """
+    firmware = check_firmware(bcd_device, min(model.minimum_firmware for model in models))
+    logic = (
+        protocol.read(Module.SYSTEM_INFO, SystemInfo.LOGIC_VERSION),
+        protocol.read(Module.SYSTEM_INFO, SystemInfo.LOGIC_PATCH),
+    )
+    chip = protocol.read(Module.SYSTEM_INFO, SystemInfo.CHIP_IDENTIFIER)
+    model = _choose_model(models, chip)
+    check_firmware(bcd_device, model.minimum_firmware)
+    _check_logic(model, *logic)
+    is_master = read_is_master(protocol)
+    features = _read_features(protocol)
+    geometry = _read_geometry(protocol, model)
+    imu_type = protocol.read(Module.IMU, Imu.TYPE)
+    clocks = _read_clocks(protocol)
+    imu_orientation = protocol.read(Module.IMU, Imu.ORIENTATION)
+    return Identity(
+        model=model,
+        serial=serial,
+        firmware=firmware,
+        logic=logic,
+        chip=CHIP_NAMES.get(chip, model.name),
+        is_master=is_master,
+        clocks=clocks,
+        geometry=geometry,
+        imu_type=imu_type,
+        imu_flips=(bool(imu_orientation & 4), bool(imu_orientation & 2), bool(imu_orientation & 1)),
+        features=features,
+    )
+
+
+def read_is_master(protocol: Protocol) -> bool:
+    """Return whether the camera runs on its own clock; changes with the synchronisation cable."""
+    return bool(protocol.read(Module.SYSTEM_INFO, SystemInfo.DEVICE_IS_MASTER))
+
+
+def _choose_model(models: Sequence[CameraModel], chip: int) -> CameraModel:
+    for model in models:
+        if chip in model.chips:
+            return model
+    known = ', '.join(model.chip_names for model in models)
+    raise UnsupportedCameraError(
+        f'chip {chip} ({CHIP_NAMES.get(chip, "unknown")}) is not supported here',
+        remedy=f'attach a camera with one of the chips {known}, or choose one by its serial number',
+    )
+
+
+def _check_logic(model: CameraModel, version: int, patch: int) -> None:
+    if version != model.logic_version or patch < model.minimum_logic_patch:
+        wanted = f'{model.logic_version}.{model.minimum_logic_patch}'
+        raise UnsupportedCameraError(
+            f'camera logic {version}.{patch} is not {wanted}',
+            remedy=f'update the camera to logic {wanted}',
+        )
+
+
+def _read_features(protocol: Protocol) -> Features:
+    def has(module: Module, parameter: int) -> bool:
+        return bool(protocol.read(module, parameter))
+
+    # Arguments are evaluated as they stand, which is the order of the reads.
+    return Features(
+        pixel_filter=has(Module.DVS, Dvs.HAS_PIXEL_FILTER),
+        background_activity=has(Module.DVS, Dvs.HAS_BACKGROUND_ACTIVITY_FILTER),
+        roi=has(Module.DVS, Dvs.HAS_ROI),
+        skip=has(Module.DVS, Dvs.HAS_SKIP),
+        polarity=has(Module.DVS, Dvs.HAS_POLARITY),
+        dvs_statistics=has(Module.DVS, Dvs.HAS_STATISTICS),
+        color_filter=protocol.read(Module.APS, Aps.COLOR_FILTER),
+        global_shutter=has(Module.APS, Aps.HAS_GLOBAL_SHUTTER),
+        generator=has(Module.EXTERNAL_INPUT, ExternalInput.HAS_GENERATOR),
+        mux_statistics=has(Module.MUX, Mux.HAS_STATISTICS),
+    )
+
+
+def _read_geometry(protocol: Protocol, model: CameraModel) -> Geometry:
+    def array(module: Module, columns: int, rows: int, orientation: int) -> tuple[int, int, int]:
+        size = protocol.read(module, columns), protocol.read(module, rows)
+        model.check_array(*size)
+        return *size, protocol.read(module, orientation)
+
+    dvs = array(Module.DVS, Dvs.SIZE_COLUMNS, Dvs.SIZE_ROWS, Dvs.ORIENTATION)
+    aps = dvs
+    if model.has_frames:
+        aps = array(Module.APS, Aps.SIZE_COLUMNS, Aps.SIZE_ROWS, Aps.ORIENTATION)
+    return Geometry(
+        dvs_columns=dvs[0],
+        dvs_rows=dvs[1],
+        dvs_inverted=bool(dvs[2] & 4),
+        aps_columns=aps[0],
+        aps_rows=aps[1],
+        aps_inverted=bool(aps[2] & 4),
+        aps_flip_x=bool(aps[2] & 2),
+        aps_flip_y=bool(aps[2] & 1),
+    )
+
+
+def _read_clocks(protocol: Protocol) -> Clocks:
+    nominal = [
+        protocol.read(Module.SYSTEM_INFO, p)
+        for p in (SystemInfo.LOGIC_CLOCK, SystemInfo.ADC_CLOCK, SystemInfo.USB_CLOCK)
+    ]
+    deviation = protocol.read(Module.SYSTEM_INFO, SystemInfo.CLOCK_DEVIATION)
+    if not (500 <= deviation <= 2000 and all(1 <= mhz <= 1000 for mhz in nominal)):
+        raise UnsupportedCameraError(
+            f'camera clocks {nominal} MHz x {deviation}/1000 are implausible',
+            remedy='unplug and reconnect the camera',
+        )
+    return Clocks(*(mhz * deviation / 1000 for mhz in nominal))

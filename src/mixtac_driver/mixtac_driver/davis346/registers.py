@@ -11,6 +11,9 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+PIXEL_FILTERS = 8
+"""Single-pixel filters of the logic, from Dvs.PIXEL_0_ROW on."""
+
 
 class Module(IntEnum):
     """Module numbers, the first half of a register address."""

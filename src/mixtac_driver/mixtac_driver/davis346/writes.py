@@ -11,16 +11,27 @@ import time
 from typing import TYPE_CHECKING
 
 from mixtac_driver.clock import Origin
-from mixtac_driver.davis346.biases import DEFAULT_BIASES
-from mixtac_driver.davis346.model import PIXEL_FILTERS
-from mixtac_driver.davis346.registers import Aps, Chip, Dvs, ExternalInput, Imu, Module, Mux, Usb
-from mixtac_driver.davis346.settings import CHIP_DEFAULTS, Configuration
+from mixtac_driver.davis346.biases import biases
+from mixtac_driver.davis346.registers import (
+    PIXEL_FILTERS,
+    Aps,
+    Chip,
+    Dvs,
+    ExternalInput,
+    Imu,
+    Module,
+    Mux,
+    Usb,
+)
+from mixtac_driver.davis346.settings import CHIP_REGISTERS
+from mixtac_driver.errors import ConfigurationError
 from mixtac_driver.usb.protocol import Write
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from mixtac_driver.davis346.identity import Clocks, Identity
+    from mixtac_driver.davis346.model import CameraModel, Clocks, Identity
+    from mixtac_driver.davis346.settings import CameraParameters
     from mixtac_driver.usb.protocol import Protocol
 
 
@@ -29,51 +40,56 @@ def cycles(duration_us: float, clock_mhz: float) -> int:
     return round(duration_us * clock_mhz)
 
 
-def register_writes(configuration: Configuration, identity: Identity) -> list[Write]:
+def register_writes(
+    p: CameraParameters, identity: Identity, pixel_filter: Sequence[tuple[int, int]] = ()
+) -> list[Write]:
     """Return the writes that put settings into a camera, in libcaer's order; nothing is started.
 
     Args:
-        configuration: Settings.
-        identity: The camera: its clocks, and the blocks it lacks, which are left alone.
+        p: Settings.
+        identity: The camera: its model, its clocks, and the blocks it lacks, which are left alone.
+        pixel_filter: (column, row) of pixels whose events the camera drops, most important first;
+            it takes as many as it has filters.
 
     Raises:
-        ConfigurationError: A setting is out of range.
+        ConfigurationError: Settings contradict each other or do not fit the pixel array.
+        ParameterError: A setting is out of range.
     """
-    configuration.check()
-    biases = [
-        Write(Module.CHIP, address, configuration.biases.get(name, default).encode())
-        for name, (address, default) in DEFAULT_BIASES.items()
+    p.check()
+    model = identity.model
+    wanted = biases(p)
+    chip = {register: int(getattr(p, name)) for name, register in CHIP_REGISTERS.items()}
+    writes = [
+        Write(Module.CHIP, address, wanted.get(name, default).encode())
+        for name, (address, default) in model.biases.items()
     ]
-    chip = [
-        Write(Module.CHIP, register, configuration.chip.get(register, value))
-        for register, value in CHIP_DEFAULTS.items()
+    writes += [
+        Write(Module.CHIP, register, chip.get(register, default))
+        for register, default in model.chip_registers.items()
     ]
-    multiplexer = [
+    writes += [
         Write(Module.MUX, Mux.DROP_EXTERNAL_INPUT_ON_STALL, 1),
         Write(Module.MUX, Mux.DROP_DVS_ON_STALL, 1),
     ]
-    return [
-        *biases,
-        *chip,
-        *multiplexer,
-        *_dvs_writes(configuration, identity),
-        *_aps_writes(configuration, identity),
-        *_imu_writes(configuration, identity),
-        *_external_input_writes(configuration, identity),
-        *_usb_writes(configuration, identity.clocks),
-    ]
+    writes += _dvs_writes(p, identity, pixel_filter)
+    if model.has_frames:
+        writes += _aps_writes(p, identity)
+    writes += _imu_writes(p, identity)
+    writes += _external_input_writes(p, identity)
+    delay = cycles(p.usb_early_packet_delay, identity.clocks.usb)
+    return [*writes, Write(Module.USB, Usb.EARLY_PACKET_DELAY, delay)]
 
 
-def run_writes(configuration: Configuration) -> list[Write]:
+def run_writes(p: CameraParameters, model: CameraModel) -> list[Write]:
     """Return the writes that switch each sensor of a running camera on or off."""
-    wanted = (
-        (Module.DVS, Dvs.RUN, configuration.dvs_enabled),
-        (Module.APS, Aps.RUN, configuration.aps_enabled),
-        (Module.IMU, Imu.RUN_ACCELEROMETER, configuration.imu_accelerometer_enabled),
-        (Module.IMU, Imu.RUN_GYROSCOPE, configuration.imu_gyroscope_enabled),
-        (Module.IMU, Imu.RUN_TEMPERATURE, configuration.imu_temperature_enabled),
-        (Module.EXTERNAL_INPUT, ExternalInput.RUN_DETECTOR, configuration.external_input_enabled),
-    )
+    wanted = [
+        (Module.DVS, Dvs.RUN, p.dvs_enabled),
+        (Module.APS, Aps.RUN, p.aps_enabled and model.has_frames),
+        (Module.IMU, Imu.RUN_ACCELEROMETER, p.imu_acc_enabled),
+        (Module.IMU, Imu.RUN_GYROSCOPE, p.imu_gyro_enabled),
+        (Module.IMU, Imu.RUN_TEMPERATURE, p.imu_temp_enabled),
+        (Module.EXTERNAL_INPUT, ExternalInput.RUN_DETECTOR, p.external_input_enabled),
+    ]
     return [Write(module, parameter, int(enabled)) for module, parameter, enabled in wanted]
 
 
@@ -82,105 +98,110 @@ def exposure_write(exposure_us: int, clocks: Clocks) -> Write:
     return Write(Module.APS, Aps.EXPOSURE, cycles(exposure_us, clocks.adc))
 
 
-def _dvs_writes(configuration: Configuration, identity: Identity) -> list[Write]:
-    c, has = configuration, identity.features
+def _dvs_writes(
+    p: CameraParameters, identity: Identity, pixel_filter: Sequence[tuple[int, int]]
+) -> list[Write]:
+    has, (width, height) = identity.features, identity.geometry.event_size
     values: list[tuple[int, int]] = [(Dvs.WAIT_ON_STALL, 0), (Dvs.EXTERNAL_AER_CONTROL, 0)]
     if has.pixel_filter:
-        values += _pixel_filter_values(c.pixel_filter)
+        values += _pixel_filter_values(pixel_filter, width, height)
     if has.background_activity:
         values += [
-            (Dvs.BACKGROUND_ACTIVITY_ENABLE, c.background_activity_filter_enabled),
-            (Dvs.BACKGROUND_ACTIVITY_TIME, c.background_activity_filter_time),
-            (Dvs.REFRACTORY_ENABLE, c.refractory_period_enabled),
-            (Dvs.REFRACTORY_TIME, c.refractory_period_time),
+            (Dvs.BACKGROUND_ACTIVITY_ENABLE, p.background_activity_filter_enabled),
+            (Dvs.BACKGROUND_ACTIVITY_TIME, p.background_activity_filter_time),
+            (Dvs.REFRACTORY_ENABLE, p.refractory_period_enabled),
+            (Dvs.REFRACTORY_TIME, p.refractory_period_time),
         ]
     if has.roi:
+        roi = p.roi.within(width, height, 'roi')
         values += [
-            (Dvs.ROI_START_COLUMN, c.roi.start_column),
-            (Dvs.ROI_START_ROW, c.roi.start_row),
-            (Dvs.ROI_END_COLUMN, c.roi.end_column),
-            (Dvs.ROI_END_ROW, c.roi.end_row),
+            (Dvs.ROI_START_COLUMN, roi.start_column),
+            (Dvs.ROI_START_ROW, roi.start_row),
+            (Dvs.ROI_END_COLUMN, roi.end_column),
+            (Dvs.ROI_END_ROW, roi.end_row),
         ]
     if has.skip:
-        values += [(Dvs.SKIP_ENABLE, c.skip_enabled), (Dvs.SKIP_EVERY, c.skip_events_every)]
+        values += [(Dvs.SKIP_ENABLE, p.skip_enabled), (Dvs.SKIP_EVERY, p.skip_events_every)]
     if has.polarity:
         values += [
-            (Dvs.POLARITY_FLATTEN, c.polarity_flatten),
-            (Dvs.POLARITY_SUPPRESS, c.polarity_suppress),
-            (Dvs.POLARITY_SUPPRESS_TYPE, c.polarity_suppress_type),
+            (Dvs.POLARITY_FLATTEN, p.polarity_flatten),
+            (Dvs.POLARITY_SUPPRESS, p.polarity_suppress),
+            (Dvs.POLARITY_SUPPRESS_TYPE, p.polarity_suppress_type),
         ]
     return [Write(Module.DVS, parameter, int(value)) for parameter, value in values]
 
 
-def _pixel_filter_values(pixels: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+def _pixel_filter_values(
+    pixels: Sequence[tuple[int, int]], width: int, height: int
+) -> list[tuple[int, int]]:
+    for column, row in pixels:
+        if not (0 <= column < width and 0 <= row < height):
+            raise ConfigurationError(
+                f'masked pixel ({column}, {row}): the camera has {width} x {height} pixels'
+            )
     # A filter on the pixel one beyond the corner matches nothing.
-    slots = [*pixels, *[(346, 260)] * (PIXEL_FILTERS - len(pixels))]
+    slots = [*pixels[:PIXEL_FILTERS], *[(width, height)] * (PIXEL_FILTERS - len(pixels))]
     values = []
     for k, (column, row) in enumerate(slots):
         values += [(Dvs.PIXEL_0_ROW + 2 * k, row), (Dvs.PIXEL_0_COLUMN + 2 * k, column)]
     return values
 
 
-def _aps_writes(configuration: Configuration, identity: Identity) -> list[Write]:
-    c, adc = configuration, identity.clocks.adc
+def _aps_writes(p: CameraParameters, identity: Identity) -> list[Write]:
+    adc, geometry = identity.clocks.adc, identity.geometry
+    roi = p.aps_roi.within(geometry.width, geometry.height, 'aps_roi')
     writes = [Write(Module.APS, Aps.WAIT_ON_STALL, 1)]
     if identity.features.global_shutter:
         # The chip must know before the read-out does.
-        shutter = int(c.aps_global_shutter)
+        shutter = int(p.aps_global_shutter)
         writes += [
             Write(Module.CHIP, Chip.GLOBAL_SHUTTER, shutter),
             Write(Module.APS, Aps.GLOBAL_SHUTTER, shutter),
         ]
     values = (
-        (Aps.START_COLUMN, c.aps_roi.start_column),
-        (Aps.START_ROW, c.aps_roi.start_row),
-        (Aps.END_COLUMN, c.aps_roi.end_column),
-        (Aps.END_ROW, c.aps_roi.end_row),
-        (Aps.EXPOSURE, cycles(c.aps_exposure_us, adc)),
-        (Aps.FRAME_INTERVAL, cycles(c.aps_frame_interval_us, adc)),
+        (Aps.START_COLUMN, roi.start_column),
+        (Aps.START_ROW, roi.start_row),
+        (Aps.END_COLUMN, roi.end_column),
+        (Aps.END_ROW, roi.end_row),
+        (Aps.EXPOSURE, cycles(p.aps_exposure, adc)),
+        (Aps.FRAME_INTERVAL, cycles(p.aps_frame_interval, adc)),
     )
     return writes + [Write(Module.APS, parameter, value) for parameter, value in values]
 
 
-def _imu_writes(configuration: Configuration, identity: Identity) -> list[Write]:
-    c = configuration
+def _imu_writes(p: CameraParameters, identity: Identity) -> list[Write]:
     values = [
-        (Imu.SAMPLE_RATE_DIVIDER, c.imu_sample_rate_divider),
-        (Imu.ACCELEROMETER_LOW_PASS, c.imu_low_pass_filter),
-        (Imu.ACCELEROMETER_SCALE, c.imu_acceleration_scale),
+        (Imu.SAMPLE_RATE_DIVIDER, p.imu_sample_rate_divider),
+        (Imu.ACCELEROMETER_LOW_PASS, p.imu_low_pass_filter),
+        (Imu.ACCELEROMETER_SCALE, p.imu_acc_scale),
     ]
     if identity.imu_type == 2:
-        values.append((Imu.GYROSCOPE_LOW_PASS, c.imu_gyroscope_low_pass_filter))
-    values.append((Imu.GYROSCOPE_SCALE, c.imu_gyroscope_scale))
+        values.append((Imu.GYROSCOPE_LOW_PASS, p.imu_gyro_low_pass_filter))
+    values.append((Imu.GYROSCOPE_SCALE, p.imu_gyro_scale))
     return [Write(Module.IMU, parameter, value) for parameter, value in values]
 
 
-def _external_input_writes(configuration: Configuration, identity: Identity) -> list[Write]:
-    c, logic = configuration, identity.clocks.logic
+def _external_input_writes(p: CameraParameters, identity: Identity) -> list[Write]:
+    logic = identity.clocks.logic
     values: list[tuple[int, int]] = [
-        (ExternalInput.DETECT_RISING, c.detect_rising),
-        (ExternalInput.DETECT_FALLING, c.detect_falling),
-        (ExternalInput.DETECT_PULSES, c.detect_pulses),
-        (ExternalInput.PULSE_POLARITY, c.pulse_polarity),
-        (ExternalInput.PULSE_LENGTH, cycles(c.pulse_length_us, logic)),
+        (ExternalInput.DETECT_RISING, p.external_input_rising),
+        (ExternalInput.DETECT_FALLING, p.external_input_falling),
+        (ExternalInput.DETECT_PULSES, p.external_input_pulses),
+        (ExternalInput.PULSE_POLARITY, p.external_input_pulse_polarity),
+        (ExternalInput.PULSE_LENGTH, cycles(p.external_input_pulse_length, logic)),
     ]
     if identity.features.generator:
-        run = (ExternalInput.RUN_GENERATOR, c.generator_enabled)
+        run = (ExternalInput.RUN_GENERATOR, p.generator_enabled)
         generator: list[tuple[int, int]] = [
-            (ExternalInput.GENERATOR_POLARITY, c.generator_polarity),
-            (ExternalInput.GENERATOR_INTERVAL, cycles(c.generator_interval_us, logic)),
-            (ExternalInput.GENERATOR_LENGTH, cycles(c.generator_length_us, logic)),
-            (ExternalInput.INJECT_ON_RISING, c.inject_on_rising),
-            (ExternalInput.INJECT_ON_FALLING, c.inject_on_falling),
+            (ExternalInput.GENERATOR_POLARITY, p.generator_polarity),
+            (ExternalInput.GENERATOR_INTERVAL, cycles(p.generator_interval, logic)),
+            (ExternalInput.GENERATOR_LENGTH, cycles(p.generator_length, logic)),
+            (ExternalInput.INJECT_ON_RISING, p.generator_inject_on_rising),
+            (ExternalInput.INJECT_ON_FALLING, p.generator_inject_on_falling),
         ]
         # It stops before its settings change and starts with the new ones.
-        values += [*generator, run] if c.generator_enabled else [run, *generator]
+        values += [*generator, run] if p.generator_enabled else [run, *generator]
     return [Write(Module.EXTERNAL_INPUT, parameter, int(value)) for parameter, value in values]
-
-
-def _usb_writes(configuration: Configuration, clocks: Clocks) -> list[Write]:
-    delay = cycles(configuration.early_packet_delay_us, clocks.usb)
-    return [Write(Module.USB, Usb.EARLY_PACKET_DELAY, delay)]
 
 
 QUIET_S = 0.01
@@ -201,9 +222,9 @@ STOP_WRITES = (
 CHIP_OFF = Write(Module.MUX, Mux.RUN_CHIP, 0)
 
 
-def start(
+def start_streaming(
     protocol: Protocol,
-    configuration: Configuration,
+    run: Sequence[Write],
     begin_reading: Callable[[], None],
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
@@ -211,8 +232,8 @@ def start(
 
     Args:
         protocol: Register access.
-        configuration: Says which sensors run.
-        begin_reading: Clears the data endpoint and begins to read it; data flow soon after.
+        run: Sensors to switch on or off (see `run_writes`).
+        begin_reading: Clears the data endpoint and starts to read it; data follow soon after.
         sleep: Waits a number of seconds.
 
     Raises:
@@ -227,10 +248,10 @@ def start(
     protocol.write(Module.MUX, Mux.TIMESTAMP_RUN, 1)
     protocol.write(Module.MUX, Mux.RUN, 1)
     sleep(LOGIC_SETTLE_S)
-    protocol.write_each([write for write in run_writes(configuration) if write.value])
+    protocol.write_each([write for write in run if write.value])
 
 
-def stop(protocol: Protocol, end_reading: Callable[[], None]) -> None:
+def stop_streaming(protocol: Protocol, end_reading: Callable[[], None]) -> None:
     """Stop streaming and switch the chip off.
 
     Args:
@@ -238,7 +259,7 @@ def stop(protocol: Protocol, end_reading: Callable[[], None]) -> None:
         end_reading: Ends the reads of the data endpoint.
 
     Raises:
-        UsbError: A request failed; reading was ended all the same.
+        UsbError: A request failed; reading was ended nevertheless.
     """
     try:
         protocol.write_each(STOP_WRITES)
@@ -247,8 +268,8 @@ def stop(protocol: Protocol, end_reading: Callable[[], None]) -> None:
     protocol.write_each([CHIP_OFF])
 
 
-def reset_timestamps(protocol: Protocol, now_ns: Callable[[], int] = time.time_ns) -> Origin:
-    """Set the camera's clock to zero and say when that was.
+def reset_clock(protocol: Protocol, now_ns: Callable[[], int] = time.time_ns) -> Origin:
+    """Set the camera's clock to zero and return the host time of the reset.
 
     The reset happens between two readings of the host clock; their middle is taken.
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about this computer: processor, kernel, clock, disk, network, libusb, USB memory."""
+"""Findings about this computer: processor, kernel, clock, disk, network buffers, libusb."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mixtac_driver.camera import StreamSettings
+from mixtac_driver.davis346.model import DAVIS346
+from mixtac_driver.device import open_backend
 from mixtac_driver.errors import UsbError
-from mixtac_driver.usb.device import REAL, open_backend
+from mixtac_driver.parameters import DriverParameters
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -25,7 +26,7 @@ Value = str | int | float | bool | None
 
 
 class Level(IntEnum):
-    """How bad it is, ordered."""
+    """Severity, ordered."""
 
     OK = 0
     WARN = 1
@@ -34,13 +35,13 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that was looked at.
+    """The result of a check.
 
     Attributes:
-        name: What was looked at, a few words.
-        level: How bad it is.
+        name: What was checked, in a few words.
+        level: Severity.
         found: What was found.
-        remedy: What to do about it, empty where there is nothing to do.
+        remedy: What to do about it, or empty.
         values: The figures behind it, by name with unit.
     """
 
@@ -62,9 +63,9 @@ def worst(findings: Iterable[Finding]) -> Level:
 
 
 def first_to_do(findings: Iterable[Finding]) -> Finding | None:
-    """Return the first of the worst findings, or None where all is well.
+    """Return the first of the worst findings, or None if all are OK.
 
-    Checks come in the order in which one depends on another, so the first is the one to mend.
+    Checks are ordered by dependence, so the first is the one to fix.
     """
     found = list(findings)
     level = worst(found)
@@ -76,21 +77,21 @@ class HostFiles:
     """The files of the operating system.
 
     Attributes:
-        root: What stands for the root folder; another one only in tests.
+        root: The root folder; another one only in tests.
     """
 
     root: Path = Path('/')
 
     def path(self, absolute: str) -> Path:
-        """Return where a path like `/sys/bus` is found."""
+        """Return the location of a path like `/sys/bus`."""
         return self.root / absolute.lstrip('/')
 
     def text(self, absolute: str) -> str | None:
-        """Return the text of a file without blanks around it, or None where it cannot be read."""
+        """Return the text of a file without surrounding blanks, or None if it cannot be read."""
         return read_text(self.path(absolute))
 
     def number(self, absolute: str) -> int | None:
-        """Return the number in a file, or None where there is none."""
+        """Return the number in a file, or None if there is none."""
         text = self.text(absolute)
         return int(text) if text is not None and text.lstrip('-').isdigit() else None
 
@@ -100,7 +101,7 @@ class HostFiles:
 
 
 def read_text(path: Path) -> str | None:
-    """Return the text of a file without blanks around it, or None where it cannot be read."""
+    """Return the text of a file without surrounding blanks, or None if it cannot be read."""
     try:
         return path.read_text(errors='replace').strip()
     except OSError:
@@ -111,7 +112,7 @@ CPUS = '/sys/devices/system/cpu'
 RECEIVE_LIMIT = '/proc/sys/net/core/rmem_max'
 SLOW_GOVERNORS = frozenset({'powersave', 'ondemand', 'conservative'})
 OWN_GOVERNOR = frozenset({'intel_pstate', 'amd-pstate-epp'})
-"""Drivers whose `powersave` lets the processor go as fast as it needs to."""
+"""Drivers whose `powersave` lets the processor run at full speed."""
 LEAST_CORES = 2
 LEAST_DISK_GB = 10.0
 BURST_BYTES = 1_400_000
@@ -123,7 +124,7 @@ LONG_BYTES, TIMEX_BYTES, TIMEX_STATUS_AT, TIMEX_ERROR_AT = 8, 208, 40, 24
 
 
 def check_processor(files: HostFiles) -> Finding:
-    """Say how many cores there are and how their clock is governed."""
+    """Check the number of cores and their frequency governor."""
     cores = len(os.sched_getaffinity(0))
     settings = sorted(files.path(CPUS).glob('cpu[0-9]*/cpufreq/scaling_governor'))
     governors = {path.read_text().strip() for path in settings}
@@ -141,7 +142,7 @@ def check_processor(files: HostFiles) -> Finding:
 
 
 def check_kernel(files: HostFiles) -> Finding:
-    """Say which kernel runs and whether it is a real-time one."""
+    """Report the kernel and whether it is a real-time one."""
     realtime = files.text('/sys/kernel/realtime') == '1'
     release = f'{platform.system()} {platform.release()}'
     return ok('kernel', release + (', real-time' if realtime else ''), realtime=realtime)
@@ -151,7 +152,7 @@ def kernel_clock() -> tuple[bool, float]:
     """Return whether the kernel's clock is synchronised, and the greatest error it assumes [s].
 
     Raises:
-        OSError: The kernel does not tell.
+        OSError: The kernel does not report it.
     """
     if ctypes.sizeof(ctypes.c_long) != LONG_BYTES:
         raise OSError('the layout of timex is known for 64-bit systems only')
@@ -165,15 +166,15 @@ def kernel_clock() -> tuple[bool, float]:
 
 
 def check_clock(synchronised: bool | None, error_s: float) -> Finding:
-    """Say whether the computer's clock is kept by a time server.
+    """Check that the computer's clock is synchronised.
 
     Args:
-        synchronised: As `kernel_clock` says, None where it does not tell.
+        synchronised: As `kernel_clock` returns it, or None if unknown.
         error_s: Greatest error that the kernel assumes [s].
     """
     name = 'real-time clock'
     if synchronised is None:
-        return ok(name, 'the kernel does not tell')
+        return ok(name, 'unknown (not reported by the kernel)')
     if synchronised:
         return ok(name, f'synchronised, at most {error_s * 1e3:.1f} ms off', error_s=error_s)
     found = 'not synchronised: times of several machines cannot be compared'
@@ -182,7 +183,7 @@ def check_clock(synchronised: bool | None, error_s: float) -> Finding:
 
 
 def check_disk(folder: Path) -> Finding:
-    """Say how much room a recording in this folder has."""
+    """Check the free disk space for a recording in this folder."""
     free_gb = shutil.disk_usage(folder).free / 1e9
     values = {'free [GB]': round(free_gb, 1)}
     found = f'{free_gb:.0f} GB free in {folder}'
@@ -193,20 +194,20 @@ def check_disk(folder: Path) -> Finding:
 
 
 def check_receive_buffer(files: HostFiles) -> Finding:
-    """Say whether bursts fit the receive buffers of DDS between machines."""
+    """Check that bursts fit the receive buffers of DDS between machines."""
     limit = files.number(RECEIVE_LIMIT)
     if limit is None:
-        return ok('network buffers', 'the kernel does not tell')
+        return ok('network buffers', 'unknown (not reported by the kernel)')
     values = {'limit [bytes]': limit, 'needed [bytes]': BURST_BYTES}
     if limit >= BURST_BYTES:
         return Finding('network buffers', Level.OK, f'{limit} bytes', values=values)
     found = f'{limit} bytes; a frame and a burst of events need {BURST_BYTES} between machines'
-    remedy = 'to receive on another machine, there: sudo sysctl -w net.core.rmem_max=4194304'
+    remedy = 'on the receiving machine: sudo sysctl -w net.core.rmem_max=4194304'
     return Finding('network buffers', Level.WARN, found, remedy, values)
 
 
 def check_computer(files: HostFiles, folder: Path) -> list[Finding]:
-    """Return all findings on the computer.
+    """Return all findings about the computer.
 
     Args:
         files: Files of the operating system.
@@ -233,24 +234,23 @@ DEFAULT_MEMORY_MB = 16
 
 
 def check_libusb() -> Finding:
-    """Say which libusb serves real cameras."""
+    """Report which libusb serves real cameras."""
     try:
-        backend = open_backend(REAL)
+        backend = open_backend(DAVIS346.name)
     except UsbError as error:
-        found, _, remedy = str(error).partition(': ')
-        return Finding('libusb', Level.ERROR, found, remedy)
+        return Finding('libusb', Level.ERROR, error.message, error.remedy)
     library = getattr(getattr(backend, 'lib', None), '_name', None)
     return ok('libusb', str(library or 'present'))
 
 
-def check_usb_memory(files: HostFiles, settings: StreamSettings | None = None) -> Finding:
-    """Say whether the kernel lets programs keep enough reads waiting; all USB programs share it."""
+def check_usb_memory(files: HostFiles, p: DriverParameters | None = None) -> Finding:
+    """Check the kernel's limit of memory for queued reads, which all USB programs share."""
     name = 'USB memory'
-    settings = settings or StreamSettings()
+    p = p or DriverParameters()
     limit = files.number(USBFS_MEMORY)
-    needed = settings.transfers * settings.transfer_size / (1 << 20)
+    needed = p.usb_transfers * p.usb_transfer_size / (1 << 20)
     if limit is None:
-        return ok(name, 'the kernel does not tell')
+        return ok(name, 'unknown (not reported by the kernel)')
     values = {'limit [MiB]': limit, 'needed [MiB]': needed}
     if limit == 0:
         return Finding(name, Level.OK, 'unlimited', values=values)

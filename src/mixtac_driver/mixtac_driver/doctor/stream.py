@@ -5,135 +5,106 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixtac_driver.camera import Davis346
-from mixtac_driver.davis346.settings import Configuration
+from mixtac_driver.camera import LOSSES, Davis346
 from mixtac_driver.doctor.computer import Finding, Level, ok
-from mixtac_driver.errors import DriverError
-from mixtac_driver.node.status import LOSSES
+from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.usb.transport import TransportCounters
+from mixtac_events.errors import MixtacError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mixtac_driver.davis346.identity import Identity
+    from mixtac_driver.davis346.model import Identity
+    from mixtac_driver.davis346.settings import CameraParameters
     from mixtac_driver.doctor.computer import Value
-    from mixtac_driver.usb.transport import TransportCounters
     from mixtac_events.clock_map import ClockEstimate
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Measurement:
-    """What came from a camera.
+    """Counts of the data of a camera.
 
     Attributes:
-        seconds: How long it ran after its first data, by the camera's clock [s].
+        seconds: Duration after the first data, by the camera's clock [s].
         elapsed_s: The same by the host's clock, when the last data were decoded [s].
-        events: Events.
-        frames: Frames.
-        samples: Inertial samples.
-        edges: Edges of the external input and the generator.
+        events: Number of events.
+        frames: Number of frames.
+        samples: Number of inertial samples.
+        edges: Number of edges of the external input and the generator.
         size: Bytes over USB.
         gaps_ms: Median and 99th percentile of the time between transfers [ms], NaN without two.
-        losses: Decoder counters that stay at zero on a sound stream, by name, if not zero.
-        transport: What the USB reader did.
+        losses: Decoder counters that stay at zero on an intact stream, by name, if not zero.
+        transport: Counters of the USB reader.
         clock: The map from the camera's clock to the host's, or None without data.
-        clock_resets: Resets of the camera's clock that nobody asked for.
-        is_master: True where the camera runs on its own clock.
+        clock_resets: Resets of the camera's clock that the driver did not request.
     """
 
-    seconds: float
-    elapsed_s: float
-    events: int
-    frames: int
-    samples: int
-    edges: int
-    size: int
-    gaps_ms: tuple[float, float]
-    losses: dict[str, int]
-    transport: TransportCounters
-    clock: ClockEstimate | None
-    clock_resets: int
-    is_master: bool
+    seconds: float = 0.0
+    elapsed_s: float = 0.0
+    events: int = 0
+    frames: int = 0
+    samples: int = 0
+    edges: int = 0
+    size: int = 0
+    gaps_ms: tuple[float, float] = (math.nan, math.nan)
+    losses: dict[str, int] = field(default_factory=dict)
+    transport: TransportCounters = field(default_factory=TransportCounters)
+    clock: ClockEstimate | None = None
+    clock_resets: int = 0
 
     def rate(self, count: int) -> float:
         """Return a count per second of the camera's clock."""
         return count / self.seconds if self.seconds else 0.0
 
 
-@dataclass
-class _Counts:
-    """Sums over batches."""
-
-    events: int = 0
-    frames: int = 0
-    samples: int = 0
-    edges: int = 0
-    arrivals_ns: list[int] = field(default_factory=list)
-
-
 def measure(camera: Davis346, seconds: float) -> Measurement:
-    """Start an open camera, let it run, and stop it.
+    """Start an open camera, count its data, and stop it.
 
     Args:
         camera: An open camera.
-        seconds: How long to count, from the first data on [s].
+        seconds: Duration, from the first data on [s].
 
     Raises:
         UsbError: A request failed or the camera went away.
         StreamError: No data came, or the stream died.
     """
     camera.start()
-    counts, began_s, began_us, size_before = _Counts(), 0.0, 0, 0
-    elapsed_s = seconds_s = 0.0
+    result, arrivals_ns = Measurement(), [0]
+    began_s, began_us, size_before = 0.0, 0, 0
     for batch in camera.batches():
         if not began_s:
-            # The first call of the decoder may have compiled it: data waited meanwhile.
+            # The first call of the decoder may have compiled it while data waited.
             began_s, began_us = time.monotonic(), batch.time_us
             size_before = camera.transport_counters.size
             continue
-        counts.events += len(batch.decoded.events)
-        counts.frames += len(batch.decoded.frames)
-        counts.samples += len(batch.decoded.imu.t)
-        counts.edges += len(batch.decoded.edges.t)
-        if not counts.arrivals_ns or counts.arrivals_ns[-1] != batch.arrival_ns:
-            counts.arrivals_ns.append(batch.arrival_ns)
-        elapsed_s, seconds_s = time.monotonic() - began_s, (batch.time_us - began_us) / 1e6
-        if elapsed_s >= seconds:
+        result.events += len(batch.decoded.events)
+        result.frames += len(batch.decoded.frames)
+        result.samples += len(batch.decoded.imu.t)
+        result.edges += len(batch.decoded.edges.t)
+        if arrivals_ns[-1] != batch.arrival_ns:
+            arrivals_ns.append(batch.arrival_ns)
+        result.elapsed_s = time.monotonic() - began_s
+        result.seconds = (batch.time_us - began_us) / 1e6
+        if result.elapsed_s >= seconds:
             break
-    transport, decoder = camera.transport_counters, camera.decoder_counters
-    result = Measurement(
-        seconds=seconds_s,
-        elapsed_s=elapsed_s,
-        events=counts.events,
-        frames=counts.frames,
-        samples=counts.samples,
-        edges=counts.edges,
-        size=transport.size - size_before,
-        gaps_ms=_gaps_ms(counts.arrivals_ns),
-        losses=_losses(decoder.as_dict() if decoder else {}),
-        transport=transport,
-        clock=camera.clock.estimate() if camera.clock.ready else None,
-        clock_resets=camera.clock_resets,
-        is_master=camera.is_master,
-    )
+    result.transport, decoder = camera.transport_counters, camera.decoder_counters
+    result.size = result.transport.size - size_before
+    if len(arrivals_ns) > 2:
+        middle, late = np.quantile(np.diff(arrivals_ns[1:]) / 1e6, (0.5, 0.99))
+        result.gaps_ms = float(middle), float(late)
+    counted = decoder.as_dict() if decoder else {}
+    result.losses = {name: counted[name] for name in LOSSES if counted.get(name)}
+    result.clock = camera.clock.estimate() if camera.clock.ready else None
+    result.clock_resets = camera.clock_resets
     camera.stop()
     return result
-
-
-def _gaps_ms(arrivals_ns: list[int]) -> tuple[float, float]:
-    if len(arrivals_ns) < 2:
-        return (float('nan'), float('nan'))
-    middle, late = np.quantile(np.diff(arrivals_ns) / 1e6, (0.5, 0.99))
-    return (float(middle), float(late))
-
-
-def _losses(counted: dict[str, int]) -> dict[str, int]:
-    return {name: counted[name] for name in LOSSES if counted.get(name)}
 
 
 IMU_NAMES = {0: 'no inertial unit', 1: 'MPU6050', 2: 'MPU9250'}
@@ -144,8 +115,8 @@ MOST_SKEW_PPM = 100.0
 MOST_RESIDUAL_US = 1000.0
 SKEW_AFTER_S = 10.0
 MOST_BEHIND_S = 0.2
-CABLE = 'try another cable and another port; if it stays, plug the camera in again'
-BUSY = 'close busy programs; the computer reads the camera too late'
+CABLE = 'try another cable and port; if it persists, unplug and reconnect the camera'
+BUSY = 'close busy programs: the computer reads the camera too late'
 
 
 def check_running(
@@ -155,44 +126,38 @@ def check_running(
     serial: str = '',
     backend: Any = None,  # noqa: ANN401
 ) -> Iterator[Finding]:
-    """Open a camera, let it run, and yield findings as they come.
+    """Open a camera, count its data, and yield findings one by one.
 
     Args:
-        device: Device string (see `mixtac_driver.usb.device`).
-        seconds: How long to count [s].
+        device: Device string (see `mixtac_driver.device`).
+        seconds: Duration of the count [s].
         serial: Serial number, or empty for the only camera.
         backend: A pyusb backend to use instead of the one that `device` names.
     """
-    configuration = Configuration()
-    camera = Davis346(device, serial=serial, configuration=configuration, backend=backend)
+    p = DriverParameters(device=device, serial=serial)
+    camera = Davis346(p, backend=backend)
     try:
         camera.open()
-    except DriverError as error:
+    except MixtacError as error:
         yield failure('opening the camera', error)
         return
     try:
         yield check_identity(camera.identity)
-        yield from check_measurement(
-            measure(camera, seconds), configuration, camera.identity.imu_type
-        )
-    except DriverError as error:
+        yield from check_measurement(measure(camera, seconds), p, camera.identity)
+    except MixtacError as error:
         yield failure('data stream', error)
     finally:
-        with contextlib.suppress(DriverError):
+        with contextlib.suppress(MixtacError):
             camera.close()
 
 
-def failure(name: str, error: DriverError) -> Finding:
-    """Return an error of the driver as a finding; its text holds the remedy after a colon."""
-    text = str(error)
-    cut = max(text.rfind(': '), text.rfind('; '))
-    if cut < 0:
-        return Finding(name, Level.ERROR, text, CABLE)
-    return Finding(name, Level.ERROR, text[:cut], text[cut + 2 :])
+def failure(name: str, error: MixtacError) -> Finding:
+    """Return an error as a finding with its remedy."""
+    return Finding(name, Level.ERROR, error.message, error.remedy or CABLE)
 
 
 def check_identity(identity: Identity) -> Finding:
-    """Say what the camera is."""
+    """Report what the camera is."""
     firmware, logic = ('.'.join(map(str, v)) for v in (identity.firmware, identity.logic))
     colour = COLOR_FILTERS.get(identity.features.color_filter, 'colour filter with white')
     unit = IMU_NAMES.get(identity.imu_type, f'inertial unit {identity.imu_type}')
@@ -214,13 +179,13 @@ def check_identity(identity: Identity) -> Finding:
 
 
 def check_measurement(
-    result: Measurement, configuration: Configuration, imu_type: int
+    result: Measurement, p: CameraParameters, identity: Identity
 ) -> list[Finding]:
-    """Judge what came against what was asked for."""
+    """Compare the measurement with the settings."""
     return [
         _check_events(result),
-        _check_frames(result, configuration),
-        _check_samples(result, configuration, imu_type),
+        _check_frames(result, p, identity),
+        _check_samples(result, p, identity),
         _check_transfers(result),
         _check_losses(result),
         _check_clock(result),
@@ -237,15 +202,17 @@ def _check_events(result: Measurement) -> Finding:
     return Finding('events', Level.OK, f'{rate:,.0f} /s', values=values)
 
 
-def _check_frames(result: Measurement, configuration: Configuration) -> Finding:
-    period_us = max(configuration.aps_frame_interval_us, configuration.aps_exposure_us, 1)
+def _check_frames(result: Measurement, p: CameraParameters, identity: Identity) -> Finding:
+    if not identity.model.has_frames:
+        return ok('frames', 'the camera has event pixels only')
+    period_us = max(p.aps_frame_interval, p.aps_exposure, 1)
     return _check_rate('frames', result, result.frames, 1e6 / period_us)
 
 
-def _check_samples(result: Measurement, configuration: Configuration, imu_type: int) -> Finding:
-    if not imu_type:
+def _check_samples(result: Measurement, p: CameraParameters, identity: Identity) -> Finding:
+    if not identity.imu_type:
         return ok('inertial samples', 'the camera has no inertial unit')
-    wanted = 1000 / (1 + configuration.imu_sample_rate_divider)
+    wanted = 1000 / (1 + p.imu_sample_rate_divider)
     return _check_rate('inertial samples', result, result.samples, wanted)
 
 
@@ -253,9 +220,9 @@ def _check_rate(name: str, result: Measurement, count: int, wanted: float) -> Fi
     rate = result.rate(count)
     values = {f'{name} [1/s]': round(rate, 1), 'wanted [1/s]': round(wanted, 1)}
     if not count:
-        found = f'none in {result.seconds:.1f} s, {wanted:.0f} /s were asked for'
-        return Finding(name, Level.ERROR, found, 'plug the camera in again', values)
-    # One more or less is a matter of when the counting began.
+        found = f'none in {result.seconds:.1f} s, {wanted:.0f} /s expected'
+        return Finding(name, Level.ERROR, found, 'unplug and reconnect the camera', values)
+    # One more or less depends on the start of the count.
     if count + 1 < RATE_TOLERANCE * wanted * result.seconds:
         return Finding(name, Level.WARN, f'{rate:.1f} /s instead of {wanted:.0f} /s', CABLE, values)
     return Finding(name, Level.OK, f'{rate:.1f} /s', values=values)
@@ -302,24 +269,24 @@ def _check_losses(result: Measurement) -> Finding:
 def _check_clock(result: Measurement) -> Finding:
     clock = result.clock
     if clock is None:
-        return Finding('camera clock', Level.WARN, 'no data to compare it by', CABLE)
+        return Finding('camera clock', Level.WARN, 'no data to compare with', CABLE)
     values: dict[str, Value] = {
         'skew [ppm]': round(clock.skew_ppm, 2) if clock.span_s >= SKEW_AFTER_S else None,
         'residual [us]': round(clock.residual_us, 1),
         'resets': result.clock_resets,
     }
-    told = (
+    skew = (
         f'skew {clock.skew_ppm:+.1f} ppm'
         if clock.span_s >= SKEW_AFTER_S
         else f'skew takes {SKEW_AFTER_S:.0f} s to measure (--seconds {SKEW_AFTER_S + 2:.0f})'
     )
-    found = f'{told}; residual {clock.residual_us:.0f} us'
+    found = f'{skew}; residual {clock.residual_us:.0f} us'
     if result.clock_resets:
-        remedy = 'look after the synchronisation cable'
-        found += f', {result.clock_resets} resets nobody asked for'
+        remedy = 'check the synchronisation cable'
+        found += f', {result.clock_resets} unexpected resets'
         return Finding('camera clock', Level.WARN, found, remedy, values)
     if abs(clock.skew_ppm) > MOST_SKEW_PPM:
-        remedy = 'let a time server keep the clock of this computer; else the camera is at fault'
+        remedy = 'synchronise the clock of this computer; otherwise the camera is at fault'
         return Finding('camera clock', Level.WARN, found, remedy, values)
     if clock.residual_us > MOST_RESIDUAL_US:
         return Finding('camera clock', Level.WARN, found, BUSY, values)

@@ -13,11 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mixtac_driver.davis346.identity import check_firmware
-from mixtac_driver.doctor import computer as software
-from mixtac_driver.doctor.computer import Finding, Level, ok, read_text
+from mixtac_driver.davis346.model import camera_models, check_firmware
+from mixtac_driver.doctor.computer import (
+    Finding,
+    Level,
+    check_libusb,
+    check_usb_memory,
+    ok,
+    read_text,
+)
 from mixtac_driver.errors import UnsupportedCameraError
-from mixtac_driver.usb.device import PRODUCT, VENDOR
 
 if TYPE_CHECKING:
     from mixtac_driver.doctor.computer import HostFiles
@@ -26,21 +31,23 @@ if TYPE_CHECKING:
 DEVICES = '/sys/bus/usb/devices'
 USB3_MBIT = 5000
 USB2_MBIT = 480
-NO_CAMERA = 'plug the camera in and look whether its lamp is on; without one, use --device virtual'
+NO_CAMERA = (
+    'plug the camera in and check that its LED is on; without a camera, use --device virtual'
+)
 SLOW = 'use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub in between'
 
 
 @dataclass(frozen=True, slots=True)
 class AttachedCamera:
-    """A DAVIS346 that is plugged in.
+    """A supported camera on the USB.
 
     Attributes:
         port: Bus and port, as in `2-1.3`.
         node: Its device node, as in `/dev/bus/usb/002/005`.
-        speed_mbit: Speed that was agreed on [Mb/s], None where the kernel does not tell.
+        speed_mbit: Speed that was agreed on [Mb/s], None if unknown.
         release: Device release number (`bcdDevice`): the firmware.
-        serial: Serial number, empty where the kernel does not tell.
-        power: Power management: `on` or `auto`, empty where the kernel does not tell.
+        serial: Serial number, empty if unknown.
+        power: Power management: `on` or `auto`, empty if unknown.
     """
 
     port: str
@@ -51,8 +58,8 @@ class AttachedCamera:
     power: str
 
 
-def attached_cameras(files: HostFiles) -> list[AttachedCamera]:
-    """Return every DAVIS346 on the USB, by port."""
+def cameras_on_bus(files: HostFiles) -> list[AttachedCamera]:
+    """Return every supported camera on the USB, by port."""
     try:
         entries = sorted(files.path(DEVICES).iterdir())
     except OSError:
@@ -66,7 +73,8 @@ def _camera(entry: Path) -> AttachedCamera | None:
         return read_text(entry / name) or ''
 
     try:
-        if (int(text('idVendor'), 16), int(text('idProduct'), 16)) != (VENDOR, PRODUCT):
+        usb_id = int(text('idVendor'), 16), int(text('idProduct'), 16)
+        if all(usb_id != model.usb_id for model in camera_models()):
             return None
         node = f'/dev/bus/usb/{int(text("busnum")):03d}/{int(text("devnum")):03d}'
         release = int(text('bcdDevice'), 16)
@@ -84,18 +92,21 @@ def _camera(entry: Path) -> AttachedCamera | None:
 
 
 def check_presence(files: HostFiles, cameras: list[AttachedCamera], serial: str) -> Finding:
-    """Say which cameras are attached, and whether the wanted one is among them."""
+    """Check that the wanted camera is attached."""
     name = 'camera on the USB'
     if not files.path(DEVICES).is_dir():
         found = f'{DEVICES} is missing: this machine or container has no USB'
         remedy = 'in a container, pass /sys and /dev/bus/usb in; else use --device virtual'
         return Finding(name, Level.ERROR, found, remedy)
     if not cameras:
-        found = f'no DAVIS346 (USB {VENDOR:04x}:{PRODUCT:04x}) is attached'
-        return Finding(name, Level.ERROR, found, NO_CAMERA)
+        models = ', '.join(
+            f'{model.name} (USB {model.vendor:04x}:{model.product:04x})'
+            for model in camera_models()
+        )
+        return Finding(name, Level.ERROR, f'no {models} is attached', NO_CAMERA)
     listed = ', '.join(f'{c.serial or "no serial number"} at {c.port}' for c in cameras)
     if serial and all(camera.serial != serial for camera in cameras):
-        remedy = 'correct --serial, or plug that camera in'
+        remedy = 'correct --serial, or plug in that camera'
         return Finding(name, Level.ERROR, f'{serial} is not attached; there is {listed}', remedy)
     if len(cameras) > 1 and not serial:
         remedy = 'choose one with --serial'
@@ -104,10 +115,10 @@ def check_presence(files: HostFiles, cameras: list[AttachedCamera], serial: str)
 
 
 def check_speed(camera: AttachedCamera) -> Finding:
-    """Say whether the port is fast enough for the camera at its busiest."""
+    """Check that the port is fast enough for the camera at full rate."""
     name, speed = 'USB speed', camera.speed_mbit
     if speed is None:
-        return ok(name, 'the kernel does not tell')
+        return ok(name, 'unknown (not reported by the kernel)')
     values = {'speed [Mb/s]': speed}
     if speed >= USB3_MBIT:
         return Finding(name, Level.OK, f'{speed:g} Mb/s', values=values)
@@ -118,21 +129,22 @@ def check_speed(camera: AttachedCamera) -> Finding:
 
 
 def check_release(camera: AttachedCamera) -> Finding:
-    """Say whether the firmware is one that the driver speaks to."""
+    """Check that the driver supports the firmware."""
     try:
         major, minor = check_firmware(camera.release)
     except UnsupportedCameraError as error:
-        found, _, remedy = str(error).partition('; ')
-        return Finding('camera firmware', Level.ERROR, found, remedy)
+        return Finding('camera firmware', Level.ERROR, error.message, error.remedy)
     return ok('camera firmware', f'{major}.{minor}')
 
 
 def check_power(camera: AttachedCamera) -> Finding:
-    """Say whether the kernel may put the camera to sleep; it does not while a program has it."""
+    """Report whether the kernel may suspend the camera; it does not while a program uses it."""
     name = 'USB power management'
     if camera.power == 'auto':
         return ok(name, 'may sleep while no program has it open', control=camera.power)
-    return ok(name, 'never sleeps' if camera.power == 'on' else 'the kernel does not tell')
+    return ok(
+        name, 'never sleeps' if camera.power == 'on' else 'unknown (not reported by the kernel)'
+    )
 
 
 RULE = '65-mixtac.rules'
@@ -161,7 +173,7 @@ def installation() -> str:
 
 
 def check_permission(files: HostFiles, camera: AttachedCamera) -> Finding:
-    """Say whether the device node may be opened, and which rule to install where not."""
+    """Check the permission of the device node."""
     name = 'permission'
     if not files.path(camera.node).exists():
         remedy = 'in a container, pass it in: docker run --device=/dev/bus/usb'
@@ -173,15 +185,15 @@ def check_permission(files: HostFiles, camera: AttachedCamera) -> Finding:
     if installed:
         found += f', although the udev rule {RULE} is installed'
         remedy = (
-            'plug the camera in again; over ssh, join the group plugdev as well: '
+            'reconnect the camera; over ssh, join the group plugdev as well: '
             'sudo usermod -aG plugdev "$USER", then log in again'
         )
         return Finding(name, Level.ERROR, found, remedy)
-    return Finding(name, Level.ERROR, found, f'{installation()}, then plug the camera in again')
+    return Finding(name, Level.ERROR, found, f'{installation()}, then reconnect the camera')
 
 
 def check_holders(files: HostFiles, camera: AttachedCamera) -> Finding:
-    """Say which other programs have the camera open, as far as this user may look."""
+    """Report which other programs of this user have the camera open."""
     name = 'used by others'
     holders = _holders(files, camera.node)
     if not holders:
@@ -191,7 +203,7 @@ def check_holders(files: HostFiles, camera: AttachedCamera) -> Finding:
         name,
         Level.WARN,
         f'{listed} has it open',
-        'end that program first; two cannot use one camera',
+        'end that program first: two programs cannot share a camera',
         {'process': holders[0][0]},
     )
 
@@ -213,16 +225,16 @@ def _has_open(descriptors: Path, node: str) -> bool:
 
 
 def check_attached(files: HostFiles, serial: str = '') -> list[Finding]:
-    """Return what the system says of the cameras that are plugged in.
+    """Return the findings about the cameras on the USB.
 
     Args:
         files: Files of the operating system.
         serial: Serial number of the wanted camera; empty takes the only one.
     """
-    cameras = attached_cameras(files)
+    cameras = cameras_on_bus(files)
     findings = [
-        software.check_libusb(),
-        software.check_usb_memory(files),
+        check_libusb(),
+        check_usb_memory(files),
         check_presence(files, cameras, serial),
     ]
     for camera in cameras:

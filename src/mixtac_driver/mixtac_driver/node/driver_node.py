@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The driver node: a camera in, ROS topics out."""
+"""The driver node: publishes the data of a camera as ROS topics."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rclpy.node import Node
-from sensor_msgs.msg import TimeReference
 
-from mixtac_driver.davis346.model import HEIGHT, WIDTH
 from mixtac_driver.node.publishers import (
     ClockPublisher,
     EdgePublisher,
@@ -23,19 +22,21 @@ from mixtac_driver.node.publishers import (
 from mixtac_driver.node.services import DriverServices
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.node.status import DriverMeters, DriverStatus
-from mixtac_driver.parameters import DriverParameters, stream_settings
+from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import warm_up as warm_up_mask
-from mixtac_driver.playback.source import RecordedSource
 from mixtac_driver.source import SourceKind, make_source, source_kind
-from mixtac_driver.supervisor import Supervisor, recovery_settings
+from mixtac_driver.supervisor import Supervisor
+from mixtac_events.arrays import Events
 from mixtac_events.codec import warm_up
 from mixtac_events.errors import MixtacError
-from mixtac_node.base_node import QOS_LATCHED, BaseNode, declare, run
-from mixtac_node.diagnostics import DiagnosticsPublisher, Status
+from mixtac_node import topics
+from mixtac_node.base_node import BaseNode, declare, run
+from mixtac_node.diagnostics import DiagnosticsPublisher
 from mixtac_recordings import messages
 
 if TYPE_CHECKING:
     from mixtac_driver.camera import CameraBatch
+    from mixtac_driver.davis346.model import Identity
     from mixtac_driver.usb.transport import DebugMessage
     from mixtac_events.readings import Frame, InertialSamples
 
@@ -44,153 +45,163 @@ CLOCK_PERIOD_S = 1.0
 
 
 class DriverNode(BaseNode, Node):  # type: ignore[misc]
-    """Publishes what a DAVIS346 sees, on topics that somebody subscribes to."""
+    """Publishes the data of a source, on topics that have subscribers."""
 
     def __init__(self) -> None:
         super().__init__('driver')
-        self._p = p = declare(self, DriverParameters, self._apply)
+        p = declare(self, DriverParameters, self._apply)
         self._kind = source_kind(p.device)
         self._settings = DriverSettings(p)
         warm_up()
         warm_up_mask()
         self._clock_due_s = 0.0
+        self._epoch_us = np.empty(0, np.int64)
+        self._identity: Identity | None = None
         self._meters = DriverMeters()
-        self._events = EventPublisher(self, p, self._meters)
+        self._events = EventPublisher(self, p, topics.EVENTS, self._meters)
         self._rectified = RectifiedPublisher(self, p)
         self._frames = FramePublisher(self, p.camera_frame_id, self._rectified.complete)
         self._inertial = InertialPublisher(self, p.imu_frame_id)
         self._edges = EdgePublisher(self, p.camera_frame_id, self._meters)
-        self._clock_publisher = self.create_publisher(TimeReference, 'camera_clock', QOS_LATCHED)
+        self._clock_publisher = self.publish_topic(topics.CAMERA_CLOCK)
         replayed = self._kind is SourceKind.RECORDED
         self._time = ClockPublisher(self) if p.playback_clock and replayed else None
-        self._camera = make_source(
-            p.device,
-            serial=p.serial,
-            configuration=self._settings.configuration(),
-            stream=stream_settings(p),
-            playback=p,
-            on_debug=self._on_debug,
+        parameters, pixel_filter = self._settings.camera_settings()
+        self._source = make_source(
+            parameters, pixel_filter=pixel_filter, on_debug=self._log_debug_message
         )
         self._open_once()
         self._supervisor = Supervisor(
-            self._camera,
+            self._source,
+            p,
             on_start=self._on_start,
             on_batch=self._on_batch,
             on_error=self.get_logger().error,
-            recovery=recovery_settings(p),
         )
         self._status = DriverStatus(
-            p.device, self._camera, self._supervisor, self._settings, self._meters
+            p.device, self._source, self._supervisor, self._settings, self._meters
         )
-        self._diagnostics = DiagnosticsPublisher(self, p.device, self._report)
+        self._diagnostics = DiagnosticsPublisher(self, p.device, self._status.status)
         self._driver_services = DriverServices(
-            self, self._camera, self._settings, self._diagnostics.publish
+            self, self._source, self._settings, self._diagnostics.publish
         )
         self._supervisor.start()
 
     def check(self) -> None:
-        """End the node where the recovery policy says so.
+        """Raise if the recovery policy ends the node.
 
         Raises:
-            MixtacError: Why there is no camera any more.
+            MixtacError: The reason.
         """
         if self._supervisor.failure is not None:
             raise self._supervisor.failure
 
     def close(self) -> None:
-        """Stop the camera."""
+        """Stop the source."""
         if not self._supervisor.stop():
             self.get_logger().error('the camera did not stop in time; leaving it')
 
+    def _apply(self, parameters: DriverParameters) -> None:
+        self._settings.apply(parameters, self._source.apply)
+
     def _open_once(self) -> None:
         try:
-            self._camera.open()
+            self._source.open()
         except MixtacError as error:
             if self._kind is not SourceKind.SIMULATED:
                 raise
-            # What serves it may well be starting at this moment.
+            # The virtual sensor may be starting at this moment.
             self.get_logger().info(f'waiting for the camera: {error}')
             return
-        self._rectified.use(self._camera.identity.geometry.event_size)
+        self._use_identity()
 
-    def _apply(self, parameters: DriverParameters) -> None:
-        self._settings.apply(parameters, self._camera.apply)
-        if isinstance(self._camera, RecordedSource):
-            self._camera.play_as(parameters)
+    def _use_identity(self) -> Identity:
+        identity = self._source.status().identity
+        if identity is None:
+            raise RuntimeError('the source has no identity although it is open')
+        size = identity.geometry.event_size
+        if self._source.control is not None:
+            self._settings.use_size(size)
+        self._rectified.use(size)
+        self._identity = identity
+        return identity
 
     def _on_start(self) -> None:
-        identity = self._camera.identity
-        self._rectified.use(identity.geometry.event_size)
+        identity = self._use_identity()
         self._events.restart()
         self._rectified.restart()
         self._diagnostics.hardware_id = identity.serial
         self.get_logger().info(f'streaming: {self._kind.value} {identity.chip} {identity.serial}')
 
     def _on_batch(self, batch: CameraBatch) -> None:
-        decoded, origin_us = batch.decoded, batch.origin.us
-        self._publish_events(batch)
+        decoded, origin_us, identity = batch.decoded, batch.origin.us, self._identity
+        if identity is None:
+            return
+        self._publish_events(batch, identity)
         if self._time is not None:
-            self._time.publish(batch)
+            self._time.publish(batch.time_us)
         for frame in decoded.frames:
-            self._publish_frame(frame, origin_us)
+            self._publish_frame(frame, origin_us, identity)
         if len(decoded.imu.t):
             self._publish_imu(decoded.imu, origin_us)
         if len(decoded.edges.t):
             self._edges.publish(decoded.edges, origin_us)
-        self._publish_clock(batch)
+        if time.monotonic() >= self._clock_due_s:
+            self._publish_clock(origin_us, identity.serial)
 
-    def _publish_events(self, batch: CameraBatch) -> None:
-        events = batch.decoded.events
+    def _publish_events(self, batch: CameraBatch, identity: Identity) -> None:
+        events, size = batch.decoded.events, identity.geometry.event_size
         self._meters.events.add(len(events))
-        size = self._camera.identity.geometry.event_size
-        kept = events
-        # Recordings may come from other sensors, for which no mask was made.
-        if size == (WIDTH, HEIGHT):
-            self._driver_services.watch_events(events, batch.time_us)
-            kept = self._settings.mask.keep(events)
-        when = (batch.time_us, batch.arrival_ns, batch.origin.us)
-        if self._events.wanted:
-            self._events.publish(kept, *when, size)
+        self._driver_services.watch_events(events, batch.time_us)
+        kept = self._settings.mask.keep(events, size)
+        wanted = self._events.wanted
+        if wanted or self._rectified.wants_events:
+            kept = self._on_epoch(kept, batch.origin.us)
+        if wanted:
+            self._events.publish(kept, batch.time_us, batch.arrival_ns, size)
         else:
             self._events.restart()
-        self._rectified.publish_events(kept, *when, size)
+        self._rectified.publish_events(kept, batch.time_us, batch.arrival_ns, size)
 
-    def _publish_frame(self, frame: Frame, origin_us: int) -> None:
-        identity = self._camera.identity
+    def _on_epoch(self, events: Events, origin_us: int) -> Events:
+        """Return events on the epoch-based camera clock; valid until the next call."""
+        count = len(events)
+        if count > len(self._epoch_us):
+            self._epoch_us = np.empty(2 * count, np.int64)
+        t = np.add(events.t, origin_us, out=self._epoch_us[:count])
+        return Events(t, events.x, events.y, events.polarity)
+
+    def _publish_frame(self, frame: Frame, origin_us: int, identity: Identity) -> None:
         exposure_us = frame.exposure_cycles / identity.clocks.adc
         self._meters.frames.add()
         self._meters.exposure_us = exposure_us
         self._frames.publish(frame, origin_us, identity)
         self._rectified.publish_frame(frame, origin_us, identity)
         self._driver_services.watch_frame(frame, origin_us)
-        self._settings.follow(frame, exposure_us, self._camera.control)
+        if self._source.control is not None:
+            self._settings.follow(frame, exposure_us, self._source.control)
 
     def _publish_imu(self, samples: InertialSamples, origin_us: int) -> None:
         self._meters.samples.add(len(samples.t))
         self._meters.temperature = float(samples.temperature[-1])
         self._inertial.publish(samples, origin_us)
 
-    def _publish_clock(self, batch: CameraBatch) -> None:
-        now_s, clock = time.monotonic(), self._camera.clock
-        if now_s < self._clock_due_s or not clock.ready:
+    def _publish_clock(self, origin_us: int, serial: str) -> None:
+        clock = self._source.status().clock
+        if not clock.ready:
             return
-        self._clock_due_s = now_s + CLOCK_PERIOD_S
+        self._clock_due_s = time.monotonic() + CLOCK_PERIOD_S
         self._meters.clock = clock.estimate()
         host_ns = time.time_ns()
-        camera_us = clock.to_camera_us(host_ns) + batch.origin.us
-        self._clock_publisher.publish(
-            messages.camera_clock(host_ns, camera_us, self._camera.identity.serial)
-        )
+        camera_us = clock.to_camera_us(host_ns) + origin_us
+        self._clock_publisher.publish(messages.camera_clock(host_ns, camera_us, serial))
 
-    def _on_debug(self, message: DebugMessage) -> None:
+    def _log_debug_message(self, message: DebugMessage) -> None:
         line = f'camera firmware at {message.time}: {message.text} (code {message.code})'
         if message.code:
             self.get_logger().warning(line)
         else:
             self.get_logger().info(line)
-
-    def _report(self) -> Status:
-        return self._status.status()
 
 
 def main(args: list[str] | None = None) -> int:

@@ -8,18 +8,14 @@ import math
 import time
 from typing import TYPE_CHECKING, Any
 
-from event_camera_msgs.msg import EventPacket
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image, Imu, Temperature
 from sensor_msgs.srv import SetCameraInfo
 
 from mixtac_driver.calibration.lens import CalibrationError
 from mixtac_driver.calibration.undistortion import CalibratedCamera
-from mixtac_driver.node.status import DriverMeters
 from mixtac_events.errors import MixtacError
 from mixtac_events.packetizer import Packetizer
-from mixtac_msgs.msg import ExternalEdge, FrameExposure
-from mixtac_node.base_node import QOS_EVENTS, QOS_SENSOR
+from mixtac_node import topics
 from mixtac_node.images import fill
 from mixtac_node.stamps import us_to_stamp
 from mixtac_recordings import messages
@@ -27,11 +23,14 @@ from mixtac_recordings import messages
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mixtac_driver.camera import CameraBatch
-    from mixtac_driver.davis346.identity import Identity
+    from sensor_msgs.msg import CameraInfo
+
+    from mixtac_driver.davis346.model import Identity
+    from mixtac_driver.node.status import DriverMeters
     from mixtac_driver.parameters import DeviceParameters, DriverParameters
     from mixtac_events.arrays import Events
     from mixtac_events.readings import Edges, Frame, InertialSamples
+    from mixtac_node.topics import Topic
 
 
 class EventPublisher:
@@ -40,54 +39,52 @@ class EventPublisher:
     Args:
         node: An rclpy node.
         p: Encoding, size and frame of the packets.
-        meters: Where packets are counted.
-        topic: Where they go.
+        topic: The topic.
+        meters: Counts the packets, or None.
     """
 
     def __init__(
         self,
         node: Any,  # noqa: ANN401
         p: DeviceParameters,
-        meters: DriverMeters,
-        topic: str = 'events',
+        topic: Topic,
+        meters: DriverMeters | None = None,
     ) -> None:
         self._p, self._meters = p, meters
-        self._publisher = node.create_publisher(EventPacket, topic, QOS_EVENTS)
+        self._publisher = node.publish_topic(topic)
         self._sequence = 0
         self._packetizer: Packetizer | None = None
 
     @property
     def wanted(self) -> bool:
-        """True while somebody listens."""
+        """True while the topic has subscribers."""
         return bool(self._publisher.get_subscription_count())
 
     def restart(self) -> None:
-        """Forget what was not published: another stream begins."""
+        """Discard unpublished events: another stream starts."""
         self._packetizer = None
 
-    def publish(
-        self, events: Events, time_us: int, arrival_ns: int, shift_us: int, size: tuple[int, int]
-    ) -> None:
+    def publish(self, events: Events, time_us: int, arrival_ns: int, size: tuple[int, int]) -> None:
         """Take events and publish the packets that they complete.
 
         Args:
-            events: Events [us on the camera clock since its reset].
+            events: Events [us, epoch-based camera clock].
             time_us: Time that the stream has reached [us, epoch-based camera clock].
             arrival_ns: Host time of their arrival [ns since the Unix epoch].
-            shift_us: What leads from the clock of the events to the epoch-based one [us].
             size: Width and height of the event array.
         """
         if self._packetizer is None:
             period_us = round(self._p.event_message_time_threshold * 1e6)
             most_bytes = self._p.event_message_size_threshold
             self._packetizer = Packetizer(self._p.encoding, period_us, most_bytes)
-        for packet in self._packetizer.push(events, time_us, arrival_ns, shift_us):
+        for packet in self._packetizer.push(events, time_us, arrival_ns):
             self._publisher.publish(
                 messages.event_packet(packet, self._sequence, size, self._p.camera_frame_id)
             )
             self._sequence += 1
-            self._meters.packets.add()
-            self._meters.ages_s.add((time.time_ns() - packet.arrival_ns) / 1e9)
+            if self._meters is not None:
+                self._meters.packets.add()
+                self._meters.ages_s.add((time.time_ns() - packet.arrival_ns) / 1e9)
 
 
 class FramePublisher:
@@ -107,12 +104,12 @@ class FramePublisher:
     ) -> None:
         self._frame_id = frame_id
         self._complete = complete
-        self._image = node.create_publisher(Image, 'image_raw', QOS_SENSOR)
-        self._info = node.create_publisher(CameraInfo, 'camera_info', QOS_SENSOR)
-        self._exposure = node.create_publisher(FrameExposure, 'image_exposure', QOS_SENSOR)
+        self._image = node.publish_topic(topics.IMAGE_RAW)
+        self._info = node.publish_topic(topics.CAMERA_INFO)
+        self._exposure = node.publish_topic(topics.IMAGE_EXPOSURE)
 
     def publish(self, frame: Frame, origin_us: int, identity: Identity) -> None:
-        """Publish a frame where somebody listens.
+        """Publish a frame on the topics that have subscribers.
 
         Args:
             frame: The frame.
@@ -144,17 +141,17 @@ class InertialPublisher:
 
     Args:
         node: An rclpy node.
-        frame_id: Frame of the unit.
+        frame_id: Frame of the inertial unit.
     """
 
     def __init__(self, node: Any, frame_id: str) -> None:  # noqa: ANN401
         self._frame_id = frame_id
-        self._imu = node.create_publisher(Imu, 'imu', QOS_SENSOR)
-        self._temperature = node.create_publisher(Temperature, 'temperature', QOS_SENSOR)
+        self._imu = node.publish_topic(topics.IMU)
+        self._temperature = node.publish_topic(topics.TEMPERATURE)
         self._temperature_due_us = 0
 
     def publish(self, samples: InertialSamples, origin_us: int) -> None:
-        """Publish samples where somebody listens.
+        """Publish samples if there are subscribers.
 
         Args:
             samples: At least one sample.
@@ -173,31 +170,29 @@ class InertialPublisher:
             self._temperature.publish(messages.temperature(celsius, time_us, self._frame_id))
 
 
-MOST_PER_SECOND = 2000.0
+EDGES_PER_SECOND = 2000.0
 """More than that would delay events."""
-BURST = 500.0
-QUEUE_DEPTH = 1000
-"""Reliable: edges are few, and each may be somebody's trigger."""
+EDGES_BURST = 500.0
 
 
 class EdgePublisher:
-    """Publishes edges on `external_edges`, up to MOST_PER_SECOND; counts the others as dropped.
+    """Publishes edges on `external_edges`, up to EDGES_PER_SECOND; counts the others as dropped.
 
     Args:
         node: An rclpy node.
         frame_id: Frame of the camera.
-        meters: Where edges are counted.
+        meters: Counts the edges.
     """
 
     def __init__(self, node: Any, frame_id: str, meters: DriverMeters) -> None:  # noqa: ANN401
         self._frame_id, self._meters = frame_id, meters
-        self._publisher = node.create_publisher(ExternalEdge, 'external_edges', QUEUE_DEPTH)
+        self._publisher = node.publish_topic(topics.EXTERNAL_EDGES)
         self._sequence = 0
-        self._allowed = BURST
+        self._allowed = EDGES_BURST
         self._allowed_at_s = time.monotonic()
 
     def publish(self, edges: Edges, origin_us: int) -> None:
-        """Publish edges where somebody listens.
+        """Publish edges if there are subscribers.
 
         Args:
             edges: The edges.
@@ -220,58 +215,52 @@ class EdgePublisher:
 
     def _budget(self) -> int:
         now_s = time.monotonic()
-        gained = (now_s - self._allowed_at_s) * MOST_PER_SECOND
+        gained = (now_s - self._allowed_at_s) * EDGES_PER_SECOND
         self._allowed_at_s = now_s
-        self._allowed = min(self._allowed + gained, BURST)
+        self._allowed = min(self._allowed + gained, EDGES_BURST)
         return int(self._allowed)
 
 
-PERIOD_US = 1000
+CLOCK_PERIOD_US = 1000
 
 
 class ClockPublisher:
-    """Publishes the time that a recording has reached. For one thread.
+    """Publishes the position of playback as time. For one thread.
 
     Args:
         node: An rclpy node.
     """
 
     def __init__(self, node: Any) -> None:  # noqa: ANN401
-        # Default QoS: subscribers with use_sim_time are best effort, others may want all.
+        # Default QoS: subscribers with use_sim_time are best effort, others may be reliable.
         self._publisher = node.create_publisher(Clock, '/clock', 10)
         self._due_us = 0
 
-    def publish(self, batch: CameraBatch) -> None:
-        """Publish the time of a batch [epoch-based camera clock], once per millisecond at most."""
-        time_us = batch.time_us
+    def publish(self, time_us: int) -> None:
+        """Publish a time [us, epoch-based camera clock], at most once per millisecond."""
         # A seek back moves published time on, so that it never runs backwards.
         if time_us >= self._due_us:
-            self._due_us = time_us + PERIOD_US
+            self._due_us = time_us + CLOCK_PERIOD_US
             self._publisher.publish(Clock(clock=us_to_stamp(time_us)))
 
 
 class RectifiedPublisher:
-    """Serves a calibration: on `camera_info`, by `~/set_camera_info`, and applied.
+    """Serves a calibration: on `camera_info`, by `~/set_camera_info`, and on undistorted topics.
 
-    `image_rect` and `events_rect` exist where the parameters ask for them. They go with the same
-    `camera_info` as the raw topics, whose P is that of the undistorted pixels (REP 104).
+    `image_rect` and `events_rect` exist if parameters enable them. They share the `camera_info` of
+    the raw topics, whose P is that of the undistorted pixels (REP 104).
 
     Args:
         node: An rclpy node.
-        p: Where the calibration is and what it is used for.
+        p: Location and use of the calibration.
     """
 
     def __init__(self, node: Any, p: DriverParameters) -> None:  # noqa: ANN401
         self._logger = node.get_logger()
         self._p = p
         self._camera: CalibratedCamera | None = None
-        # Its packets are not those that diagnostics count.
-        self._events = (
-            EventPublisher(node, p, DriverMeters(), 'events_rect') if p.undistort_events else None
-        )
-        self._image = (
-            node.create_publisher(Image, 'image_rect', QOS_SENSOR) if p.undistort_frames else None
-        )
+        self._events = EventPublisher(node, p, topics.EVENTS_RECT) if p.undistort_events else None
+        self._image = node.publish_topic(topics.IMAGE_RECT) if p.undistort_frames else None
         node.create_service(SetCameraInfo, '~/set_camera_info', self._save)
 
     def use(self, size: tuple[int, int]) -> None:
@@ -281,26 +270,31 @@ class RectifiedPublisher:
             size: Columns and rows.
 
         Raises:
-            CalibrationError: It is damaged or of another camera, or is missing and needed.
+            CalibrationError: It is damaged, of another camera, or missing although it is needed.
         """
         if self._camera is None:
             self._camera = CalibratedCamera(self._p, size)
             self._logger.info(self._camera.describe())
 
     def restart(self) -> None:
-        """Forget what was not published: another stream begins."""
+        """Discard unpublished events: another stream starts."""
         if self._events is not None:
             self._events.restart()
 
     def complete(self, info: CameraInfo) -> CameraInfo:
-        """Write the calibration, if there is one, into camera information."""
+        """Write the calibration, if any, into camera information."""
         if self._camera is not None:
             for name, value in self._camera.camera_info_fields().items():
                 setattr(info, name, value)
         return info
 
+    @property
+    def wants_events(self) -> bool:
+        """True while undistorted events have subscribers."""
+        return self._events is not None and self._events.wanted
+
     def publish_events(
-        self, events: Events, time_us: int, arrival_ns: int, shift_us: int, size: tuple[int, int]
+        self, events: Events, time_us: int, arrival_ns: int, size: tuple[int, int]
     ) -> None:
         """Publish events at their undistorted pixels; arguments as in `EventPublisher.publish`."""
         if self._events is None or self._camera is None:
@@ -309,7 +303,7 @@ class RectifiedPublisher:
             self._events.restart()
             return
         moved = self._camera.events(events)
-        self._events.publish(moved, time_us, arrival_ns, shift_us, size)
+        self._events.publish(moved, time_us, arrival_ns, size)
 
     def publish_frame(self, frame: Frame, origin_us: int, identity: Identity) -> None:
         """Publish a frame without distortion, in the size of the whole array."""
@@ -330,7 +324,7 @@ class RectifiedPublisher:
         info = request.camera_info
         try:
             if self._camera is None:
-                raise CalibrationError('no camera was opened yet: attach it and try again')
+                raise CalibrationError('no camera was opened yet', remedy='attach it and try again')
             path = self._camera.save(
                 width=info.width,
                 height=info.height,

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Services of the driver: a single frame, the camera's clock to zero, hot pixels.
+"""Services of the driver: snapshot, reset of the camera's clock, search for hot pixels.
 
-They run in the executor's thread and wait there for the thread that decodes, for a bounded time.
+They run in the executor's thread and wait there, for a bounded time, for the decoding thread.
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 from std_srvs.srv import Trigger
 
-from mixtac_driver.errors import StreamError
+from mixtac_driver.errors import DriverError, StreamError
 from mixtac_driver.pixels import PixelCounter, PixelMask, check_path, hot_pixels, save_mask
 from mixtac_events.errors import MixtacError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mixtac_driver.davis346.control import CameraControl
     from mixtac_driver.node.settings import DriverSettings
     from mixtac_driver.source import Source
     from mixtac_events.arrays import Events
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 
 MARGIN_S = 1.0
-"""What a frame or a count may take longer than it should."""
+"""Additional time allowed for a frame or a count."""
 REPORT_PERIOD_S = 1.0
 LISTED_PIXELS = 20
 
@@ -36,10 +37,10 @@ class NextFrame:
     """Waits for a frame.
 
     Args:
-        after_us: Frames whose exposure began before do not count [us, epoch-based camera clock].
+        after_us: Earliest start of the exposure [us, epoch-based camera clock].
 
     Attributes:
-        done: Set when it is there.
+        done: Set when the frame is there.
         stamp_us: Middle of its exposure [us, epoch-based camera clock].
     """
 
@@ -49,7 +50,7 @@ class NextFrame:
         self._after_us = after_us
 
     def add(self, frame: Frame, origin_us: int) -> None:
-        """Look at a frame."""
+        """Take a frame into account."""
         if not self.done.is_set() and frame.exposure_start_us + origin_us >= self._after_us:
             self.stamp_us = frame.middle_us + origin_us
             self.done.set()
@@ -60,19 +61,19 @@ class DriverServices:
 
     Args:
         node: An rclpy node.
-        camera: The camera.
-        settings: What it was told.
+        source: The source.
+        settings: Its settings.
         meanwhile: Called once a second while a service waits.
     """
 
     def __init__(
         self,
         node: Any,  # noqa: ANN401
-        camera: Source,
+        source: Source,
         settings: DriverSettings,
         meanwhile: Callable[[], None],
     ) -> None:
-        self._camera, self._settings, self._meanwhile = camera, settings, meanwhile
+        self._source, self._settings, self._meanwhile = source, settings, meanwhile
         self._counter: PixelCounter | None = None
         self._next_frame: NextFrame | None = None
         self._time_us = 0
@@ -81,10 +82,10 @@ class DriverServices:
         node.create_service(Trigger, '~/find_hot_pixels', _answer(self.find_hot_pixels))
 
     def watch_events(self, events: Events, time_us: int) -> None:
-        """Look at events, in the thread that decodes.
+        """Take events into account, in the decoding thread.
 
         Args:
-            events: Events, none of them masked on the host yet.
+            events: Events before masking on the host; their times are not used.
             time_us: Time that the stream has reached [us, epoch-based camera clock].
         """
         self._time_us = time_us
@@ -93,13 +94,13 @@ class DriverServices:
             counter.add(events, time_us)
 
     def watch_frame(self, frame: Frame, origin_us: int) -> None:
-        """Look at a frame, in the thread that decodes."""
+        """Take a frame into account, in the decoding thread."""
         next_frame = self._next_frame
         if next_frame is not None:
             next_frame.add(frame, origin_us)
 
     def snapshot(self) -> str:
-        """Take one frame, or wait for the next where frames are taken all the time.
+        """Take one frame, or wait for the next if frames are taken continuously.
 
         Raises:
             DriverError: There is no stream, or no frame came.
@@ -107,8 +108,9 @@ class DriverServices:
         p = self._settings.parameters
         self._next_frame = next_frame = NextFrame(self._time_us)
         try:
-            self._camera.control.request_frame()
-            exposure_us = self._camera.control.configuration.aps_exposure_us
+            control = self._control('no frame can be requested')
+            control.request_frame()
+            exposure_us = control.parameters.aps_exposure
             self._wait(next_frame.done, (2 * exposure_us + p.aps_frame_interval) / 1e6, 'frame')
         finally:
             self._next_frame = None
@@ -120,41 +122,52 @@ class DriverServices:
         Raises:
             DriverError: There is no stream, or the request failed.
         """
-        self._camera.reset_timestamps()
-        return 'the camera clock reads zero; published time goes on'
+        self._control('its clock cannot be reset').reset_timestamps()
+        return 'camera clock set to zero; published time continues'
 
     def find_hot_pixels(self) -> str:
-        """Count events and mask the pixels that fire without cause, and those of the mask's file.
+        """Count events; mask the hot pixels, and those of the mask file.
 
-        Pixels that were found before and are quiet now are not masked any more.
+        Pixels that were found before and are quiet now are no longer masked.
 
         Raises:
-            DriverError: There is no stream, or a request failed; the mask is as before.
+            DriverError: There is no stream, or a request failed; the mask stays unchanged.
         """
         p, before = self._settings.parameters, self._settings.mask
         if p.hot_pixels_file:
             check_path(p.hot_pixels_file)
+        identity = self._source.status().identity
+        if identity is None:
+            raise StreamError('no camera was opened yet', remedy='attach it and try again')
+        size = identity.geometry.event_size
         # Pixels that the camera masks cannot be counted.
-        self._settings.use_mask(before, self._camera.apply, in_camera=False)
+        self._settings.use_mask(before, self._source.apply, in_camera=False)
         try:
-            counter = self._count(p.hot_pixels_duration)
+            counter = self._count(p.hot_pixels_duration, size)
             found = hot_pixels(
                 counter.counts,
                 p.hot_pixels_duration,
                 p.hot_pixels_minimum_rate,
                 p.hot_pixels_factor,
             )
-            mask = self._settings.file_mask.with_pixels(found)
+            mask = PixelMask([*found, *self._settings.file_mask.pixels], size)
         except MixtacError:
-            self._settings.use_mask(before, self._camera.apply)
+            self._settings.use_mask(before, self._source.apply)
             raise
-        self._settings.use_mask(mask, self._camera.apply)
+        self._settings.use_mask(mask, self._source.apply)
         if p.hot_pixels_file:
             save_mask(mask, p.hot_pixels_file)
         return _found(found, mask)
 
-    def _count(self, duration_s: float) -> PixelCounter:
-        self._counter = counter = PixelCounter(round(duration_s * 1e6))
+    def _control(self, otherwise: str) -> CameraControl:
+        control = self._source.control
+        if control is None:
+            device = self._settings.parameters.device
+            raise DriverError(f'{device} is a recording: {otherwise}')
+        return control
+
+    def _count(self, duration_s: float, size: tuple[int, int]) -> PixelCounter:
+        self._counter = counter = PixelCounter(round(duration_s * 1e6), size)
         try:
             self._wait(counter.done, duration_s, 'end of the count')
         finally:
@@ -166,8 +179,8 @@ class DriverServices:
         while not done.wait(min(REPORT_PERIOD_S, max(deadline_s - time.monotonic(), 0.0))):
             if time.monotonic() >= deadline_s:
                 raise StreamError(
-                    f'no {what} within {seconds + MARGIN_S:.1f} s: see /diagnostics for the '
-                    'state of the camera'
+                    f'no {what} within {seconds + MARGIN_S:.1f} s',
+                    remedy='see /diagnostics for the state of the camera',
                 )
             self._meanwhile()
 

@@ -6,11 +6,10 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mixtac_driver.errors import UsbError
-from mixtac_driver.parameters import DriverParameters, camera_configuration
 from mixtac_driver.pixels import PixelMask, load_mask
 
 if TYPE_CHECKING:
@@ -19,9 +18,12 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mixtac_driver.davis346.control import CameraControl
-    from mixtac_driver.davis346.settings import Configuration
+    from mixtac_driver.davis346.control import CameraControl, PixelFilter
+    from mixtac_driver.davis346.settings import CameraParameters
+    from mixtac_driver.parameters import DriverParameters
     from mixtac_events.readings import Frame
+
+    Apply = Callable[[DriverParameters, PixelFilter], None]
 
 
 FULL_SCALE = 1023
@@ -30,21 +32,6 @@ DEAD_BAND = 0.08
 """Relative change below which the exposure stays."""
 SMOOTHING = 0.5
 """Weight of the latest frame."""
-
-
-@dataclass(frozen=True, slots=True)
-class ExposureLimits:
-    """What the controller aims at and where it stops.
-
-    Attributes:
-        target: Mean brightness, 0 .. 1 of full scale.
-        minimum_us: Shortest exposure [us].
-        maximum_us: Longest exposure [us].
-    """
-
-    target: float
-    minimum_us: int
-    maximum_us: int
 
 
 def right_exposure(image: NDArray[np.uint16], exposure_us: float, target: float) -> float:
@@ -63,170 +50,172 @@ class AutoExposure:
     """Follows the frames of one camera.
 
     Args:
-        exposure_us: Exposure to begin with [us].
-        limits: Target and limits.
+        p: Exposure to start with, target and limits (`aps_exposure`, `aps_auto_exposure_*`).
 
     Attributes:
-        exposure_us: Exposure that was asked for last [us].
+        exposure_us: Exposure that was set last [us].
     """
 
-    def __init__(self, exposure_us: int, limits: ExposureLimits) -> None:
-        self.limits = limits
-        self.exposure_us = self._limited(exposure_us)
+    def __init__(self, p: CameraParameters) -> None:
+        self._target = p.aps_auto_exposure_target
+        self._limits = p.aps_auto_exposure_minimum, p.aps_auto_exposure_maximum
+        self.exposure_us = self._limited(p.aps_exposure)
         self._wish = math.log(self.exposure_us)
 
     def update(self, image: NDArray[np.uint16], exposure_us: float) -> int | None:
-        """Take a frame; return the exposure to ask for [us], or None where it may stay.
+        """Take a frame; return the exposure to set [us], or None if it may stay.
 
-        Ask again with the next frame if the camera could not be told: until `accept` is called
-        the exposure counts as unchanged.
+        Until `accept` is called the exposure counts as unchanged: if the camera is busy, the next
+        frame leads to another request.
 
         Args:
             image: `uint16`, 0 .. 1023.
             exposure_us: Exposure of the frame [us].
         """
-        right = self._limited(right_exposure(image, exposure_us, self.limits.target))
+        right = self._limited(right_exposure(image, exposure_us, self._target))
         self._wish += SMOOTHING * (math.log(right) - self._wish)
         wish = self._limited(math.exp(self._wish))
-        at_limit = wish in {self.limits.minimum_us, self.limits.maximum_us}
         change = abs(math.log(wish / self.exposure_us))
-        if change == 0 or (change < DEAD_BAND and not at_limit):
+        if change == 0 or (change < DEAD_BAND and wish not in self._limits):
             return None
         return wish
 
     def accept(self, exposure_us: int) -> None:
-        """Take note that the camera was told this exposure [us]."""
+        """Note that the camera took this exposure [us]."""
         self.exposure_us = exposure_us
 
     def _limited(self, exposure_us: float) -> int:
-        return round(min(max(exposure_us, self.limits.minimum_us), self.limits.maximum_us))
+        minimum_us, maximum_us = self._limits
+        return round(min(max(exposure_us, minimum_us), maximum_us))
+
+
+_AUTO_EXPOSURE = (
+    'aps_exposure',
+    'aps_auto_exposure',
+    'aps_auto_exposure_target',
+    'aps_auto_exposure_minimum',
+    'aps_auto_exposure_maximum',
+)
+"""Parameters that restart automatic exposure when they change."""
 
 
 class DriverSettings:
     """Turns parameters into settings of the camera, from any thread.
 
     Args:
-        parameters: To begin with.
+        parameters: The start values.
 
     Attributes:
-        parameters: The latest that were applied.
-        mask: Pixels whose events are dropped.
-        file_mask: Those of them that the file names.
+        parameters: Those in effect.
+        mask: Pixels that are masked now.
+        file_mask: Pixels of the file that the parameters name.
 
     Raises:
-        ConfigurationError: The parameters contradict each other, or the mask cannot be read.
+        ConfigurationError: They contradict each other, or the mask cannot be read.
     """
 
     def __init__(self, parameters: DriverParameters) -> None:
+        parameters.check()
         self.parameters = parameters
         self.mask = self.file_mask = load_mask(parameters.dvs_pixel_mask)
+        self._size: tuple[int, int] | None = None
         self._auto_exposure = _auto_exposure(parameters)
         self._lock = threading.Lock()
 
-    def configuration(self) -> Configuration:
+    def camera_settings(self) -> tuple[DriverParameters, PixelFilter]:
         """Return the settings of the camera."""
-        return _configuration(self.parameters, self.mask, self._auto_exposure)
+        return _camera_settings(self.parameters, self.mask, self._auto_exposure)
 
-    def apply(self, parameters: DriverParameters, tell: Callable[[Configuration], None]) -> None:
+    def use_size(self, size: tuple[int, int]) -> None:
+        """Check the mask against the pixel array of a camera that was opened.
+
+        Args:
+            size: Columns and rows of the array.
+
+        Raises:
+            ConfigurationError: The mask has another size.
+        """
+        self._size = size
+        self.mask.check_size(size)
+
+    def apply(self, parameters: DriverParameters, apply: Apply) -> None:
         """Take new parameters.
 
         Args:
             parameters: All of them.
-            tell: Hands new settings to the camera.
+            apply: Sends settings to the source.
 
         Raises:
             ConfigurationError: They contradict each other, or the mask cannot be read; nothing was
                 changed.
-            UsbError: The camera could not be told.
+            UsbError: A request to the camera failed.
         """
+        parameters.check()
         with self._lock:
             old, mask, file_mask = self.parameters, self.mask, self.file_mask
             if parameters.dvs_pixel_mask != old.dvs_pixel_mask:
                 mask = file_mask = load_mask(parameters.dvs_pixel_mask)
+                if self._size is not None:
+                    mask.check_size(self._size)
                 mask.dropped = self.mask.dropped
             auto_exposure = self._auto_exposure
-            if _exposure_parameters(parameters) != _exposure_parameters(old):
+            if any(getattr(parameters, name) != getattr(old, name) for name in _AUTO_EXPOSURE):
                 auto_exposure = _auto_exposure(parameters)
-            tell(_configuration(parameters, mask, auto_exposure))
+            apply(*_camera_settings(parameters, mask, auto_exposure))
             self.parameters, self.mask, self.file_mask = parameters, mask, file_mask
             self._auto_exposure = auto_exposure
 
-    def use_mask(
-        self, mask: PixelMask, tell: Callable[[Configuration], None], *, in_camera: bool = True
-    ) -> None:
+    def use_mask(self, mask: PixelMask, apply: Apply, *, in_camera: bool = True) -> None:
         """Mask other pixels.
 
         Args:
             mask: The pixels.
-            tell: Hands new settings to the camera.
+            apply: Sends settings to the source.
             in_camera: False leaves the filters of the camera open.
 
         Raises:
-            UsbError: The camera could not be told.
+            UsbError: A request to the camera failed.
         """
         with self._lock:
-            parts = mask if in_camera else PixelMask()
-            tell(_configuration(self.parameters, parts, self._auto_exposure))
+            filtered = mask if in_camera else PixelMask()
+            apply(*_camera_settings(self.parameters, filtered, self._auto_exposure))
             mask.dropped = self.mask.dropped
             self.mask = mask
 
     def follow(self, frame: Frame, exposure_us: float, control: CameraControl) -> None:
-        """Set the exposure by a frame, where that is wanted; returns soon.
+        """Set the exposure by a frame if automatic exposure is enabled; never waits.
 
         Args:
             frame: The frame.
             exposure_us: Its exposure [us].
-            control: Of the camera.
+            control: Requests to the camera.
         """
         if self._auto_exposure is None or exposure_us <= 0:
             return
-        # Others who change settings have the word; the next frame is soon here.
+        # Skip if another thread holds the lock; retry on the next frame.
         if not self._lock.acquire(blocking=False):
             return
         try:
-            self._set_exposure(self._auto_exposure, frame, exposure_us, control)
+            auto_exposure = self._auto_exposure
+            if auto_exposure is None:
+                return
+            wanted_us = auto_exposure.update(frame.image, exposure_us)
+            if wanted_us is not None and control.set_exposure(wanted_us):
+                auto_exposure.accept(wanted_us)
+        except UsbError:
+            # The thread that reads the data reports failures of the camera.
+            pass
         finally:
             self._lock.release()
 
-    def _set_exposure(
-        self,
-        auto_exposure: AutoExposure | None,
-        frame: Frame,
-        exposure_us: float,
-        control: CameraControl,
-    ) -> None:
-        if auto_exposure is None:
-            return
-        wanted_us = auto_exposure.update(frame.image, exposure_us)
-        if wanted_us is None:
-            return
-        try:
-            told = control.set_exposure(wanted_us)
-        except UsbError:
-            # What reads the data says what is wrong with the camera.
-            return
-        if told:
-            auto_exposure.accept(wanted_us)
-
-
-def _exposure_parameters(p: DriverParameters) -> tuple[object, ...]:
-    return p.aps_exposure, p.aps_auto_exposure, _limits(p)
-
-
-def _limits(p: DriverParameters) -> ExposureLimits:
-    return ExposureLimits(
-        p.aps_auto_exposure_target, p.aps_auto_exposure_minimum, p.aps_auto_exposure_maximum
-    )
-
 
 def _auto_exposure(p: DriverParameters) -> AutoExposure | None:
-    return AutoExposure(p.aps_exposure, _limits(p)) if p.aps_auto_exposure else None
+    return AutoExposure(p) if p.aps_auto_exposure else None
 
 
-def _configuration(
+def _camera_settings(
     p: DriverParameters, mask: PixelMask, auto_exposure: AutoExposure | None
-) -> Configuration:
-    configuration = camera_configuration(p, mask.in_camera)
-    if auto_exposure is None:
-        return configuration
-    return replace(configuration, aps_exposure_us=auto_exposure.exposure_us)
+) -> tuple[DriverParameters, PixelFilter]:
+    if auto_exposure is not None:
+        p = replace(p, aps_exposure=auto_exposure.exposure_us)
+    return p, mask.in_camera

@@ -10,7 +10,6 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from mixtac_driver.errors import DriverError
-from mixtac_driver.playback.source import RecordedSource
 from mixtac_driver.source import SourceKind, source_kind
 from mixtac_driver.supervisor import State
 from mixtac_node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues, Status
@@ -18,6 +17,7 @@ from mixtac_node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues, St
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from mixtac_driver.camera import SourceStatus
     from mixtac_driver.davis346.control import CameraControl, CameraStatistics
     from mixtac_driver.node.settings import DriverSettings
     from mixtac_driver.source import Source
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 
 
 DROPPED = ('dropped', 'external_input_dropped', 'dvs_dropped')
-"""Shown as totals; the others as rates."""
+"""Counters shown as totals; the others are shown as rates."""
 
 
 class StatisticsMeter:
-    """Reads the counters of a camera whenever asked.
+    """Reads the counters of a camera.
 
     Args:
-        control: Of the camera.
+        control: Requests to the camera.
 
     Attributes:
-        fresh_losses: What the camera dropped, though nobody asked for it, since the read before.
+        fresh_losses: Data that the camera dropped unintentionally since the previous read.
     """
 
     def __init__(self, control: CameraControl) -> None:
@@ -46,17 +46,17 @@ class StatisticsMeter:
         self._rates: dict[str, RateMeter] = {}
 
     def read(self) -> dict[str, object]:
-        """Return figures by name; none while there is no camera to ask."""
+        """Return figures by name; none while the camera is closed or does not answer."""
         self.fresh_losses = 0
         try:
             statistics = self._control.statistics()
         except DriverError:
-            # What reads the data says what is wrong with the camera.
+            # The thread that reads the data reports failures of the camera.
             return {}
         return {} if statistics is None else self._figures(statistics)
 
     def _figures(self, statistics: CameraStatistics) -> dict[str, object]:
-        # A camera that was opened anew counts from zero.
+        # A reopened camera counts from zero.
         self.fresh_losses = max(statistics.lost - self._lost, 0)
         self._lost = statistics.lost
         figures: dict[str, object] = {}
@@ -73,7 +73,7 @@ class StatisticsMeter:
 
 
 class DriverMeters:
-    """Fed by the thread that publishes, read by the one that reports.
+    """Counters of the decoding thread, read by the thread that reports.
 
     Attributes:
         events: Events decoded.
@@ -81,8 +81,8 @@ class DriverMeters:
         frames: Frames decoded.
         samples: Inertial samples decoded.
         edges: Edges of the external input and the generator decoded.
-        edges_dropped: Edges not published because there were too many.
-        ages_s: From arrival to publication of packets [s].
+        edges_dropped: Edges dropped because there were too many.
+        ages_s: Time from arrival to publication of packets [s].
         clock: Latest figures of the clock map, or None.
         temperature: Latest temperature of the camera [degrees Celsius], NaN without.
         exposure_us: Exposure of the latest frame [us], NaN without.
@@ -106,7 +106,7 @@ class DriverMeters:
             'frames per second': self.frames.read(now_s),
             'imu samples per second': self.samples.read(now_s),
             'external edges': self.edges.total,
-            'external edges not published': self.edges_dropped,
+            'external edges dropped': self.edges_dropped,
             'packet age median [s]': self.ages_s.quantile(0.5),
             'packet age p99 [s]': self.ages_s.quantile(0.99),
         }
@@ -114,26 +114,8 @@ class DriverMeters:
         return values | {name: value for name, value in latest.items() if not math.isnan(value)}
 
 
-LOSSES = (
-    'events_outside',
-    'events_without_row',
-    'rows_outside',
-    'timestamps_backwards',
-    'specials_unknown',
-    'misc_unknown',
-    'samples_unexpected',
-    'aps_unexpected',
-    'frames_dropped',
-    'imu_dropped',
-    'imu_unexpected',
-    'bytes_dropped',
-    'bytes_lost',
-)
-"""Counters of the decoder that stay at zero on a sound stream."""
-BEHIND_S = 0.1
-"""How far [s] a recording may be played late before that is reported."""
 QUIET_S = 5.0
-"""Time without data [s] from which a stream that counts as alive is reported all the same."""
+"""Time without data [s] from which a stream that counts as alive is reported nevertheless."""
 _STREAMING = {
     SourceKind.CAMERA: 'streaming',
     SourceKind.SIMULATED: 'streaming from a simulated camera',
@@ -142,57 +124,60 @@ _STREAMING = {
 
 
 class DriverStatus:
-    """Gathers the figures of a running driver.
+    """Collects the figures of a running driver.
 
     Args:
         device: Device string.
-        camera: The camera.
-        supervisor: What keeps it streaming.
-        settings: What it was told.
-        meters: What was published.
+        source: The source.
+        supervisor: Keeps the source streaming.
+        settings: Settings of the source.
+        meters: Counters of published data.
     """
 
     def __init__(
         self,
         device: str,
-        camera: Source,
+        source: Source,
         supervisor: Supervisor,
         settings: DriverSettings,
         meters: DriverMeters,
     ) -> None:
-        self._device, self._camera, self._supervisor = device, camera, supervisor
+        self._device, self._source, self._supervisor = device, source, supervisor
         self._kind = source_kind(device)
         self._settings, self._meters = settings, meters
-        self._statistics = StatisticsMeter(camera.control)
-        self._bytes = RateMeter()
+        self._statistics = StatisticsMeter(source.control) if source.control else None
+        self._totals: dict[str, RateMeter] = {}
         self._lost_before = 0
         self._reconnects_before = supervisor.reconnects
 
     def status(self) -> Status:
         """Return the current status; rates are over the time since the last call."""
+        source = self._source.status()
         values = {
             'state': self._supervisor.state.value,
             'device': self._device,
             'simulated': self._kind is SourceKind.SIMULATED,
             'replayed': self._kind is SourceKind.RECORDED,
-            **self._identity(),
+            **_identity(source),
             **self._meters.rates(),
-            **self._usb(),
-            **self._losses(),
-            **self._statistics.read(),
-            **self._clock(),
+            **self._rates(source.totals),
+            **source.figures,
+            **source.losses,
+            'pixels masked': len(self._settings.mask.pixels),
+            'events masked on the host': self._settings.mask.dropped,
+            **(self._statistics.read() if self._statistics else {}),
+            **self._clock(source),
             **self._recovery(),
-            **self._playback(),
         }
-        level, message = self._verdict()
+        level, message = self._verdict(source)
         return Status(level, message, values)
 
-    def _verdict(self) -> tuple[int, str]:
-        trouble = self._fresh_trouble()
+    def _verdict(self, source: SourceStatus) -> tuple[int, str]:
+        trouble = self._fresh_trouble(source)
         supervisor = self._supervisor
         if supervisor.state is State.ENDED:
             return OK, 'the recording has ended'
-        if self._is_paused() and supervisor.state is not State.FAILED:
+        if source.paused and supervisor.state is not State.FAILED:
             return OK, 'the recording is paused'
         if supervisor.state is not State.STREAMING:
             return ERROR, supervisor.error or 'no stream yet'
@@ -201,36 +186,28 @@ class DriverStatus:
         kind = _STREAMING[self._kind]
         return (WARN, f'{kind}, but {trouble}') if trouble else (OK, kind)
 
-    def _fresh_trouble(self) -> str:
-        lost, reconnects = self._lost(), self._supervisor.reconnects
+    def _fresh_trouble(self, source: SourceStatus) -> str:
+        lost, reconnects = sum(source.losses.values()), self._supervisor.reconnects
         fresh, self._lost_before = lost > self._lost_before, lost
         again, self._reconnects_before = reconnects > self._reconnects_before, reconnects
         if again:
             return f'there was an outage of {self._supervisor.outage_s:.1f} s'
         if fresh:
             return 'data were lost or damaged'
-        if isinstance(self._camera, RecordedSource) and self._camera.behind_s > BEHIND_S:
-            return f'playing is {self._camera.behind_s:.1f} s behind'
-        if self._statistics.fresh_losses:
+        if source.trouble:
+            return source.trouble
+        if self._statistics is not None and self._statistics.fresh_losses:
             return 'the camera dropped events: too many to send'
         return ''
 
-    def _is_paused(self) -> bool:
-        return isinstance(self._camera, RecordedSource) and self._camera.playing == 'paused'
-
-    def _playback(self) -> Mapping[str, object]:
-        return self._camera.figures() if isinstance(self._camera, RecordedSource) else {}
-
-    def _identity(self) -> dict[str, object]:
-        identity = self._camera.known_identity
-        if identity is None:
-            return {}
-        return {
-            'serial': identity.serial,
-            'chip': identity.chip,
-            'firmware': '.'.join(map(str, identity.firmware)),
-            'logic': '.'.join(map(str, identity.logic)),
-        }
+    def _rates(self, totals: Mapping[str, int]) -> dict[str, object]:
+        rates: dict[str, object] = {}
+        now_s = time.monotonic()
+        for name, total in totals.items():
+            meter = self._totals.setdefault(name, RateMeter())
+            meter.total = total
+            rates[f'{name} per second'] = max(meter.read(now_s), 0.0)
+        return rates
 
     def _recovery(self) -> dict[str, object]:
         supervisor = self._supervisor
@@ -242,33 +219,8 @@ class DriverStatus:
             'latest outage [s]': supervisor.outage_s,
         }
 
-    def _usb(self) -> dict[str, object]:
-        usb = self._camera.transport_counters
-        self._bytes.total = usb.size
-        return {
-            'usb bytes per second': max(self._bytes.read(time.monotonic()), 0.0),
-            'usb queue [bytes]': usb.queued_size,
-            'usb queue maximum [bytes]': usb.most_queued_size,
-        }
-
-    def _losses(self) -> dict[str, object]:
-        usb, decoder = self._camera.transport_counters, self._camera.decoder_counters
-        counted = decoder.as_dict() if decoder else {}
-        return {
-            'usb transfers dropped': usb.dropped_transfers,
-            'usb stalls': usb.stalls,
-            'pixels masked': len(self._settings.mask.pixels),
-            'events masked on the host': self._settings.mask.dropped,
-            **{name.replace('_', ' '): counted[name] for name in LOSSES if name in counted},
-        }
-
-    def _lost(self) -> int:
-        decoder = self._camera.decoder_counters
-        damaged = sum(getattr(decoder, name) for name in LOSSES) if decoder else 0
-        return damaged + self._camera.transport_counters.dropped_transfers
-
-    def _clock(self) -> dict[str, object]:
-        origin, clock = self._camera.origin, self._meters.clock
+    def _clock(self, source: SourceStatus) -> dict[str, object]:
+        origin, clock = source.origin, self._meters.clock
         if origin is None or clock is None:
             return {}
         return {
@@ -277,6 +229,16 @@ class DriverStatus:
             'clock skew [ppm]': clock.skew_ppm,
             'clock residual [us]': clock.residual_us,
             'clock steps': clock.steps,
-            'clock resets': self._camera.clock_resets,
-            'clock master': self._camera.is_master,
         }
+
+
+def _identity(source: SourceStatus) -> dict[str, object]:
+    identity = source.identity
+    if identity is None:
+        return {}
+    return {
+        'serial': identity.serial,
+        'chip': identity.chip,
+        'firmware': '.'.join(map(str, identity.firmware)),
+        'logic': '.'.join(map(str, identity.logic)),
+    }

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 GAP_US = 1000
-"""Time from the end of one stretch to the beginning of the next, where recorded time goes back."""
+"""Time from the end of one stretch to the start of the next, where recorded time goes back."""
 MOST_AHEAD_US = 10_000_000
 """A frame or sample further ahead than this has a stamp of another clock: it does not wait."""
 _NOTHING = Events.empty()
@@ -45,12 +45,12 @@ def whole_ms(t_us: int) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """A stretch to hand on at once.
+    """A stretch of the recording that is published at once.
 
     Attributes:
-        due_us: When [us, recorded camera clock plus `offset_us`].
-        offset_us: Add it to the times of `decoded` to get times that never go back.
-        decoded: What to hand on, on the recorded camera clock.
+        due_us: When it is due [us, recorded camera clock plus `offset_us`].
+        offset_us: Add it to the times of `decoded` for times that never go back.
+        decoded: The data, on the recorded camera clock.
     """
 
     due_us: int
@@ -60,26 +60,31 @@ class Step:
 
 @dataclass(slots=True)
 class Disorder:
-    """What was found amiss with the order of recorded times.
+    """Counts of recorded times out of order.
 
     Attributes:
-        resets: How often the recorded clock went back to begin anew.
-        late_events: Events dropped because time had passed them.
-        unsorted_events: Events that came before an earlier one of their packet; sorted.
+        resets: Restarts of the recorded clock.
+        late_events: Events dropped because playback had passed their time.
+        unsorted_events: Events that were out of order within their packet; sorted.
     """
 
     resets: int = 0
     late_events: int = 0
     unsorted_events: int = 0
 
+    @property
+    def out_of_order(self) -> int:
+        """Events dropped or sorted because of their time."""
+        return self.late_events + self.unsorted_events
+
 
 class Timeline:
     """Cuts pieces into steps.
 
     Args:
-        start_us: Time to begin at [us, recorded camera clock].
+        start_us: Time to start at [us, recorded camera clock].
         step_us: Longest step; 0 for steps as long as the pieces are. May be changed.
-        disorder: Where to count what is amiss.
+        disorder: Where to count times out of order.
 
     Attributes:
         position_us: Time reached [us, recorded camera clock plus `offset_us`].
@@ -95,7 +100,7 @@ class Timeline:
         self._pace_us = start_us
 
     def steps(self, piece: Piece) -> Iterator[Step]:
-        """Yield the steps that a piece makes; take them all before the next piece."""
+        """Yield the steps of a piece; take them all before the next piece."""
         if not piece.advances:
             yield self._aside(piece)
             return
@@ -105,7 +110,7 @@ class Timeline:
         events = self._in_time(piece.events)
         start_us, until_us = piece.start_us + self.offset_us, piece.until_us + self.offset_us
         if len(events):
-            # Where they had to be sorted, the last was not the latest.
+            # In an unsorted packet, the last event is not the latest.
             until_us = max(until_us, int(events.t[-1]) + self.offset_us)
         yield from self._silence(start_us)
         taken = 0
@@ -161,7 +166,7 @@ LONGEST_WAIT_S = 3600.0
 
 @dataclass(slots=True)
 class Lag:
-    """How far the playing is behind its clock; nothing is left out and the clock is not slowed.
+    """Delay of playback; nothing is skipped and the clock is not slowed.
 
     Attributes:
         now_s: At the latest step [s].
@@ -175,7 +180,7 @@ class Lag:
 
 
 class PlaybackClock:
-    """Says when something recorded is due; sleeps until then.
+    """Clock of playback: sleeps until recorded data are due.
 
     `wait_until` is for one thread, everything else for any.
 
@@ -185,7 +190,7 @@ class PlaybackClock:
         changed: Condition that is waited on.
 
     Attributes:
-        lag: How far the one who waits is behind.
+        lag: Delay of playback.
     """
 
     def __init__(
@@ -215,14 +220,14 @@ class PlaybackClock:
         return self._paused_at_s is not None
 
     def restart(self) -> None:
-        """Begin anew: what is waited for next is due at once, and waits are not interrupted."""
+        """Start again: the next wait is due at once, and waits are no longer interrupted."""
         with self._changed:
             self._anchor = None
             self._reached_us = None
             self._interrupted = False
 
     def set_rate(self, rate: float) -> None:
-        """Go on at another rate from where playing is now."""
+        """Continue at another rate from the current position."""
         with self._changed:
             if rate != self._rate:
                 self._rate = rate
@@ -230,14 +235,14 @@ class PlaybackClock:
                 self._changed.notify_all()
 
     def pause(self) -> None:
-        """Stand still."""
+        """Pause playback."""
         with self._changed:
             if self._paused_at_s is None:
                 self._paused_at_s = self._now_s()
                 self._changed.notify_all()
 
     def resume(self) -> None:
-        """Go on after `pause`."""
+        """Continue after `pause`."""
         with self._changed:
             if self._paused_at_s is None:
                 return
@@ -279,7 +284,7 @@ class PlaybackClock:
             return 0.0
         now_s = self._now_s()
         if self._anchor is None:
-            # After a change of rate, what was handed on last is where playing is now.
+            # After a change of rate, the position is that of the data handed on last.
             from_us = due_us if self._reached_us is None else self._reached_us
             self._anchor = (now_s, from_us)
         at_s, at_us = self._anchor
@@ -295,7 +300,7 @@ class PlaybackClock:
 STEP_US = 1000
 """Longest step in real time, so that packets of 1 ms leave on time."""
 CLOSING_US = 100_000
-"""Silence announced after the end: closes the longest packet that may be in the making."""
+"""Silence announced after the end: closes the longest packet that may be pending."""
 
 
 class Player:
@@ -313,13 +318,12 @@ class Player:
     Attributes:
         playback: How it is played.
         clock: Map from the recorded camera clock [us] to the host's; only fed in real time.
-        loops: How often it began again.
+        loops: How often it started again from the beginning.
         latest_us: Latest time handed on [us], or None.
-        origin: What is added to recorded times to hand them on; None before the first batch.
+        origin: Added to recorded times for published ones; None before the first batch.
         ended: True once everything was played.
-        timeline: Where it is; a new one after every jump.
-        disorder: What was found amiss with the order of recorded times.
-        counts: What was handed on.
+        timeline: Position; a new one after every jump.
+        disorder: Counts of recorded times out of order.
     """
 
     def __init__(
@@ -339,7 +343,6 @@ class Player:
         self.ended = False
         self.disorder = Disorder()
         self.timeline = Timeline(recording.info.start_us, 0, self.disorder)
-        self.counts = dict.fromkeys(('events', 'frames', 'imu', 'edges'), 0)
         self._recording, self._pace, self._now_ns = recording, pace, now_ns
         self._lock = threading.Lock()
         self._stopping = False
@@ -353,10 +356,10 @@ class Player:
         return (self.timeline.position_us - self.timeline.offset_us - start_us) / 1e6
 
     def batches(self) -> Iterator[CameraBatch]:
-        """Yield what was recorded, each stretch when it is due, until stopped.
+        """Yield the recorded data, each stretch when it is due, until stopped.
 
         Raises:
-            EndOfStream: Everything was played, and it is not to loop.
+            EndOfStream: Everything was played, and playback does not loop.
             RecordingError: The data are damaged, or the start offset lies beyond the end.
         """
         info = self._recording.info
@@ -382,10 +385,10 @@ class Player:
                 self.loops += 1
 
     def seek(self, seconds: float) -> None:
-        """Go on at another place.
+        """Continue at another position.
 
         Args:
-            seconds: Time after the first event [s]; beyond the end is the end.
+            seconds: Time after the first event [s]; beyond the end stands for the end.
         """
         with self._lock:
             self._seek_us = max(round(seconds * 1e6), 0)
@@ -403,7 +406,7 @@ class Player:
             return None if self._stopping else wanted_us
 
     def _begin(self, from_us: int) -> bool:
-        """Get ready to play from a time of the recording; False when stopped."""
+        """Prepare playback from a time of the recording; False when stopped."""
         with self._lock:
             if self._stopping:
                 return False
@@ -419,7 +422,7 @@ class Player:
         return whole_ms(max(STEP_US, round(STEP_US * rate))) if rate else 0
 
     def _play(self, from_us: int) -> Generator[CameraBatch, None, bool]:
-        """Yield until interrupted or, which `ended` says, at the end; return whether any was."""
+        """Yield until interrupted or at the end (see `ended`); return whether any data came."""
         played, timeline = False, self.timeline
         with closing(self._recording.pieces(from_us)) as pieces:
             for piece in from_time(pieces, from_us):
@@ -435,7 +438,7 @@ class Player:
         return played
 
     def _place(self, from_us: int, now_due_us: int) -> None:
-        """Move a time of the recording to after all that was handed on, or to now if wanted.
+        """Shift a time of the recording to after all published data, or to now if requested.
 
         Args:
             from_us: Earliest time that will be handed on [us, recorded camera clock].
@@ -455,11 +458,6 @@ class Player:
         if self._pace.rate == 1:
             self.clock.add(decoded.time_us, arrival_ns)
         self.latest_us = decoded.time_us + shift_us
-        counts = self.counts
-        counts['events'] += len(decoded.events)
-        counts['frames'] += len(decoded.frames)
-        counts['imu'] += len(decoded.imu.t)
-        counts['edges'] += len(decoded.edges.t)
         return CameraBatch(decoded, self.origin, arrival_ns)
 
     def _last(self) -> CameraBatch:

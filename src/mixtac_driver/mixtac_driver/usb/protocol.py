@@ -54,20 +54,17 @@ CONTROL_TIMEOUT_MS = 500
 """A camera answers within a few ms."""
 UDEV_REMEDY = (
     'install the rule share/mixtac_driver/65-mixtac.rules in /etc/udev/rules.d, '
-    'run "udevadm control --reload" and plug the camera in again'
+    'run "udevadm control --reload" and reconnect the camera'
 )
-_PLUG_REMEDY = 'if this goes on, plug the camera in again'
-_CABLE_REMEDY = 'if this goes on, use another cable or USB port'
+_RECONNECT = 'if this persists, unplug and reconnect the camera'
+_CABLE = 'if this persists, use another cable or USB port'
 _GONE = {errno.ENODEV, errno.ENOENT, errno.ENXIO, errno.ESHUTDOWN}
-_BUS_FAILURE = (BusError, f'the USB transfer failed; {_CABLE_REMEDY}')
-_FAILURES: dict[int | None, tuple[type[UsbError], str]] = {
-    errno.EBUSY: (InUseError, 'the camera is in use; stop the other program that has it open'),
-    errno.EPIPE: (StallError, f'the camera refused the request (stall); {_PLUG_REMEDY}'),
-    errno.ETIMEDOUT: (
-        NoAnswerError,
-        f'no answer within {CONTROL_TIMEOUT_MS} ms; {_PLUG_REMEDY}',
-    ),
-    errno.EOVERFLOW: (BusError, f'the camera sent more than was asked for; {_CABLE_REMEDY}'),
+_BUS_FAILURE = (BusError, 'the USB transfer failed', _CABLE)
+_FAILURES: dict[int | None, tuple[type[UsbError], str, str]] = {
+    errno.EBUSY: (InUseError, 'the camera is in use', 'stop the other program that has it open'),
+    errno.EPIPE: (StallError, 'the camera refused the request (stall)', _RECONNECT),
+    errno.ETIMEDOUT: (NoAnswerError, f'no answer within {CONTROL_TIMEOUT_MS} ms', _RECONNECT),
+    errno.EOVERFLOW: (BusError, 'the camera sent more than was requested', _CABLE),
     errno.EIO: _BUS_FAILURE,
     errno.EPROTO: _BUS_FAILURE,
     errno.EILSEQ: _BUS_FAILURE,
@@ -75,33 +72,33 @@ _FAILURES: dict[int | None, tuple[type[UsbError], str]] = {
 
 
 def usb_failure(error: USBError, doing: str) -> UsbError:
-    """Return an error of pyusb as one of ours, with what to do about it.
+    """Return an error of pyusb as one of this package, with a remedy.
 
     Args:
-        error: What pyusb raised.
-        doing: What was tried, as in 'reading register 6:0'.
+        error: The error of pyusb.
+        doing: The action that failed, as in 'reading register 6:0'.
     """
     number = errno.ETIMEDOUT if isinstance(error, USBTimeoutError) else error.errno
     if number in _GONE:
         return DisconnectedError(f'the camera was unplugged or switched off while {doing}')
     if number in {errno.EACCES, errno.EPERM}:
-        return AccessError(f'no permission for {doing}: {UDEV_REMEDY}')
-    kind, what = _FAILURES.get(number, (UsbError, str(error)))
-    return kind(f'{doing}: {what}')
+        return AccessError(f'no permission for {doing}', remedy=UDEV_REMEDY)
+    kind, what, remedy = _FAILURES.get(number, (UsbError, str(error), ''))
+    return kind(f'{doing}: {what}', remedy=remedy)
 
 
 class Protocol:
     """Reads and writes registers of an open camera. May be used from several threads.
 
-    A single read or write that finds no answer is tried once more, because doing it twice is as
-    good as once. Many writes in one request may be a pulse, and are not.
+    A single read or write without an answer is repeated once, because repeating it is harmless.
+    Several writes in one request may be a pulse and are not repeated.
 
     Args:
         device: A `usb.core.Device`.
 
     Attributes:
-        retries: Requests that were tried once more.
-        failure: The last request that found no answer all the same, else None.
+        retries: Requests that were repeated.
+        failure: Error of the latest request that stayed unanswered, or None.
     """
 
     def __init__(self, device: Any) -> None:  # noqa: ANN401
@@ -118,7 +115,7 @@ class Protocol:
         doing = f'reading register {int(module)}:{int(parameter)}'
         answer = self._transfer(VENDOR_IN, REQUEST_ONE, int(module), int(parameter), 4, doing)
         if len(answer) != 4:
-            raise UsbError(f'{doing}: {len(answer)} bytes came instead of 4')
+            raise UsbError(f'{doing}: {len(answer)} bytes received instead of 4')
         return int.from_bytes(bytes(answer), 'big')
 
     def write(self, module: int, parameter: int, value: int) -> None:
@@ -138,7 +135,7 @@ class Protocol:
             self.write(module, parameter, value)
 
     def write_at_once(self, writes: Sequence[Write]) -> None:
-        """Write registers in order within one request, so close in time as can be.
+        """Write registers in order within one request, as close in time as possible.
 
         Raises:
             UsbError: The request failed.

@@ -64,5 +64,5 @@ def test_what_is_wrong_with_a_url_is_said(url, said):
 
 @pytest.mark.parametrize('name', ['', 'a b', '../x', 'a/b'])
 def test_names_that_are_no_file_names_are_refused(name):
-    with pytest.raises(CalibrationError, match='camera_name'):
+    with pytest.raises(CalibrationError):
         resolve('', name)

@@ -112,7 +112,7 @@ PIECE_BYTES = 16 * TRANSFER_BYTES
 START = (
     'import time; start = time.perf_counter()\n'
     'from mixtac_driver.decode.decoder import StreamDecoder\n'
-    'from mixtac_driver.davis346.identity import Geometry\n'
+    'from mixtac_driver.davis346.model import Geometry\n'
     'list(StreamDecoder(Geometry()).push(bytes(64)))\n'
     'print(time.perf_counter() - start)'
 )

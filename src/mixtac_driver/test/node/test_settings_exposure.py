@@ -9,9 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_driver.node.settings import AutoExposure, ExposureLimits, right_exposure
+from mixtac_driver.node.settings import AutoExposure, right_exposure
+from mixtac_driver.parameters import DriverParameters
 
-LIMITS = ExposureLimits(0.35, 20, 30_000)
+
+def control_from(exposure_us):
+    return AutoExposure(
+        DriverParameters(
+            aps_exposure=exposure_us,
+            aps_auto_exposure_target=0.35,
+            aps_auto_exposure_minimum=20,
+            aps_auto_exposure_maximum=30_000,
+        )
+    )
 
 
 class Sensor:
@@ -63,39 +73,39 @@ def run(sensor, controller, frames=60):
 @pytest.mark.parametrize('level', [0.02, 0.1, 1.0, 5.0])
 @pytest.mark.parametrize('delay', [0, 2, 4])
 def test_it_comes_to_the_target_from_anywhere_and_rests(level, start_us, delay):
-    controller = AutoExposure(start_us, LIMITS)
+    controller = control_from(start_us)
     exposures, means = run(Sensor(scene(level), start_us, delay), controller, 80)
     assert abs(means[-1] - 0.35) < 0.05
     assert len(set(exposures[-20:])) == 1
 
 
 def test_it_does_not_swing_past_the_target():
-    controller = AutoExposure(500, LIMITS)
+    controller = control_from(500)
     exposures, _ = run(Sensor(scene(0.1), 500, delay=4), controller)
     settled = exposures[-1]
     assert exposures.max() <= settled * 1.15
-    controller = AutoExposure(30_000, LIMITS)
+    controller = control_from(30_000)
     exposures, _ = run(Sensor(scene(0.1, 0.2), 30_000, delay=4), controller)
     assert exposures.min() >= exposures[-1] / 1.15
 
 
 def test_it_is_there_within_a_second_of_frames_at_25_hz():
     for start_us in (20, 30_000):
-        controller = AutoExposure(start_us, LIMITS)
+        controller = control_from(start_us)
         _, means = run(Sensor(scene(0.5), start_us, delay=2), controller, frames=25)
         assert abs(means[-1] - 0.35) < 0.06
 
 
 def test_darkness_and_glare_end_at_the_limits():
     for level, end_us in ((0.0, 30_000), (1000.0, 20)):
-        controller = AutoExposure(7000, LIMITS)
+        controller = control_from(7000)
         exposures, _ = run(Sensor(scene(level), 7000), controller)
         assert exposures[-1] == end_us
         assert len(set(exposures[-20:])) == 1
 
 
 def test_it_follows_a_light_that_changes():
-    controller = AutoExposure(7000, LIMITS)
+    controller = control_from(7000)
     sensor = Sensor(scene(0.1), 7000)
     run(sensor, controller)
     sensor.brightness = scene(0.8)
@@ -104,7 +114,7 @@ def test_it_follows_a_light_that_changes():
 
 
 def test_flicker_within_the_dead_band_is_left_alone():
-    controller = AutoExposure(3000, LIMITS)
+    controller = control_from(3000)
     base = scene(0.1)
     sensor = Sensor(base, 3000)
     run(sensor, controller)
@@ -117,7 +127,7 @@ def test_flicker_within_the_dead_band_is_left_alone():
 
 
 def test_what_the_camera_was_not_told_is_asked_again():
-    controller = AutoExposure(1000, LIMITS)
+    controller = control_from(1000)
     sensor = Sensor(scene(1.0), 1000)
     for _ in range(10):
         assert controller.update(*sensor.frame()) is not None

@@ -25,5 +25,5 @@ def test_recorded_time_is_published_once_a_millisecond_and_never_back():
     )
     clock = ClockPublisher(node)
     for offset in (0, 400, 999, 1000, 2500, 2000, 3600):
-        clock.publish(SimpleNamespace(time_us=EPOCH_US + offset))
+        clock.publish(EPOCH_US + offset)
     assert sent == [('/clock', EPOCH_US + offset) for offset in (0, 1000, 2500, 3600)]

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find, open and claim a camera on the USB bus.
 
-The device string `davis346` is a real camera, reached through libusb. Any other name is looked up,
-by the part before the colon, among the entry points of the group `mixtac.usb_backends`: callables
-that take the device string and return a pyusb backend.
+A device string that names a camera model (`davis346`) is a real camera, reached through libusb. Any
+other name is looked up, by the part before the colon, among the entry points of the group
+`mixtac.usb_backends`: callables that take the device string and return a pyusb backend. Behind a
+backend, a camera of any model is accepted.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import usb.core
 import usb.util
 from usb.core import USBError
 
+from mixtac_driver.davis346.model import camera_models, models_for
 from mixtac_driver.errors import InUseError, NoCameraError, UnknownDeviceError, UsbError
 from mixtac_driver.usb.libusb import LibusbPort
 from mixtac_driver.usb.protocol import Protocol, usb_failure
@@ -30,30 +32,29 @@ if TYPE_CHECKING:
 
 
 GROUP = 'mixtac.usb_backends'
-REAL = 'davis346'
-VENDOR, PRODUCT = 0x152A, 0x841A
 
 
 def is_real(device: str) -> bool:
-    """Return whether a device string names a real camera."""
-    return device == REAL
+    """Return whether a device string names a camera on USB."""
+    return any(device == model.name for model in models_for(device))
 
 
-def known_devices() -> list[str]:
-    """Return the names that `open_backend` knows."""
-    return [REAL, *sorted({point.name for point in entry_points(group=GROUP)} - {REAL})]
+def _backends() -> list[str]:
+    return sorted({point.name for point in entry_points(group=GROUP)})
 
 
 def check_device(device: str) -> None:
-    """Refuse a device string that names nothing known.
+    """Raise if a device string names nothing known.
 
     Raises:
-        UnknownDeviceError: As said; lists the known names.
+        UnknownDeviceError: It does; lists the known names.
     """
-    if not is_real(device) and device.partition(':')[0] not in known_devices()[1:]:
-        raise UnknownDeviceError(
-            f'device {device!r} is unknown; known are {", ".join(known_devices())}'
-        )
+    if is_real(device) or device.partition(':')[0] in _backends():
+        return
+    known = dict.fromkeys([*(model.name for model in camera_models()), *_backends()])
+    raise UnknownDeviceError(
+        f'device {device!r} is unknown', remedy=f'use one of {", ".join(known)}'
+    )
 
 
 def open_backend(device: str) -> Any:  # noqa: ANN401
@@ -81,7 +82,9 @@ def _libusb() -> Any:  # noqa: ANN401
 
         backend = libusb1.get_backend()
     if backend is None:
-        raise UsbError('libusb is missing: install libusb-1.0-0, or "pip install libusb-package"')
+        raise UsbError(
+            'libusb is missing', remedy='install libusb-1.0-0, or "pip install libusb-package"'
+        )
     return backend
 
 
@@ -91,15 +94,14 @@ def attached_cameras(
 ) -> frozenset[tuple[int, int]]:
     """Return bus and address of every camera that is attached, without opening any.
 
-    Plugging a camera in again gives it another address. No camera is returned where none can be
-    looked for.
+    A camera that is plugged in again has another address. None is returned where the search fails.
 
     Args:
         device: Device string.
         backend: A pyusb backend to use instead of the one that `device` names.
     """
     try:
-        found = _all_cameras(open_backend(device) if backend is None else backend)
+        found = _all_cameras(open_backend(device) if backend is None else backend, device)
     except MixtacError:
         return frozenset()
     return frozenset((int(camera.bus or 0), int(camera.address or 0)) for camera in found)
@@ -123,9 +125,9 @@ def find_camera(
         NoCameraError: There is none, none with that number, or several and no number was given.
         UsbError: A camera may not be opened, and the wanted one is not among the others.
     """
-    found = _all_cameras(backend)
+    found = _all_cameras(backend, device)
     if not found:
-        raise NoCameraError(_none_found(device))
+        raise _none_found(device)
     chosen = None
     try:
         chosen, number = _choose(found, serial, preferred)
@@ -137,10 +139,15 @@ def find_camera(
                     usb.util.dispose_resources(camera)
 
 
-def _all_cameras(backend: Any) -> list[Any]:  # noqa: ANN401
+def _all_cameras(backend: Any, device: str) -> list[Any]:  # noqa: ANN401
+    ids = {model.usb_id for model in models_for(device)}
     try:
         return list(
-            usb.core.find(find_all=True, idVendor=VENDOR, idProduct=PRODUCT, backend=backend)
+            usb.core.find(
+                find_all=True,
+                custom_match=lambda each: (each.idVendor, each.idProduct) in ids,
+                backend=backend,
+            )
         )
     except USBError as error:
         raise usb_failure(error, 'looking for cameras') from error
@@ -162,27 +169,35 @@ def _choose(found: list[Any], serial: str, preferred: str) -> tuple[Any, str]:
         raise failure
     listed = ', '.join(by_serial)
     if serial:
-        raise NoCameraError(f'no camera has the serial number {serial!r}; attached: {listed}')
+        raise NoCameraError(
+            f'no camera has the serial number {serial!r}', remedy=f'use one of {listed}'
+        )
     if len(found) > 1:
-        raise NoCameraError(f'{len(found)} cameras are attached ({listed}): choose one by serial')
+        raise NoCameraError(
+            f'{len(found)} cameras are attached ({listed})',
+            remedy='choose one by its serial number',
+        )
     ((number, camera),) = by_serial.items()
     return camera, number
 
 
-def _none_found(device: str) -> str:
-    if is_real(device):
-        return (
-            f'no DAVIS346 (USB {VENDOR:04x}:{PRODUCT:04x}) is attached: plug one in, '
-            'or use device:=virtual for the virtual sensor'
+def _none_found(device: str) -> NoCameraError:
+    if not is_real(device):
+        return NoCameraError(
+            f'no camera is behind device {device!r}', remedy='start the program that serves it'
         )
-    return f'no camera is behind device {device!r}: start what serves it'
+    ((vendor, product),) = {model.usb_id for model in models_for(device)}
+    return NoCameraError(
+        f'no {device.upper()} (USB {vendor:04x}:{product:04x}) is attached',
+        remedy='plug one in, or use device:=virtual for the virtual sensor',
+    )
 
 
 def _serial_of(camera: Any) -> str:  # noqa: ANN401
     try:
         camera.get_active_configuration()
     except USBError as error:
-        # An unconfigured camera gives no error number, and can still tell its serial number.
+        # An unconfigured camera gives no error number, but still reports its serial number.
         if error.errno is not None:
             raise usb_failure(error, 'opening the camera') from error
     try:
@@ -193,15 +208,15 @@ def _serial_of(camera: Any) -> str:  # noqa: ANN401
         return ''
 
 
-class ReadsInProgress:
-    """A context manager for every read, from any thread."""
+class _ReadsInProgress:
+    """Context manager that counts the reads under way, so that no handle in use is closed."""
 
     def __init__(self) -> None:
         self._count = 0
         self._ended = threading.Condition()
 
     def __enter__(self) -> None:
-        """Note that a read begins."""
+        """Note that a read starts."""
         with self._ended:
             self._count += 1
 
@@ -245,7 +260,7 @@ class Connection:
     """Opens a camera; close it when done.
 
     Args:
-        device: Device string (see `mixtac_driver.usb.device`).
+        device: Device string (see `mixtac_driver.device`).
         serial: Serial number, or empty for the only camera.
         preferred: Serial number of the camera to take where several are attached and `serial` is
             empty.
@@ -270,7 +285,7 @@ class Connection:
     ) -> None:
         self._backend = open_backend(device) if backend is None else backend
         self._device, self.serial = find_camera(self._backend, device, serial, preferred)
-        self._reads = ReadsInProgress()
+        self._reads = _ReadsInProgress()
         self.protocol = Protocol(self._device)
         try:
             self._claim()
@@ -279,7 +294,8 @@ class Connection:
             failure = usb_failure(error, 'claiming the camera')
             if _abandoned and isinstance(failure, InUseError):
                 failure = InUseError(
-                    'a read of the camera never returned and still holds it; restart the driver'
+                    'a read of the camera never returned and still holds it',
+                    remedy='restart the driver',
                 )
             raise failure from error
 
@@ -289,7 +305,7 @@ class Connection:
         return int(self._device.bcdDevice)
 
     def clear_halt(self) -> None:
-        """Set the data endpoint going.
+        """Clear a halt of the data endpoint.
 
         Raises:
             UsbError: The request failed.
@@ -300,16 +316,16 @@ class Connection:
             raise usb_failure(error, 'clearing the data endpoint') from error
 
     def check(self) -> None:
-        """Make sure that the camera still answers requests, whoever made them.
+        """Raise if the camera left a request unanswered, in any thread.
 
         Raises:
-            NoAnswerError: It did not, lately; whether it obeyed is not known, so open it again.
+            NoAnswerError: It did. Whether it obeyed is not known, so open it again.
         """
         if self.protocol.failure is not None:
             raise self.protocol.failure
 
     def libusb_port(self) -> LibusbPort | None:
-        """Return the camera as libusb knows it, or None where another backend serves it."""
+        """Return the libusb handle of the camera, or None where another backend serves it."""
         return LibusbPort.of(self._device)
 
     def read_data(self, buffer: array[int], timeout_ms: int) -> int:
@@ -332,7 +348,7 @@ class Connection:
             return int(self._device.read(DEBUG_ENDPOINT, buffer, timeout_ms))
 
     def close(self) -> None:
-        """Give the camera back; harmless when it is gone.
+        """Close the camera; harmless when it is gone.
 
         A read that does not return is ended by a reset of the port. Where not even that ends it,
         the camera stays claimed until the process ends, because its handle is in use.

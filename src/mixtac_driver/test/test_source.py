@@ -6,22 +6,15 @@ from __future__ import annotations
 
 import pytest
 
-from mixtac_driver.camera import Davis346, StreamSettings
-from mixtac_driver.davis346.settings import Configuration
+from mixtac_driver.camera import Davis346
 from mixtac_driver.errors import UnknownDeviceError
-from mixtac_driver.parameters import PlaybackParameters
+from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.playback.source import RecordedSource
 from mixtac_driver.source import SourceKind, make_source, source_kind
 
 
 def make(device):
-    return make_source(
-        device,
-        serial='',
-        configuration=Configuration(),
-        stream=StreamSettings(),
-        playback=PlaybackParameters(),
-    )
+    return make_source(DriverParameters(device=device))
 
 
 @pytest.mark.parametrize(
@@ -53,5 +46,6 @@ def test_a_folder_is_a_recording_without_any_slash(tmp_path, monkeypatch):
 
 def test_anything_else_is_unknown():
     for call in (source_kind, make):
-        with pytest.raises(UnknownDeviceError):
+        with pytest.raises(UnknownDeviceError) as error:
             call('nonsense')
+        assert 'nonsense' in str(error.value)

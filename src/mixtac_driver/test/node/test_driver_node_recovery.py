@@ -10,8 +10,8 @@ pytest.importorskip('event_camera_msgs.msg')
 pytest.importorskip('mixtac_sim.usb.server')
 
 from diagnostic_msgs.msg import DiagnosticArray
+from driver_graph import Graph
 from event_camera_msgs.msg import EventPacket
-from test_driver_node import Graph
 
 from mixtac_node.base_node import QOS_EVENTS
 from mixtac_sim.usb.faults import Fault, FaultKind

@@ -50,7 +50,7 @@ def events(pixels):
 
 
 def test_counting_begins_after_the_first_stretch_and_ends_in_time():
-    counter = PixelCounter(1000)
+    counter = PixelCounter(1000, (346, 260))
     counter.add(events([(1, 1)] * 50), 10_000)
     counter.add(events([(1, 2), (345, 259), (1, 2)]), 10_500)
     assert not counter.done.is_set()

@@ -28,10 +28,11 @@ from mixtac_driver.node.publishers import (
     RectifiedPublisher,
 )
 from mixtac_driver.node.status import DriverMeters
-from mixtac_driver.parameters import DeviceParameters, DriverParameters
+from mixtac_driver.parameters import DriverParameters
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode_message
 from mixtac_events.readings import Edges, Frame, InertialSamples
+from mixtac_node import topics
 from mixtac_node.stamps import stamp_to_us
 from mixtac_recordings import messages
 
@@ -65,8 +66,8 @@ class Node:
     def get_logger(self):
         return logging.getLogger('driver')
 
-    def create_publisher(self, _kind, topic, _qos):
-        return self.topics.setdefault(topic, Publisher())
+    def publish_topic(self, topic):
+        return self.topics.setdefault(topic.name, Publisher())
 
 
 @pytest.fixture
@@ -99,11 +100,11 @@ def test_too_many_edges_are_dropped_and_counted(node, monkeypatch):
     assert [stamp_to_us(m.header.stamp) - ORIGIN_US for m in topic.sent] == [0, 1, 2]
     assert meters.edges_dropped == 0
     publisher.publish(edges(10_000), ORIGIN_US)
-    assert len(topic.sent) == edge_publisher.BURST
-    assert meters.edges_dropped == 10_003 - edge_publisher.BURST
+    assert len(topic.sent) == edge_publisher.EDGES_BURST
+    assert meters.edges_dropped == 10_003 - edge_publisher.EDGES_BURST
     now_s[0] = 0.1
     publisher.publish(edges(1000), ORIGIN_US)
-    assert len(topic.sent) == edge_publisher.BURST + edge_publisher.MOST_PER_SECOND / 10
+    assert len(topic.sent) == edge_publisher.EDGES_BURST + edge_publisher.EDGES_PER_SECOND / 10
     assert topic.sent[-1].seq == 10 + 10_000 + 199
     assert meters.edges.total == 11_010
 
@@ -150,7 +151,7 @@ def test_frames_are_made_only_for_those_who_listen(node, identity, monkeypatch, 
 
 def test_packets_after_a_pause_begin_where_the_stream_is(node):
     meters = DriverMeters()
-    publisher = EventPublisher(node, DeviceParameters(), meters)
+    publisher = EventPublisher(node, DriverParameters(), topics.EVENTS, meters)
     topic = node.topics['events']
     assert not publisher.wanted
     topic.listeners = 1
@@ -160,7 +161,7 @@ def test_packets_after_a_pause_begin_where_the_stream_is(node):
         for t_us in range(start_us, start_us + 5000, 500):
             xy = np.array([1], np.uint16)
             events = Events(np.array([t_us]), xy, xy, np.array([True]))
-            publisher.publish(events, t_us + 400, t_us * 1000, 0, (346, 260))
+            publisher.publish(events, t_us + 400, t_us * 1000, (346, 260))
 
     publish(ORIGIN_US)
     before = len(topic.sent)
@@ -207,11 +208,11 @@ def test_events_and_frames_come_at_undistorted_pixels(node, identity, tmp_path):
     publisher.use((346, 260))
     for topic in node.topics.values():
         topic.listeners = 1
-    t = np.arange(3, dtype=np.int64)
+    t = np.arange(3, dtype=np.int64) + ORIGIN_US
     x, y = np.array([20, 340, 0], np.uint16), np.array([30, 30, 0], np.uint16)
     events = Events(t, x, y, np.array([True, True, False]))
-    publisher.publish_events(events, ORIGIN_US + 1, 0, ORIGIN_US, (346, 260))
-    publisher.publish_events(Events.empty(), ORIGIN_US + 2000, 0, ORIGIN_US, (346, 260))
+    publisher.publish_events(events, ORIGIN_US + 1, 0, (346, 260))
+    publisher.publish_events(Events.empty(), ORIGIN_US + 2000, 0, (346, 260))
     got = decode_message(node.topics['events_rect'].sent[0]).events
     assert list(zip(got.x.tolist(), got.y.tolist(), strict=True)) == [(30, 35), (10, 5)]
     assert got.t[0] == ORIGIN_US
@@ -233,7 +234,6 @@ def test_camera_info_carries_the_calibration_and_the_service_replaces_it(node, t
     assert name == '~/set_camera_info'
     request, response = SetCameraInfo.Request(), SetCameraInfo.Response()
     assert not save(request, response).success
-    assert 'no camera' in response.status_message
     publisher.use((346, 260))
     info = publisher.complete(CameraInfo())
     assert info.k[0] == 200.0

@@ -24,6 +24,7 @@ from mixtac_driver.pixels import PixelMask, load_mask
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Frame
 
+SIZE = (346, 260)
 HOT = [(10 * k + 5, 7) for k in range(10)]
 
 
@@ -46,8 +47,7 @@ class Rig:
     def __init__(self, parameters):
         self.fake = FakeCamera()
         self.settings = DriverSettings(parameters)
-        configuration = self.settings.configuration()
-        self.camera = Davis346(backend=FakeBackend(self.fake), configuration=configuration)
+        self.camera = Davis346(parameters, backend=FakeBackend(self.fake))
         self.node = Node()
         self.reports = []
         self.services = DriverServices(
@@ -102,9 +102,9 @@ def watch(rig):
 
 
 def test_hot_pixels_are_found_masked_and_saved(rig):
-    rig.settings.file_mask = PixelMask([(300, 200)])
+    rig.settings.file_mask = PixelMask([(300, 200)], SIZE)
     # Found before, quiet now.
-    rig.settings.use_mask(PixelMask([(99, 99)]), rig.camera.apply)
+    rig.settings.use_mask(PixelMask([(99, 99)], SIZE), rig.camera.apply)
     rig.camera.open()
     assert rig.fake.registers[1, 12] == 99
     rig.decode(lambda: watch(rig))
@@ -127,7 +127,7 @@ def test_hot_pixels_are_found_masked_and_saved(rig):
 
 def test_without_a_stream_the_mask_stays(rig, monkeypatch):
     monkeypatch.setattr(driver_services, 'MARGIN_S', 0.1)
-    rig.settings.use_mask(PixelMask([(300, 200)]), rig.camera.apply)
+    rig.settings.use_mask(PixelMask([(300, 200)], SIZE), rig.camera.apply)
     rig.camera.open()
     rig.decode(lambda: None)
     answer = rig.node.call('~/find_hot_pixels')

@@ -6,12 +6,21 @@ from __future__ import annotations
 
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from mixtac_driver.errors import EndOfStream, NoCameraError, StreamError
-from mixtac_driver.supervisor import RecoveryPolicy, RecoverySettings, State, Supervisor
+from mixtac_driver.parameters import DriverParameters, RecoveryPolicy
+from mixtac_driver.supervisor import State, Supervisor
 from mixtac_recordings.recording import RecordingError
+
+
+@pytest.fixture(autouse=True)
+def reports_at_once(monkeypatch):
+    monkeypatch.setattr('mixtac_driver.supervisor.REPORT_AFTER_S', 0.0)
+    monkeypatch.setattr('mixtac_driver.supervisor.REPORT_ABSENCE_AFTER_S', 0.0)
+
 
 NOBODY = frozenset()
 ONE, TWO = frozenset({(1, 1)}), frozenset({(1, 2)})
@@ -26,6 +35,9 @@ class Script:
         self.is_open = False
         self.openings = 0
         self.stopping = threading.Event()
+
+    def status(self):
+        return SimpleNamespace(is_open=self.is_open)
 
     def open(self):
         self.openings += 1
@@ -64,13 +76,13 @@ class Watch:
     def __init__(self, script, on_batch=None, on_error=None, **recovery):
         self.starts, self.batches, self.errors = [], [], []
         self.streaming = threading.Semaphore(0)
-        settings = {'first_pause_s': 0.001, 'longest_pause_s': 0.002, **recovery}
+        settings = {'recovery_first_pause': 0.001, 'recovery_longest_pause': 0.002, **recovery}
         self.supervisor = Supervisor(
             script,
+            DriverParameters(**settings),
             on_start=lambda: self.starts.append(1),
             on_batch=on_batch or self._on_batch,
             on_error=on_error or self.errors.append,
-            recovery=RecoverySettings(**settings),
         )
         self.supervisor.start()
 
@@ -127,7 +139,7 @@ def test_what_changes_with_every_attempt_is_told_once_and_shown_always():
 @pytest.mark.parametrize('entry', [('start', StreamError('died')), died()])
 def test_fail_stop_ends_at_the_first_failure_with_the_reason(entry):
     script = Script(entry)
-    supervisor = Watch(script, policy=RecoveryPolicy.FAIL_STOP).wait_for_end()
+    supervisor = Watch(script, recovery_policy='fail_stop').wait_for_end()
     assert (supervisor.state, str(supervisor.failure)) == (State.FAILED, 'died')
     assert script.openings == 1
     assert not script.is_open
@@ -135,21 +147,21 @@ def test_fail_stop_ends_at_the_first_failure_with_the_reason(entry):
 
 def test_fail_stop_waits_for_a_camera_that_was_never_there_but_not_for_one_that_left():
     script = Script(('open', NoCameraError('late')), ('open', NoCameraError('late')), died())
-    supervisor = Watch(script, policy=RecoveryPolicy.FAIL_STOP).wait_for_end()
+    supervisor = Watch(script, recovery_policy='fail_stop').wait_for_end()
     assert str(supervisor.failure) == 'died'
     assert script.openings == 3
 
 
 def test_patience_has_an_end_where_one_is_set():
     script = Script(*[('open', NoCameraError('gone'))] * 10_000)
-    supervisor = Watch(script, give_up_after_s=0.05).wait_for_end()
+    supervisor = Watch(script, recovery_give_up_after=0.05).wait_for_end()
     assert supervisor.state is State.FAILED
     assert 'giving up: gone' in str(supervisor.failure)
 
 
 def test_patience_begins_anew_with_every_stream():
     script = Script(*[died()] * 20)
-    watch = Watch(script, give_up_after_s=1.0)
+    watch = Watch(script, recovery_give_up_after=1.0)
     watch.wait_for_stream(21)
     assert watch.supervisor.state is State.STREAMING
     assert watch.supervisor.stop()
@@ -158,7 +170,7 @@ def test_patience_begins_anew_with_every_stream():
 @pytest.mark.parametrize('policy', RecoveryPolicy)
 def test_end_of_a_recording_is_no_failure(policy):
     script = Script(('batches', EndOfStream('over')))
-    watch = Watch(script, policy=policy)
+    watch = Watch(script, recovery_policy=policy.value)
     supervisor = watch.wait_for_end()
     assert (supervisor.state, supervisor.error, supervisor.failure) == (State.ENDED, '', None)
     assert (script.openings, supervisor.failures, watch.errors) == (1, 0, [])
@@ -178,7 +190,7 @@ def test_recording_that_cannot_be_played_is_not_tried_again():
 def test_plugging_in_ends_a_long_pause(monkeypatch, attached):
     monkeypatch.setattr('mixtac_driver.supervisor.WATCH_S', 0.005)
     script = Script(('open', NoCameraError('gone')), attached=attached)
-    watch = Watch(script, first_pause_s=1000.0, longest_pause_s=1000.0)
+    watch = Watch(script, recovery_first_pause=1000.0, recovery_longest_pause=1000.0)
     watch.wait_for_stream()
     assert script.openings == 2
     assert watch.supervisor.stop()
@@ -188,7 +200,7 @@ def test_unplugging_and_nothing_new_do_not_end_a_pause(monkeypatch):
     monkeypatch.setattr('mixtac_driver.supervisor.WATCH_S', 0.001)
     attached = [ONE | TWO, ONE, ONE, NOBODY, NOBODY]
     script = Script(('open', NoCameraError('gone')), attached=attached)
-    watch = Watch(script, first_pause_s=1000.0, longest_pause_s=1000.0)
+    watch = Watch(script, recovery_first_pause=1000.0, recovery_longest_pause=1000.0)
     while script.attachments:
         time.sleep(0.001)
     assert script.openings == 1

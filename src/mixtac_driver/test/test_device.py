@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from mixtac_driver import device as backend
 from mixtac_driver.errors import UnknownDeviceError, UsbError
-from mixtac_driver.usb import device as backend
 
 
 @pytest.fixture
@@ -25,17 +25,19 @@ def shelf(monkeypatch):
 
 def test_registered_names_get_the_whole_device_string(shelf):
     assert backend.open_backend('shelf:/tmp/x') == 'opened shelf:/tmp/x'
-    assert backend.known_devices() == ['davis346', 'shelf']
+    backend.check_device('shelf')
 
 
 @pytest.mark.parametrize('device', ['', 'davis', 'davis346:1', 'shelves:1', ':'])
 def test_unknown_names_list_the_known_ones(shelf, device):
-    with pytest.raises(UnknownDeviceError, match='davis346, shelf'):
+    with pytest.raises(UnknownDeviceError) as error:
         backend.open_backend(device)
+    assert 'davis346, shelf' in error.value.remedy
 
 
 def test_missing_libusb_is_named(monkeypatch):
     monkeypatch.setattr(backend.importlib.util, 'find_spec', lambda _name: None)
     monkeypatch.setattr('usb.backend.libusb1.get_backend', lambda: None)
-    with pytest.raises(UsbError, match='libusb is missing'):
+    with pytest.raises(UsbError) as error:
         backend.open_backend('davis346')
+    assert 'libusb' in error.value.remedy

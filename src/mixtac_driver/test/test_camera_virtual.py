@@ -14,8 +14,8 @@ pytest.importorskip('mixtac_sim.usb.device')
 from virtual_scene import Scene
 
 from mixtac_driver.camera import Davis346
-from mixtac_driver.davis346.settings import Configuration
 from mixtac_driver.errors import DisconnectedError
+from mixtac_driver.parameters import DriverParameters
 from mixtac_events.arrays import Events
 from mixtac_events.readings import STANDARD_GRAVITY
 from mixtac_sim.usb.pyusb_backend import in_process_backend
@@ -28,11 +28,8 @@ def scene():
     scene.close()
 
 
-OPEN = Configuration(background_activity_filter_enabled=False)
-
-
-def camera_on(scene, configuration=OPEN):
-    return Davis346(backend=in_process_backend(scene.device), configuration=configuration)
+def camera_on(scene, parameters=None):
+    return Davis346(parameters, backend=in_process_backend(scene.device))
 
 
 def copied(events):
@@ -91,7 +88,7 @@ def test_published_time_is_host_time(scene):
             if time.monotonic() > deadline:
                 break
         estimate = camera.clock.estimate()
-        assert abs(estimate.offset_us - camera.origin.us) < 20_000
+        assert abs(estimate.offset_us - camera.status().origin.us) < 20_000
 
 
 def test_unplugging_is_named(scene):
@@ -105,13 +102,10 @@ def test_unplugging_is_named(scene):
 
 
 def test_sensors_that_are_off_send_nothing(scene):
-    configuration = Configuration(
-        aps_enabled=False,
-        imu_accelerometer_enabled=False,
-        imu_gyroscope_enabled=False,
-        imu_temperature_enabled=False,
+    off = DriverParameters(
+        aps_enabled=False, imu_acc_enabled=False, imu_gyro_enabled=False, imu_temp_enabled=False
     )
-    with camera_on(scene, configuration) as camera:
+    with camera_on(scene, off) as camera:
         camera.start()
         deadline = time.monotonic() + 0.3
         for batch in camera.batches():

@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""From parameters, masks and frames to what the camera is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mixtac_driver.davis346.control import CameraControl
+from mixtac_driver.errors import ConfigurationError, UsbError
+from mixtac_driver.node.settings import DriverSettings
+from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.pixels import PixelMask, save_mask
+from mixtac_events.readings import Frame
+
+SIZE = (346, 260)
+AUTO = replace(DriverParameters(), aps_auto_exposure=True)
+
+
+class Applied(list):
+    """Settings that a source was given."""
+
+    def __call__(self, parameters, pixel_filter):
+        self.append((parameters, pixel_filter))
+
+
+def test_a_mask_of_another_size_is_refused(tmp_path):
+    path = str(tmp_path / 'mask.png')
+    save_mask(PixelMask([(3, 4)], (10, 10)), path)
+    masked = replace(DriverParameters(), dvs_pixel_mask=path)
+    with pytest.raises(ConfigurationError):
+        DriverSettings(masked).use_size(SIZE)
+    settings = DriverSettings(DriverParameters())
+    settings.use_size(SIZE)
+    with pytest.raises(ConfigurationError):
+        settings.apply(masked, Applied())
+
+
+def frame(level):
+    image = np.full((4, 4), level, np.uint16)
+    return Frame(image, 0, 0, 0, 0, 0, 0, 0, global_shutter=True)
+
+
+class Exposures(list):
+    """A camera control that keeps the exposures it was given."""
+
+    busy = False
+
+    def set_exposure(self, exposure_us):
+        if not self.busy:
+            self.append(exposure_us)
+        return not self.busy
+
+
+def test_parameters_and_mask_are_applied_together(tmp_path):
+    path = str(tmp_path / 'mask.png')
+    save_mask(PixelMask([(3, 4)], SIZE), path)
+    settings, camera = DriverSettings(DriverParameters()), Applied()
+    settings.apply(replace(DriverParameters(), dvs_pixel_mask=path, roi_end_col=9), camera)
+    assert camera[0][1] == ((3, 4),)
+    assert camera[0][0].roi_end_col == 9
+    assert settings.mask.pixels == settings.file_mask.pixels == ((3, 4),)
+    assert settings.camera_settings() == camera[0]
+
+
+@pytest.mark.parametrize(
+    'change', [{'dvs_pixel_mask': 'none.png'}, {'roi_start_row': 9, 'roi_end_row': 8}]
+)
+def test_what_cannot_be_leaves_everything_as_it_was(change):
+    settings, camera = DriverSettings(DriverParameters()), Applied()
+    with pytest.raises(ConfigurationError):
+        settings.apply(replace(DriverParameters(), **change), camera)
+    assert camera == []
+    assert settings.parameters == DriverParameters()
+
+
+def test_what_the_camera_refuses_is_not_kept():
+    settings = DriverSettings(DriverParameters())
+
+    def refuse(_parameters, _pixel_filter):
+        raise UsbError('no')
+
+    with pytest.raises(UsbError):
+        settings.apply(AUTO, refuse)
+    assert settings.parameters == DriverParameters()
+
+
+def test_a_mask_in_use_survives_other_changes():
+    settings, camera = DriverSettings(DriverParameters()), Applied()
+    settings.use_mask(PixelMask([(k, 1) for k in range(10)], SIZE), camera)
+    settings.apply(replace(DriverParameters(), aps_exposure=100), camera)
+    assert camera[1][1] == tuple((k, 1) for k in range(8))
+    settings.use_mask(settings.mask, camera, in_camera=False)
+    assert camera[2][1] == ()
+    assert len(settings.mask.pixels) == 10
+
+
+def test_exposure_is_left_alone_unless_it_is_wanted():
+    settings, told = DriverSettings(DriverParameters()), Exposures()
+    settings.follow(frame(5), 7000.0, told)
+    assert told == []
+
+
+def test_frames_set_the_exposure_and_other_changes_keep_it():
+    settings, told = DriverSettings(AUTO), Exposures()
+    settings.follow(frame(800), 7000.0, told)
+    assert told[0] < 7000
+    camera = Applied()
+    settings.apply(replace(AUTO, roi_end_col=9), camera)
+    settings.apply(replace(AUTO, aps_exposure=500), camera)
+    settings.apply(DriverParameters(), camera)
+    assert [p.aps_exposure for p, _ in camera] == [told[0], 500, 7000]
+
+
+def test_a_busy_camera_is_told_with_a_later_frame():
+    settings, told = DriverSettings(AUTO), Exposures()
+    told.busy = True
+    settings.follow(frame(800), 7000.0, told)
+    assert settings.camera_settings()[0].aps_exposure == 7000
+    told.busy = False
+    settings.follow(frame(800), 7000.0, told)
+    assert settings.camera_settings()[0].aps_exposure == told[0] < 7000
+
+
+def test_frames_that_do_not_say_their_exposure_are_left_out():
+    settings, told = DriverSettings(AUTO), Exposures()
+    settings.follow(frame(800), 0.0, told)
+    assert told == []
+
+
+def test_a_closed_camera_takes_the_exposure_too():
+    settings = DriverSettings(AUTO)
+    control = CameraControl(*settings.camera_settings())
+    settings.follow(frame(800), 7000.0, control)
+    assert control.parameters.aps_exposure < 7000
