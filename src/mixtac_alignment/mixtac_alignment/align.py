@@ -1,14 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The clock map of a recording by the most precise method that its data allow."""
+"""A recording, and its clock map by the most precise method that its data allow."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 from mixtac_alignment.clock_fit import with_drift_prior
-from mixtac_alignment.errors import RefinementError
-from mixtac_alignment.impulses import ImpulseSettings
+from mixtac_alignment.edges import fit_edges
+from mixtac_alignment.errors import NoImpulseError, RefinementError
+from mixtac_alignment.parameters import AlignmentParameters
 from mixtac_alignment.refinement import Refinement, refine
 from mixtac_alignment.taps import FEWEST_FRAMES, fit_taps
 from mixtac_alignment.two_impulse import fit_counts
@@ -21,28 +23,52 @@ if TYPE_CHECKING:
     from mixtac_alignment.gel_lag import GelLag
     from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
 
+    Floats = NDArray[np.float64]
+
+
+Method = Literal['refined', 'two_impulse', 'paper', 'edges']
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """What both clocks recorded; camera times on the camera clock, the others on the reference's.
+
+    Attributes:
+        counts: Event counts, with lost packets marked.
+        events: Events by cell; the latest ones where there are very many.
+        frames: Frames, or None where there are no exposure times.
+        force_t_s: Stamps of the reference sensor [s], ``float64 [n]``, increasing.
+        force: Its normal force [N], of either sign.
+        edges_us: Edges at the camera's synchronisation input, camera clock [us].
+        reference_edges_s: The same edges on the reference clock [s].
+    """
+
+    counts: EventCounts
+    events: CellEvents
+    frames: FrameFeatures | None
+    force_t_s: Floats
+    force: Floats
+    edges_us: NDArray[np.int64]
+    reference_edges_s: Floats
+
 
 def align(
-    counts: EventCounts,
-    force_t_s: NDArray[np.float64],
-    force_N: NDArray[np.float64],
-    frames: FrameFeatures | None = None,
-    settings: ImpulseSettings | None = None,
+    recording: Recording,
+    parameters: AlignmentParameters | None = None,
     lag: GelLag | None = None,
     *,
-    events: CellEvents | None = None,
+    method: Method = 'refined',
     use_all: bool = False,
 ) -> tuple[ClockFit, Refinement | None]:
-    """Fit the clock map to impulses, and refine it where there are frames enough.
+    """Fit the clock map of a recording.
 
     Args:
-        counts: Event counts, camera clock.
-        force_t_s: Force sample times, reference clock [s], increasing.
-        force_N: Normal force [N], either sign.
-        frames: Frames, camera clock; none leaves it at the impulses.
-        settings: What counts as an impulse.
+        recording: The recording.
+        parameters: What counts as an impulse, latencies, limits of clocks.
         lag: What is known of the gel.
-        events: Events around the taps at least; with frames, they time the taps better.
+        method: `refined` fits taps and refines the map with the frames, where there are enough of
+            them; `two_impulse` fits taps alone; `paper` fits their force peaks and event troughs
+            alone; `edges` fits the edges of a trigger line instead of taps.
         use_all: Fit all strong impulses by least squares instead of the first and the last.
 
     Returns:
@@ -51,31 +77,38 @@ def align(
     Raises:
         AlignmentError: No trustworthy map; the text says why and what to do.
     """
-    if frames is None:
-        return fit_counts(counts, force_t_s, force_N, settings, use_all=use_all), None
-    first = _first(counts, events, frames, force_t_s, force_N, settings, lag, use_all=use_all)
+    chosen = parameters or AlignmentParameters()
+    if method == 'edges':
+        return _fit_edges(recording), None
+    counts, events, frames = recording.counts, recording.events, recording.frames
+    force = (recording.force_t_s, recording.force)
+    few = frames is None or len(frames.start_us) < FEWEST_FRAMES
+    if frames is None or method == 'paper' or (method == 'two_impulse' and few):
+        return fit_counts(counts, *force, chosen, use_all=use_all), None
+    # Memory may hold fewer events than their counts: the first tap may be missing.
+    forgotten = not len(events.t_us) or events.start_us > counts.start_us + 500_000
+    if method == 'refined' and (few or forgotten):
+        first = fit_counts(counts, *force, chosen, use_all=use_all)
+        first = with_drift_prior(first, chosen.drift_std_rate)
+    else:
+        first = fit_taps(counts, events, frames, *force, chosen, lag, use_all=use_all)
+    if method == 'two_impulse':
+        return first, None
     try:
-        refined = refine(first, frames, force_t_s, force_N, lag)
+        refined = refine(first, frames, *force, lag)
     except RefinementError:
         return first, None
     return refined.fit, refined
 
 
-def _first(
-    counts: EventCounts,
-    events: CellEvents | None,
-    frames: FrameFeatures,
-    force_t_s: NDArray[np.float64],
-    force_N: NDArray[np.float64],
-    settings: ImpulseSettings | None,
-    lag: GelLag | None,
-    *,
-    use_all: bool,
-) -> ClockFit:
-    """Return the map from the taps' whole course, or from their flanks where frames are too few."""
-    # Memory may hold fewer events than their counts: the first tap may be missing.
-    few = events is None or not len(events.t_us) or events.start_us > counts.start_us + 500_000
-    if events is None or few or len(frames.start_us) < FEWEST_FRAMES:
-        fit = fit_counts(counts, force_t_s, force_N, settings, use_all=use_all)
-        return with_drift_prior(fit, (settings or ImpulseSettings()).drift_std)
-    return fit_taps(counts, events, frames, force_t_s, force_N, settings, lag, use_all=use_all)
+def _fit_edges(recording: Recording) -> ClockFit:
+    for name, edges in (
+        ('external_edges, from the camera', recording.edges_us),
+        ('reference_edges, on the reference clock', recording.reference_edges_s),
+    ):
+        if not len(edges):
+            raise NoImpulseError(
+                f'no {name}',
+                remedy='record both topics with the trigger line connected, or align by taps',
+            )
+    return fit_edges(recording.edges_us, recording.reference_edges_s)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Fits the clock map on request, from what the topics have shown lately."""
+"""Fits the clock map on request, to the recent data of the topics."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
 
-from mixtac_alignment.align import align
-from mixtac_alignment.clock_fit import to_fields
-from mixtac_alignment.edges import fit_edges
+from mixtac_alignment import signals
+from mixtac_alignment.align import Method, Recording, align
 from mixtac_alignment.histories import (
     EventHistory,
     EventRateHistory,
@@ -30,6 +29,7 @@ from mixtac_alignment.parameters import AlignmentParameters
 from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError
+from mixtac_events.sequence import SequenceCounter
 from mixtac_msgs.msg import ClockFit as ClockFitMessage
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
 from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED, BaseNode, declare, run
@@ -45,7 +45,7 @@ MOST_EDGES = 10_000
 
 
 class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
-    """Counts events, remembers force and frames, and fits both clocks when `~/fit` is called.
+    """Keeps events, force and frames of the last minutes; fits both clocks when `~/fit` is called.
 
     From then on the reference force is republished on the camera clock as `~/reference`.
     """
@@ -61,9 +61,10 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self._camera_edges: deque[int] = deque(maxlen=MOST_EDGES)
         self._reference_edges: deque[float] = deque(maxlen=MOST_EDGES)
         self._fit: ClockFit | None = None
-        self._sequence: int | None = None
-        self._packets = self._lost = self._undecodable = 0
+        self._packets = SequenceCounter()
+        self._undecodable = 0
         warm_up()
+        signals.warm_up()
         self.create_subscription(EventPacket, 'events', self._on_events, QOS_EVENTS)
         self.create_subscription(WrenchStamped, p.reference_topic, self._on_force, QOS_FORCE)
         self._subscribe_frames()
@@ -93,11 +94,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             self._undecodable += 1
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
             return
-        self._packets += 1
-        missing = 0 if self._sequence is None else message.seq - self._sequence - 1
-        self._sequence = message.seq
-        if missing > 0:
-            self._lost += missing
+        if self._packets.update(message.seq):
             self._rate.mark_lost(packet.start_us)
         self._rate.push(packet.events.t, packet.complete_until)
         if self._settings.use_frames:
@@ -137,15 +134,18 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
 
     def _make_fit(self) -> ClockFit:
         p = self._settings
-        if p.use_edges:
-            return fit_edges(
-                np.array(self._camera_edges, np.int64), np.array(self._reference_edges)
-            )
         t_s, force = self._force.snapshot(p.reference_axis)
-        frames = self._frames.snapshot() if p.use_frames else None
-        counts = self._rate.snapshot()
-        events = self._history.snapshot()
-        return align(counts, t_s, force, frames, p.settings(), events=events, use_all=p.use_all)[0]
+        recording = Recording(
+            counts=self._rate.snapshot(),
+            events=self._history.snapshot(),
+            frames=self._frames.snapshot() if p.use_frames else None,
+            force_t_s=t_s,
+            force=force,
+            edges_us=np.array(self._camera_edges, np.int64),
+            reference_edges_s=np.array(self._reference_edges),
+        )
+        method: Method = 'edges' if p.use_edges else 'refined'
+        return align(recording, p, method=method, use_all=p.use_all)[0]
 
     def _on_fit(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
@@ -153,7 +153,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         except MixtacError as error:
             response.success, response.message = False, str(error)
             return response
-        message = ClockFitMessage(**to_fields(self._fit))
+        message = ClockFitMessage(**self._fit.to_fields())
         message.header.stamp = self.get_clock().now().to_msg()
         self._publisher.publish(message)
         response.success, response.message = True, self._fit.summary()
@@ -161,13 +161,13 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
 
     def _status(self) -> Status:
         values: dict[str, object] = {
-            'packets': self._packets,
-            'lost packets': self._lost,
+            'packets': self._packets.received,
+            'lost packets': self._packets.lost,
             'undecodable packets': self._undecodable,
             'remembered event bins': len(self._rate.snapshot().counts),
             'reference samples out of order': self._force.out_of_order,
-            'frames without exposure, or the other way': self._frames.unmatched,
-            'events dropped for want of memory': self._history.dropped,
+            'frames and exposure messages without a match': self._frames.unmatched,
+            'events dropped: history buffer full': self._history.dropped,
             'external edges': len(self._camera_edges),
             'clock restarts': self._rate.restarts + self._force.restarts,
         }

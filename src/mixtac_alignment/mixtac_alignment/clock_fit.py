@@ -11,8 +11,8 @@ is therefore kept about two epochs near the middle of the anchors, all in second
 with :math:`T_E` (`camera_epoch_us`) and :math:`T_F` (`reference_epoch_s`) whole seconds, so that
 differences to them are exact. `paper_offset_s` is the `b` of the paper's relation.
 
-`to_fields` and `from_fields` convert a map to the fields of `mixtac_msgs/ClockFit` and back; the
-node, bags and files use the same ones.
+`ClockFit.to_fields` and `ClockFit.from_fields` convert a map to the fields of
+`mixtac_msgs/ClockFit` and back; the node, bags and files use the same ones.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from mixtac_alignment.errors import AlignmentError, DriftError, NoImpulseError, ShortBaselineError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -77,11 +77,6 @@ class ClockFit:
         """Return camera times [us] on the reference clock [s]."""
         return self.reference_epoch_s + self._offset_s(t_us)
 
-    def to_reference_ns(self, t_us: int | NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return camera times [us] on the reference clock [ns], exact to a ns at epoch times."""
-        offset = np.rint(self._offset_s(t_us) * 1e9).astype(np.int64)
-        return np.int64(round(self.reference_epoch_s)) * np.int64(1_000_000_000) + offset
-
     def to_camera(self, t_s: float | NDArray[np.float64]) -> NDArray[np.int64]:
         """Return reference times [s] on the camera clock [us, rounded]."""
         seconds = (np.asarray(t_s, np.float64) - self.reference_epoch_s - self.b) / self.a
@@ -89,7 +84,7 @@ class ClockFit:
 
     def std_at(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the standard deviation [s] of `to_reference` at camera times [us]."""
-        dt = self._since_epoch_s(t_us)
+        dt = self.since_epoch_s(t_us)
         c = self.covariance
         variance = c[0, 0] * dt**2 + 2.0 * c[0, 1] * dt + c[1, 1]
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
@@ -109,12 +104,24 @@ class ClockFit:
         """The `b` of ``t_F = a t_E + b`` [s], with the rounding of float64 at epoch times."""
         return self.reference_epoch_s + self.b - self.a * self.camera_epoch_us * 1e-6
 
-    def with_anchors(self, anchors: Iterable[Anchor]) -> ClockFit:
-        """Return the same map with other anchors on record."""
-        return replace(self, anchors=tuple(anchors))
+    def with_map(
+        self, a: float, b: float, covariance: NDArray[np.float64], method: str = ''
+    ) -> ClockFit:
+        """Return another map with the same epochs and anchors; the residuals are those to it.
+
+        Args:
+            a: Rate.
+            b: Offset about the epochs [s].
+            covariance: Of (a, b), 2 x 2.
+            method: How it was made; empty for the same.
+        """
+        fit = replace(self, a=a, b=b, covariance=covariance, method=method or self.method)
+        camera_us = np.array([anchor.camera_us for anchor in self.anchors])
+        reference_s = np.array([anchor.reference_s for anchor in self.anchors])
+        return replace(fit, residuals_s=reference_s - fit.to_reference(camera_us))
 
     def summary(self) -> str:
-        """Return one line for people."""
+        """Return a one-line summary."""
         middle_us = self.anchors[0].camera_us // 2 + self.anchors[-1].camera_us // 2
         return (
             f'{len(self.anchors)} anchors over '
@@ -124,12 +131,65 @@ class ClockFit:
             f'{1e3 * self.residual_rms_s:.3f} ms rms'
         )
 
-    def _since_epoch_s(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+    def to_fields(self) -> dict[str, Any]:
+        """Return the fields of `mixtac_msgs/ClockFit`, all but the header; times in seconds."""
+        return {
+            'a': self.a,
+            'b': self.b,
+            'covariance': self.covariance.ravel().tolist(),
+            'camera_epoch': self.camera_epoch_us / 1_000_000,
+            'reference_epoch': self.reference_epoch_s,
+            'camera_anchors': [anchor.camera_us / 1_000_000 for anchor in self.anchors],
+            'reference_anchors': [anchor.reference_s for anchor in self.anchors],
+            'residuals': self.residuals_s.tolist(),
+            'residual_rms': self.residual_rms_s,
+            'method': self.method,
+            'message': self.summary(),
+        }
+
+    @classmethod
+    def from_fields(cls, fields: Mapping[str, Any]) -> ClockFit:
+        """Return the map that fields describe.
+
+        The map and its covariance come back exactly, the anchors rounded as float64 seconds are,
+        with the uncertainty of the map instead of their own.
+
+        Args:
+            fields: Fields by name, as `to_fields` makes them.
+
+        Raises:
+            AlignmentError: The fields describe no map.
+        """
+        a, b = float(fields['a']), float(fields['b'])
+        covariance = np.array(fields['covariance'], np.float64).reshape(2, 2)
+        if not a > 0.0 or not np.isfinite([a, b, *covariance.flat]).all():
+            raise AlignmentError(
+                f'clock fit with a = {a}, b = {b} is no map of clocks', remedy='fit again'
+            )
+        fit = cls(
+            a=a,
+            b=b,
+            covariance=covariance,
+            camera_epoch_us=round(fields['camera_epoch'] * 1e6),
+            reference_epoch_s=float(fields['reference_epoch']),
+            anchors=(),
+            residuals_s=np.array(fields['residuals'], np.float64),
+            method=str(fields['method']),
+        )
+        camera_us = [round(seconds * 1e6) for seconds in fields['camera_anchors']]
+        anchors = tuple(
+            Anchor(at_us, float(at_s), float(fit.std_at(at_us)))
+            for at_us, at_s in zip(camera_us, fields['reference_anchors'], strict=True)
+        )
+        return replace(fit, anchors=anchors)
+
+    def since_epoch_s(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return camera times [us] as seconds from the camera epoch."""
         since = np.asarray(t_us, np.int64) - np.int64(self.camera_epoch_us)
         return since.astype(np.float64) * 1e-6
 
     def _offset_s(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
-        return self.a * self._since_epoch_s(t_us) + self.b
+        return self.a * self.since_epoch_s(t_us) + self.b
 
 
 def fit_clock(
@@ -189,7 +249,7 @@ def fit_clock(
 
 
 def with_drift_prior(fit: ClockFit, drift_std: float) -> ClockFit:
-    """Return a map drawn towards clocks that run alike, as far as its drift is uncertain.
+    """Return a map whose drift, as far as it is uncertain, is pulled towards zero.
 
     Args:
         fit: The map from anchors.
@@ -199,15 +259,11 @@ def with_drift_prior(fit: ClockFit, drift_std: float) -> ClockFit:
         return fit
     gain = fit.covariance[:, 0] / (fit.covariance[0, 0] + drift_std**2)
     drift = fit.a - 1.0
-    drawn = replace(
-        fit,
+    return fit.with_map(
         a=fit.a - float(gain[0]) * drift,
         b=fit.b - float(gain[1]) * drift,
         covariance=fit.covariance - np.outer(gain, fit.covariance[0]),
     )
-    camera_us = np.array([anchor.camera_us for anchor in fit.anchors])
-    reference_s = np.array([anchor.reference_s for anchor in fit.anchors])
-    return replace(drawn, residuals_s=reference_s - drawn.to_reference(camera_us))
 
 
 def _camera_about_epoch(anchors: tuple[Anchor, ...]) -> tuple[int, NDArray[np.float64]]:
@@ -254,54 +310,3 @@ def _require_drift(fit: ClockFit, max_drift: float) -> None:
             f'{1e6 * allowed:.0f} ppm here: the anchors belong to different impulses, or samples '
             'were lost; record again with two sharp taps'
         )
-
-
-def to_fields(fit: ClockFit) -> dict[str, Any]:
-    """Return the message fields of a fit, all but the header; times in seconds."""
-    return {
-        'a': fit.a,
-        'b': fit.b,
-        'covariance': fit.covariance.ravel().tolist(),
-        'camera_epoch': fit.camera_epoch_us / 1_000_000,
-        'reference_epoch': fit.reference_epoch_s,
-        'camera_anchors': [anchor.camera_us / 1_000_000 for anchor in fit.anchors],
-        'reference_anchors': [anchor.reference_s for anchor in fit.anchors],
-        'residuals': fit.residuals_s.tolist(),
-        'residual_rms': fit.residual_rms_s,
-        'method': fit.method,
-        'message': fit.summary(),
-    }
-
-
-def from_fields(fields: Mapping[str, Any]) -> ClockFit:
-    """Return the fit that a message describes.
-
-    The map and its covariance come back exactly, the anchors rounded as float64 seconds are, and
-    with the fit's own uncertainty there in place of theirs.
-
-    Args:
-        fields: Fields by name, as `to_fields` makes them.
-
-    Raises:
-        AlignmentError: The fields describe no map.
-    """
-    covariance = np.array(fields['covariance'], np.float64).reshape(2, 2)
-    epoch_us = round(fields['camera_epoch'] * 1e6)
-    if not fields['a'] > 0.0 or not np.isfinite([fields['a'], fields['b'], *covariance.flat]).all():
-        raise AlignmentError(
-            f'clock fit with a = {fields["a"]}, b = {fields["b"]} is no map of clocks: fit again'
-        )
-    anchors = zip(fields['camera_anchors'], fields['reference_anchors'], strict=True)
-    bare = ClockFit(
-        a=float(fields['a']),
-        b=float(fields['b']),
-        covariance=covariance,
-        camera_epoch_us=epoch_us,
-        reference_epoch_s=float(fields['reference_epoch']),
-        anchors=(),
-        residuals_s=np.array(fields['residuals'], np.float64),
-        method=str(fields['method']),
-    )
-    return bare.with_anchors(
-        Anchor(round(c * 1e6), float(r), float(bare.std_at(round(c * 1e6)))) for c, r in anchors
-    )

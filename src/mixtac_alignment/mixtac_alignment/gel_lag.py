@@ -17,56 +17,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numba import njit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@njit(cache=True, nogil=True)
-def spline_refined(values: NDArray[np.float64], finer: int) -> NDArray[np.float64]:
-    """Return the natural cubic spline through samples at finer steps.
-
-    Args:
-        values: Evenly spaced samples, ``float64 [n]``, at least two.
-        finer: Steps per sample.
-
-    Returns:
-        ``float64 [(n - 1) * finer + 1]``, with the samples themselves among them.
-    """
-    bend = _second_differences(values)
-    count = len(values)
-    fine = np.empty((count - 1) * finer + 1)
-    for i in range(count - 1):
-        for k in range(finer):
-            right = k / finer
-            left = 1.0 - right
-            fine[i * finer + k] = (
-                left * values[i]
-                + right * values[i + 1]
-                + ((left**3 - left) * bend[i] + (right**3 - right) * bend[i + 1]) / 6.0
-            )
-    fine[-1] = values[-1]
-    return fine
-
-
-@njit(cache=True, nogil=True)
-def _second_differences(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the second derivatives at the samples, by elimination in a tridiagonal matrix."""
-    count = len(values)
-    bend, upper = np.zeros(count), np.zeros(count)
-    for i in range(1, count - 1):
-        pivot = 4.0 - upper[i - 1]
-        upper[i] = 1.0 / pivot
-        right = 6.0 * (values[i + 1] - 2.0 * values[i] + values[i - 1])
-        bend[i] = (right - bend[i - 1]) / pivot
-    for i in range(count - 2, 0, -1):
-        bend[i] -= upper[i] * bend[i + 1]
-    return bend
-
-
 TIMES_S: Final = (0.7e-3, 4.1e-3, 0.055, 1.05, 20.0)
-"""Retardation times T_i; relaxation times of 0.5 and 3 ms, 0.05, 1 and 20 s of a soft silicone."""
+"""Retardation times T_i [s] of a soft silicone with relaxation times of 0.5 and 3 ms, 0.05, 1 and
+20 s."""
 STRETCH: Final = 1.2
 """Step of the derivative to the logarithm of the second time."""
 FINER: Final = 4
@@ -89,11 +47,6 @@ class GelLag:
     mean: tuple[float, ...] = (0.26, 0.26, 0.0, 0.035, 0.035, 0.03)
     std: tuple[float, ...] = (0.003, 0.06, 0.045, 0.012, 0.012, 0.0005)
 
-    @property
-    def fast_lag_s(self) -> float:
-        """Return by how much slow deformation lags for the two shortest times alone [s]."""
-        return TIMES_S[0] * self.mean[0] + TIMES_S[1] * (self.mean[1] + self.mean[2])
-
 
 class LaggedForce:
     """The reference force and its retarded responses, and their means over exposures.
@@ -104,9 +57,13 @@ class LaggedForce:
     """
 
     def __init__(self, t_s: NDArray[np.float64], force_N: NDArray[np.float64]) -> None:
+        from scipy.interpolate import CubicSpline
+
+        count = len(t_s) - 1
         self._start = float(t_s[0])
-        self._step = float(t_s[-1] - t_s[0]) / ((len(t_s) - 1) * FINER)
-        force = spline_refined(np.ascontiguousarray(force_N, np.float64), FINER)
+        self._step = float(t_s[-1] - t_s[0]) / (count * FINER)
+        spline = CubicSpline(np.arange(count + 1), force_N, bc_type='natural')
+        force = spline(np.arange(count * FINER + 1) / FINER)
         change = np.diff(force, prepend=force[0])
         responses = [self._response(change, time) for time in TIMES_S]
         stretched = self._response(change, STRETCH * TIMES_S[1])
@@ -121,7 +78,7 @@ class LaggedForce:
         """Return means over intervals and their change with time, each ``[m, 7]``.
 
         Args:
-            start_s: Begin of the intervals, reference clock [s], ``[m]``.
+            start_s: Start of the intervals, reference clock [s], ``[m]``.
             end_s: End of the intervals, reference clock [s], ``[m]``.
         """
         span = (end_s - start_s)[:, None]
@@ -130,23 +87,14 @@ class LaggedForce:
         return mean, slope
 
     def _response(self, change: NDArray[np.float64], time_s: float) -> NDArray[np.float64]:
+        from scipy.signal import lfilter
+
         decay = float(np.exp(-self._step / time_s))
         gain = time_s / self._step * (1.0 - decay)
-        return np.asarray(_filtered(change, gain, decay), np.float64)
+        return np.asarray(lfilter([gain], [1.0, -decay], change), np.float64)
 
     def _at(self, rows: NDArray[np.float64], t_s: NDArray[np.float64]) -> NDArray[np.float64]:
         place = (t_s - self._start) / self._step
         k = np.clip(place.astype(np.int64), 0, rows.shape[1] - 2)
         part = place - k
         return np.asarray((rows[:, k] * (1.0 - part) + rows[:, k + 1] * part).T)
-
-
-@njit(cache=True, nogil=True)
-def _filtered(values: NDArray[np.float64], gain: float, decay: float) -> NDArray[np.float64]:
-    """Return the response of a first-order recursion that starts at rest."""
-    result = np.empty_like(values)
-    state = 0.0
-    for i in range(len(values)):
-        state = decay * state + gain * values[i]
-        result[i] = state
-    return result

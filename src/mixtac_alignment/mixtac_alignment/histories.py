@@ -38,7 +38,7 @@ class FrameFeatures:
     """Frames of a recording, camera clock.
 
     Attributes:
-        start_us: Begin of each exposure, camera clock [us], ``int64 [n]``, increasing.
+        start_us: Start of each exposure, camera clock [us], ``int64 [n]``, increasing.
         end_us: End of each exposure, camera clock [us], ``int64 [n]``.
         values: Log brightness of the cells, ``float32 [n, cells]``.
     """
@@ -77,9 +77,9 @@ def reduce_frame(image: NDArray[Any], full_scale: float) -> NDArray[np.float32]:
 
 
 BIN_US: Final = 500
-"""Width of a bin: bursts of an impulse last 2 to 20 ms."""
-LONGEST_GAP_US: Final = 1_000_000
-"""A step back of the stream beyond this is a restarted clock."""
+"""Width of a bin [us]: bursts of an impulse last 2 to 20 ms."""
+RESTART_US: Final = 1_000_000
+"""A larger step back of a clock is a restart of it [us]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +146,7 @@ class EventRateHistory:
             complete_until: Camera clock [us]: no event before this time will follow.
         """
         complete = complete_until // self._width_us
-        if self._end == 0 or complete < self._complete - LONGEST_GAP_US // self._width_us:
+        if self._end == 0 or complete < self._complete - RESTART_US // self._width_us:
             self._restart(complete_until if len(t_us) == 0 else int(t_us[0]))
         newest = max(complete, int(t_us.max()) // self._width_us if len(t_us) else complete)
         self._extend(newest + 1)
@@ -206,7 +206,7 @@ class CellEvents:
 
     Attributes:
         t_us: Times, camera clock [us], ``int64 [n]``.
-        cell: Number of the cell as in `frame_features.reduce_frame`, ``uint16 [n]``.
+        cell: Number of the cell as in `reduce_frame`, ``uint16 [n]``.
         on: Whether the pixel became brighter, ``bool [n]``.
     """
 
@@ -261,7 +261,7 @@ class EventHistory:
         """Add the events of a packet; times that step back start anew."""
         if not len(part.t_us):
             return
-        if self._parts and part.t_us[0] < self._parts[-1].t_us[-1] - 1_000_000:
+        if self._parts and part.t_us[0] < self._parts[-1].t_us[-1] - RESTART_US:
             self.clear()
         self._parts.append(part)
         self._held += len(part.t_us)
@@ -355,10 +355,6 @@ class FrameHistory:
                 self.unmatched += 1
 
 
-RESTART_NS: Final = 1_000_000_000
-"""A step back of the stamps beyond this is a restarted clock."""
-
-
 class ForceHistory:
     """A ring of force samples with increasing stamps.
 
@@ -388,7 +384,7 @@ class ForceHistory:
             force: Force (x, y, z) [N].
         """
         latest = self._latest_ns()
-        if latest is not None and t_ns < latest - RESTART_NS:
+        if latest is not None and t_ns < latest - 1000 * RESTART_US:
             self.restarts += 1
             self._count = 0
         elif (latest is not None and t_ns <= latest) or not np.isfinite(force).all():

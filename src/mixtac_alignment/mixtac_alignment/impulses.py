@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Synchronising impulses, and how they are found in the force and in the event rate.
+"""Synchronising impulses: found in the force and in the event rate, and paired.
 
 An impulse is a sharp tap on the sensor. The force sensor sees a short peak; the camera sees two
 bursts of events, loading and unloading, with a trough between them where the silicone stands still
@@ -18,17 +18,25 @@ slow taps; and the way out is often slower than the way in. While the motion kee
 the event rate is proportional to its speed, which falls linearly to zero at the largest
 deformation. The anchor is therefore where the falling flank of the first burst, extended, meets the
 rate at rest.
+
+Which impulse of one recording is which of the other is found with nothing known about the clocks.
+`prefer_isolated` first leaves out impulses without stillness on both sides: a deliberate tap has
+it, a bouncing load has not. Every two impulses of one recording laid over two of the other then
+propose a map, if the time between them agrees within the drift that clocks may have. The map under
+which most impulses meet wins (`pair_impulses`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mixtac_alignment.errors import AlignmentError
-from mixtac_alignment.signals import gaussian_smooth, noise_std, prominent_peaks
+from mixtac_alignment.errors import AlignmentError, AmbiguousImpulsesError, NoImpulseError
+from mixtac_alignment.parameters import AlignmentParameters
+from mixtac_alignment.signals import gaussian_smooth, noise_std, pressing_sign, prominent_peaks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,48 +44,12 @@ if TYPE_CHECKING:
     from mixtac_alignment.histories import EventCounts
 
 
-@dataclass(frozen=True, slots=True)
-class ImpulseSettings:
-    """What counts as an impulse and how far clocks may differ.
-
-    Attributes:
-        min_force: Smallest force peak [N].
-        max_width_s: Longest force peak or event trough, at half its height [s].
-        min_spacing_s: Of impulses closer than this, bounces mostly, the strongest counts [s].
-        min_burst_rate: Smallest rise of both bursts over the trough [events/s].
-        max_trough_ratio: Largest rate in the trough, as a part of the weaker burst.
-        readout_rate: Rate from which the camera's readout delays events [events/s].
-        min_baseline_s: Shortest time between the two impulses [s].
-        max_drift: Largest believable difference of clock rates.
-        match_s: Largest disagreement of two impulses that are the same [s].
-        max_force_gap_s: Longest stretch without force samples [s]; behind a longer one the clock
-            of the force sensor may be another.
-        event_latency_s: How long after the force its peak shows in the events [s]: the median of
-            simulated sensors in ordinary light, where photoreceptor, comparator and gel each take a
-            part; a sensor in other light has another.
-        event_latency_std_s: Standard deviation of it from sensor to sensor [s].
-        tap_latency_s: The same where the whole course of a tap is fitted (`tap_waveform`), which
-            accounts for gel and thresholds [s].
-        tap_latency_std_s: Standard deviation of it from sensor to sensor [s].
-        drift_std: Prior standard deviation of ``a - 1``: two crystals of 30 to 40 ppm each; 0 for
-            no prior. The paper's own solution takes none.
-    """
-
-    min_force: float = 0.2
-    max_width_s: float = 0.06
-    min_spacing_s: float = 0.3
-    min_burst_rate: float = 5e4
-    max_trough_ratio: float = 0.6
-    readout_rate: float = 1.0e7
-    min_baseline_s: float = 2.0
-    max_drift: float = 2e-4
-    match_s: float = 0.006
-    max_force_gap_s: float = 0.05
-    event_latency_s: float = 4.15e-3
-    event_latency_std_s: float = 0.7e-3
-    tap_latency_s: float = 1.3e-3
-    tap_latency_std_s: float = 1.0e-3
-    drift_std: float = 5e-5
+MIN_SPACING_S: Final = 0.3
+"""Of impulses closer than this, bounces mostly, the strongest counts [s]."""
+MAX_TROUGH_RATIO: Final = 0.6
+"""Largest rate in a trough, as a part of the weaker burst."""
+READOUT_RATE: Final = 1.0e7
+"""Rate from which the camera's readout delays events [events/s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +117,7 @@ NOISE_FACTOR: Final = 8.0
 def find_force_impulses(
     t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
-    settings: ImpulseSettings | None = None,
+    parameters: AlignmentParameters | None = None,
 ) -> list[Impulse]:
     """Find sharp force peaks, with times between the samples.
 
@@ -153,7 +125,7 @@ def find_force_impulses(
         t_s: Increasing sample times [s], relative to the start of the recording (epoch times would
             cost digits), reference clock, ``float64 [N]``.
         force_N: Normal force [N], of either sign, ``float64 [N]``.
-        settings: What counts as an impulse.
+        parameters: What counts as an impulse.
 
     Returns:
         Impulses in the order of time; bounces are merged into the strongest.
@@ -161,19 +133,19 @@ def find_force_impulses(
     Raises:
         AlignmentError: Arrays that are no recording.
     """
-    chosen = settings or ImpulseSettings()
+    chosen = parameters or AlignmentParameters()
     _require_recording(t_s, force_N)
-    force = _pressing(force_N)
+    force = pressing_sign(force_N) * (force_N - np.median(force_N))
     period = float(np.median(np.diff(t_s)))
     least = max(chosen.min_force, NOISE_FACTOR * noise_std(force))
-    window = 2 * max(3, round(2.0 * chosen.max_width_s / period)) + 1
+    window = 2 * max(3, round(2.0 * chosen.max_width / period)) + 1
     peaks = prominent_peaks(force, least, window)
     impulses = [
         _force_impulse(t_s, force, int(peak), float(height), float(width) * period, period)
         for peak, height, width in zip(*peaks, strict=True)
-        if width * period <= chosen.max_width_s
+        if width * period <= chosen.max_width
     ]
-    return strongest(impulses, chosen.min_spacing_s)
+    return strongest(impulses, MIN_SPACING_S)
 
 
 def _force_impulse(
@@ -205,12 +177,6 @@ def _top(force: NDArray[np.float64], peak: int, level: float, least: int = 2) ->
     while last < len(force) - 1 and (force[last + 1] >= level or last - peak < least):
         last += 1
     return first, last + 1
-
-
-def _pressing(force_N: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the force with the sign that makes pressing positive, and rest at zero."""
-    relative = force_N - np.median(force_N)
-    return relative if relative.max() >= -relative.min() else -relative
 
 
 def _require_recording(t_s: NDArray[np.float64], force_N: NDArray[np.float64]) -> None:
@@ -334,40 +300,40 @@ QUEUE_STD_S: Final = 0.001
 
 
 def find_event_impulses(
-    counts: EventCounts, settings: ImpulseSettings | None = None
+    counts: EventCounts, parameters: AlignmentParameters | None = None
 ) -> list[Impulse]:
     """Find troughs between two bursts, and the moment of stillness to a part of a bin.
 
     Args:
         counts: Event counts in bins of at most 1 ms, camera clock.
-        settings: What counts as an impulse.
+        parameters: What counts as an impulse.
 
     Returns:
         Impulses in the order of time, relative to the start of the counts; none that touch a time
         for which packets were lost, where a trough may only be missing data.
     """
-    chosen = settings or ImpulseSettings()
+    chosen = parameters or AlignmentParameters()
     width_s = counts.width_us * 1e-6
     per_second = counts.counts.astype(np.float64) / width_s
     smooth = gaussian_smooth(per_second, SMOOTHING_S / width_s)
     rest = float(np.median(smooth))
-    window = 2 * max(3, round(2.0 * chosen.max_width_s / width_s)) + 1
+    window = 2 * max(3, round(2.0 * chosen.max_width / width_s)) + 1
     troughs = prominent_peaks(-smooth, chosen.min_burst_rate, window)
     impulses = [
         _event_impulse(
             stillness(per_second, smooth, int(trough), float(depth), min(rest, smooth[trough])),
-            float(smooth[trough] + depth) > chosen.readout_rate,
+            float(smooth[trough] + depth) > READOUT_RATE,
             float(depth),
             float(width) * width_s,
             width_s,
         )
         for trough, depth, width in zip(*troughs, strict=True)
-        if width * width_s <= chosen.max_width_s
-        and smooth[trough] <= chosen.max_trough_ratio * (smooth[trough] + depth)
+        if width * width_s <= chosen.max_width
+        and smooth[trough] <= MAX_TROUGH_RATIO * (smooth[trough] + depth)
         and not counts.lost_near(trough, window)
     ]
     certain = [impulse for impulse in impulses if impulse.std_s <= LARGEST_STD_S]
-    return strongest(certain, chosen.min_spacing_s)
+    return strongest(certain, MIN_SPACING_S)
 
 
 def _event_impulse(
@@ -382,3 +348,156 @@ def _event_impulse(
         strength=depth,
         width_s=width,
     )
+
+
+QUIET_S: Final = 0.3
+"""How long before and after a tap nothing may happen [s]."""
+IMPULSE_S: Final = 0.08
+"""Time around an impulse that belongs to it [s]."""
+DISTURBANCE_SHARE: Final = 0.25
+"""What counts as something happening: this part of the impulse's own height."""
+
+
+def prefer_isolated(
+    impulses: list[Impulse], time_s: NDArray[np.float64], signal: NDArray[np.float64]
+) -> list[Impulse]:
+    """Return the isolated impulses, or all where fewer than two are isolated.
+
+    Args:
+        impulses: Impulses found in a signal.
+        time_s: Times of the signal [s], increasing, on the impulses' clock.
+        signal: What the impulses stand out of: event rate or force, in any unit.
+    """
+    height = np.abs(signal - np.median(signal))
+    chosen = [impulse for impulse in impulses if _is_isolated(impulse.time_s, time_s, height)]
+    return chosen if len(chosen) >= 2 else impulses
+
+
+def _is_isolated(at_s: float, time_s: NDArray[np.float64], height: NDArray[np.float64]) -> bool:
+    far, left, right, end = np.searchsorted(
+        time_s, (at_s - QUIET_S, at_s - IMPULSE_S, at_s + IMPULSE_S, at_s + QUIET_S)
+    )
+    own = height[left:right]
+    around = np.concatenate([height[far:left], height[right:end]])
+    if not len(own) or not len(around):
+        return False
+    return bool(around.max() < DISTURBANCE_SHARE * own.max())
+
+
+MOST_IMPULSES: Final = 24
+"""Impulses of each recording that are tried, the strongest ones."""
+MATCH_S: Final = 0.006
+"""Largest disagreement of two impulses that are the same [s]."""
+RIVAL: Final = 0.8
+"""A second map that explains this part of what the best explains makes the answer ambiguous."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImpulsePair:
+    """The same impulse in both recordings.
+
+    Attributes:
+        camera: In the events, camera clock.
+        reference: In the force, reference clock.
+        weight: How strong it is in both, 0 to 1.
+    """
+
+    camera: Impulse
+    reference: Impulse
+    weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Match:
+    offset_s: float
+    score: float
+    pairs: tuple[ImpulsePair, ...]
+
+
+def pair_impulses(
+    camera: list[Impulse],
+    reference: list[Impulse],
+    max_drift: float,
+    match_s: float = MATCH_S,
+) -> tuple[ImpulsePair, ...]:
+    """Pair the impulses of both recordings.
+
+    Args:
+        camera: Impulses in the events, at least two.
+        reference: Impulses in the force, at least two.
+        max_drift: Largest believable difference of clock rates.
+        match_s: Largest disagreement of two impulses that are the same [s].
+
+    Returns:
+        At least two pairs in the order of time.
+
+    Raises:
+        NoImpulseError: No two impulses agree.
+        AmbiguousImpulsesError: Two different maps fit about as well.
+    """
+    events, forces = _leading(camera), _leading(reference)
+    matches = [
+        _match(e, f, events, forces, match_s)
+        for e in combinations(events, 2)
+        for f in combinations(forces, 2)
+        if _agree(e, f, max_drift, match_s)
+    ]
+    if not matches:
+        raise NoImpulseError(
+            f'{len(camera)} impulses in the events and {len(reference)} in the force, but no two '
+            'with the same time between them: record both over the same two taps'
+        )
+    best = max(matches, key=lambda match: match.score)
+    _require_no_rival(best, matches, match_s)
+    return best.pairs
+
+
+def _leading(impulses: list[Impulse]) -> list[Impulse]:
+    chosen = sorted(impulses, key=lambda i: -i.strength)[:MOST_IMPULSES]
+    return sorted(chosen, key=lambda i: i.time_s)
+
+
+def _agree(
+    e: tuple[Impulse, Impulse], f: tuple[Impulse, Impulse], max_drift: float, match_s: float
+) -> bool:
+    span = e[1].time_s - e[0].time_s
+    std = np.sqrt(sum(impulse.std_s**2 for impulse in (*e, *f)))
+    difference = abs(f[1].time_s - f[0].time_s - span)
+    return bool(difference <= max_drift * span + max(match_s, 3.0 * std))
+
+
+def _match(
+    e: tuple[Impulse, Impulse],
+    f: tuple[Impulse, Impulse],
+    events: list[Impulse],
+    forces: list[Impulse],
+    match_s: float,
+) -> _Match:
+    """Return what the map through two impulses explains."""
+    rate = (f[1].time_s - f[0].time_s) / (e[1].time_s - e[0].time_s)
+    expected = [f[0].time_s + rate * (impulse.time_s - e[0].time_s) for impulse in events]
+    times = np.array([impulse.time_s for impulse in forces])
+    pairs = []
+    for impulse, at in zip(events, expected, strict=True):
+        nearest = int(np.argmin(np.abs(times - at)))
+        if abs(times[nearest] - at) <= match_s:
+            weight = _weight(impulse, events) * _weight(forces[nearest], forces)
+            pairs.append(ImpulsePair(impulse, forces[nearest], float(np.sqrt(weight))))
+    middle = events[len(events) // 2].time_s
+    offset = f[0].time_s + rate * (middle - e[0].time_s) - middle
+    return _Match(offset, sum(pair.weight for pair in pairs), tuple(pairs))
+
+
+def _weight(impulse: Impulse, among: list[Impulse]) -> float:
+    return impulse.strength / max(other.strength for other in among)
+
+
+def _require_no_rival(best: _Match, matches: list[_Match], match_s: float) -> None:
+    for match in matches:
+        apart = abs(match.offset_s - best.offset_s)
+        if apart > 4.0 * match_s and match.score > RIVAL * best.score:
+            raise AmbiguousImpulsesError(
+                f'impulses match at clock offsets of {best.offset_s:.3f} s and '
+                f'{match.offset_s:.3f} s alike: leave other taps out, or tap twice at one end so '
+                'that the pattern has one fit only'
+            )

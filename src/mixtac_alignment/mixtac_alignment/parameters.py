@@ -1,21 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the alignment node."""
+"""Parameters of the alignment node, which are the settings of every fit."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mixtac_alignment.impulses import ImpulseSettings
+from mixtac_node import topics
 from mixtac_node.parameters import parameter
 
 
 @dataclass(frozen=True)
 class AlignmentParameters:
-    """What the alignment node subscribes to, remembers and takes for an impulse."""
+    """What counts as an impulse, what is known of clocks and latencies, and what is remembered."""
 
     reference_topic: str = parameter(
-        '/ft_sensor/wrench',
+        topics.REFERENCE,
         'WrenchStamped topic of the reference force sensor; its stamps are the reference clock.',
         read_only=True,
     )
@@ -42,21 +42,22 @@ class AlignmentParameters:
     )
     min_force: float = parameter(
         0.2,
-        'Smallest force peak of a tap. Lower finds gentler taps, and more that are none.',
+        'Smallest force peak of a tap. Lower finds gentler taps, and more false ones.',
         unit='N',
         minimum=0.01,
         maximum=100.0,
     )
     max_width: float = parameter(
         0.06,
-        'Longest force peak or event trough of a tap, at half its height. Presses are longer.',
+        'Longest force peak or event trough of a tap, measured at half its height. Presses are '
+        'longer.',
         unit='s',
         minimum=0.005,
         maximum=0.5,
     )
     min_burst_rate: float = parameter(
         5e4,
-        'How far the event rate of both bursts of a tap rises over the trough between them.',
+        'Smallest rise of the event rate of both bursts of a tap over the trough between them.',
         unit='1/s',
         minimum=1e3,
         maximum=1e7,
@@ -78,8 +79,8 @@ class AlignmentParameters:
     )
     event_latency: float = parameter(
         4.15,
-        'How long after the force its peak shows in the event rate: lag of the gel and latency of '
-        'the pixels. The default is the median of simulated sensors; darker light needs more.',
+        'Delay from a force peak to the event trough that shows it: lag of the gel and latency of '
+        'the pixels. The default is the median of simulated sensors; less light needs more.',
         unit='ms',
         minimum=0.0,
         maximum=50.0,
@@ -93,8 +94,8 @@ class AlignmentParameters:
     )
     tap_latency: float = parameter(
         1.3,
-        'The same with frames, where the whole course of a tap is fitted. `mixtac align` finds '
-        'the value of a sensor from several of its recordings.',
+        'Delay of the events of a tap when frames are used and the whole tap is fitted. `mixtac '
+        'align` finds the value of a sensor from several of its recordings.',
         unit='ms',
         minimum=0.0,
         maximum=50.0,
@@ -108,20 +109,20 @@ class AlignmentParameters:
     )
     drift_std: float = parameter(
         50.0,
-        'Prior standard deviation of the clock drift: two crystals of 30 to 40 ppm each. Draws the '
-        'drift towards 0 as far as the taps leave it uncertain; 0 for no prior. Taken with frames '
-        "only: without them the fit is the paper's.",
+        'Prior standard deviation of the clock drift: two crystals of 30 to 40 ppm each. Pulls an '
+        'uncertain drift towards 0; 0 disables the prior. Used with frames only: without them the '
+        "fit is the paper's.",
         unit='ppm',
         minimum=0.0,
         maximum=10000.0,
     )
     use_frames: bool = parameter(
         True,
-        'Refine the fit over all that is remembered, with the frames.',
+        'Refine the fit with the frames, over the whole history.',
     )
     use_edges: bool = parameter(
         False,
-        'Fit edges of a trigger line in place of taps: external_edges of the driver against '
+        'Fit edges of a trigger line instead of taps: external_edges of the driver against '
         'reference_edges.',
     )
     use_all: bool = parameter(
@@ -129,17 +130,32 @@ class AlignmentParameters:
         'Fit all strong taps by least squares, not only the first and the last.',
     )
 
-    def settings(self) -> ImpulseSettings:
-        """Return what the core needs of these."""
-        return ImpulseSettings(
-            min_force=self.min_force,
-            max_width_s=self.max_width,
-            min_burst_rate=self.min_burst_rate,
-            min_baseline_s=self.min_baseline,
-            max_drift=self.max_drift * 1e-6,
-            event_latency_s=self.event_latency * 1e-3,
-            event_latency_std_s=self.event_latency_std * 1e-3,
-            tap_latency_s=self.tap_latency * 1e-3,
-            tap_latency_std_s=self.tap_latency_std * 1e-3,
-            drift_std=self.drift_std * 1e-6,
-        )
+    @property
+    def max_drift_rate(self) -> float:
+        """Largest believable ``|a - 1|``."""
+        return self.max_drift * 1e-6
+
+    @property
+    def event_latency_s(self) -> float:
+        """Delay of the event trough of a tap [s]."""
+        return self.event_latency * 1e-3
+
+    @property
+    def event_latency_std_s(self) -> float:
+        """Standard deviation of `event_latency_s` from sensor to sensor [s]."""
+        return self.event_latency_std * 1e-3
+
+    @property
+    def tap_latency_s(self) -> float:
+        """Delay of the events of a tap that is fitted as a whole [s]."""
+        return self.tap_latency * 1e-3
+
+    @property
+    def tap_latency_std_s(self) -> float:
+        """Standard deviation of `tap_latency_s` from sensor to sensor [s]."""
+        return self.tap_latency_std * 1e-3
+
+    @property
+    def drift_std_rate(self) -> float:
+        """Prior standard deviation of ``a - 1``; 0 for no prior."""
+        return self.drift_std * 1e-6

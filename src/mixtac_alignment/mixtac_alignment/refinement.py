@@ -20,14 +20,14 @@ on simulated trials. A jump of one clock within the recording shows in the resid
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from mixtac_alignment.clock_fit import MAX_DRIFT
 from mixtac_alignment.errors import DriftError, InconsistentFitError, RefinementError
 from mixtac_alignment.gel_lag import COLUMNS, GelLag, LaggedForce
-from mixtac_alignment.signals import smooth_force
+from mixtac_alignment.signals import even_force
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -110,24 +110,38 @@ def largest_step(
 
 
 STEPS: Final = 12
-LARGEST_STEP_S: Final = 4e-3
-LARGEST_TURN: Final = 4e-4
+"""Number of Gauss-Newton steps."""
+LARGEST_OFFSET_STEP_S: Final = 4e-3
+"""Largest change of the offset in one step [s]: as far as the first map may be wrong."""
+LARGEST_RATE_STEP: Final = 4e-4
+"""Largest change of the rate in one step: twice the largest believable drift."""
+EDGE_MARGIN_S: Final = 0.03
+"""Frames nearer to the ends of the force recording are left out [s]: three standard deviations of
+the widest smoothing."""
+FIRST_NOISE_N: Final = 6e-3
+"""First guess of the noise of the force that frames show [N]; the steps estimate it."""
 BLOCK_S: Final = 1.0
-"""Residuals this far apart are independent."""
+"""Residuals this far apart are independent [s]."""
 INFLATION: Final = 1.6
 """Factor on the standard deviation, found on simulated trials: the static map errs slowly."""
 FLOOR_S: Final = 1.1e-4
-"""Error of the offset that no trial shows, found on simulated trials."""
+"""Error of the offset that no trial shows [s], found on simulated trials."""
 FEWEST_FRAMES: Final = 120
+"""Fewest frames that are refined with: more than the functions of the frames that are fitted."""
 LEAST_FORCE_N: Final = 0.02
+"""Least range of the force, from its 2.5 to its 97.5 percentile [N]."""
+LEAST_LAG_STD: Final = 0.01
+"""Least standard deviation of a weight of the gel after one trial."""
 JUMP_S: Final = 1.2e-3
+"""A jump of a clock must be larger than this to be one [s]."""
 JUMP_DEVIATIONS: Final = 10.0
-"""A jump must be larger than this, and stand out of the noise by as much, to be one."""
+"""A jump of a clock must stand out of the noise by as many standard deviations to be one."""
 LARGEST_MISFIT: Final = 0.08
 """Largest residual over the force's rms: 0.025 on simulated trials, 0.2 for wrong impulses."""
 OUTLIER_TRUST: Final = 0.2
+"""Cauchy weight below which a frame is an outlier: six standard deviations."""
 MOST_OUTLIERS: Final = 0.08
-"""Largest share of frames beyond six standard deviations: 0.025 and 0.17."""
+"""Largest share of outliers: 0.025 on simulated trials, 0.17 for wrong impulses."""
 AGREEMENT: Final = 4.0
 """Standard deviations by which both fits may differ."""
 
@@ -139,7 +153,7 @@ class Refinement:
     Attributes:
         fit: The map; anchors are those of the first fit, residuals are theirs to this map.
         lag: Lag of the gel, from the prior and this trial.
-        residual_std: Force that frames and reference disagree by, robust standard deviation [N].
+        residual_std: Robust standard deviation of the force between frames and reference [N].
         lag_covariance: Covariance of the weights of the lag, 6 x 6.
     """
 
@@ -149,19 +163,42 @@ class Refinement:
     lag_covariance: NDArray[np.float64]
 
 
-@dataclass(slots=True)
-class _State:
-    a: float
-    b: float
+@dataclass(frozen=True, slots=True, eq=False)
+class _Estimate:
+    """One Gauss-Newton step's result, about the middle of the frames.
+
+    Attributes:
+        offset: b [s].
+        rate: a.
+        weights: Of the retarded responses, 6.
+        trust: Cauchy weight of each frame, 0 to 1.
+        noise: Robust standard deviation of the residuals [N].
+        covariance: Of (b, a, weights), 8 x 8.
+        jump: Largest jump that the residuals allow: size [s], time [s], standard deviations.
+    """
+
+    offset: float
+    rate: float
     weights: NDArray[np.float64]
     trust: NDArray[np.float64]
     noise: float
     covariance: NDArray[np.float64]
     jump: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
+    def about(self, shift_s: float) -> _Estimate:
+        """Return the same map about a time that is earlier by a shift [s]."""
+        turn = np.eye(len(self.covariance))
+        turn[0, 1] = -shift_s
+        return replace(
+            self,
+            offset=self.offset - self.rate * shift_s,
+            covariance=turn @ self.covariance @ turn.T,
+        )
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Known:
+
+class _Prior(NamedTuple):
+    """Mean and precision of (b, a, weights) before the frames are looked at."""
+
     mean: NDArray[np.float64]
     precision: NDArray[np.float64]
 
@@ -188,22 +225,19 @@ def refine(
         InconsistentFitError: The recording contradicts the first map.
         DriftError: The drift is not believable.
     """
-    prior = lag or GelLag()
-    period = float(np.median(np.diff(force_t_s)))
-    origin_s = first.reference_epoch_s
-    even = np.arange(force_t_s[0] - origin_s, force_t_s[-1] - origin_s, period)
-    force = smooth_force(np.interp(even, force_t_s - origin_s, force_N), period)
+    gel = lag or GelLag()
+    even, force = even_force(force_t_s - first.reference_epoch_s, force_N)
     lagged = LaggedForce(even, force)
-    start_s, end_s = (_since(t, first.camera_epoch_us) for t in (frames.start_us, frames.end_us))
-    inside = (first.a * start_s + first.b > even[0] + 0.03) & (
-        first.a * end_s + first.b < even[-1] - 0.03
+    start_s, end_s = first.since_epoch_s(frames.start_us), first.since_epoch_s(frames.end_us)
+    inside = (first.a * start_s + first.b > even[0] + EDGE_MARGIN_S) & (
+        first.a * end_s + first.b < even[-1] - EDGE_MARGIN_S
     )
     _require_enough(int(inside.sum()), force)
     start_s, end_s = start_s[inside], end_s[inside]
-    state = _iterate(lagged, frames.values[inside], start_s, end_s, first, prior)
-    _require_same_motion(state, float(force.std()))
-    _require_no_jump(state.jump)
-    return _checked(first, _result(first, state, prior))
+    estimate = _iterate(lagged, frames.values[inside], start_s, end_s, first, gel)
+    _require_same_motion(estimate, float(force.std()))
+    _require_no_jump(estimate.jump)
+    return _checked(first, _result(first, estimate, gel))
 
 
 def _iterate(
@@ -212,111 +246,118 @@ def _iterate(
     start_s: NDArray[np.float64],
     end_s: NDArray[np.float64],
     first: ClockFit,
-    prior: GelLag,
-) -> _State:
-    """Take Gauss-Newton steps about the middle of the frames; return the state about the epoch."""
+    gel: GelLag,
+) -> _Estimate:
+    """Take Gauss-Newton steps about the middle of the frames; return the result about the epoch."""
     t_s = 0.5 * (start_s + end_s)
     middle = float(t_s.mean())
     basis, slow = deformation_basis(values, t_s), slow_basis(t_s)
-    state = _State(
-        a=first.a,
-        b=first.b + first.a * middle,
-        weights=np.array(prior.mean),
+    prior = _prior(first, middle, gel)
+    estimate = _Estimate(
+        offset=first.b + first.a * middle,
+        rate=first.a,
+        weights=np.array(gel.mean),
         trust=np.ones(len(t_s)),
-        noise=6e-3,
+        noise=FIRST_NOISE_N,
         covariance=np.zeros((2 + COLUMNS, 2 + COLUMNS)),
     )
-    known = _knowledge(first, middle, prior)
     for count in range(STEPS):
         mean, slope = lagged.mean(
-            state.a * (start_s - middle) + state.b, state.a * (end_s - middle) + state.b
+            estimate.rate * (start_s - middle) + estimate.offset,
+            estimate.rate * (end_s - middle) + estimate.offset,
         )
-        _step(state, mean, slope, basis, slow, t_s - middle, known, last=count == STEPS - 1)
-    turn = np.eye(2 + COLUMNS)
-    turn[0, 1] = -middle
-    state.b -= state.a * middle
-    state.covariance = turn @ state.covariance @ turn.T
-    return state
+        last = count == STEPS - 1
+        estimate = _step(estimate, mean, slope, basis, slow, t_s - middle, prior, last=last)
+    return estimate.about(middle)
 
 
-def _knowledge(first: ClockFit, middle_s: float, prior: GelLag) -> _Known:
-    """Return what the first map and the prior of the gel say of b about the middle, a, weights."""
-    mean = np.array([first.b + first.a * middle_s, first.a, *prior.mean])
-    precision = np.diag([0.0, 0.0, *(1.0 / np.array(prior.std) ** 2)])
+def _prior(first: ClockFit, middle_s: float, gel: GelLag) -> _Prior:
+    """Return what the first map and the gel contribute, about the middle of the frames."""
+    mean = np.array([first.b + first.a * middle_s, first.a, *gel.mean])
+    precision = np.diag([0.0, 0.0, *(1.0 / np.array(gel.std) ** 2)])
     about = np.array([[middle_s, 1.0], [1.0, 0.0]])
     impulses = np.linalg.inv(about @ first.covariance @ about.T)
-    # Frames tell by so much less than their noise says.
+    # Residuals of the frames are correlated, so inflate their variance: the prior weighs more.
     precision[:2, :2] = INFLATION**2 * impulses
-    return _Known(mean, precision)
+    return _Prior(mean, precision)
 
 
 def _step(
-    state: _State,
+    estimate: _Estimate,
     mean: NDArray[np.float64],
     slope: NDArray[np.float64],
     basis: NDArray[np.float64],
     slow: NDArray[np.float64],
     t_s: NDArray[np.float64],
-    known: _Known,
+    prior: _Prior,
     *,
     last: bool,
-) -> None:
-    elastic = mean[:, 0] - mean[:, 1:] @ state.weights
-    change = slope[:, 0] - slope[:, 1:] @ state.weights
+) -> _Estimate:
+    """Return the estimate after one Gauss-Newton step; the last one looks for jumps as well."""
+    elastic = mean[:, 0] - mean[:, 1:] @ estimate.weights
+    change = slope[:, 0] - slope[:, 1:] @ estimate.weights
     # Without this, weights could shrink the whole signal, and with it the residual.
     fast = elastic - slow @ (slow.T @ elastic)
     scale = (mean[:, 1:].T @ fast) / (fast @ fast)
     responses = mean[:, 1:] - np.outer(elastic, scale)
     design = np.column_stack([-change, -change * t_s, responses])
-    root = np.sqrt(state.trust)
-    q = np.linalg.qr(basis * root[:, None])[0]
-    rows, target = design * root[:, None], elastic * root
+    root_weight = np.sqrt(estimate.trust)
+    q = np.linalg.qr(basis * root_weight[:, None])[0]
+    rows, target = design * root_weight[:, None], elastic * root_weight
     rows, target = rows - q @ (q.T @ rows), target - q @ (q.T @ target)
-    before = state.noise**2 * known.precision
-    now = np.array([state.b, state.a, *state.weights])
-    normal = rows.T @ rows + before
-    step = np.linalg.solve(normal, rows.T @ target + before @ (known.mean - now))
+    prior_precision = estimate.noise**2 * prior.precision
+    present = np.array([estimate.offset, estimate.rate, *estimate.weights])
+    normal = rows.T @ rows + prior_precision
+    step = np.linalg.solve(normal, rows.T @ target + prior_precision @ (prior.mean - present))
     residual = target - rows @ step
-    _covariance(state, rows, residual, before, normal, t_s)
-    free = max(1.0, len(t_s) - basis.shape[1] - 2.0) / len(t_s)
+    jump = estimate.jump
     if last:
-        state.jump = largest_step(rows, residual, root * change, q, t_s, state.noise)
-    plain = residual / np.maximum(root, 1e-3)
-    state.noise = max(1e-5, 1.4826 * float(np.median(np.abs(plain))) / float(np.sqrt(free)))
-    state.trust = 1.0 / (1.0 + (plain / (3.0 * state.noise)) ** 2)
-    state.b += float(np.clip(step[0], -LARGEST_STEP_S, LARGEST_STEP_S))
-    state.a += float(np.clip(step[1], -LARGEST_TURN, LARGEST_TURN))
-    state.weights = state.weights + step[2:]
+        jump = largest_step(rows, residual, root_weight * change, q, t_s, estimate.noise)
+    plain = residual / np.maximum(root_weight, 1e-3)
+    freedom = max(1.0, len(t_s) - basis.shape[1] - 2.0) / len(t_s)
+    noise = 1.4826 * float(np.median(np.abs(plain))) / float(np.sqrt(freedom))
+    noise = max(1e-5, noise)
+    return _Estimate(
+        offset=estimate.offset + _clipped(step[0], LARGEST_OFFSET_STEP_S),
+        rate=estimate.rate + _clipped(step[1], LARGEST_RATE_STEP),
+        weights=estimate.weights + step[2:],
+        trust=1.0 / (1.0 + (plain / (3.0 * noise)) ** 2),
+        noise=noise,
+        covariance=_covariance(rows, residual, prior_precision, normal, estimate.noise, t_s),
+        jump=jump,
+    )
+
+
+def _clipped(value: float, largest: float) -> float:
+    return float(np.clip(value, -largest, largest))
 
 
 def _covariance(
-    state: _State,
     rows: NDArray[np.float64],
     residual: NDArray[np.float64],
-    before: NDArray[np.float64],
+    prior_precision: NDArray[np.float64],
     normal: NDArray[np.float64],
+    noise: float,
     t_s: NDArray[np.float64],
-) -> None:
+) -> NDArray[np.float64]:
+    """Return the cluster-robust covariance, with blocks of `BLOCK_S` as clusters."""
     block = ((t_s - t_s[0]) / BLOCK_S).astype(np.int64)
     scores = np.zeros((int(block[-1]) + 1, rows.shape[1]))
     np.add.at(scores, block, rows * residual[:, None])
     inverse = np.linalg.inv(normal)
-    spread = scores.T @ scores + state.noise**2 * before
-    state.covariance = inverse @ spread @ inverse
+    spread = scores.T @ scores + noise**2 * prior_precision
+    return np.asarray(inverse @ spread @ inverse)
 
 
-def _result(first: ClockFit, state: _State, prior: GelLag) -> Refinement:
-    covariance = INFLATION**2 * state.covariance[1::-1, 1::-1]
+def _result(first: ClockFit, estimate: _Estimate, gel: GelLag) -> Refinement:
+    covariance = INFLATION**2 * estimate.covariance[1::-1, 1::-1]
     covariance[1, 1] += FLOOR_S**2
-    fit = replace(first, a=state.a, b=state.b, covariance=covariance, method='refined')
-    camera_us = np.array([anchor.camera_us for anchor in first.anchors])
-    reference_s = np.array([anchor.reference_s for anchor in first.anchors])
-    fit = replace(fit, residuals_s=reference_s - fit.to_reference(camera_us))
-    own = np.sqrt(np.diag(state.covariance)[2:])
-    std = np.minimum(np.array(prior.std), np.maximum(own, 0.01))
-    lag = GelLag(tuple(map(float, state.weights)), tuple(map(float, std)))
-    weights = INFLATION**2 * state.covariance[2:, 2:]
-    return Refinement(fit, lag, state.noise, weights)
+    fit = first.with_map(estimate.rate, estimate.offset, covariance, 'refined')
+    own = np.sqrt(np.diag(estimate.covariance)[2:])
+    std = np.minimum(np.array(gel.std), np.maximum(own, LEAST_LAG_STD))
+    lag = GelLag(tuple(map(float, estimate.weights)), tuple(map(float, std)))
+    weights = INFLATION**2 * estimate.covariance[2:, 2:]
+    return Refinement(fit, lag, estimate.noise, weights)
 
 
 def _checked(first: ClockFit, refined: Refinement) -> Refinement:
@@ -338,13 +379,14 @@ def _checked(first: ClockFit, refined: Refinement) -> Refinement:
     return refined
 
 
-def _require_same_motion(state: _State, swing: float) -> None:
-    strange = float(np.mean(state.trust < OUTLIER_TRUST))
-    if state.noise > LARGEST_MISFIT * swing or strange > MOST_OUTLIERS:
+def _require_same_motion(estimate: _Estimate, swing: float) -> None:
+    outliers = float(np.mean(estimate.trust < OUTLIER_TRUST))
+    if estimate.noise > LARGEST_MISFIT * swing or outliers > MOST_OUTLIERS:
         raise InconsistentFitError(
-            f'frames explain the force to {state.noise:.3f} N of {swing:.3f} N rms, and '
-            f'{100.0 * strange:.0f} % of them not at all: impulses were taken for each other, or '
-            'taps are missing; record again with a tap at either end'
+            f'frames explain the force to {estimate.noise:.3f} N of {swing:.3f} N rms, and '
+            f'{100.0 * outliers:.0f} % of them not at all: impulses were mistaken for each other, '
+            'or taps are missing',
+            remedy='record again with a tap at either end',
         )
 
 
@@ -355,10 +397,6 @@ def _require_no_jump(jump: tuple[float, float, float]) -> None:
             f'one clock jumps by {1e3 * size_s:+.1f} ms about {at_s:+.1f} s from the middle of the '
             'recording: samples were lost or a clock was set; record again'
         )
-
-
-def _since(t_us: NDArray[np.int64], epoch_us: int) -> NDArray[np.float64]:
-    return (t_us - np.int64(epoch_us)).astype(np.float64) * 1e-6
 
 
 def _require_enough(frames: int, force: NDArray[np.float64]) -> None:

@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Smoothing of sampled signals, and their prominent peaks.
+"""Smoothing of sampled signals, their prominent peaks, and the sign of a force.
 
 `smooth_force` is wavelet shrinkage without decimation. Quiet stretches are smoothed over many
 samples, so that the slope of the force is known well; a band whose local power stands out of the
 noise, as in a tap or a bounce, is kept. All filters are symmetric in time and add no delay.
 
-`prominent_peaks` uses the definitions of `scipy.signal.find_peaks` and `peak_widths`.
+SciPy is imported inside the functions: it takes a second to load, which the commands that do not
+align need not wait for. `warm_up` loads it.
 """
 
 from __future__ import annotations
@@ -14,14 +15,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-KERNEL_REACH: Final = 4.0
-"""Standard deviations at which the kernel ends."""
+def warm_up() -> None:
+    """Load what the alignment uses of SciPy, so that the first fit does not wait for it."""
+    import scipy.interpolate
+    import scipy.ndimage
+    import scipy.optimize
+    import scipy.signal  # noqa: F401
 
 
 def gaussian_smooth(values: NDArray[np.float64], width: float) -> NDArray[np.float64]:
@@ -31,17 +35,17 @@ def gaussian_smooth(values: NDArray[np.float64], width: float) -> NDArray[np.flo
         values: Evenly spaced samples, ``float64 [n]``, not empty.
         width: Standard deviation, in samples.
     """
-    half = int(KERNEL_REACH * width + 0.5)
-    kernel = np.exp(-0.5 * (np.arange(-half, half + 1) / max(width, 1e-9)) ** 2)
-    kernel /= kernel.sum()
-    return np.asarray(np.convolve(np.pad(values, half, mode='edge'), kernel, mode='valid'))
+    from scipy.ndimage import gaussian_filter1d
+
+    return np.asarray(gaussian_filter1d(values, max(width, 1e-9), mode='nearest'))
 
 
 SCALES_S: Final = (0.0025, 0.005, 0.010)
 """Standard deviations of the Gaussians between which the bands lie [s]."""
 CAUTION: Final = 2.5
-"""Noise power counts this many times: power is estimated from few samples."""
-_HALF: Final = 200
+"""Factor on the noise power: power is estimated from few samples."""
+HALF_KERNEL: Final = 200
+"""Samples to both sides of an impulse that show the filters completely."""
 
 
 def noise_std(force_N: NDArray[np.float64]) -> float:
@@ -59,7 +63,7 @@ def smooth_force(force_N: NDArray[np.float64], period_s: float) -> NDArray[np.fl
     """
     power = noise_std(force_N) ** 2
     finer: NDArray[np.float64] = force_N
-    impulse = np.eye(1, 2 * _HALF + 1, _HALF)[0]
+    impulse = np.eye(1, 2 * HALF_KERNEL + 1, HALF_KERNEL)[0]
     kernel = impulse
     kept = np.zeros_like(force_N)
     for scale_s in SCALES_S:
@@ -72,6 +76,26 @@ def smooth_force(force_N: NDArray[np.float64], period_s: float) -> NDArray[np.fl
         kept += band * np.clip(1.0 - CAUTION * noise / np.maximum(local, 1e-12), 0.0, 1.0)
         finer, kernel = coarser, wider
     return np.asarray(finer + kept)
+
+
+def even_force(
+    t_s: NDArray[np.float64], force_N: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return evenly spaced times [s] within those of the samples, and the smooth force there [N].
+
+    Args:
+        t_s: Increasing sample times [s], ``float64 [n]``, small numbers.
+        force_N: Force [N], ``float64 [n]``.
+    """
+    period = float(np.median(np.diff(t_s)))
+    even = np.arange(t_s[0], t_s[-1], period)
+    return even, smooth_force(np.interp(even, t_s, force_N), period)
+
+
+def pressing_sign(force_N: NDArray[np.float64]) -> float:
+    """Return the sign that makes pressing positive: 1 or -1."""
+    relative = force_N - np.median(force_N)
+    return 1.0 if relative.max() >= -relative.min() else -1.0
 
 
 class Peaks(NamedTuple):
@@ -96,58 +120,7 @@ def prominent_peaks(values: NDArray[np.float64], prominence: float, window: int)
         prominence: Least prominence.
         window: Samples, an odd number, about a peak among which its prominence is taken.
     """
-    rows = _peaks(np.ascontiguousarray(values, np.float64), prominence, window // 2)
-    return Peaks(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2])
+    from scipy.signal import find_peaks
 
-
-@njit(cache=True, nogil=True)
-def _peaks(values: NDArray[np.float64], least: float, reach: int) -> NDArray[np.float64]:
-    count = len(values)
-    rows = np.empty((count // 2 + 1, 3))
-    found = 0
-    i = 1
-    while i < count - 1:
-        end = i
-        while end < count - 1 and values[end + 1] == values[i]:
-            end += 1
-        if values[i - 1] < values[i] and end < count - 1 and values[end + 1] < values[i]:
-            peak = (i + end) // 2
-            left, low_left = _foot(values, peak, max(peak - reach, 0), -1)
-            right, low_right = _foot(values, peak, min(peak + reach, count - 1), 1)
-            height = values[peak] - max(low_left, low_right)
-            if height >= least:
-                level = values[peak] - 0.5 * height
-                rows[found, 0] = peak
-                rows[found, 1] = height
-                rows[found, 2] = _crossing(values, peak, right, level, 1) - _crossing(
-                    values, peak, left, level, -1
-                )
-                found += 1
-        i = end + 1
-    return rows[:found]
-
-
-@njit(cache=True, nogil=True)
-def _foot(values: NDArray[np.float64], peak: int, last: int, step: int) -> tuple[int, float]:
-    """Return the lowest sample on the way to `last` that comes before a higher one than the peak.
-
-    It is given as its place and its value.
-    """
-    place, low = peak, values[peak]
-    i = peak
-    while i != last and values[i + step] <= values[peak]:
-        i += step
-        if values[i] < low:
-            place, low = i, values[i]
-    return place, low
-
-
-@njit(cache=True, nogil=True)
-def _crossing(values: NDArray[np.float64], peak: int, foot: int, level: float, step: int) -> float:
-    """Return where the samples from the peak to its foot first cross a level, interpolated."""
-    i = peak
-    while i != foot and values[i] > level:
-        i += step
-    if values[i] >= level:
-        return float(i)
-    return float(i - step * (level - values[i]) / (values[i - step] - values[i]))
+    places, found = find_peaks(values, prominence=prominence, width=0.0, wlen=window)
+    return Peaks(places.astype(np.int64), found['prominences'], found['widths'])

@@ -24,7 +24,6 @@ at later taps half of them are assumed to stand where a load left them.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -33,142 +32,46 @@ from numba import njit
 from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
 from mixtac_alignment.errors import NoImpulseError
 from mixtac_alignment.gel_lag import GelLag, LaggedForce
-from mixtac_alignment.impulses import Impulse, ImpulseSettings, strongest
-from mixtac_alignment.signals import gaussian_smooth, prominent_peaks, smooth_force
+from mixtac_alignment.impulses import MIN_SPACING_S, Impulse, strongest
+from mixtac_alignment.parameters import AlignmentParameters
+from mixtac_alignment.signals import even_force, gaussian_smooth, pressing_sign, prominent_peaks
 from mixtac_alignment.two_impulse import paired_impulses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
-    from mixtac_alignment.pairing import ImpulsePair
-
-
-NNLS_TOLERANCE: Final = 1e-10
-"""Part of the largest gradient that counts as none."""
-NNLS_ROUNDS: Final = 10
-NNLS_ROUNDING: Final = 1e-13
-"""Part of a column that is at least its own; columns may be nearly alike."""
-
-
-def nonnegative_left(design: NDArray[np.float64], signal: NDArray[np.float64]) -> float:
-    """Return the sum of squares that the best non-negative weights leave.
-
-    Args:
-        design: Columns, ``float64 [m, k]``.
-        signal: What they are to make up, ``float64 [m]``.
-    """
-    left = signal - design @ nonnegative_weights(design.T @ design, design.T @ signal)
-    return float(left @ left)
-
-
-@njit(cache=True, nogil=True)
-def nonnegative_weights(
-    gram: NDArray[np.float64], moment: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the non-negative weights of least squares, ``float64 [k]``.
-
-    Args:
-        gram: Products of the columns with each other, ``float64 [k, k]``.
-        moment: Their products with the signal, ``float64 [k]``.
-    """
-    count = len(moment)
-    weights = np.zeros(count)
-    active = np.zeros(count, np.bool_)
-    small = NNLS_TOLERANCE * np.abs(moment).max()
-    for _ in range(NNLS_ROUNDS * count):
-        best = _steepest(gram, moment, weights, active, small)
-        if best < 0:
-            break
-        active[best] = True
-        while not _advance_weights(weights, _solve_active(gram, moment, active), active):
-            pass
-    return weights
-
-
-@njit(cache=True, nogil=True)
-def _steepest(
-    gram: NDArray[np.float64],
-    moment: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    active: NDArray[np.bool_],
-    small: float,
-) -> int:
-    """Return the idle column that would lower the sum of squares fastest; -1 if none would."""
-    best, steepest = -1, small
-    for k in range(len(moment)):
-        if not active[k]:
-            gradient = moment[k] - np.sum(gram[k] * weights)
-            if gradient > steepest:
-                best, steepest = k, gradient
-    return best
-
-
-@njit(cache=True, nogil=True)
-def _advance_weights(
-    weights: NDArray[np.float64], wanted: NDArray[np.float64], active: NDArray[np.bool_]
-) -> bool:
-    """Move towards the wanted weights as far as all stay positive; return whether all the way."""
-    part, first = 1.0, -1
-    for k in range(len(weights)):
-        if active[k] and wanted[k] <= 0.0:
-            reach = weights[k] / (weights[k] - wanted[k]) if weights[k] > 0.0 else 0.0
-            if first < 0 or reach < part:
-                part, first = reach, k
-    for k in range(len(weights)):
-        weights[k] = max(weights[k] + part * (wanted[k] - weights[k]), 0.0)
-    if first < 0:
-        return True
-    active[first] = False
-    weights[first] = 0.0
-    return False
-
-
-@njit(cache=True, nogil=True)
-def _solve_active(
-    gram: NDArray[np.float64], moment: NDArray[np.float64], active: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Return the weights of the active columns without the constraint, by Cholesky's factors."""
-    chosen = np.flatnonzero(active)
-    count = len(chosen)
-    lower, part = np.zeros((count, count)), np.zeros(count)
-    for i in range(count):
-        for j in range(i + 1):
-            rest = gram[chosen[i], chosen[j]] - np.sum(lower[i, :j] * lower[j, :j])
-            if i == j:
-                lower[i, i] = np.sqrt(max(rest, NNLS_ROUNDING * gram[chosen[i], chosen[i]]))
-            else:
-                lower[i, j] = rest / lower[j, j]
-        part[i] = (moment[chosen[i]] - np.sum(lower[i, :i] * part[:i])) / lower[i, i]
-    weights = np.zeros(len(moment))
-    for i in range(count - 1, -1, -1):
-        part[i] = (part[i] - np.sum(lower[i + 1 :, i] * part[i + 1 :])) / lower[i, i]
-        weights[chosen[i]] = part[i]
-    return weights
+    from mixtac_alignment.impulses import ImpulsePair
 
 
 STEP_S: Final = 1e-4
+"""Time step of the model [s]."""
 BIN_US: Final = 500
+"""Bin of the events that are fitted [us]."""
 BEFORE_S: Final = 0.06
+"""Time before a tap from which its events are counted [s]."""
 AFTER_S: Final = 0.10
-"""Time around a tap in which its events are counted."""
+"""Time after a tap up to which its events are counted [s]."""
 FITTED_S: Final = 0.03
-"""Time to both sides of the force peak that is fitted; taps last 20 to 40 ms."""
+"""Time to both sides of the force peak that is fitted [s]; taps last 20 to 40 ms."""
 SEARCH_S: Final = 0.014
-"""How far from the expected moment the tap may be."""
+"""How far from the expected moment the tap may be [s]."""
 GAINS: Final = (0.7, 1.0, 1.5, 2.2, 3.3, 5.0, 8.0, 13.0)
 """Thresholds that a tap moves the pixels of a class by."""
 OFF_OVER_ON: Final = 1.3
 """OFF over ON threshold of a DAVIS346 at its usual biases: 0.27 over 0.21 log-e."""
 PIXEL_S: Final = 5e-4
-"""Time constant of the pixels; what they are slower belongs to the latency."""
+"""Time constant of the pixels [s]; additional delay counts as latency."""
 PHASES: Final = 24
+"""Distances to the threshold at which the pixels of a class start."""
 COURSE_BIN_US: Final = 4000
+"""Bin of the events in `common_course` [us]."""
 COURSE_BINS: Final = 18
+"""Bins of `common_course`, from `FITTED_S` before the tap on."""
 LEAST_FORCE_N: Final = 0.02
-"""Rounds the root where the contact begins."""
+"""Rounds the square root where the contact begins [N]."""
 DARKER: Final = 0.02
-"""Noise of a cell's log brightness."""
+"""Noise of a cell's log brightness (natural logarithm)."""
 
 
 class TapFit(NamedTuple):
@@ -227,7 +130,7 @@ def depth_of(force_N: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class TapModel:
-    """The events that a force lets expect.
+    """Predicted events for a force profile.
 
     Args:
         t_s: Sample times [s], reference clock, evenly spaced, ``float64 [n]``.
@@ -287,7 +190,13 @@ class TapModel:
     ) -> float:
         at = edges_s - delay_s
         design = np.stack([np.diff(np.interp(at, self._edges, row))[used] for row in self._total])
-        return float(nonnegative_left(np.ascontiguousarray(design.T), signal[used]))
+        from scipy.optimize import nnls
+
+        try:
+            left = nnls(design.T, signal[used])[1]
+        except RuntimeError:  # too many steps: as if no weights explained the signal
+            left = np.linalg.norm(signal[used])
+        return float(left) ** 2
 
 
 def tap_signal(
@@ -348,21 +257,25 @@ def _fire(
 
 
 SMOOTHING_S: Final = 0.006
-"""Standard deviation of the smoothing that makes one burst of a tap."""
+"""Standard deviation of the smoothing that merges both bursts of a tap [s]."""
 BURST_STD_S: Final = 0.003
+"""Standard deviation of the time of a smoothed burst [s]."""
 BURST_LATENCY_S: Final = 0.001
-"""How much later than the force peak the smoothed burst peaks."""
-MATCH_S: Final = 0.02
+"""Delay from the force peak to the peak of the smoothed burst [s]."""
+BURST_MATCH_S: Final = 0.02
+"""Largest disagreement of a burst and a force peak that are the same tap [s]."""
 TAP_STD_S: Final = 4.5e-4
-"""Scatter of taps of one sensor, found on simulated trials outside the benchmark."""
+"""Scatter of taps of one sensor [s], found on simulated trials outside the benchmark."""
 COMMON_STD_S: Final = 1.0e-3
-"""The same where the frames do not show the deformation of the tap, but that of another object."""
+"""Scatter of taps whose deformation the frames do not show, because another object made it [s]."""
 DOUBTFUL_MISFIT: Final = 0.4
+"""Share of a tap's signal left over from which the weights of the frames are doubted."""
 LARGEST_MISFIT: Final = 0.65
 """Share of a tap's signal that may be left: 0.05 to 0.3 on simulated trials."""
 FEWEST_FRAMES: Final = 20
+"""Frames while the force was recorded that show which cells brighten under force."""
 UNLOADED_PERCENT: Final = 5.0
-"""The sensor is free for at least this part of a recording, before and after the taps."""
+"""Percentile of the force that counts as unloaded: before and after the taps nothing touches."""
 
 
 def fit_taps(
@@ -371,7 +284,7 @@ def fit_taps(
     frames: FrameFeatures,
     force_t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
-    settings: ImpulseSettings | None = None,
+    parameters: AlignmentParameters | None = None,
     lag: GelLag | None = None,
     *,
     use_all: bool = False,
@@ -384,19 +297,26 @@ def fit_taps(
         frames: Frames, camera clock.
         force_t_s: Force sample times, reference clock [s], increasing.
         force_N: Normal force [N], either sign.
-        settings: What counts as a tap, and the latency of the events.
+        parameters: What counts as a tap, the latency of the events, limits of clocks.
         lag: What is known of the gel.
         use_all: Fit all strong taps by least squares instead of the first and the last.
 
     Raises:
         AlignmentError: As `two_impulse.fit_counts`, or taps whose events do not follow the force.
     """
-    chosen = replace(settings or ImpulseSettings(), match_s=MATCH_S)
+    chosen = parameters or AlignmentParameters()
     pairs, start_s = paired_impulses(
-        counts, force_t_s, force_N, chosen, lambda marked: find_bursts(marked, chosen)
+        counts,
+        force_t_s,
+        force_N,
+        chosen,
+        lambda marked: find_bursts(marked, chosen),
+        match_s=BURST_MATCH_S,
     )
     used = pairs if use_all else (pairs[0], pairs[-1])
-    t_s, force = _even(force_t_s - start_s, force_N)
+    t_s, force = even_force(force_t_s - start_s, force_N)
+    force = pressing_sign(force) * force
+    force -= np.percentile(force, UNLOADED_PERCENT)
     weight = _weights(pairs, counts.start_us, frames, t_s, force)
     anchors = [
         _anchor(
@@ -406,25 +326,25 @@ def fit_taps(
             events,
             weight,
             TapModel(t_s, force, pair.reference.time_s, lag, loaded=number > 0),
-            chosen,
+            chosen.tap_latency_s,
         )
         for number, pair in enumerate(used)
     ]
     fit = fit_clock(
         anchors,
-        min_baseline_s=chosen.min_baseline_s,
-        max_drift=chosen.max_drift,
+        min_baseline_s=chosen.min_baseline,
+        max_drift=chosen.max_drift_rate,
         common_std_s=chosen.tap_latency_std_s,
     )
-    return with_drift_prior(fit, chosen.drift_std)
+    return with_drift_prior(fit, chosen.drift_std_rate)
 
 
-def find_bursts(counts: EventCounts, settings: ImpulseSettings) -> list[Impulse]:
+def find_bursts(counts: EventCounts, parameters: AlignmentParameters) -> list[Impulse]:
     """Find bursts of the smoothed event rate that are as short as a tap's.
 
     Args:
         counts: Event counts, camera clock.
-        settings: What counts as an impulse.
+        parameters: What counts as an impulse.
 
     Returns:
         Impulses in the order of time, relative to the start of the counts.
@@ -432,27 +352,15 @@ def find_bursts(counts: EventCounts, settings: ImpulseSettings) -> list[Impulse]
     width_s = counts.width_us * 1e-6
     rate = counts.counts.astype(np.float64) / width_s
     smooth = gaussian_smooth(rate, SMOOTHING_S / width_s)
-    window = 2 * round(4.0 * settings.max_width_s / width_s) + 1
-    peaks = prominent_peaks(smooth, settings.min_burst_rate, window)
+    window = 2 * round(4.0 * parameters.max_width / width_s) + 1
+    peaks = prominent_peaks(smooth, parameters.min_burst_rate, window)
     reach = round(0.05 / width_s)
     impulses = [
         Impulse((peak + 0.5) * width_s, BURST_STD_S, float(height), float(width) * width_s)
         for peak, height, width in zip(*peaks, strict=True)
-        if width * width_s <= 1.5 * settings.max_width_s and not counts.lost_near(int(peak), reach)
+        if width * width_s <= 1.5 * parameters.max_width and not counts.lost_near(int(peak), reach)
     ]
-    return strongest(impulses, settings.min_spacing_s)
-
-
-def _even(
-    t_s: NDArray[np.float64], force_N: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return smooth force on even times, pressing positive."""
-    period = float(np.median(np.diff(t_s)))
-    even = np.arange(t_s[0], t_s[-1], period)
-    force = smooth_force(np.interp(even, t_s, force_N), period)
-    turned = force - np.median(force)
-    pressing = force if turned.max() >= -turned.min() else -force
-    return even, pressing - np.percentile(pressing, UNLOADED_PERCENT)
+    return strongest(impulses, MIN_SPACING_S)
 
 
 def _weights(
@@ -484,7 +392,7 @@ def _anchor(
     events: CellEvents,
     weight: NDArray[np.float64],
     model: TapModel,
-    settings: ImpulseSettings,
+    latency_s: float,
 ) -> Anchor:
     expected_us = start_us + round(1e6 * (pair.camera.time_s - BURST_LATENCY_S))
     found, std_s = model.fit(*tap_signal(events, expected_us, weight)), TAP_STD_S
@@ -499,5 +407,5 @@ def _anchor(
             f'the events {pair.camera.time_s:.2f} s into the recording do not follow the force of '
             f'the tap ({100.0 * found.misfit:.0f} % are left over): tap on the gel once, sharply'
         )
-    at_us = expected_us + round(1e6 * (found.delay_s - settings.tap_latency_s))
+    at_us = expected_us + round(1e6 * (found.delay_s - latency_s))
     return Anchor(at_us, start_s + pair.reference.time_s, std_s)

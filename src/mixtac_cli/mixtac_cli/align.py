@@ -16,10 +16,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from mixtac_alignment.clock_fit import to_fields
-from mixtac_alignment.fit_files import rewrite_bag, write_fit
-from mixtac_alignment.pool import sensor_timings
-from mixtac_alignment.recording import read_recording
+from mixtac_alignment.align import align as align_recording
+from mixtac_alignment.bags import read_recording, rewrite_bag, sensor_timings, write_fit
 from mixtac_cli.figures import EVENTS, MARK, REFERENCE, new_figure, save_figure
 from mixtac_cli.options import JsonFile, OptionalPath, ReferenceTopic
 from mixtac_events.errors import MixtacError
@@ -29,9 +27,9 @@ from mixtac_node.files import write_json
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from mixtac_alignment.align import Method, Recording
+    from mixtac_alignment.bags import SensorTiming
     from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_alignment.pool import SensorTiming
-    from mixtac_alignment.recording import Method, Recording
 
 METHODS: Final = ('refined', 'two_impulse', 'paper', 'edges')
 POOLED: Final = ('refined', 'two_impulse')
@@ -57,7 +55,7 @@ class BagOutcome:
 
     def as_dict(self) -> dict[str, object]:
         """Return the fields for JSON."""
-        fields = {} if self.fit is None else to_fields(self.fit)
+        fields = {} if self.fit is None else self.fit.to_fields()
         return {'bag': self.bag, 'refused': self.reason, 'seconds': self.seconds, **fields}
 
     def row(self) -> list[str]:
@@ -166,8 +164,8 @@ def align_bag(
     edges_only = method == 'edges'
     try:
         recording = read_recording(bag, reference, namespace, edges_only=edges_only)
-        known = (None, None) if timing is None else (timing.settings, timing.lag)
-        fit, _ = recording.fit(*known, method=method)
+        known = (None, None) if timing is None else (timing.parameters, timing.lag)
+        fit, _ = align_recording(recording, *known, method=method)
         write_fit(fit, bag)
         took = time.perf_counter() - began
         if rewrite is not None:

@@ -33,11 +33,11 @@ LEAST_STIFFNESS: Final = 1.0
 MOST_RATIO: Final = 20.0
 """Largest ratio of two forces: towards zero force, spheres have no stiffness."""
 DRIFT: Final = 0.03
-"""Random walk of the force at rest [N/sqrt(s)]: relaxation of the simulated gels."""
+"""Random walk of the force at rest, as the gel relaxes [N/sqrt(s)]."""
 SIGMAS: Final = 3.0
 """Standard deviations by which bounds lie above estimates."""
 RESERVE: Final = 1.1
-"""Stiffness of a fast step over that of a slow one, in which the simulated gels relax."""
+"""Stiffness of a fast step over that of a slow one, in which the gel relaxes."""
 
 
 def stiffening(from_n: float, to_n: float) -> float:

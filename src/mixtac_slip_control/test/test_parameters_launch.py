@@ -7,6 +7,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
+from mixtac_node.graph import slip_control
 from mixtac_node.parameters import specs
 from mixtac_slip_control.parameters import DETECTORS, SlipControlParameters
 
@@ -29,17 +30,15 @@ def keywords(call: ast.Call) -> dict[str | None, object]:
 
 
 def test_the_node_that_it_starts_exists() -> None:
-    (node,) = calls('Node')
-    given = keywords(node)
-    assert given['package'] == 'mixtac_slip_control'
+    node = slip_control({'arm': 'none', 'detector': 'flow'})
+    assert node.package == 'mixtac_slip_control'
     setup = (ROOT / 'src' / 'mixtac_slip_control' / 'setup.py').read_text()
-    assert f"'{given['executable']} = mixtac_slip_control.slip_control_node:main'" in setup
-    assert given['name'] == 'slip_control'
+    assert f"'{node.executable} = mixtac_slip_control.slip_control_node:main'" in setup
 
 
 def test_its_arguments_have_the_defaults_of_the_parameters() -> None:
     arguments = {c.args[0].value: keywords(c) for c in calls('DeclareLaunchArgument')}
-    assert {'arm', 'detector', 'namespace', 'params_file', 'log_level'} == set(arguments)
+    assert {'arm', 'detector'} == set(arguments)
     defaults = {spec.name: spec.default for spec in specs(SlipControlParameters)}
     for name in ('arm', 'detector'):
         assert arguments[name]['default_value'] == defaults[name]

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_alignment.impulses import ImpulseSettings
 from mixtac_alignment.two_impulse import fit_two_impulses
 from mixtac_cli.figures import EVENTS, FORCE, REFERENCE, new_figure, save_figure
 from mixtac_events.codec import decode_message
@@ -36,8 +35,8 @@ if TYPE_CHECKING:
 WINDOW_NS = 2_000_000
 EDGE_US = 50_000
 """Half a synchronising impulse: the comparison starts and ends with whole impulses."""
-IMPULSES = ImpulseSettings(max_force_gap_s=2.0)
-"""A busy computer may lose reference samples; here their clock is known to be a single one."""
+MAX_FORCE_GAP_S = 2.0
+"""A busy computer may lose reference samples [s]; here their clock is known to be a single one."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,10 @@ def compare(streams: Streams) -> Comparison:
         AlignmentError: The impulses were not found; the text says why.
     """
     fit = fit_two_impulses(
-        streams.event_t_us, streams.reference_ns / 1e9, streams.reference_n, IMPULSES
+        streams.event_t_us,
+        streams.reference_ns / 1e9,
+        streams.reference_n,
+        max_gap_s=MAX_FORCE_GAP_S,
     )
     reference_us = fit.to_camera(streams.reference_ns / 1e9)
     force_us = streams.force_ns // 1000

@@ -20,8 +20,8 @@ from mixtac_sim.world.trial import simulate_trial
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mixtac_alignment.bags import SensorTiming
     from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_alignment.pool import SensorTiming
     from mixtac_alignment.refinement import Refinement
 
 
@@ -289,12 +289,12 @@ def score_sensor(
     recordings: list[TrialRecording], scores: dict[str, Scores], groups: dict[str, Scores]
 ) -> None:
     """Fit the recordings of a sensor, each alone and with what all of them say of the sensor."""
-    from mixtac_alignment.pool import pool_sensor
+    from mixtac_alignment.bags import pool_sensor
     from mixtac_alignment.refinement import refine
     from mixtac_alignment.taps import fit_taps
 
     def fit(each: TrialRecording, suffix: str, known: SensorTiming | None) -> Refinement | None:
-        lag, settings = (None, None) if known is None else (known.lag, known.settings)
+        lag, settings = (None, None) if known is None else (known.lag, known.parameters)
         data = (each.frames, each.force_t_s, each.force)
         try:
             first = fit_taps(each.counts, each.events, *data, settings, lag)
@@ -346,18 +346,23 @@ class DamageScores:
 
     def add(self, recording: TrialRecording, number: int) -> None:
         """Damage a recording in the way whose turn it is, and align it."""
+        from mixtac_alignment.align import Recording
         from mixtac_alignment.align import align as align_recording
 
         kind = DAMAGES[number % len(DAMAGES)]
         try:
             broken = damage(recording, kind, np.random.default_rng(number))
-            fit, _ = align_recording(
-                broken.counts,
-                broken.force_t_s,
-                broken.force,
-                broken.frames,
+            none = np.zeros(0)
+            whole = Recording(
+                counts=broken.counts,
                 events=broken.events,
+                frames=broken.frames,
+                force_t_s=broken.force_t_s,
+                force=broken.force,
+                edges_us=none.astype(np.int64),
+                reference_edges_s=none,
             )
+            fit, _ = align_recording(whole)
         except MixtacError:
             self.refused[kind] = self.refused.get(kind, 0) + 1
             return

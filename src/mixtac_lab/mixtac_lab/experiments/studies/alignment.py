@@ -22,8 +22,8 @@ from mixtac_events.errors import MixtacError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mixtac_alignment.bags import SensorTiming
     from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_alignment.pool import SensorTiming
     from mixtac_alignment.refinement import Refinement
     from mixtac_learning.trials.samples import Sample
     from mixtac_learning.trials.trial import ForceLabel
@@ -58,7 +58,7 @@ def clock_maps(trials: list[Trial], seed: int) -> dict[str, list[Map]]:
     with the sensor's delay and the drift left in. `two_impulse` and `refined` are as `mixtac align`
     on a folder fits them, `perfect` is the truth.
     """
-    from mixtac_alignment.pool import pool_sensor
+    from mixtac_alignment.bags import pool_sensor
 
     rng = np.random.default_rng(seed)
     maps: dict[str, list[Map]] = {name: [] for name in LABELS}
@@ -85,7 +85,7 @@ def _fit(trial: Trial, known: SensorTiming | None) -> tuple[ClockFit, Refinement
     values = np.stack([reduce_frame(frame, 1023.0) for frame in trial.frames])
     frames = FrameFeatures(trial.exposure_start_us, trial.exposure_end_us, values)
     force = (trial.reference_t_us.astype(np.float64) * 1e-6, trial.reference_wrench[:, 2])
-    settings, lag = (None, None) if known is None else (known.settings, known.lag)
+    settings, lag = (None, None) if known is None else (known.parameters, known.lag)
     counts, events = EventCounts.of(trial.events.t), by_cell(trial.events, columns, rows)
     first = fit_taps(counts, events, frames, *force, settings, lag)
     return first, refine(first, frames, *force, lag)

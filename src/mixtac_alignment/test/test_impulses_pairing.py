@@ -7,8 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_alignment.impulses import Impulse
-from mixtac_alignment.pairing import prefer_isolated
+from mixtac_alignment.impulses import Impulse, prefer_isolated
 from mixtac_alignment.two_impulse import fit_two_impulses
 
 

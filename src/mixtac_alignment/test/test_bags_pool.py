@@ -7,10 +7,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixtac_alignment.bags import pool_lag, pool_latency
 from mixtac_alignment.clock_fit import Anchor, ClockFit
 from mixtac_alignment.gel_lag import GelLag
-from mixtac_alignment.impulses import ImpulseSettings
-from mixtac_alignment.pool import pool_lag, pool_latency
+from mixtac_alignment.parameters import AlignmentParameters
 from mixtac_alignment.refinement import Refinement
 
 PRIOR = GelLag((0.2,) * 6, (0.1,) * 6)
@@ -45,7 +45,7 @@ def test_recordings_that_show_nothing_leave_the_prior() -> None:
 
 
 def test_latency_moves_by_what_the_taps_show_late() -> None:
-    before = ImpulseSettings(tap_latency_s=1.0e-3, tap_latency_std_s=1e-3)
+    before = AlignmentParameters(tap_latency=1.0, tap_latency_std=1.0)
     after = pool_latency([refinement(0.2, 0.1, late_s=0.8e-3) for _ in range(20)], before)
     assert after.tap_latency_s == pytest.approx(1.8e-3, abs=5e-5)
     assert 1e-4 < after.tap_latency_std_s < 3e-4

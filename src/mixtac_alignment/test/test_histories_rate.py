@@ -74,5 +74,5 @@ def test_nothing_seen_is_nothing_counted() -> None:
 def test_counts_of_recorded_events() -> None:
     counts = EventCounts.of(np.array([10_000, 10_499, 10_500, 12_000]))
     assert (counts.start_us, counts.counts.tolist()) == (10_000, [2, 1, 0, 0, 1])
-    with pytest.raises(AlignmentError, match='no events'):
+    with pytest.raises(AlignmentError):
         EventCounts.of(np.empty(0, np.int64))

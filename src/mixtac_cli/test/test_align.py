@@ -14,14 +14,12 @@ pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from mixtac_alignment.fit_files import fit_path, read_fit
-from mixtac_alignment.pool import sensor_of
-from mixtac_alignment.recording import read_recording
+from mixtac_alignment.bags import fit_path, read_fit, read_recording, sensor_of
+from mixtac_alignment.errors import AlignmentError
 from mixtac_cli.align import align_bag, find_bags
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_recordings.bag import BagFile, typestore
-from mixtac_recordings.recording import RecordingError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -138,8 +136,12 @@ def test_what_cannot_be_aligned_is_refused_with_the_reason(bag: Path, tmp_path: 
     outcome = align_bag(bag, reference='/other')
     assert outcome.fit is None
     assert '/other' in outcome.reason
-    with pytest.raises(RecordingError, match='mixtac align'):
+    with pytest.raises(AlignmentError) as caught:
         read_fit(tmp_path / 'none')
+    assert 'mixtac align' in caught.value.remedy
+    fit_path(bag).write_text('[1, 2]')
+    with pytest.raises(AlignmentError):
+        read_fit(bag)
 
 
 def test_bags_of_a_data_set_are_found(bag: Path) -> None:

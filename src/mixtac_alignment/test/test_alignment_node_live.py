@@ -18,14 +18,13 @@ pytest.importorskip('event_camera_msgs.msg', reason='needs the built workspace')
 
 import rclpy
 
-from mixtac_alignment.clock_fit import from_fields
+from mixtac_alignment.clock_fit import ClockFit
 from mixtac_events.codec import encode
 from mixtac_sim.world.trial import simulate_trial
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mixtac_alignment.clock_fit import ClockFit
     from mixtac_sim.world.trial import Trial
 
 pytestmark = pytest.mark.dds
@@ -126,7 +125,7 @@ class Peer:
             return answer, None
         message = self.fits[-1]
         names = message.get_fields_and_field_types()
-        return answer, from_fields({name: getattr(message, name) for name in names})
+        return answer, ClockFit.from_fields({name: getattr(message, name) for name in names})
 
     def play(self, trial: Trial, pause_s: float) -> None:
         """Publish a trial."""

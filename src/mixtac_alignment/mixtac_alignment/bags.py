@@ -1,0 +1,473 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Clock maps of bags: reading what a fit needs, sensors with several bags, results on disk.
+
+`read_recording` reduces a bag in one pass. A bag has a packet every millisecond; building a message
+for each and reducing it by itself would take most of the time of `mixtac align`, so packets are
+read in their serialised form, in batches.
+
+`sensor_timings` pools the recordings of one sensor, which `dataset.yaml` beside the bags names: lag
+of its gel, latency of its events. One recording may show them badly (slow motion) and another well
+(a dropped load). The weights of the gel's responses in each recording are taken as a measurement
+with a covariance; what the prior contributed is taken out again, so that the prior counts once. The
+latency is the mean delay of the taps under the refined maps.
+
+`write_fit` writes a map beside its bag, `rewrite_bag` copies a bag onto one clock.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import yaml
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.errors import WriterError
+
+from mixtac_alignment.align import Recording, align
+from mixtac_alignment.clock_fit import ClockFit
+from mixtac_alignment.errors import AlignmentError
+from mixtac_alignment.gel_lag import GelLag
+from mixtac_alignment.histories import (
+    BIN_US,
+    RESTART_US,
+    EventCounts,
+    EventHistory,
+    FrameHistory,
+    by_cell,
+    reduce_frame,
+)
+from mixtac_alignment.parameters import AlignmentParameters
+from mixtac_events.arrays import Events
+from mixtac_events.codec import decode
+from mixtac_events.errors import MixtacError
+from mixtac_events.packets import CodecError, read_packet
+from mixtac_events.sequence import SequenceCounter
+from mixtac_node.files import read_data, write_json
+from mixtac_node.images import ImageConversionError, grey
+from mixtac_node.topics import REFERENCE
+from mixtac_recordings.bag import BagFile, typestore
+from mixtac_recordings.bag_writer import McapBag, offered_qos
+from mixtac_recordings.recording import RecordingError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mixtac_alignment.histories import CellEvents
+    from mixtac_alignment.refinement import Refinement
+
+
+BATCH: Final = 256
+"""Packets that are reduced at once."""
+
+
+class PacketCollector:
+    """Counts events packet by packet and keeps them by cell: whole ones would take gigabytes.
+
+    Args:
+        span_s: Time to keep events for [s].
+    """
+
+    def __init__(self, span_s: float) -> None:
+        self._history = EventHistory(span_s)
+        self._parts: list[tuple[int, NDArray[np.int64]]] = []
+        self._lost: list[tuple[int, int]] = []
+        self._packets = SequenceCounter()
+        self._first: int | None = None
+        self._end = 0
+        self._batch: list[Events] = []
+        self._size = (0, 0)
+        self._newest_us = 0
+
+    def add(self, data: bytes) -> None:
+        """Add a serialised `EventPacket`.
+
+        Raises:
+            CodecError: It is cut off, or its events are damaged.
+        """
+        message = read_packet(data)
+        if message.is_bigendian:
+            raise CodecError('event packet is big-endian: record or publish it little-endian')
+        packet = decode(
+            # A copy lies at an aligned address, for which the decoders are compiled already.
+            bytes(message.events),
+            message.encoding,
+            message.time_base,
+            width=message.width,
+            height=message.height,
+        )
+        start_us = packet.start_us
+        size = (message.width, message.height)
+        if size != self._size or start_us < self._newest_us - RESTART_US:
+            self._reduce()
+        self._size, self._newest_us = size, packet.complete_until
+        if self._packets.update(message.seq):
+            self._lost.append((self._end, start_us // BIN_US + 1))
+        if self._first is None:
+            self._first = start_us // BIN_US
+        self._end = max(self._end, packet.complete_until // BIN_US)
+        if len(packet.events.t):
+            self._batch.append(packet.events)
+        if len(self._batch) >= BATCH:
+            self._reduce()
+
+    def events(self) -> CellEvents:
+        """Return the events by cell."""
+        self._reduce()
+        return self._history.snapshot()
+
+    def counts(self, where: str) -> EventCounts:
+        """Return the counts of all packets.
+
+        Args:
+            where: What the packets came from, for the message.
+
+        Raises:
+            RecordingError: There were none.
+        """
+        if self._first is None:
+            raise RecordingError(f'{where} is empty: the camera sent nothing during the recording')
+        self._reduce()
+        first, end = self._first, max(self._end, self._first + 1)
+        total = np.zeros(end - first, np.int64)
+        for low, part in self._parts:
+            a, b = max(low, first), min(low + len(part), end)
+            if b > a:
+                total[a - first : b - first] += part[a - low : b - low]
+        gaps = tuple((a - first, b - first) for a, b in self._lost)
+        return EventCounts(first * BIN_US, BIN_US, total, gaps)
+
+    def _reduce(self) -> None:
+        if not self._batch:
+            return
+        events = Events.concatenate(self._batch)
+        self._batch = []
+        self._history.push(by_cell(events, *self._size))
+        bins = events.t // BIN_US
+        low = int(bins.min())
+        self._parts.append((low, np.bincount(bins - low)))
+
+
+LONGEST_S: Final = 3600.0
+"""Longest span of frames and events kept [s]."""
+EMPTY: Final = EventCounts(0, BIN_US, np.zeros(1, np.int64))
+_NS: Final = 1_000_000_000
+
+
+def read_recording(
+    path: Path, reference: str = REFERENCE, namespace: str = '/mixtac', *, edges_only: bool = False
+) -> Recording:
+    """Read a bag.
+
+    Args:
+        path: Folder of the bag.
+        reference: Topic of the reference force.
+        namespace: Namespace of the camera's topics.
+        edges_only: Read the edges of the trigger line and nothing else.
+
+    Raises:
+        RecordingError: No bag, or a topic is missing.
+        CodecError: Damaged packets.
+    """
+    names = ('events', 'image_raw', 'image_exposure', 'external_edges', 'reference_edges')
+    events, image, exposure, edge, other = (f'{namespace}/{name}' for name in names)
+    needed = () if edges_only else (events, reference)
+    packets, frames = PacketCollector(LONGEST_S), FrameHistory(LONGEST_S)
+    edges: list[int] = []
+    reference_edges: list[float] = []
+    stamps: list[int] = []
+    force: list[float] = []
+    with BagFile(path) as bag:
+        more = (edge, other) if edges_only else (image, exposure, edge, other)
+        optional = [topic for topic in more if bag.counts.get(topic)]
+        for topic, _, message in bag.messages(*needed, *optional, raw=(events, reference)):
+            if topic == events:
+                packets.add(message)
+            elif topic == reference:
+                stamp, normal = _wrench(message)
+                stamps.append(stamp)
+                force.append(normal)
+            elif topic == image:
+                frames.push_image(_ns(message.header.stamp), _features(message))
+            elif topic == exposure:
+                start, end = _ns(message.exposure_start), _ns(message.exposure_end)
+                frames.push_exposure(_ns(message.header.stamp), start // 1000, end // 1000)
+            elif topic == edge:
+                edges.append(_ns(message.header.stamp) // 1000)
+            else:
+                reference_edges.append(_ns(message.time_ref) / 1e9)
+    return Recording(
+        counts=EMPTY if edges_only else packets.counts(f'{path} topic {events}'),
+        events=packets.events(),
+        frames=frames.snapshot(),
+        force_t_s=np.array(stamps, np.int64) / 1e9,
+        force=np.array(force),
+        edges_us=np.array(edges, np.int64),
+        reference_edges_s=np.array(reference_edges),
+    )
+
+
+def _wrench(data: bytes) -> tuple[int, float]:
+    """Return stamp [ns] and normal force [N] of a serialised `WrenchStamped`.
+
+    There are 800 a second, and building the message takes ten times as long.
+    """
+    order = '<' if data[1] & 1 else '>'
+    seconds, nanoseconds, length = struct.unpack_from(f'{order}iII', data, 4)
+    # CDR aligns numbers of eight bytes to the end of its own header of four.
+    at = 4 + (12 + length + 7) // 8 * 8
+    (normal,) = struct.unpack_from(f'{order}d', data, at + 16)
+    return seconds * _NS + nanoseconds, normal
+
+
+def _features(message: Any) -> NDArray[np.float32]:  # noqa: ANN401
+    try:
+        pixels = grey(message)
+    except ImageConversionError as error:
+        raise RecordingError(f'frames cannot be read: {error}') from error
+    return reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
+
+
+def _ns(stamp: Any) -> int:  # noqa: ANN401
+    return int(stamp.sec) * _NS + int(stamp.nanosec)
+
+
+TAP_SCATTER_S: Final = 4.5e-4
+"""Scatter of the taps of one sensor about their mean latency [s]."""
+LATENCY_FLOOR_S: Final = 1.5e-4
+"""Least standard deviation of a pooled latency [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorTiming:
+    """Constants of one sensor.
+
+    Attributes:
+        lag: Lag of its gel.
+        parameters: Parameters with the latency of its events and its remaining uncertainty.
+        recordings: How many recordings it comes from.
+    """
+
+    lag: GelLag
+    parameters: AlignmentParameters
+    recordings: int
+
+
+def pool_lag(refinements: Sequence[Refinement], prior: GelLag | None = None) -> GelLag:
+    """Return the lag of the gel that recordings of one sensor show together.
+
+    Args:
+        refinements: Refinements that were made with the prior.
+        prior: What was known before.
+    """
+    known = prior or GelLag()
+    prior_precision = np.diag(1.0 / np.array(known.std) ** 2)
+    precision, moment = prior_precision.copy(), prior_precision @ np.array(known.mean)
+    for each in refinements:
+        own = np.linalg.inv(each.lag_covariance)
+        size, axes = np.linalg.eigh(own - prior_precision)
+        gained = axes @ np.diag(np.maximum(size, 0.0)) @ axes.T
+        shown = np.linalg.pinv(gained, rcond=1e-9, hermitian=True) @ (
+            own @ np.array(each.lag.mean) - prior_precision @ np.array(known.mean)
+        )
+        precision += gained
+        moment += gained @ shown
+    covariance = np.linalg.inv(precision)
+    return GelLag(
+        tuple(map(float, covariance @ moment)), tuple(map(float, np.sqrt(np.diag(covariance))))
+    )
+
+
+def pool_latency(
+    refinements: Sequence[Refinement], parameters: AlignmentParameters | None = None
+) -> AlignmentParameters:
+    """Return parameters with the latency of one sensor's events.
+
+    Args:
+        refinements: Refinements whose anchors are taps fitted with the same parameters.
+        parameters: Those.
+    """
+    chosen = parameters or AlignmentParameters()
+    precision = 1.0 / chosen.tap_latency_std_s**2
+    moment = 0.0
+    for each in refinements:
+        camera_us = np.array([anchor.camera_us for anchor in each.fit.anchors])
+        late = -float(np.mean(each.fit.residuals_s))
+        middle = int(camera_us.mean())
+        variance = float(each.fit.std_at(middle)) ** 2 + TAP_SCATTER_S**2 / len(camera_us)
+        precision += 1.0 / variance
+        moment += late / variance
+    return replace(
+        chosen,
+        tap_latency=1e3 * (chosen.tap_latency_s + moment / precision),
+        tap_latency_std=1e3 * float(np.hypot(precision**-0.5, LATENCY_FLOOR_S)),
+    )
+
+
+def pool_sensor(refinements: Sequence[Refinement]) -> SensorTiming:
+    """Return the constants of a sensor from its recordings.
+
+    Args:
+        refinements: Refinements of its recordings, made with the defaults.
+    """
+    return SensorTiming(pool_lag(refinements), pool_latency(refinements), len(refinements))
+
+
+DESCRIPTION: Final = 'dataset.yaml'
+SENSOR_KEYS: Final = ('device_seed', 'serial')
+"""Keys that name the sensor of a recording: in simulated data sets, in recorded ones."""
+FEWEST: Final = 2
+"""Fewest recordings of a sensor that are pooled."""
+
+
+def sensor_timings(
+    bags: Iterable[Path], reference: str, namespace: str
+) -> dict[Path, SensorTiming]:
+    """Return the constants of the sensor of each bag, for sensors with two refined bags or more.
+
+    Args:
+        bags: Bags; `dataset.yaml` beside them names the sensor of each.
+        reference: Topic of the reference force.
+        namespace: Namespace of the camera's topics.
+
+    Bags that are refused or whose sensor is unknown are left out.
+    """
+    sensors: dict[str, list[Path]] = {}
+    found: dict[str, list[Refinement]] = {}
+    for bag in bags:
+        sensor = sensor_of(bag)
+        if sensor is None:
+            continue
+        sensors.setdefault(sensor, []).append(bag)
+        try:
+            refinement = align(read_recording(bag, reference, namespace))[1]
+        except MixtacError:
+            continue
+        if refinement is not None:
+            found.setdefault(sensor, []).append(refinement)
+    timings = {name: pool_sensor(parts) for name, parts in found.items() if len(parts) >= FEWEST}
+    return {bag: timings[name] for name, of in sensors.items() if name in timings for bag in of}
+
+
+def sensor_of(bag: Path) -> str | None:
+    """Return which sensor a bag was recorded with, by `dataset.yaml` beside it; None if unknown."""
+    try:
+        content: Any = yaml.safe_load((bag.parent / DESCRIPTION).read_text(encoding='utf-8'))
+        entries = content['trials']
+        entry = next(e for e in entries if e['name'] == bag.name)
+        device = next(entry[key] for key in SENSOR_KEYS if entry.get(key) not in (None, ''))
+    except (OSError, KeyError, TypeError, AttributeError, StopIteration, yaml.YAMLError):
+        return None
+    return str(device)
+
+
+SCHEMA: Final = 1
+
+
+def fit_path(bag: Path) -> Path:
+    """Return where the fit of a bag lies."""
+    return bag.with_name(f'{bag.name}.clock_fit.json')
+
+
+def write_fit(fit: ClockFit, bag: Path) -> Path:
+    """Write a fit beside its bag and return the file: the fields of `mixtac_msgs/ClockFit`."""
+    path = fit_path(bag)
+    write_json(path, {'schema': SCHEMA, 'bag': bag.name, **fit.to_fields()})
+    return path
+
+
+def read_fit(bag: Path) -> ClockFit:
+    """Return the fit beside a bag.
+
+    Raises:
+        AlignmentError: No such file, another schema, or a file that describes no map.
+    """
+    path, remedy = fit_path(bag), f'run `mixtac align {bag}`'
+    try:
+        content = dict(read_data(path))
+        schema = content['schema']
+    except (MixtacError, TypeError, ValueError, KeyError) as error:
+        raise AlignmentError(f'no clock fit in {path} ({error})', remedy=remedy) from error
+    if schema != SCHEMA:
+        raise AlignmentError(f'{path} has schema {schema}, not {SCHEMA}', remedy=remedy)
+    return ClockFit.from_fields(content)
+
+
+def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: str) -> int:
+    """Copy a bag with the reference force stamped on the camera clock; return its samples.
+
+    The fit itself becomes the first message of `clock_fit`.
+
+    Args:
+        bag: Folder of the bag.
+        fit: Its clock map.
+        out: Folder of the new bag; must not exist.
+        reference: Topic whose stamps change.
+        namespace: Namespace of the camera's topics.
+
+    Raises:
+        RecordingError: The new bag exists already or cannot be written.
+    """
+    types, changed = typestore(), 0
+    try:
+        with (
+            Reader(bag) as reader,
+            McapBag(out) as writer,
+        ):
+            fit_topic = f'{namespace}/clock_fit'
+            handles = {
+                c.id: writer.add_connection(
+                    c.topic,
+                    c.msgtype,
+                    typestore=types,
+                    offered_qos_profiles=c.ext.offered_qos_profiles,  # type: ignore[union-attr]
+                )
+                for c in reader.connections
+                if c.topic != fit_topic
+            }
+            fit_handle = writer.add_connection(
+                fit_topic,
+                'mixtac_msgs/msg/ClockFit',
+                typestore=types,
+                offered_qos_profiles=(offered_qos(reliable=True, latched=True),),
+            )
+            message = _fit_message(types, fit, reader.start_time)
+            writer.write(fit_handle, reader.start_time, message)
+            for connection, received_ns, data in reader.messages():
+                if connection.id not in handles:
+                    continue
+                copied: Any = data
+                if connection.topic == reference:
+                    copied, changed = (
+                        _on_camera_clock(types, data, connection.msgtype, fit),
+                        changed + 1,
+                    )
+                writer.write(handles[connection.id], received_ns, copied)
+    except (WriterError, OSError) as error:
+        raise RecordingError(f'cannot write {out}: {error}; choose a folder that is new') from error
+    return changed
+
+
+def _on_camera_clock(types: Any, data: Any, kind: str, fit: ClockFit) -> Any:  # noqa: ANN401
+    message = types.deserialize_cdr(data, kind)
+    stamp = message.header.stamp
+    seconds = stamp.sec - fit.reference_epoch_s + stamp.nanosec * 1e-9
+    moved_ns = 1000 * fit.camera_epoch_us + round((seconds - fit.b) / fit.a * 1e9)
+    stamp.sec, stamp.nanosec = divmod(moved_ns, _NS)
+    return types.serialize_cdr(message, kind)
+
+
+def _fit_message(types: Any, fit: ClockFit, now_ns: int) -> Any:  # noqa: ANN401
+    fields: dict[str, Any] = {
+        name: np.array(value) if isinstance(value, list) else value
+        for name, value in fit.to_fields().items()
+    }
+    time = types.types['builtin_interfaces/msg/Time'](*divmod(now_ns, _NS))
+    header = types.types['std_msgs/msg/Header'](stamp=time, frame_id='')
+    kind = 'mixtac_msgs/msg/ClockFit'
+    return types.serialize_cdr(types.types[kind](header=header, **fields), kind)
