@@ -18,7 +18,7 @@ from mixtac_learning.train.config import (
     read_run_config,
     with_overrides,
 )
-from mixtac_sim.world.training_trials import DEFAULT_PRESET
+from mixtac_sim.world.training_trials import TRAINING_PRESET
 
 # typer evaluates these under Python 3.10.
 OptionalPath = Optional[Path]  # noqa: UP045
@@ -40,7 +40,7 @@ def train(
     epochs: Annotated[
         int, typer.Option(min=1, help='Epochs of the recurrent stage; the others in proportion.')
     ] = 60,
-    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = DEFAULT_PRESET,
+    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = TRAINING_PRESET,
     jobs: Annotated[int, typer.Option(min=1, help='Processes that simulate.')] = 2,
     data: Annotated[OptionalPath, typer.Option(help='Where samples are kept.')] = None,
     folder: Annotated[
@@ -93,7 +93,7 @@ def evaluate(
     seed: Annotated[int, typer.Option(min=2, help='Which fresh sensors and days.')] = 2,
     gels: Annotated[int, typer.Option(min=1, help='Number of sensors.')] = 3,
     seconds: Annotated[float, typer.Option(min=4, help='Length of a trial.')] = 10.0,
-    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = DEFAULT_PRESET,
+    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = TRAINING_PRESET,
     reference: Annotated[
         str, typer.Option(help='Topic of the reference force in bags.')
     ] = '/ft_sensor/wrench',

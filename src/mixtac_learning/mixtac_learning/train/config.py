@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from mixtac_fger.config import ConfigError
 from mixtac_learning.paper.config import MODELS as PAPER_MODELS
-from mixtac_sim.world.training_trials import DEFAULT_PRESET
+from mixtac_sim.world.training_trials import TRAINING_PRESET
 
 if TYPE_CHECKING:
     import torch
@@ -109,7 +109,7 @@ class SimulatedData:
         seed: Another seed gives other sensors and days.
     """
 
-    preset: str = DEFAULT_PRESET
+    preset: str = TRAINING_PRESET
     sensors: int = 1
     trials: int = 24
     seconds: float = 8.0

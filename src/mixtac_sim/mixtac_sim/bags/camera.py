@@ -17,17 +17,23 @@ from mixtac_events.arrays import Events
 from mixtac_events.clock_map import ClockMap
 from mixtac_events.packetizer import ENCODING, PACKET_BYTES, PACKET_PERIOD_US, Packetizer
 from mixtac_events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_samples
+from mixtac_node.topics import CAMERA_FRAME, IMU_FRAME
+from mixtac_recordings import messages
+from mixtac_recordings.bag import blank_message
+from mixtac_sim.bags.messages import StampedRows
+from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.usb.words import ImuReading, ImuSettings, raw_values
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mixtac_sim.bags.messages import MessageFactory, MessageSink, TrialClocks
+    from mixtac_sim.bags.messages import MessageSink, TrialClocks
     from mixtac_sim.pixels.aps import ApsFrame
     from mixtac_sim.world.trial import Stretch
 
 
 MPU9250: Final = 2
+SIZE: Final = (WIDTH, HEIGHT)
 _ANGULAR, _LINEAR = slice(13, 16), slice(25, 28)
 
 
@@ -76,17 +82,21 @@ class CameraMessages:
 
     Args:
         clocks: Clocks of the trial.
-        factory: Makes the messages.
-        sink: Takes them.
+        sink: Takes the messages.
+        serial: Serial number of the camera.
     """
 
-    def __init__(self, clocks: TrialClocks, factory: MessageFactory, sink: MessageSink) -> None:
+    def __init__(self, clocks: TrialClocks, sink: MessageSink, serial: str) -> None:
         self._packetizer = Packetizer(ENCODING, PACKET_PERIOD_US, PACKET_BYTES)
-        self._clocks, self._factory, self._sink = clocks, factory, sink
+        self._clocks, self._sink, self._serial = clocks, sink, serial
         self._map = ClockMap()
         self._clock_due_ns = 0
         self._temperature_due_us = 0
         self._sequence = 0
+        zero = np.zeros((1, 3))
+        still = InertialSamples(np.zeros(1, np.int64), zero, zero, np.zeros(1))
+        sample = messages.imu(still, 0, 0, IMU_FRAME, blank_message)
+        self._imu_rows = StampedRows(sample, 37)
         self._reached_us = 0
 
     def add(self, stretch: Stretch) -> None:
@@ -112,8 +122,10 @@ class CameraMessages:
         for last, time_us, arrival_ns in zip(cuts, reached, arrivals.tolist(), strict=True):
             packets = self._packetizer.push(published[first:last], time_us + origin_us, arrival_ns)
             for packet in packets:
-                data = self._factory.event_packet(packet, self._sequence)
-                self._sink.put(arrival_ns + PUBLISH_NS, 'events', data)
+                message = messages.event_packet(
+                    packet, self._sequence, SIZE, CAMERA_FRAME, blank_message
+                )
+                self._sink.put(arrival_ns + PUBLISH_NS, 'events', message)
                 self._sequence += 1
             self._add_clock(time_us, arrival_ns)
             first = last
@@ -143,16 +155,17 @@ class CameraMessages:
             return
         self._clock_due_ns = arrival_ns + CLOCK_PERIOD_NS
         camera_us = self._map.to_camera_us(arrival_ns) + self._clocks.origin_us
-        data = self._factory.camera_clock(arrival_ns, camera_us)
-        self._sink.put(arrival_ns + PUBLISH_NS, 'camera_clock', data)
+        message = messages.camera_clock(arrival_ns, camera_us, self._serial, blank_message)
+        self._sink.put(arrival_ns + PUBLISH_NS, 'camera_clock', message)
 
     def _add_frame(self, frame: ApsFrame, arrival_ns: int) -> None:
         decoded, origin_us = self._decoded(frame), self._clocks.origin_us
-        received_ns = arrival_ns + PUBLISH_NS
-        put, factory = self._sink.put, self._factory
-        put(received_ns, 'image_raw', factory.image(decoded, origin_us))
-        put(received_ns, 'camera_info', factory.camera_info(decoded, origin_us))
-        put(received_ns, 'image_exposure', factory.frame_exposure(decoded, origin_us))
+        image = messages.image(decoded, origin_us, 0, CAMERA_FRAME, blank_message)
+        info = messages.camera_info(decoded, SIZE, image, blank_message)
+        exposure = messages.frame_exposure(decoded, origin_us, image, blank_message)
+        named = (('image_raw', image), ('camera_info', info), ('image_exposure', exposure))
+        for name, message in named:
+            self._sink.put(arrival_ns + PUBLISH_NS, name, message)
 
     def _decoded(self, frame: ApsFrame) -> Frame:
         """Return the frame as the driver's decoder has it."""
@@ -175,7 +188,7 @@ class CameraMessages:
         true_us = np.array([reading.t_us for reading in stretch.readings], np.int64)
         samples = decoded_samples(stretch.readings, self._clocks.to_camera_us(true_us))
         received = arrivals[np.searchsorted(ends, true_us, side='right')] + PUBLISH_NS
-        rows = self._factory.imu_samples
+        rows = self._imu_rows
         stamps_ns = 1000 * (samples.t + self._clocks.origin_us)
         data = rows.make(stamps_ns, imu_numbers(samples, rows.numbers))
         self._sink.put_rows(received.tolist(), 'imu', data)
@@ -186,5 +199,7 @@ class CameraMessages:
             time_us = int(samples.t[index]) + self._clocks.origin_us
             if time_us >= self._temperature_due_us:
                 self._temperature_due_us = time_us + TEMPERATURE_PERIOD_US
-                data = self._factory.temperature(float(samples.temperature[index]), time_us)
-                self._sink.put(int(received[index]), 'temperature', data)
+                message = messages.temperature(
+                    float(samples.temperature[index]), time_us, IMU_FRAME, blank_message
+                )
+                self._sink.put(int(received[index]), 'temperature', message)

@@ -41,7 +41,9 @@ def workers(backend: str, jobs: int, scheduler: str = '') -> Iterator[None]:
         RecordingError: Unknown backend, Dask is not installed, or the scheduler does not answer.
     """
     if backend not in BACKENDS:
-        raise RecordingError(f'backend {backend!r} is unknown: choose one of {", ".join(BACKENDS)}')
+        raise RecordingError(
+            f'unknown backend {backend!r}', remedy=f'choose one of {", ".join(BACKENDS)}'
+        )
     if backend == 'loky':
         with joblib.parallel_config('loky', n_jobs=jobs, inner_max_num_threads=1):
             yield
@@ -55,7 +57,7 @@ def _client(jobs: int, scheduler: str) -> Any:  # noqa: ANN401
         from dask.distributed import Client
     except ImportError as error:
         raise RecordingError(
-            f'backend dask is not installed ({error}): pip install "dask[distributed]"'
+            f'backend dask is not installed: {error}', remedy='pip install "dask[distributed]"'
         ) from error
     try:
         if scheduler:
@@ -65,7 +67,8 @@ def _client(jobs: int, scheduler: str) -> Any:  # noqa: ANN401
         )
     except OSError as error:
         raise RecordingError(
-            f'no Dask scheduler at {scheduler!r} ({error}): start one with `dask scheduler`'
+            f'no Dask scheduler at {scheduler!r}: {error}',
+            remedy='start one with `dask scheduler`',
         ) from error
 
 
@@ -127,8 +130,8 @@ def _written(
             yield from joblib.Parallel(return_as='generator_unordered', batch_size=1)(calls)
     except TerminatedWorkerError as error:
         raise RecordingError(
-            'a process that simulated was killed, perhaps for want of memory: take fewer jobs; '
-            'finished bags are kept'
+            'a worker process was killed, probably out of memory; finished bags are kept',
+            remedy='use fewer jobs',
         ) from error
 
 
@@ -139,12 +142,16 @@ def _exclusive(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(folder, os.O_RDONLY)
     except OSError as error:
-        raise RecordingError(f'folder {folder} cannot be used ({error}): choose another') from error
+        raise RecordingError(
+            f'cannot use folder {folder}: {error}', remedy='choose another folder'
+        ) from error
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     except BlockingIOError as error:
-        raise RecordingError(f'another run is writing to {folder}: wait for it to end') from error
+        raise RecordingError(
+            f'another run is writing to {folder}', remedy='wait until it ends'
+        ) from error
     finally:
         os.close(handle)
 
@@ -154,10 +161,12 @@ def _claim(folder: Path, description: DatasetDescription) -> None:
     if (folder / FILE_NAME).exists():
         if not DatasetDescription.read(folder).same_trials_as(description):
             raise RecordingError(
-                f'{folder} holds a data set of other trials, or of another version of the '
-                'simulator: choose another folder'
+                f'{folder} holds a data set of other trials or of another simulator version',
+                remedy='choose another folder',
             )
         return
     if any(folder.iterdir()):
-        raise RecordingError(f'{folder} is not empty and holds no data set: choose another folder')
+        raise RecordingError(
+            f'{folder} is not empty and holds no data set', remedy='choose another folder'
+        )
     description.write(folder)

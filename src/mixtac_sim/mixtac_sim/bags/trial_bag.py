@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mixtac_node import topics
-from mixtac_recordings.bag import typestore
+from mixtac_recordings.bag import blank_message, typestore
 from mixtac_recordings.bag_writer import McapBag, offered_qos
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.camera import CameraMessages
-from mixtac_sim.bags.messages import MessageFactory, MessageSink, TrialClocks
+from mixtac_sim.bags.messages import NS, MessageSink, StampedRows, TrialClocks
 from mixtac_sim.usb.descriptors import serial_number
 from mixtac_sim.world.trial import TrialStream
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from mixtac_node.topics import Topic
     from mixtac_recordings.dataset import TrialSpec
     from mixtac_sim.bags.messages import BagMessage
     from mixtac_sim.world.trial import Stretch
@@ -45,15 +46,6 @@ BAG_TOPICS: Final = (
     *(topics.REFERENCE_WRENCH, topics.TRUTH_WRENCH, topics.TRUTH_CONTACT, topics.TRUTH_CLOCK_FIT),
 )
 """Topics in the order in which they are announced in the bag."""
-FRAMES: Final = {
-    'camera': topics.CAMERA_FRAME,
-    'imu': topics.IMU_FRAME,
-    'contact': topics.CONTACT_FRAME,
-    'reference': topics.REFERENCE_FRAME,
-}
-"""Frames that the nodes publish in by default."""
-
-
 BATCH_NS: Final = 4_000_000
 """The virtual sensor publishes every 4 ms."""
 
@@ -63,28 +55,26 @@ class TruthMessages:
 
     Args:
         trial: The trial.
-        clocks: Its clocks.
-        factory: Makes the messages.
-        sink: Takes them.
+        clocks: Clocks of the trial.
+        sink: Takes the messages.
     """
 
-    def __init__(
-        self,
-        trial: TrialStream,
-        clocks: TrialClocks,
-        factory: MessageFactory,
-        sink: MessageSink,
-    ) -> None:
-        self._trial, self._clocks = trial, clocks
-        self._factory, self._sink = factory, sink
+    def __init__(self, trial: TrialStream, clocks: TrialClocks, sink: MessageSink) -> None:
+        self._trial, self._clocks, self._sink = trial, clocks, sink
+        self._reference = _rows(topics.REFERENCE_WRENCH, topics.REFERENCE_FRAME, 6)
+        self._wrenches = _rows(topics.TRUTH_WRENCH, topics.CONTACT_FRAME, 6)
+        self._points = _rows(topics.TRUTH_CONTACT, topics.CONTACT_FRAME, 3)
 
     def begin(self) -> None:
-        """Make what is said once."""
-        truth = self._clocks.truth(self._trial.reference)
-        epoch_ns = self._clocks.epoch_ns
-        self._sink.put(
-            epoch_ns, topics.TRUTH_CLOCK_FIT.name, self._factory.clock_fit(truth, epoch_ns)
-        )
+        """Make the true relation of the clocks, which is published once."""
+        clocks, reference = self._clocks, self._trial.reference
+        message = blank_message(topics.TRUTH_CLOCK_FIT.type_name)
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(clocks.epoch_ns, NS)
+        message.a, message.b = clocks.reference_rate(reference), reference.offset_s
+        message.camera_epoch = message.reference_epoch = 1e-9 * clocks.epoch_ns
+        message.method, message.message = 'simulation', 'true relation of the clocks'
+        self._sink.put(clocks.epoch_ns, topics.TRUTH_CLOCK_FIT.name, message)
 
     def add(self, stretch: Stretch) -> None:
         """Make the messages of the next stretch."""
@@ -101,9 +91,9 @@ class TruthMessages:
             wrench[:, column] = truth[name]
         point[:, 0], point[:, 1] = (1e-3 * place for place in self._trial.contact_mm)
         point[:, 2] = 1e-3 * truth['depth_mm']
-        factory, put = self._factory, self._sink.put_rows
-        put(received, topics.TRUTH_WRENCH.name, factory.true_wrenches.make(stamps_ns, wrench))
-        put(received, topics.TRUTH_CONTACT.name, factory.contact_points.make(stamps_ns, point))
+        put = self._sink.put_rows
+        put(received, topics.TRUTH_WRENCH.name, self._wrenches.make(stamps_ns, wrench))
+        put(received, topics.TRUTH_CONTACT.name, self._points.make(stamps_ns, point))
 
     def _add_reference(self, stretch: Stretch, latest_ns: int) -> None:
         samples, sensor = stretch.reference, self._trial.reference
@@ -111,8 +101,14 @@ class TruthMessages:
         taken_ns = self._clocks.epoch_ns + true_ns.astype(np.int64)
         received = np.minimum(-(-taken_ns // BATCH_NS) * BATCH_NS, latest_ns).tolist()
         stamps_ns = self._clocks.reference_stamps_ns(samples.t_ns)
-        data = self._factory.reference_wrenches.make(stamps_ns, samples.wrench)
+        data = self._reference.make(stamps_ns, samples.wrench)
         self._sink.put_rows(received, topics.REFERENCE, data)
+
+
+def _rows(topic: Topic, frame: str, numbers: int) -> StampedRows:
+    message = blank_message(topic.type_name)
+    message.header.frame_id = frame
+    return StampedRows(message, numbers)
 
 
 UNFINISHED: Final = '.unfinished'
@@ -127,9 +123,8 @@ def trial_messages(trial: TrialStream) -> Iterator[BagMessage]:
     """
     spec, sink = trial.spec, MessageSink()
     clocks = TrialClocks(spec.trial_seed)
-    factory = MessageFactory(typestore(), FRAMES, serial_number(spec.device_seed))
-    camera = CameraMessages(clocks, factory, sink)
-    truth = TruthMessages(trial, clocks, factory, sink)
+    camera = CameraMessages(clocks, sink, serial_number(spec.device_seed))
+    truth = TruthMessages(trial, clocks, sink)
     truth.begin()
     for stretch in trial.stretches():
         camera.add(stretch)
@@ -170,8 +165,8 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
         partial.rename(folder / spec.name)
     except OSError as error:
         raise RecordingError(
-            f'bag {folder / spec.name} cannot be written ({error}): free some space or choose '
-            'another folder'
+            f'cannot write bag {folder / spec.name}: {error}',
+            remedy='free some space, or choose another folder',
         ) from error
     return count
 

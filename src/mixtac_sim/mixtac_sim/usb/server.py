@@ -302,9 +302,9 @@ def _take_lock(path: str) -> int:
     left_over = os.path.lexists(_lock_path(path)) and not _in_use(path)
     if os.path.lexists(path) and not left_over:
         raise VirtualUsbError(
-            f'{path} is in use, or was not made by a virtual sensor; '
-            'stop the program that uses it, or give the virtual sensor another socket or '
-            'ROS_DOMAIN_ID'
+            f'{path} is in use, or was not made by a virtual sensor',
+            remedy='stop the program that uses it, or give the virtual sensor another socket or '
+            'ROS_DOMAIN_ID',
         )
     while True:
         try:

@@ -3,16 +3,13 @@
 """The named data sets, those of the paper first, and data sets of a single profile.
 
 Trials are split into training and test 8:2, by whole trials or whole sensors, never by sample. A
-digest of the simulator's source tells data sets of different simulators apart.
+digest of the simulator's source distinguishes data sets of different simulators.
 """
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
-from functools import cache
 from importlib import metadata
-from pathlib import Path
 from typing import Final
 from zlib import crc32
 
@@ -20,8 +17,10 @@ from mixtac_recordings.dataset import DatasetDescription, TrialSpec
 from mixtac_sim.errors import SimulationError
 from mixtac_sim.random_streams import stream
 from mixtac_sim.world.profiles import PROFILES
+from mixtac_sim.world.training_trials import simulator_digest
 
-DEFAULT_PRESET: Final = 'paper_like'
+DATASET_PRESET: Final = 'paper_like'
+"""Default preset of named data sets."""
 TRAIN_SHARE: Final = 0.8
 """Share of training in the paper's split (section 4.4)."""
 
@@ -52,17 +51,6 @@ def generator_version() -> str:
         return 'unknown'
 
 
-@cache
-def generator_digest() -> str:
-    """Return a short digest of the simulator's source: another digest means other trials."""
-    digest = hashlib.sha256()
-    root = Path(__file__).parent.parent
-    for path in sorted(root.rglob('*.py')):
-        if 'usb' not in path.relative_to(root).parts:
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
 def describe(
     name: str, seed: int, preset: str, split_by: str, trials: list[TrialSpec]
 ) -> DatasetDescription:
@@ -70,7 +58,7 @@ def describe(
     generator = {
         'package': PACKAGE,
         'version': generator_version(),
-        'digest': generator_digest(),
+        'digest': simulator_digest(),
     }
     return DatasetDescription(name, seed, preset, split_by, tuple(trials), generator)
 
@@ -85,15 +73,15 @@ DATASET_SEEDS: Final = 900
 
 @dataclass(frozen=True, slots=True)
 class DatasetPlan:
-    """What a named data set holds.
+    """Content of a named data set.
 
     Attributes:
         profiles: Force profiles, in turn for the trials of a sensor.
         trials: Number of trials.
-        seconds: Length of each [s].
+        seconds: Length of each trial [s].
         devices: Number of different sensors; trials go round them.
         split_by: `trial` or `device`.
-        summary: What it is for, with its source.
+        summary: Purpose, with its source.
     """
 
     profiles: tuple[str, ...]
@@ -160,13 +148,13 @@ DATASETS: Final = {
 """Data sets by name."""
 
 
-def plan_dataset(name: str, seed: int = 0, preset: str = DEFAULT_PRESET) -> list[TrialSpec]:
+def plan_dataset(name: str, seed: int = 0, preset: str = DATASET_PRESET) -> list[TrialSpec]:
     """Return the trials of a named data set.
 
     Args:
         name: One of `DATASETS`.
         seed: Another seed gives other sensors and other days; 0 to 899.
-        preset: How hard the effects are.
+        preset: Difficulty preset of the sensors.
 
     Raises:
         SimulationError: Unknown name, or seed out of range.
@@ -177,16 +165,16 @@ def plan_dataset(name: str, seed: int = 0, preset: str = DEFAULT_PRESET) -> list
 
 
 def plan_profile(
-    profile: str, trials: int, seconds: float, seed: int = 0, preset: str = DEFAULT_PRESET
+    profile: str, trials: int, seconds: float, seed: int = 0, preset: str = DATASET_PRESET
 ) -> list[TrialSpec]:
     """Return trials of one profile on one sensor, split by trial.
 
     Args:
         profile: One of `mixtac_sim.world.profiles.PROFILES`.
-        trials: How many.
-        seconds: Length of each [s].
+        trials: Number of trials.
+        seconds: Length of each trial [s].
         seed: Another seed gives another sensor and other days; 0 to 899.
-        preset: How hard the effects are.
+        preset: Difficulty preset of the sensors.
 
     Raises:
         SimulationError: Unknown profile, or a number out of range.
@@ -203,10 +191,10 @@ def plan_trials(plan: DatasetPlan, family: int, seed: int, preset: str) -> list[
     """Return the trials of a plan.
 
     Args:
-        plan: What it holds.
+        plan: Content of the data set.
         family: Keeps the trial seeds of different data sets apart.
         seed: Seed of the data set.
-        preset: How hard the effects are.
+        preset: Difficulty preset of the sensors.
 
     Raises:
         SimulationError: A number is out of range.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Which simulated trials an estimator is trained on and evaluated with, and their simulation.
+"""Plans of the simulated trials for training and evaluation, and their simulation.
 
 Device and trial seeds of training and evaluation never overlap; those of data sets
 (`mixtac_sim.world.datasets`) begin beyond both.
@@ -30,8 +30,8 @@ TRAINING_PROFILES = (
 )
 """Taken in turn. Impacts come twice: they are short, and a net that saw none misses them."""
 EVALUATION_PROFILES = ('press', 'oscillation', 'impact', 'dynamic', 'static', 'demo')
-DEFAULT_PRESET = 'easy'
-"""What the shipped model was trained on."""
+TRAINING_PRESET = 'easy'
+"""Default preset of simulated training and evaluation trials."""
 TRAINING_DEVICES = 100_000
 """First device seed of training; 100,000 seeds from here on are training's."""
 TRAINING_TRIALS = 100_000
@@ -45,24 +45,24 @@ class TrialSpec:
     """One simulated trial.
 
     Attributes:
-        device_seed: Which sensor: beads, gel, lamp, pixels.
-        trial_seed: Which day: contact point, speeds, noise, clocks.
+        device_seed: Seed of the sensor: beads, gel, lamp, pixels.
+        trial_seed: Seed of the trial: contact point, speeds, noise, clocks.
         profile: Force profile of `mixtac_sim.world.profiles`.
         seconds: Length.
-        preset: How hard the simulated sensor is (`mixtac_sim.world.effects`).
-        without: One effect of the preset that is switched off, empty for none.
+        preset: Difficulty preset of the sensor (`mixtac_sim.world.effects`).
+        without: Effect of the preset that is switched off; empty for none.
     """
 
     device_seed: int
     trial_seed: int
     profile: str
     seconds: float
-    preset: str = DEFAULT_PRESET
+    preset: str = TRAINING_PRESET
     without: str = ''
 
     @property
     def name(self) -> str:
-        """A file name for what belongs to the trial."""
+        """File name for data of the trial."""
         seeds = f'd{self.device_seed}_t{self.trial_seed}'
         kind = self.preset if not self.without else f'{self.preset}-{self.without}'
         return f'{self.profile}_{seeds}_{self.seconds:g}s_{kind}'
@@ -73,11 +73,11 @@ class TrialSpec:
 
 
 SHORTEST_S = {'demo': 10.0}
-"""Profiles that need some time."""
+"""Shortest length of profiles that need some time [s]."""
 
 
 def _spec(
-    device: int, trial: int, profile: str, seconds: float, preset: str = DEFAULT_PRESET
+    device: int, trial: int, profile: str, seconds: float, preset: str = TRAINING_PRESET
 ) -> TrialSpec:
     return TrialSpec(device, trial, profile, max(seconds, SHORTEST_S.get(profile, 0.0)), preset)
 
@@ -87,7 +87,7 @@ def training_plan(
     gels: int,
     seconds: float,
     seed: int,
-    preset: str = DEFAULT_PRESET,
+    preset: str = TRAINING_PRESET,
     profiles: tuple[str, ...] = TRAINING_PROFILES,
 ) -> list[TrialSpec]:
     """Return `trials` trials over `gels` sensors, profiles in turn.
@@ -97,7 +97,7 @@ def training_plan(
         gels: Number of different sensors.
         seconds: Length of a trial.
         seed: Shifts all seeds: another seed gives other sensors and other days.
-        preset: How hard the simulated sensors are.
+        preset: Difficulty preset of the sensors.
         profiles: Force profiles, in turn.
     """
     first = TRAINING_DEVICES + 1000 * (seed % 100)
@@ -118,7 +118,7 @@ def evaluation_plan(
     seconds: float,
     seed: int,
     profiles: tuple[str, ...] = EVALUATION_PROFILES,
-    preset: str = DEFAULT_PRESET,
+    preset: str = TRAINING_PRESET,
 ) -> list[TrialSpec]:
     """Return one trial per profile and sensor with trial seeds that training never uses."""
     return [
@@ -129,7 +129,7 @@ def evaluation_plan(
 
 
 def calibration_plan(
-    devices: list[int], seconds: float, seed: int, preset: str = DEFAULT_PRESET
+    devices: list[int], seconds: float, seed: int, preset: str = TRAINING_PRESET
 ) -> list[TrialSpec]:
     """Return one more press per sensor, to calibrate it with."""
     return [
@@ -141,12 +141,6 @@ def calibration_plan(
 def unseen_devices(count: int, seed: int) -> list[int]:
     """Return device seeds that training never uses."""
     return [UNSEEN + 1000 * seed + index for index in range(count)]
-
-
-_APART = {'usb', 'arm', 'grasp', 'datasets'}
-"""Parts of the simulator that no trial is made with."""
-_NODES = ('_node', '_parameters', '_cli')
-"""Ends of the names of modules that only run it."""
 
 
 def simulate(spec: TrialSpec) -> Trial:
@@ -162,11 +156,11 @@ def simulate(spec: TrialSpec) -> Trial:
 
 
 def stiffness(spec: TrialSpec, *, known_sensor: bool = False) -> float:
-    """Return how stiff the gel of a trial is over what a model can know before it.
+    """Return the stiffness of the gel in a trial over the stiffness known before it.
 
     Args:
         spec: The trial.
-        known_sensor: The sensor's usual stiffness is known, and only that of the day is not.
+        known_sensor: The usual stiffness of the sensor is known, but not that of the day.
 
     Returns:
         Modulus of sensor and day over the usual modulus of all sensors, or of this one.
@@ -183,15 +177,23 @@ def stiffness(spec: TrialSpec, *, known_sensor: bool = False) -> float:
     return day * own.layer.modulus_kpa / usual.layer.modulus_kpa
 
 
+_MAKES_TRIALS = ('mechanics', 'optics', 'pixels', 'world', 'bags')
+"""Folders of the simulator on which trials and their bags depend."""
+_ALSO = ('grids.py', 'random_streams.py', 'usb/words.py', 'usb/stream.py')
+"""Further files on which they depend."""
+
+
 @functools.cache
 def simulator_digest() -> str:
-    """Return a short digest of the source that makes trials: samples of another one are stale."""
-    import mixtac_sim
+    """Return a short digest of the source that makes trials and their bags [16 hex digits].
 
-    root = Path(str(mixtac_sim.__file__)).parent
+    Trials of another digest may differ.
+    """
+    root = Path(__file__).parents[1]
+    files = [root / name for name in _ALSO]
+    for folder in _MAKES_TRIALS:
+        files += (root / folder).rglob('*.py')
     digest = hashlib.sha256()
-    for path in sorted(root.rglob('*.py')):
-        apart = _APART.intersection(path.relative_to(root).parts)
-        if not apart and not path.stem.endswith(_NODES):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
+    for path in sorted(files):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]

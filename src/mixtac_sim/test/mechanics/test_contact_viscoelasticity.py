@@ -88,5 +88,5 @@ def test_force_control_inverts_depth_control(elastic, step_s):
     ('weights', 'times'), [((0.1,), (0.1, 1.0)), ((-0.1,), (1.0,)), ((0.1,), (0.0,))]
 )
 def test_impossible_series_are_refused(weights, times):
-    with pytest.raises(SimulationError, match='Prony'):
+    with pytest.raises(SimulationError):
         PronySeries(weights, times)

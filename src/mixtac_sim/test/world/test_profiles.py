@@ -83,9 +83,9 @@ def test_impossible_profiles_are_refused(name, duration):
 
 def test_overlapping_and_reversed_segments_are_refused():
     first, second = Segment(0.0, 1.0, Mode.FREE), Segment(0.5, 2.0, Mode.FREE)
-    with pytest.raises(SimulationError, match='starts before'):
+    with pytest.raises(SimulationError):
         Profile('x', 2.0, (first, second))
-    with pytest.raises(SimulationError, match='end after'):
+    with pytest.raises(SimulationError):
         Segment(1.0, 1.0, Mode.FREE)
-    with pytest.raises(SimulationError, match='mass'):
+    with pytest.raises(SimulationError):
         Segment(0.0, 1.0, Mode.DROP)

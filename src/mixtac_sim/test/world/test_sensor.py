@@ -142,7 +142,7 @@ def test_settings_reach_pixels_and_frames():
 def test_time_does_not_run_backwards():
     body = sensor()
     body.advance(10_000)
-    with pytest.raises(SimulationError, match='already at 10000 us'):
+    with pytest.raises(SimulationError):
         body.advance(9_999)
 
 
