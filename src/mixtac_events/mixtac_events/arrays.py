@@ -25,7 +25,7 @@ class EventArrayError(MixtacError):
 class Events:
     """Events of a camera, one array per field, all of the same length.
 
-    Which clock ``t`` is on is said by whoever hands the events over.
+    The producer of the events defines the clock of ``t``.
 
     Attributes:
         t: Time [us], ``int64``, non-decreasing in a stream.
@@ -40,7 +40,7 @@ class Events:
     polarity: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
-        """Refuse arrays of unequal lengths.
+        """Check that the arrays have equal lengths.
 
         Raises:
             EventArrayError: The lengths differ.
@@ -88,5 +88,5 @@ class Events:
         return self[first:last]
 
     def shifted(self, offset_us: int) -> Events:
-        """Return the same events on a clock that reads ``offset_us`` more."""
+        """Return the events with ``offset_us`` added to their times."""
         return Events(self.t + np.int64(offset_us), self.x, self.y, self.polarity)

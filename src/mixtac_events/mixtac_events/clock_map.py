@@ -20,15 +20,20 @@ from typing import NamedTuple
 import numpy as np
 
 BUCKET_US = 1_000_000
+"""The quickest arrival of each bucket of this length [us, camera clock] is kept."""
 BUCKETS = 60
+"""Buckets kept: the skew is fitted over the last minute."""
 SKEW_AFTER_US = 10_000_000
-"""Shorter spans say more about the delays than about the skew."""
+"""Shortest span for a skew [us]: over shorter ones the delays dominate."""
 MOST_SKEW = 500e-6
+"""Limit of the skew: ten times the usual tolerance of a crystal oscillator."""
 STEP_US = 10_000.0
+"""A pair this far below the line [us], or `STEP_BUCKETS` buckets in a row this far above it, means
+that one of the clocks was set."""
 STEP_BUCKETS = 3
 
 
-class Point(NamedTuple):
+class _Point(NamedTuple):
     """A pair, relative to the first one.
 
     Attributes:
@@ -42,7 +47,7 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ClockEstimate:
-    """The map in figures.
+    """Figures of the map.
 
     Attributes:
         offset_us: Host time less camera time [us], at the middle of the pairs.
@@ -50,7 +55,7 @@ class ClockEstimate:
         residual_us: RMS distance of the quickest arrivals per second above the line [us].
         span_s: Time over which pairs were collected [s].
         pairs: Pairs used since the last restart.
-        steps: Restarts because one of the clocks jumped.
+        steps: Restarts because one of the clocks was set.
     """
 
     offset_us: float
@@ -69,10 +74,10 @@ class ClockMap:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all pairs, as after a reset of the camera's clock."""
+        """Discard all pairs, as after a reset of the camera's clock."""
         self._origin: tuple[int, int] | None = None
-        self._buckets: deque[Point] = deque(maxlen=BUCKETS)
-        self._current: Point | None = None
+        self._buckets: deque[_Point] = deque(maxlen=BUCKETS)
+        self._current: _Point | None = None
         self._bucket = 0
         self._pairs = 0
         self._late_buckets = 0
@@ -80,11 +85,11 @@ class ClockMap:
 
     @property
     def ready(self) -> bool:
-        """True once there is a pair to map by."""
+        """Whether there is a pair yet."""
         return self._origin is not None
 
     def add(self, camera_us: int, host_ns: int) -> None:
-        """Take a pair.
+        """Add a pair.
 
         Args:
             camera_us: Camera time of the newest data of a transfer; does not decrease.
@@ -118,7 +123,7 @@ class ClockMap:
         return origin_us + round((elapsed - level + slope * middle) / (1 + slope))
 
     def estimate(self) -> ClockEstimate:
-        """Return the map in figures; needs `ready`."""
+        """Return the figures of the map; needs `ready`."""
         origin_us, origin_ns = self._origin or (0, 0)
         points = self._points()
         above = np.array([self._excess(p) for p in points] or [0.0])
@@ -132,19 +137,19 @@ class ClockMap:
             steps=self._steps,
         )
 
-    def _relative(self, camera_us: int, host_ns: int) -> Point:
+    def _relative(self, camera_us: int, host_ns: int) -> _Point:
         origin_us, origin_ns = self._origin or (0, 0)
         t = camera_us - origin_us
-        return Point(float(t), (host_ns - origin_ns) / 1000 - t)
+        return _Point(float(t), (host_ns - origin_ns) / 1000 - t)
 
     def _value(self, t: float) -> float:
         middle, level, slope = self._line
         return level + slope * (t - middle)
 
-    def _excess(self, point: Point) -> float:
+    def _excess(self, point: _Point) -> float:
         return point.delay - self._value(point.t)
 
-    def _points(self) -> list[Point]:
+    def _points(self) -> list[_Point]:
         return [*self._buckets, *([self._current] if self._current else [])]
 
     def _step(self, camera_us: int, host_ns: int) -> None:
@@ -152,7 +157,7 @@ class ClockMap:
         self.restart()
         self.add(camera_us, host_ns)
 
-    def _collect(self, point: Point) -> None:
+    def _collect(self, point: _Point) -> None:
         bucket = int(point.t // BUCKET_US)
         if self._current is not None and bucket != self._bucket:
             late = self._excess(self._current) > STEP_US
@@ -174,9 +179,9 @@ class ClockMap:
         self._line = (middle, level, slope)
 
 
-def _slope_below(points: list[Point], middle: float) -> float:
+def _slope_below(points: list[_Point], middle: float) -> float:
     """Return the slope of the edge of the lower hull over `middle`; `points` are sorted."""
-    hull: list[Point] = []
+    hull: list[_Point] = []
     for point in points:
         while len(hull) > 1 and _turns_down(hull[-2], hull[-1], point):
             hull.pop()
@@ -187,5 +192,5 @@ def _slope_below(points: list[Point], middle: float) -> float:
     return 0.0
 
 
-def _turns_down(a: Point, b: Point, c: Point) -> bool:
+def _turns_down(a: _Point, b: _Point, c: _Point) -> bool:
     return (b.delay - a.delay) * (c.t - a.t) >= (c.delay - a.delay) * (b.t - a.t)

@@ -49,7 +49,8 @@ _VECT_BASE_Y: Final = 4 << 12
 _VECT_8: Final = 5 << 12
 _ON: Final = 1 << 11
 SHORTEST_VECTOR: Final = 3
-"""A vector takes two words for up to eight events."""
+"""Fewest events worth a vector: it takes two words for up to eight."""
+# Faults are negative numbers, so that the kernels run without the GIL.
 UNSORTED: Final = -1
 TOO_LONG: Final = -2
 OUTSIDE: Final = -3
@@ -62,7 +63,7 @@ NO_BASE: Final = -6
 def encode_words(
     t: Times, x: Words, y: Words, polarity: Flags, end: int, words: Words
 ) -> tuple[int, int]:
-    """Write all events and the closing time; return (words, 0) or (fault, event)."""
+    """Write all events and the final time; return (words, 0) or (fault, event)."""
     count = len(t)
     used = 0
     dt = 0
@@ -79,8 +80,8 @@ def encode_words(
         y_first = int(y[first])
         if (x_first | y_first) > MAX_COORDINATE:
             return OUTSIDE, first
-        # Each word is written and then kept or not: which are needed is as random as the scene,
-        # and a branch that is guessed wrong costs more than the other words together.
+        # Each word is written, then kept or not, without branches: which words are needed is
+        # random, and a mispredicted branch costs more than all of them.
         words[used] = now >> 12
         used += int((now >> 12) != high)
         high = now >> 12
@@ -120,7 +121,7 @@ def _write_time(words: Words, used: int, dt: int, now: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _end_of_run(t: Times, x: Words, y: Words, polarity: Flags, first: int) -> int:
-    """Return the end of the events from `first` on that differ only in a growing row."""
+    """Return the end of the run from `first` on of events that differ in increasing rows only."""
     last = first + 1
     while (
         last < len(t)
@@ -137,9 +138,9 @@ def _end_of_run(t: Times, x: Words, y: Words, polarity: Flags, first: int) -> in
 def _write_run(words: Words, used: int, y: Words, first: int, last: int, on: int) -> int:
     """Write a run of one column, as vectors where they are shorter; return the words used.
 
-    Rows fall into blocks of 8. A chain of neighbouring blocks costs one word each and one for the
-    base; leaving a chain over an empty block costs as much as a new base, so that taking each
-    chain for itself is the shortest code.
+    Rows are in blocks of 8. A chain of adjacent blocks costs one word per block and one for the
+    base. Skipping an empty block costs as much as a new base, so that coding each chain separately
+    is shortest.
     """
     while first < last:
         start = y[first] >> 3
@@ -165,7 +166,7 @@ def _write_run(words: Words, used: int, y: Words, first: int, last: int, on: int
 
 @njit(cache=True, nogil=True)
 def count_events(words: Words) -> tuple[int, int]:
-    """Return (events, 0), or (fault, word) where the order of the words makes no sense."""
+    """Return (events, 0), or (fault, word) if the order of the words is invalid."""
     count = 0
     column = False
     base = False

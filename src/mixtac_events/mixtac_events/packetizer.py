@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Cutting the events into packets on a fixed grid of camera time, so that time always progresses.
+"""Cutting events into packets on a fixed grid of camera time, so that time always progresses.
 
-A packet is closed as soon as the stream is known to have passed the end of its cell of the grid;
-it then says so, which lets consumers close their own windows at once. Where nothing happened, an
-empty packet says that.
+A packet is closed as soon as the stream has passed the end of its cell of the grid. It carries the
+time up to which the stream is complete, so that consumers can close their own windows at once.
+Cells without events give empty packets.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from mixtac_events.packets import EncodedPacket
 
 
-class PendingEvents:
-    """A list of events that grows at the end and shrinks at the front.
+class _Pending:
+    """Buffer of events not yet packed, in reused arrays.
 
     Args:
-        capacity: Events to make room for at first.
+        capacity: Initial capacity [events].
     """
 
     def __init__(self, capacity: int = 4096) -> None:
@@ -34,12 +34,12 @@ class PendingEvents:
         self._allocate(capacity)
 
     def __len__(self) -> int:
-        """Return how many events wait."""
+        """Return the number of events."""
         return self._count
 
     @property
     def events(self) -> Events:
-        """The events that wait: views, good until the next call of `append` or `drop`."""
+        """The events, as views that are valid until the next call of `append` or `drop`."""
         return self._arrays[: self._count]
 
     def append(self, events: Events) -> None:
@@ -56,10 +56,10 @@ class PendingEvents:
         self._count = start + count
 
     def drop(self, count: int) -> None:
-        """Forget the first events."""
+        """Remove the first events."""
         rest = self._arrays[count : self._count]
         self._count -= count
-        # Overlapping copies are safe in NumPy.
+        # NumPy handles overlapping copies.
         self._copy(rest, 0)
 
     def _allocate(self, capacity: int) -> None:
@@ -83,9 +83,9 @@ ENCODING = 'libcaer_cmp'
 PACKET_PERIOD_US = 1_000
 """Default grid of the driver's packets [us]."""
 PACKET_BYTES = 300_000
-"""Default for the longest payload of the driver's packets [bytes]."""
+"""Default limit of the payload of the driver's packets [bytes]."""
 MOST_BYTES_PER_EVENT = 8
-"""Either encoding: a time in two words, a column and a row; or 64 bits."""
+"""Upper bound for both encodings: 4 words in `libcaer_cmp`, 8 bytes in `libcaer`."""
 LONGEST_ANNOUNCEMENT_US = 1 << 23
 """Times in `libcaer_cmp` are relative to the first event and end after 2^24 us."""
 
@@ -98,7 +98,7 @@ class Packet:
         encoded: Encoding, time base and payload.
         arrival_ns: Host time at which the first transfer in it arrived [ns since the Unix epoch].
         events: Number of events.
-        start_us: Camera time of the first event; of the end of silence in an empty packet.
+        start_us: Camera time of the first event; `complete_until_us` in an empty packet.
         complete_until_us: Camera time before which no further event will follow.
     """
 
@@ -114,7 +114,7 @@ class Packetizer:
 
     Args:
         encoding: One of `mixtac_events.codec.ENCODINGS`.
-        period_us: Grid of camera time [us] and longest time that events of a packet span.
+        period_us: Grid of camera time [us]; events of a packet span at most this much.
         most_bytes: Longest payload [bytes].
     """
 
@@ -122,16 +122,16 @@ class Packetizer:
         self._encoding = encoding
         self._period_us = period_us
         self._most_events = max(most_bytes // MOST_BYTES_PER_EVENT, 1)
-        self._pending = PendingEvents()
+        self._pending = _Pending()
         self._pending_arrival_ns = 0
         self._complete_us: int | None = None
 
     def push(self, events: Events, time_us: int, arrival_ns: int) -> list[Packet]:
-        """Take events and return the packets that they close.
+        """Add events and return the packets that are complete.
 
         Args:
-            events: Events on the camera clock [us], in order; not before those already taken.
-            time_us: Camera time that the stream has reached; later events are not before it.
+            events: Events on the camera clock [us], sorted, not before those added earlier.
+            time_us: Camera time that the stream has reached; no later event is before it.
             arrival_ns: Host time of their arrival.
         """
         held = len(self._pending)
@@ -195,7 +195,7 @@ class Packetizer:
     def _packet(self, events: Events, until_us: int, arrival_ns: int) -> Packet:
         encoded = encode(events, self._encoding, complete_until=until_us)
         start_us = int(events.t[0]) if len(events) else until_us
-        # Of all packets with events, only those in libcaer_cmp carry how far they reach.
+        # Packets with events carry the time that the stream has reached in libcaer_cmp only.
         silent = len(events) and self._encoding != 'libcaer_cmp'
         self._complete_us = int(events.t[-1]) if silent else until_us
         return Packet(encoded, arrival_ns, len(events), start_us, self._complete_us)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a camera sends besides events: frames, inertial samples, edges."""
+"""Readings of a camera besides events: frames, inertial samples, edges."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STANDARD_GRAVITY = 9.80665
 
 
 class EdgeKind(IntEnum):
-    """What happened at the synchronisation connector."""
+    """Kinds of edges at the synchronisation connector."""
 
     EXTERNAL_FALLING = 2
     EXTERNAL_RISING = 3
@@ -77,7 +77,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialSamples:
-    """Samples of the inertial unit in SI units; what was not sent is NaN.
+    """Samples of the inertial unit in SI units; missing values are NaN.
 
     Attributes:
         t: `int64` [n], time [us, camera clock].
@@ -101,8 +101,8 @@ def inertial_samples(
         t: `int64` [n], times [us].
         raw: `uint8` [n, 15]: acceleration x, y, z, temperature, rotation x, y, z as big-endian
             16-bit integers, then the info byte (which groups are present, their scales).
-        flips: Axes of the unit that point the other way.
-        imu_type: 1 for MPU6050, 2 for MPU9250: they differ in the temperature.
+        flips: Axes of the unit that are inverted.
+        imu_type: 1 for MPU6050, 2 for MPU9250, whose temperature scales differ.
     """
     values = np.ascontiguousarray(raw[:, :14]).view('>i2').astype(np.float64)
     info = raw[:, 14]
@@ -125,13 +125,12 @@ NO_SAMPLES = InertialSamples(np.empty(0, np.int64), np.empty((0, 3)), np.empty((
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecodedBatch:
-    """What one stretch of the stream held.
+    """Readings of one stretch of the stream.
 
     All times are [us] on the camera clock since its reset number `resets`.
 
     Attributes:
-        events: Views into the decoder's arrays: valid until the decoder goes on, copy what you
-            keep.
+        events: Views into the decoder's arrays, valid until its next call; copy them to keep them.
         frames: Complete frames.
         imu: Inertial samples.
         edges: Edges of the external input and the generator.

@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cutting an event stream into windows of equal width, live or recorded.
 
-Window k covers ``[origin + k * width, origin + (k + 1) * width)`` on the camera clock and is named
-by its end: the moment from which everything in it is in the past.
+Window k covers ``[origin + k * width, origin + (k + 1) * width)`` on the camera clock; its label
+is its end.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -21,32 +22,31 @@ if TYPE_CHECKING:
 
 
 class WindowError(MixtacError):
-    """A time window that cannot be."""
+    """An invalid time window."""
 
 
 RESTART_US: Final = 1_000_000
-"""A step back of the stream beyond this is a restarted clock, not a late packet."""
+"""A larger step back in time [us] is a clock that was reset, not a late packet."""
 
 
 class WindowSlicer:
     """Cuts a live stream into windows and closes each as soon as it is known to be complete.
 
-    The first window begins on the grid before the first time seen, so it may be cut short.
-    Memory holds the events of open windows only. After a gap in the stream not more than
-    `max_empty_run` empty windows are handed out at once, the latest ones; windows that hold
-    events are never skipped.
+    The first window begins on the grid before the first time, so it may be incomplete. Only the
+    events of open windows are kept. One push returns at most `max_empty_run` empty windows, the
+    latest ones, which bounds its work after a gap; windows with events are never skipped.
 
     Attributes:
         width_us: Width of a window [us].
         origin_us: Any window border, camera clock [us].
         skipped_windows: Empty windows left out in gaps.
         late_events: Events dropped because their window had been closed.
-        restarts: Times the clock of the stream jumped back by more than `RESTART_US`.
+        restarts: Times that the stream went back in time by more than `RESTART_US`.
 
     Args:
         width_us: Width of a window [us], positive.
         origin_us: Any window border, camera clock [us].
-        max_empty_run: Longest run of empty windows handed out by one push.
+        max_empty_run: Most empty windows returned by one push.
 
     Raises:
         WindowError: Width or run not positive.
@@ -95,7 +95,7 @@ class WindowSlicer:
         return [(end, held[cuts[i] : cuts[i + 1]]) for i, end in enumerate(ends.tolist())]
 
     def reset(self) -> None:
-        """Forget open windows; the next push starts a new stream."""
+        """Discard open windows; the next push starts a new stream."""
         self._pending = []
         self._next = None
 
@@ -106,7 +106,7 @@ class WindowSlicer:
         return self.origin_us + index * self.width_us
 
     def _begin(self, t_us: int) -> int:
-        """Return the index of the first open window, after a (re)start where one is due."""
+        """Return the index of the first open window; restart after a step back in time."""
         if self._next is not None and t_us < self._start_us(self._next) - RESTART_US:
             self.restarts += 1
             self.reset()
@@ -122,19 +122,19 @@ class WindowSlicer:
         return events[keep]
 
     def _occupied_or_near(self, held: Events, first: int, end: int) -> NDArray[np.int64]:
-        """Return the windows in ``[first, end)`` to hand out: long empty runs lose their start."""
+        """Return the windows in ``[first, end)`` to close: all with events, the latest without."""
         if end - first <= self._max_empty_run:
             return np.arange(first, end, dtype=np.int64)
         indices = (held.t - self.origin_us) // self.width_us
         occupied = np.unique(indices[indices < end])
+        left = self._max_empty_run
         chosen: list[int] = []
-        before = first - 1
-        for index in [*occupied.tolist(), end]:
-            start = max(before + 1, index - self._max_empty_run)
-            self.skipped_windows += start - before - 1
-            chosen.extend(range(start, index + 1))
-            before = index
-        return np.array(chosen[:-1], np.int64)
+        for before, index in reversed(list(pairwise([first - 1, *occupied.tolist(), end]))):
+            empty = min(index - before - 1, left)
+            self.skipped_windows += index - before - 1 - empty
+            left -= empty
+            chosen.extend(range(index, index - empty - 1, -1))
+        return np.array(chosen[:0:-1], np.int64)
 
 
 def counts_per_window(t: NDArray[np.int64], start: int, end: int, width: int) -> NDArray[np.int64]:

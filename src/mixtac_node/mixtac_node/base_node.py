@@ -152,8 +152,8 @@ def declare(
 ) -> T:
     """Declare a schema's parameters on a node and return their values.
 
-    Values are checked before anything uses them; later changes are checked as a whole, handed to
-    `on_change` and refused with its message if that raises a MixtacError.
+    Values are checked before they are used. Later changes are checked together and passed to
+    `on_change`; if that raises a MixtacError, they are refused with its message.
 
     Args:
         node: An rclpy node (lifecycle or not).
@@ -165,7 +165,7 @@ def declare(
     """
     declared = specs(schema)
     for spec in declared:
-        # Read-only is enforced below, where the refusal can name the remedy.
+        # Read-only is enforced below, so that the refusal can name the remedy.
         try:
             node.declare_parameter(spec.name, spec.default, _descriptor(spec))
         except InvalidParameterValueException as error:
@@ -256,9 +256,9 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
             executor.add_node(node)
         checks = [node.check for node in nodes if hasattr(node, 'check')]
         while not stopping and rclpy.ok():
-            # spin() of this executor never calls back in the wheels of Jazzy; spin_once does.
+            # In the wheels of Jazzy, spin() of this executor never calls back; spin_once does.
             executor.spin_once(timeout_sec=0.2)
-            # Not in a timer: the executor would print a traceback before the one line.
+            # Not in a timer: the executor would print a traceback before the error line.
             for check in checks:
                 check()
     except MixtacError as error:

@@ -30,7 +30,7 @@ class RateMeter:
         self._last_s: float | None = None
 
     def add(self, count: int = 1) -> None:
-        """Count `count` more."""
+        """Add to the count."""
         self.total += count
 
     def read(self, now_s: float) -> float:
@@ -73,16 +73,17 @@ class RecentValues:
 
 
 OK, WARN, ERROR, STALE = range(4)
+"""Levels of `diagnostic_msgs/DiagnosticStatus`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What a node says of itself.
+    """Status that a node reports.
 
     Attributes:
         level: OK, WARN, ERROR or STALE.
-        message: One line for people.
-        values: Figures by name; floats are written with six significant digits.
+        message: One line for users.
+        values: Values by name; floats are written with six significant digits.
     """
 
     level: int

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Between `sensor_msgs/Image` and NumPy arrays, with cv_bridge where it is installed or without.
 
-Bytes become pixels here, always: the Python side of cv_bridge cannot swap bytes with NumPy 2 and
-assumes that the padding of a row is a whole number of pixels. Colours are converted by cv_bridge
-where there is one, else by the OpenCV functions it stands on. Messages are those of rclpy or of
-rosbags: only their fields matter.
+Bytes are always unpacked here: the Python part of cv_bridge cannot swap bytes with NumPy 2 and
+assumes that the padding of a row is a whole number of pixels. Colours are converted by cv_bridge if
+it is installed, else by the OpenCV functions that it uses. Messages are those of rclpy or of
+rosbags.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 
 
 PASSTHROUGH = 'passthrough'
-"""As target: the pixels as they are in the message."""
+"""Target that keeps the encoding of the message."""
 _MOSAICS = tuple(f'bayer_{pattern}' for pattern in ('rggb', 'grbg', 'gbrg', 'bggr'))
 _CHANNELS = {'mono': 1, 'rgb': 3, 'bgr': 3, 'rgba': 4, 'bgra': 4} | dict.fromkeys(_MOSAICS, 1)
 _ALIASES = {'8UC1': 'mono8', '16UC1': 'mono16', '8UC3': 'bgr8', '16UC3': 'bgr16'}
-"""Encodings that name no colours, and what OpenCV and cv_bridge take them for."""
+"""Encodings without colour names, and how OpenCV and cv_bridge interpret them."""
 ENCODINGS = (*(f'{kind}{bits}' for kind in _CHANNELS for bits in (8, 16)), *_ALIASES)
 """Encodings that can be read."""
 TARGETS = (PASSTHROUGH, *(f'{kind}{bits}' for kind in ('mono', 'rgb', 'bgr') for bits in (8, 16)))
-"""Encodings that can be asked for."""
+"""Allowed targets."""
 
 
 class ImageConversionError(MixtacError):
@@ -44,7 +44,7 @@ class ImageConversionError(MixtacError):
 
 
 class ColourConverter(Protocol):
-    """Converts between two encodings; both ways of this module are one."""
+    """Converts between two encodings: OpenCV or cv_bridge."""
 
     def __call__(self, pixels: Pixels, source: str, target: str) -> Pixels:
         """Return the pixels in another encoding.
@@ -52,7 +52,7 @@ class ColourConverter(Protocol):
         Args:
             pixels: `uint8` or `uint16`, [height, width] or [height, width, channels].
             source: Their encoding, no alias.
-            target: Encoding wanted, another than `source`.
+            target: Wanted encoding, different from `source`.
         """
         ...
 
@@ -93,14 +93,14 @@ def image_array(
     *,
     converter: ColourConverter | None = None,
 ) -> Pixels:
-    """Return the pixels of an image message in the encoding that is asked for.
+    """Return the pixels of an image message in another encoding.
 
     Values are scaled between 8 and 16 bits so that white stays white, as cv_bridge does.
 
     Args:
         message: A `sensor_msgs/Image` in one of `ENCODINGS`.
         target: One of `TARGETS`.
-        converter: What converts colours; None for cv_bridge where it is installed, else OpenCV.
+        converter: Converter of colours; None for cv_bridge if it is installed, else OpenCV.
 
     Raises:
         ImageConversionError: Another encoding or target, or a damaged message.
@@ -131,7 +131,7 @@ def grey(message: Any) -> Any:  # noqa: ANN401  (mypy keeps the types of arrays 
 
 
 def fill(message: Any, image: Pixels, encoding: str) -> None:  # noqa: ANN401
-    """Write pixels into a fresh image message; its header is left alone.
+    """Write pixels into a new image message; its header is not changed.
 
     Args:
         message: A `sensor_msgs/msg/Image` without data.
@@ -173,7 +173,7 @@ def set_octets(message: Any, name: str, octets: Any) -> None:  # noqa: ANN401
 
 @functools.cache
 def default_converter() -> ColourConverter:
-    """Return the converter of cv_bridge where that is installed, else that of this module."""
+    """Return the converter of cv_bridge if it is installed, else that of this module."""
     try:
         from cv_bridge import CvBridge
     except ImportError:

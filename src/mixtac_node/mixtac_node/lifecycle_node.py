@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Configures and activates lifecycle nodes, with the reason where that fails."""
+"""Configures and activates lifecycle nodes, and reports the reason of failures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class LifecycleClient:
         node: Node that calls the services.
         target: Fully qualified name of the lifecycle node.
         alive: Called while waiting; raises when the process behind the node has ended.
-        reason: Returns the last error that the node logged, empty where that is not known.
+        reason: Returns the last error that the node logged, empty if unknown.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class LifecycleClient:
         reply = self._call(self._change, request)
         state = self._call(self._get, GetState.Request()).current_state
         if not reply.success or state.id != goal:
-            why = self._reason() or 'its own log says why'
+            why = self._reason() or 'see its log'
             raise GraphError(f'{self._target} could not be {done}: {why}')
 
     def _call(self, client: Any, request: Any) -> Any:  # noqa: ANN401

@@ -10,6 +10,7 @@ the tables of the documentation are written from it, and `build` checks values a
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -31,17 +32,17 @@ class ParameterError(MixtacError):
 
 @dataclass(frozen=True, slots=True)
 class ParameterSpec:
-    """One parameter: what ROS needs to declare it and a reader to understand it.
+    """One parameter: declaration and documentation.
 
     Attributes:
         name: ROS parameter name.
         default: Default value; its type is the type of the parameter.
         description: One or more sentences.
-        unit: SI unit or other unit, empty where none applies.
+        unit: Unit of the value, empty for none.
         minimum: Smallest allowed number, or None.
         maximum: Largest allowed number, or None.
         choices: Allowed values, empty for any.
-        read_only: True where the value is fixed once the node runs.
+        read_only: Whether the value is fixed while the node runs.
     """
 
     name: str
@@ -97,12 +98,12 @@ def parameter(
 
     Args:
         default: Default value (bool, int, float or str).
-        description: What it does, for the descriptor, the configuration file and the docs.
+        description: Effect, for the descriptor, the configuration file and the docs.
         unit: Unit of the value.
         minimum: Smallest allowed number.
         maximum: Largest allowed number.
         choices: Allowed values.
-        read_only: True where the value cannot change once the node runs.
+        read_only: Whether the value is fixed while the node runs.
 
     Returns:
         A dataclass field, typed as its value so that the class type-checks.
@@ -139,7 +140,6 @@ def build(schema: type[T], values: Mapping[str, object]) -> T:
     known = {spec.name: spec for spec in specs(schema)}
     unknown = sorted(set(values) - set(known))
     if unknown:
-        raise ParameterError(
-            f'unknown parameter {unknown[0]}: {schema.__name__} has {", ".join(known)}'
-        )
+        near = difflib.get_close_matches(unknown[0], known, 1) or [', '.join(known)]
+        raise ParameterError(f'unknown parameter {unknown[0]}', remedy=f'did you mean {near[0]}?')
     return schema(**{name: known[name].check(value) for name, value in values.items()})

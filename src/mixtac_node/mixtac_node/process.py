@@ -28,27 +28,27 @@ if TYPE_CHECKING:
 
 
 class GraphError(MixtacError):
-    """A node that did not start, died, or could not be configured."""
+    """A node that did not start, ended, or could not be configured."""
 
 
-VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+FASTDDS_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 """Fast DDS 2 (ROS 2 Jazzy) reads the first, Fast DDS 3 the second."""
 _ON_THIS_MACHINE = {'LOCALHOST', 'OFF'}
 
 
 def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """Return the variables to add, none where the user has a profile already.
+    """Return the variables that select our Fast DDS profile; none if the user has a profile.
 
     Args:
-        environment: That of the nodes; `ROS_AUTOMATIC_DISCOVERY_RANGE` decides between loopback
-            and all interfaces.
+        environment: Environment of the nodes; `ROS_AUTOMATIC_DISCOVERY_RANGE` decides between
+            loopback and all interfaces.
     """
-    if any(environment.get(name) for name in VARIABLES):
+    if any(environment.get(name) for name in FASTDDS_VARIABLES):
         return {}
     local = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '') in _ON_THIS_MACHINE
     name = 'local.xml' if local else 'network.xml'
     path = Path(get_package_share_directory('mixtac_bringup')) / 'config' / 'fastdds' / name
-    return dict.fromkeys(VARIABLES, str(path))
+    return dict.fromkeys(FASTDDS_VARIABLES, str(path))
 
 
 STOP_GRACE_S = 8.0
@@ -59,12 +59,12 @@ _LOGGED = re.compile(r'^\[(ERROR|FATAL)\] \[[^]]*\] \[[^]]*\]: (?P<text>.*)')
 
 @dataclass
 class _Member:
-    """A running process and the thread that passes on what it says.
+    """A running process and the thread that forwards its output.
 
     Attributes:
         process: The process.
         reader: Thread that reads its output until it ends.
-        last_error: The last line it called an error.
+        last_error: The last line that it logged as an error.
     """
 
     process: subprocess.Popen[str]
@@ -72,9 +72,9 @@ class _Member:
     last_error: str = ''
 
     def read(self, name: str, sink: IO[str]) -> None:
-        """Pass the output on and remember the last error.
+        """Forward the output and remember the last error.
 
-        The one line with which a process ends itself is held back: the group reports it.
+        The error line with which a process ends is not forwarded: the group reports it.
         """
         assert self.process.stdout is not None  # noqa: S101  (always piped)
         for line in self.process.stdout:
@@ -89,14 +89,14 @@ class _Member:
 
 
 class ProcessGroup:
-    """The processes of a graph; none outlives this one.
+    """The processes of a graph; all end with this process.
 
-    Leaving the `with` block ends them. While it lasts, SIGTERM and SIGHUP leave it by SystemExit
-    (in the main thread; elsewhere Python cannot catch them). If this process is killed, the
-    kernel sends them SIGTERM, where `setpriv` of util-linux is there.
+    Leaving the `with` block ends them. Inside it, SIGTERM and SIGHUP raise SystemExit (in the main
+    thread only, where Python handles signals). If this process is killed, the kernel sends them
+    SIGTERM, provided that `setpriv` of util-linux is installed.
 
     Args:
-        log_dir: Folder for one log file per process, or None to pass their output on to stderr.
+        log_dir: Folder for one log file per process, or None to forward their output to stderr.
         env: Environment of the processes; None for this process's own.
     """
 
@@ -126,8 +126,8 @@ class ProcessGroup:
     def start(self, name: str, command: list[str]) -> None:
         """Start a process under a name.
 
-        In a session of its own, so that a Ctrl-C in the terminal reaches this process first and
-        the nodes are ended in order.
+        It gets its own session, so that Ctrl-C in the terminal reaches this process only, which
+        then ends the nodes in order.
         """
         sink: IO[str] = sys.stderr
         if self._log_dir is not None:
@@ -153,7 +153,7 @@ class ProcessGroup:
         """Raise if a process has ended.
 
         Raises:
-            GraphError: Names the process and its last words.
+            GraphError: Names the process and its last error.
         """
         for name, member in self._members.items():
             code = member.process.poll()
@@ -163,13 +163,13 @@ class ProcessGroup:
                 raise GraphError(f'{name} ended with status {code}{said}')
 
     def last_error(self, name: str) -> str:
-        """Return the last line that a process called an error, or an empty string."""
+        """Return the last line that a process logged as an error, or an empty string."""
         return self._members[name].last_error
 
     def stop(self, name: str | None = None) -> dict[str, int]:
         """End one process or all, newest first: SIGTERM, then SIGKILL after a grace time.
 
-        Not SIGINT: a Python process that is still importing answers it with a traceback.
+        Not SIGINT, to which a Python process that is still importing responds with a traceback.
 
         Returns:
             Exit status by name.
@@ -285,7 +285,7 @@ def _leave(number: int, _frame: FrameType | None) -> None:
 
 
 def ending_with_parent(command: list[str]) -> list[str]:
-    """Return a command whose process gets SIGTERM when the thread that started it is gone."""
+    """Return a command whose process gets SIGTERM when the thread that started it ends."""
     setpriv = shutil.which('setpriv')
     main = threading.current_thread() is threading.main_thread()
     return [setpriv, '--pdeathsig', 'TERM', '--', *command] if setpriv and main else command

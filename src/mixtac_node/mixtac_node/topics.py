@@ -29,7 +29,7 @@ class Topic:
         depth: Queue depth its publisher offers.
         latched: True for transient local.
         description: What it carries, on which clock.
-        condition: Parameter without which nobody publishes it, empty for none.
+        condition: Parameter that must be set for it to be published, empty for none.
     """
 
     name: str
@@ -97,8 +97,8 @@ EVENTS_RECT = Topic(
     reliable=False,
     depth=1000,
     condition='undistort_events',
-    description='With `undistort_events`: events at the pixels of `image_rect`; those outside '
-    'are left out.',
+    description='With `undistort_events`: events at the pixels of `image_rect`; events outside '
+    'are dropped.',
 )
 IMAGE_EXPOSURE = Topic(
     'image_exposure',
@@ -159,7 +159,7 @@ REFERENCE_WRENCH = Topic(
     'geometry_msgs/msg/WrenchStamped',
     reliable=False,
     depth=100,
-    description='Reference force sensor, 800 Hz, on its own clock (the virtual one, or yours).',
+    description='Reference force sensor (real or virtual), 800 Hz, on its own clock.',
 )
 TRUTH_WRENCH = Topic(
     'truth/wrench',
@@ -204,7 +204,8 @@ FORCE_ERROR_RMSE = Topic(
     'std_msgs/msg/Float64',
     reliable=False,
     depth=100,
-    description='Its root mean square [N].',
+    description='Running root mean square error of `force` against the aligned reference [N] '
+    '(force error node).',
 )
 SLIP = Topic(
     'slip',
@@ -283,24 +284,24 @@ SERVICES = (
     Service(
         'driver/snapshot',
         'std_srvs/srv/Trigger',
-        'Takes one frame where `aps_enabled` is off, waits for the next one where it is on; '
-        'answers with its stamp.',
+        'Takes one frame if `aps_enabled` is off, waits for the next one if it is on. The response '
+        'holds its stamp.',
     ),
     Service(
         'driver/reset_timestamps',
         'std_srvs/srv/Trigger',
-        "Sets the camera's own clock to zero; published time goes on.",
+        "Sets the camera's own clock to zero; published time continues.",
     ),
     Service(
         'driver/set_camera_info',
         'sensor_msgs/srv/SetCameraInfo',
-        'Checks a calibration, writes it to `camerainfo_url` and uses it from then on.',
+        'Checks a calibration, writes it to `camerainfo_url` and uses it.',
     ),
     Service(
         'driver/find_hot_pixels',
         'std_srvs/srv/Trigger',
-        'Counts events for `hot_pixels_duration` and masks the pixels that fire without cause: the '
-        'eight noisiest in the camera, the others in the driver. Keep the scene still.',
+        'Counts events for `hot_pixels_duration` and masks hot pixels: the eight noisiest '
+        'in the camera, the others in the driver. Keep the scene still.',
     ),
     Service(
         'virtual_sensor/play',
@@ -310,12 +311,12 @@ SERVICES = (
     Service(
         'virtual_sensor/press',
         'std_srvs/srv/Trigger',
-        'Virtual sensor only: presses `object` on the skin with `press_force`, for `hold_seconds`.',
+        'Virtual sensor only: presses `object` on the skin with `press_force` for `hold_seconds`.',
     ),
     Service(
         'virtual_sensor/load',
         'std_srvs/srv/Trigger',
-        'Virtual sensor only: puts `object` down on the skin, for `hold_seconds`.',
+        'Virtual sensor only: places `object` on the skin for `hold_seconds`.',
     ),
     Service(
         'virtual_sensor/drop',
@@ -325,25 +326,32 @@ SERVICES = (
     Service(
         'virtual_sensor/vibrate',
         'std_srvs/srv/Trigger',
-        'Virtual sensor only: lets `object` vibrate in the skin as the `vibration_` parameters '
-        'say.',
+        'Virtual sensor only: vibrates `object` on the skin, by the `vibration_` parameters.',
     ),
     Service(
         'virtual_sensor/release',
         'std_srvs/srv/Trigger',
-        'Virtual sensor only: takes off what touches.',
+        'Virtual sensor only: removes the object from the skin.',
     ),
-    Service('fger/tare', 'std_srvs/srv/Trigger', 'Makes the present force zero.'),
-    Service('alignment/fit', 'std_srvs/srv/Trigger', 'Fits the clocks to what was seen so far.'),
-    Service('slip_control/enable', 'std_srvs/srv/SetBool', 'Lets slip move the arm, or not.'),
+    Service(
+        'fger/tare', 'std_srvs/srv/Trigger', 'Sets the zero of the force to the current value.'
+    ),
+    Service(
+        'alignment/fit', 'std_srvs/srv/Trigger', 'Fits the clocks to the data received so far.'
+    ),
+    Service(
+        'slip_control/enable',
+        'std_srvs/srv/SetBool',
+        'Enables or disables motion of the arm on slip.',
+    ),
     Service(
         'slip_control/tare',
         'std_srvs/srv/Trigger',
-        'Learns the background of events anew; keep the object still.',
+        'Learns the background event rate again; keep the object still.',
     ),
     Service(
         'slip_control/reset',
         'std_srvs/srv/Trigger',
-        'Leaves a latched stop; refused while its cause lasts.',
+        'Clears a latched stop; refused while its cause persists.',
     ),
 )

@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 import psutil
 import pytest
 
-from mixtac_node.process import VARIABLES, profile_environment
+from mixtac_node.process import FASTDDS_VARIABLES, profile_environment
 
 PACKETS, PACKET = 1000, 3000
 STALLED = """
@@ -54,7 +54,7 @@ def test_the_profile_of_the_user_stays() -> None:
 )
 def test_the_range_of_discovery_decides(reach: str, name: str) -> None:
     chosen = profile_environment({'ROS_AUTOMATIC_DISCOVERY_RANGE': reach})
-    assert set(chosen) == set(VARIABLES)
+    assert set(chosen) == set(FASTDDS_VARIABLES)
     (path,) = {Path(each) for each in chosen.values()}
     assert path.name == f'{name}.xml'
     text = path.read_text(encoding='utf-8')
