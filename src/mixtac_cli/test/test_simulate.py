@@ -19,7 +19,7 @@ from mixtac_cli.simulate import APART_S, draw_preview, event_picture, find_momen
 from mixtac_events.arrays import Events
 from mixtac_recordings.dataset import DatasetDescription, TrialSpec
 from mixtac_recordings.recording import RecordingError
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 
 app = typer.Typer()
 app.command()(simulate)

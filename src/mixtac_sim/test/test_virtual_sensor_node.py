@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 
 from mixtac_node.base_node import QOS_FORCE
 from mixtac_node.stamps import stamp_to_ns
-from mixtac_sim.usb.descriptors import serial_number
+from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.usb.pyusb_backend import open_backend
 from mixtac_sim.world.instruments import ReferenceSensor
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mixtac_events.arrays import Events
-from mixtac_sim.usb import descriptors
+from mixtac_sim.usb import endpoints
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.registers import HEIGHT, WIDTH, Module, Usb
 from mixtac_sim.usb.words import (
@@ -237,7 +237,7 @@ class PatternCamera(VirtualDavis346):
         return self._clock()
 
     def _before_read(self, endpoint: int, timeout_s: float | None) -> None:
-        if endpoint != descriptors.DATA_ENDPOINT:
+        if endpoint != endpoints.DATA_ENDPOINT:
             return
         deadline_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while self.streaming:

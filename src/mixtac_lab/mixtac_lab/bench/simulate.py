@@ -20,8 +20,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from mixtac_sim.usb.descriptors import DATA_ENDPOINT, serial_number
 from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.endpoints import DATA_ENDPOINT, serial_number
 from mixtac_sim.usb.faults import UsbTimeout
 from mixtac_sim.usb.registers import Aps, Dvs, Imu, Module, Mux, Usb
 from mixtac_sim.world.trial import TrialStream

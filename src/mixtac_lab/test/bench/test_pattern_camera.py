@@ -11,7 +11,7 @@ import pytest
 from usb_oracle import decode
 
 from mixtac_lab.bench.pattern import PatternCamera, make_pattern
-from mixtac_sim.usb import descriptors
+from mixtac_sim.usb import endpoints
 from mixtac_sim.usb.faults import UsbTimeout
 
 RUN = ((0, 3), (9, 0), (0, 1), (0, 0))
@@ -34,11 +34,11 @@ def run(camera):
 
 def test_a_read_that_begins_in_a_pause_is_answered_by_what_comes_after(camera):
     run(camera)
-    parts = [camera.read_bulk(descriptors.DATA_ENDPOINT, BUFFER, 20.0) for _ in range(2 * EVENTS)]
+    parts = [camera.read_bulk(endpoints.DATA_ENDPOINT, BUFFER, 20.0) for _ in range(2 * EVENTS)]
     words = np.frombuffer(b''.join(parts), '<u2')
     assert len(decode(words).events) > EVENTS // 2
 
 
 def test_without_running_there_is_nothing_to_wait_for(camera):
     with pytest.raises(UsbTimeout):
-        camera.read_bulk(descriptors.DATA_ENDPOINT, BUFFER, 0.01)
+        camera.read_bulk(endpoints.DATA_ENDPOINT, BUFFER, 0.01)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 import numpy as np
 from numba import njit
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

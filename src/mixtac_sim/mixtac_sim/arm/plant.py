@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mixtac_sim import SimulationError
 from mixtac_sim.arm.fr3 import STEP_S, TORQUE_MAX_NM, GelContact, Servo, flange_place, fr3_mjcf
-from mixtac_sim.errors import SimulationError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -19,7 +19,7 @@ from mixtac_recordings.bag_writer import McapBag, offered_qos
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.camera import CameraMessages
 from mixtac_sim.bags.messages import NS, MessageSink, StampedRows, TrialClocks
-from mixtac_sim.usb.descriptors import serial_number
+from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.world.trial import TrialStream
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import OBJECTS
 from mixtac_sim.grasp.skin import Skin, SkinCamera, slide
 from mixtac_sim.grids import STEP_US

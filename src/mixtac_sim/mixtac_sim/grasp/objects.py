@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.contact import GRAVITY
 from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.random_streams import log_uniform

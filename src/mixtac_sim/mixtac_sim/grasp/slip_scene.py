@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grasp.grasp import SETTLE_S, Press
 from mixtac_sim.grasp.objects import draw_friction
 from mixtac_sim.grasp.skin import Skin, SkinCamera

@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.live import touch
 from mixtac_sim.live.touch import LiveProfile
 from mixtac_sim.mechanics.indenters import LIVE_INDENTERS
 from mixtac_sim.pixels.aps import READOUT_US, RESET_US, ApsSettings
 from mixtac_sim.pixels.biases import DEFAULT_REGISTERS, PixelSettings
-from mixtac_sim.usb.descriptors import serial_number
 from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.usb.registers import Module
 from mixtac_sim.world.effects import EASY
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor

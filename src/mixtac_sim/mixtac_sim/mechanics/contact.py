@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 
 if TYPE_CHECKING:

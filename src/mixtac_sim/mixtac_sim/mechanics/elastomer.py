@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.layer import ALPHA, punch_factor, solve_contact, solve_edge
 
 if TYPE_CHECKING:

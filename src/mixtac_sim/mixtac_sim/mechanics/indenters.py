@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

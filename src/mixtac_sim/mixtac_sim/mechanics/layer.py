@@ -35,7 +35,7 @@ from scipy.ndimage import map_coordinates
 from scipy.special import j0, j1
 from threadpoolctl import threadpool_limits
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grids import HEIGHT, PIXELS, TILE, WIDTH
 from mixtac_sim.random_streams import BlockStreams, stream
 

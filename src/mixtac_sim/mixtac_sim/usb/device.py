@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mixtac_events.arrays import Events
-from mixtac_sim.usb import descriptors
+from mixtac_sim.usb import endpoints
 from mixtac_sim.usb.endpoints import ControlEndpoint, DataEndpoint, Presence
 from mixtac_sim.usb.faults import Fault, FaultInjector, FaultKind
 from mixtac_sim.usb.registers import Aps, Board, Dvs, Imu, Module, Mux, RegisterFile, Usb
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 _IN: Final = 0x80
-_CLEAR_DATA_HALT: Final = (0x02, 1, descriptors.DATA_ENDPOINT)
+_CLEAR_DATA_HALT: Final = (0x02, 1, endpoints.DATA_ENDPOINT)
 
 
 _DEFAULT_FIFO: Final = 4 << 20

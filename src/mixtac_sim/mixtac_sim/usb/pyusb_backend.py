@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from usb.backend import IBackend
 from usb.core import USBError, USBTimeoutError
 
-from mixtac_sim.usb import descriptors, wire
+from mixtac_sim.usb import endpoints, wire
 from mixtac_sim.usb.faults import (
     FaultError,
     NoVirtualSensorError,
@@ -134,7 +134,7 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
                 configuration = link.control(0x80, _GET_DESCRIPTOR, 0x0200, 0, 4096)
             finally:
                 link.close()
-            self._parsed = descriptors.parse(device + configuration)
+            self._parsed = endpoints.parse(device + configuration)
             return self._parsed
 
     def _of_type(self, kind: int) -> list[SimpleNamespace]:

@@ -5,6 +5,8 @@
 Module and parameter numbers, read-only values and power-up defaults are those of a DAVIS346 on an
 FX3 board with FPGA logic 18.1, as the libcaer sources document them. Values are unsigned 32 bit;
 statistics are 64 bit, upper half at the first parameter, lower half at the next one.
+
+The numbers are written down here again, and never imported from the driver: they are its oracle.
 """
 
 from __future__ import annotations

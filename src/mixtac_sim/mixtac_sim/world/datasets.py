@@ -14,7 +14,7 @@ from typing import Final
 from zlib import crc32
 
 from mixtac_recordings.dataset import DatasetDescription, TrialSpec
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.random_streams import stream
 from mixtac_sim.world.profiles import PROFILES
 from mixtac_sim.world.training_trials import simulator_digest

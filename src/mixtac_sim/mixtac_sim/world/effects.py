@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from scipy.signal import lfilter
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY
 from mixtac_sim.random_streams import log_uniform, stream

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
+from mixtac_sim import SimulationError
 from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
-from mixtac_sim.errors import SimulationError
 
 RATE_HZ = 1000.0
 

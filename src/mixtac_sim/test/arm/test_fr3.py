@@ -5,9 +5,9 @@
 import numpy as np
 import pytest
 
+from mixtac_sim import SimulationError
 from mixtac_sim.arm.fr3 import READY, flange_place, violations
 from mixtac_sim.arm.plant import FingertipAdvance, Tracking
-from mixtac_sim.errors import SimulationError
 
 
 def test_flange_of_the_ready_pose() -> None:

@@ -9,9 +9,9 @@ import sys
 import numpy as np
 import pytest
 
+from mixtac_sim import SimulationError
 from mixtac_sim.arm.fr3 import MASSES_KG, Q_LOWER, Q_UPPER, READY, flange_place, fr3_mjcf
 from mixtac_sim.arm.plant import MujocoArm
-from mixtac_sim.errors import SimulationError
 
 SIDEWAYS = np.array([0.0, 1.0, 0.0])
 

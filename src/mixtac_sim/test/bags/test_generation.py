@@ -16,10 +16,10 @@ import pytest
 
 from mixtac_recordings.dataset import DatasetDescription
 from mixtac_recordings.recording import RecordingError
+from mixtac_sim import SimulationError
 from mixtac_sim.bags import generation
 from mixtac_sim.bags.generation import generate
 from mixtac_sim.bags.trial_bag import UNFINISHED, is_finished, write_trial
-from mixtac_sim.errors import SimulationError
 from mixtac_sim.world.datasets import describe, plan_profile
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mixtac_node.parameters import specs
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grasp.grasp import Grasp
 from mixtac_sim.grasp.objects import (
     OBJECTS,

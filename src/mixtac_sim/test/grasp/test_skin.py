@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import Friction
 from mixtac_sim.grasp.skin import Skin, shear_stiffness, slip_speed, wave_resistance
 from mixtac_sim.mechanics.elastomer import Layer

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
 from mixtac_sim.world.effects import EASY
 

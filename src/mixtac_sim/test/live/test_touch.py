@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.live import touch as live_gestures
 from mixtac_sim.live.touch import LiveProfile
 from mixtac_sim.live.virtual_sensor import ENDLESS_S, LARGEST_N, TouchControl

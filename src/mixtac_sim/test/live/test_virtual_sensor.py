@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mixtac_events.arrays import Events
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.live.touch import LiveProfile
 from mixtac_sim.live.virtual_sensor import SimulationClock, VirtualSensor
 from mixtac_sim.mechanics.contact import Mode

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.contact import PronySeries, force_terms, relax
 
 SERIES = PronySeries((0.3, 0.1, 0.05), (0.002, 0.05, 2.0))

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.mechanics import layer as edge_contact
 from mixtac_sim.mechanics.elastomer import Layer, force_law
 from mixtac_sim.mechanics.indenters import HEMISPHERE, INDENTERS, Indenter

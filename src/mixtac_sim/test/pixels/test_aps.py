@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grids import TILE, TILES
 from mixtac_sim.pixels.aps import READ_NOISE_DN, READOUT_US, Aps, ApsSettings
 

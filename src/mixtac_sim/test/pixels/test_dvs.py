@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grids import PADDED, PIXELS, TILES
 from mixtac_sim.optics.renderer import ONE
 from mixtac_sim.optics.scene import Scene

@@ -10,8 +10,8 @@ import threading
 import numpy as np
 import pytest
 
-from mixtac_sim.usb import descriptors
 from mixtac_sim.usb.device import VirtualDavis346
+from mixtac_sim.usb.endpoints import MAX_SERIAL_LENGTH, parse, serial_number
 from mixtac_sim.usb.faults import UsbBusy, UsbGone, UsbStall, UsbTimeout
 
 
@@ -86,10 +86,10 @@ def test_unknown_requests_stall(device, request_):
 def test_descriptors_are_those_of_the_camera(device):
     data = device.control(0x80, 6, 0x0100, 0, 64)
     assert len(data) == 18
-    (parsed,) = descriptors.parse(data)
+    (parsed,) = parse(data)
     assert (parsed.idVendor, parsed.idProduct, parsed.bcdDevice) == (0x152A, 0x841A, 6)
     data = device.control(0x80, 6, 0x0200, 0, 4096)
-    configuration, interface, *endpoints = descriptors.parse(data)
+    configuration, interface, *endpoints = parse(data)
     assert configuration.wTotalLength == len(data)
     assert interface.bNumEndpoints == 2
     assert [(e.bEndpointAddress, e.bmAttributes & 3) for e in endpoints] == [(0x82, 2), (0x81, 3)]
@@ -100,9 +100,9 @@ def test_descriptors_are_those_of_the_camera(device):
 
 
 def test_serial_number_fits_libcaer():
-    serials = {descriptors.serial_number(seed) for seed in (0, 1, 7, 10**6)}
+    serials = {serial_number(seed) for seed in (0, 1, 7, 10**6)}
     assert len(serials) == 4
-    assert all(len(serial) <= descriptors.MAX_SERIAL_LENGTH for serial in serials)
+    assert all(len(serial) <= MAX_SERIAL_LENGTH for serial in serials)
 
 
 def test_standard_requests(device):

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.datasets import DATASETS, plan_dataset, plan_profile, split_groups
 from mixtac_sim.world.profiles import PROFILES, make_profile

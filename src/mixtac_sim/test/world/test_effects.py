@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.world.effects import EASY, EFFECTS, OFF, PRESETS, Preset, preset
 from mixtac_sim.world.instruments import ReferenceSensor
 from mixtac_sim.world.profiles import make_profile

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grids import cut_block
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.pixels.aps import ApsSettings

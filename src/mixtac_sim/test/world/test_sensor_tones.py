@@ -8,7 +8,7 @@ from scipy.signal import periodogram
 
 from mixtac_events.arrays import Events
 from mixtac_lab.experiments.studies.tones import binned, find_line, shake
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.world.device import draw_device
 from mixtac_sim.world.effects import EASY, preset

@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.profiles import Profile, Segment, Tone
