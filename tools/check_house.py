@@ -185,7 +185,7 @@ def edges(modules: Iterable[Module]) -> dict[str, set[str]]:
     """Return which modules of a package import which, by name."""
     modules = list(modules)
     names = {module.name for module in modules}
-    return {module.name: (module.imports & names) - {module.name} for module in modules}
+    return {module.name: set(module.imports & names) - {module.name} for module in modules}
 
 
 def folders_of(graph: Mapping[str, set[str]], package: str) -> dict[str, set[str]]:

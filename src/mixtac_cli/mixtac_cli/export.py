@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac export` and `mixtac inspect`: recordings as other files, and what they hold."""
+"""`mixtac export` and `mixtac inspect`: recordings as other files, and their contents."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from mixtac_recordings.export import export_recording
+from mixtac_recordings.recording import DamagedRecordingError
+from mixtac_recordings.summary import summarise
+
 
 def export(
     recording: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3 or .aedat4.')],
@@ -19,8 +23,6 @@ def export(
     out: Annotated[Path, typer.Option(help='New folder for the files.')],
 ) -> None:
     """Write events, frames, inertial samples, edges and forces of a recording to other files."""
-    from mixtac_recordings.export import export_recording
-
     console = Console()
     columns = (TextColumn('{task.description}'), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bars:
@@ -31,15 +33,18 @@ def export(
         f'samples, {counts.edges} edges'
     )
     if to == 'aedat4':
-        console.print('AEDAT4 has no place for forces: export those with --to csv or npz')
+        console.print('AEDAT4 cannot hold forces: export them with --to csv or npz')
     for topic, count in counts.wrenches.items():
         console.print(f'{topic}: {count} wrenches')
 
 
-def inspect(bag: Annotated[Path, typer.Argument(help='Folder of a rosbag2 recording.')]) -> None:
-    """Say what a recording holds, decode all of its events, and count what is missing."""
-    from mixtac_recordings.summary import summarise
+def inspect(
+    bag: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3 or .aedat4.')],
+) -> None:
+    """List the topics of a recording, decode all events and count lost packets.
 
+    Exit status 1 if the recording is incomplete.
+    """
     summary = summarise(bag)
     table = Table(title=f'{bag}, {summary.duration_s:.1f} s', title_justify='left')
     for heading in ('topic', 'type', 'messages', 'events', 'lost packets'):
@@ -54,3 +59,5 @@ def inspect(bag: Annotated[Path, typer.Argument(help='Folder of a rosbag2 record
             str(events.lost_packets) if events else '',
         )
     Console().print(table)
+    if summary.damage:
+        raise DamagedRecordingError(f'{bag}: {summary.damage}')

@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 GROUP = 'mixtac.commands'
 INTERRUPTED = 130
 HELP = {
-    '': 'Mixtac: a tactile fingertip of events and frames, in ROS 2.',
-    'bench': 'Measure the speed of the parts.',
+    '': 'Mixtac: event- and frame-based tactile force sensing in ROS 2.',
+    'bench': 'Benchmarks of the parts.',
     'experiments': 'Experiments on the virtual sensor.',
 }
-"""Help of the groups that are no command themselves."""
+"""Help texts of the groups that are not commands themselves."""
 
 
 class Commands(TyperGroup):
@@ -49,7 +49,7 @@ class Commands(TyperGroup):
         return sorted({name.partition('.')[0] for name in self._points()})
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002
-        """Return a command with its help only, None for an unknown one."""
+        """Return a command with its help text only, None for an unknown one."""
         point = self._points().get(cmd_name)
         if point is not None:
             return TyperCommand(cmd_name, help=summary(point))
@@ -85,7 +85,7 @@ def group(name: str, function: Any = None) -> Any:  # noqa: ANN401
 
     Args:
         name: The name, empty for all commands.
-        function: What runs where no sub-command is given; None shows the help instead.
+        function: Called without a sub-command; None shows the help instead.
     """
     cls = type('Commands', (Commands,), {'prefix': f'{name}.' if name else ''})
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -132,7 +132,7 @@ def main(arguments: list[str] | None = None) -> int:
     except Exception as error:
         if not hasattr(error, 'format_message'):
             raise
-        # Empty where the help was printed because nothing was asked for.
+        # Empty if the help was printed because no command was given.
         if text := error.format_message():
             print(f'error: {text}', file=sys.stderr)
         return 2

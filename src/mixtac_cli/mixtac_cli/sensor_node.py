@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Camera driver and force estimator as two nodes of one process, which takes less CPU than two.
 
-Nodes, topics, services and parameters are those of the separate processes. Events and frames reach
-the estimator without the middleware. rclpy has no intra-process transport: within one process, too,
-a message is serialised, handed to the middleware and picked up by an executor thread, which has to
-be woken and to acquire the interpreter lock. Where one thread produces and the other only waits for
-it, a function call does the same.
+Nodes, topics, services and parameters are those of the separate processes, but events and frames
+reach the estimator by a function call. rclpy has no intra-process transport: even within one
+process a message is serialised, passes through the middleware, and wakes an executor thread that
+has to acquire the interpreter lock.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from __future__ import annotations
 import sys
 import threading
 from functools import wraps
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
 
@@ -26,20 +25,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-
-
-class RosPublisher(Protocol):
-    """What is used of an rclpy publisher."""
-
-    def publish(self, message: Any) -> None:  # noqa: ANN401
-        """Send a message."""
-
-    def get_subscription_count(self) -> int:
-        """Return the number of subscriptions, of other processes or of this one."""
+    from rclpy.publisher import Publisher
 
 
 class DirectSubscription:
-    """A callback that takes messages of a topic within the process; a handle to end it with."""
+    """A callback for messages of a topic within the process; also the handle to end it."""
 
     def __init__(self, callback: Callable[[Any], None]) -> None:
         self.callback = callback
@@ -49,8 +39,8 @@ class DirectTopic:
     """A topic within the process.
 
     Callbacks are called in the thread that publishes, one message at a time and in order: nothing
-    waits in a queue, and a slow callback holds up its producer, which has a bounded queue of its
-    own. May be used from several threads.
+    waits in a queue, and a slow callback delays its producer, which has a bounded queue.
+    May be used from several threads.
     """
 
     def __init__(self) -> None:
@@ -62,13 +52,13 @@ class DirectTopic:
         return len(self._subscriptions)
 
     def subscribe(self, callback: Callable[[Any], None]) -> DirectSubscription:
-        """Have messages handed to a callback from now on."""
+        """Pass messages to a callback from now on."""
         subscription = DirectSubscription(callback)
         self._subscriptions = (*self._subscriptions, subscription)
         return subscription
 
     def unsubscribe(self, subscription: DirectSubscription) -> None:
-        """End a subscription; a call that is under way may still finish."""
+        """End a subscription; a call in progress may still finish."""
         self._subscriptions = tuple(s for s in self._subscriptions if s is not subscription)
 
     def hand_over(self, message: Any) -> None:  # noqa: ANN401
@@ -78,24 +68,24 @@ class DirectTopic:
 
 
 class DirectPublisher:
-    """Hands messages over within the process first, then publishes them for everybody else.
+    """Passes messages on within the process first, then publishes them.
 
-    Nothing goes to the middleware while nobody outside of the process listens.
+    Messages go to the middleware only while another process subscribes.
 
     Args:
         publisher: The rclpy publisher.
         topic: The topic within the process.
     """
 
-    def __init__(self, publisher: RosPublisher, topic: DirectTopic) -> None:
+    def __init__(self, publisher: Publisher, topic: DirectTopic) -> None:
         self._publisher, self._topic = publisher, topic
 
     def get_subscription_count(self) -> int:
-        """Return the number of listeners inside and outside of the process."""
-        return self._publisher.get_subscription_count() + len(self._topic)
+        """Return the number of subscribers inside and outside of the process."""
+        return int(self._publisher.get_subscription_count()) + len(self._topic)
 
     def publish(self, message: Any) -> None:  # noqa: ANN401
-        """Hand a message over and publish it."""
+        """Pass a message on and publish it."""
         self._topic.hand_over(message)
         if self._publisher.get_subscription_count():
             self._publisher.publish(message)
@@ -105,14 +95,14 @@ DIRECT = ('events', 'image_raw')
 
 
 class _NamedDriver(Node):  # type: ignore[misc]
-    """Keeps its name where the process is given one: that is for the lifecycle node."""
+    """Keeps its name if the process is given one, which is for the lifecycle node."""
 
     def __init__(self, name: str, **options: Any) -> None:  # noqa: ANN401
         super().__init__(name, cli_args=['--ros-args', '-r', f'__node:={name}'], **options)
 
 
 class DirectDriver(DriverNode, _NamedDriver):
-    """The driver, whose events and frames are also handed over within the process.
+    """The driver; its events and frames are also passed on within the process.
 
     Args:
         topics: Topics within the process, by name.
@@ -123,17 +113,17 @@ class DirectDriver(DriverNode, _NamedDriver):
         super().__init__()
 
     def create_publisher(self, kind: Any, topic: str, *args: Any, **options: Any) -> Any:  # noqa: ANN401
-        """Create a publisher; of the topics within the process, one that serves both."""
+        """Create a publisher; for topics within the process, one that serves both."""
         publisher = super().create_publisher(kind, topic, *args, **options)
         direct = self._topics.get(topic)
         return publisher if direct is None else DirectPublisher(publisher, direct)
 
 
 class DirectFger(FgerNode):
-    """The estimator, which takes events and frames within the process.
+    """The estimator, which receives events and frames within the process.
 
-    They come in the driver's thread, services and transitions in the executor's: a lock keeps them
-    apart, as one executor thread does where the node has a process of its own.
+    They arrive in the driver's thread, services and transitions in the executor's: a lock separates
+    them, as the single executor thread does in a process of its own.
 
     Args:
         topics: Topics within the process, by name.
@@ -152,14 +142,14 @@ class DirectFger(FgerNode):
         *args: Any,  # noqa: ANN401
         **options: Any,  # noqa: ANN401
     ) -> Any:  # noqa: ANN401
-        """Subscribe; to the topics within the process, without the middleware."""
+        """Subscribe; to topics within the process without the middleware."""
         direct = self._topics.get(topic)
         if direct is None:
             return super().create_subscription(kind, topic, callback, *args, **options)
-        return direct.subscribe(self._alone(callback))
+        return direct.subscribe(self._locked(callback))
 
     def destroy_subscription(self, subscription: Any) -> bool:  # noqa: ANN401
-        """End a subscription of either sort."""
+        """End a subscription of either kind."""
         if not isinstance(subscription, DirectSubscription):
             return bool(super().destroy_subscription(subscription))
         for topic in self._topics.values():
@@ -174,8 +164,8 @@ class DirectFger(FgerNode):
         *args: Any,  # noqa: ANN401
         **options: Any,  # noqa: ANN401
     ) -> Any:  # noqa: ANN401
-        """Create a service whose calls and the messages do not meet."""
-        return super().create_service(kind, name, self._alone(callback), *args, **options)
+        """Create a service whose calls do not overlap with messages."""
+        return super().create_service(kind, name, self._locked(callback), *args, **options)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start estimating."""
@@ -187,13 +177,13 @@ class DirectFger(FgerNode):
         with self._lock:
             super().close()
 
-    def _alone(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+    def _locked(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(callback)
-        def alone(*args: Any) -> Any:  # noqa: ANN401
+        def locked(*args: Any) -> Any:  # noqa: ANN401
             with self._lock:
                 return callback(*args)
 
-        return alone
+        return locked
 
 
 def make_nodes() -> list[Any]:

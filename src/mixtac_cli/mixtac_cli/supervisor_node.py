@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Supervises slip control on the simulated grasp: heartbeat, enabling, blows, a line per blow.
+"""Supervises slip control on the simulated grasp: heartbeat, enabling, impacts.
 
-All times are on the node's clock, which is the simulation's where `use_sim_time` is set.
+All times are on the node's clock, which is that of the simulation if `use_sim_time` is set.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from mixtac_msgs.msg import SlipState
 from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, BaseNode, declare, run
 
 HEARTBEAT_PERIOD_S = 0.1
-ASK_EVERY_S = 1.0
+REQUEST_PERIOD_S = 1.0
 STEADY_S = 1.5
-"""Slip control is enabled so long before a blow: its settling time is over [s]."""
+"""Slip control is enabled for this time before an impact, so that it has settled [s]."""
 REARM_S = 3.0
-"""So long after a blow slip control is enabled anew, with an advance of zero [s]."""
+"""Time after an impact at which slip control is enabled again, with an advance of zero [s]."""
 
 
 class Supervisor(BaseNode, Node):  # type: ignore[misc]
-    """Keeps slip control of a simulation enabled, strikes the object and says what happens.
+    """Keeps slip control of a simulation enabled, strikes the object and logs each result.
 
-    For simulations only: on a real arm a person or a cell controller decides what is enabled.
+    For simulations only: with a real arm, a person or a cell controller enables slip control.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self._settings = declare(self, SupervisorParameters, self._apply)
         self._state, self._seen, self._stopped = SlipState.DISABLED, False, False
         self._place_mm = self._start_mm = self._advance_mm = 0.0
-        self._asked_s = self._enabled_s = self._struck_s = 0.0
+        self._requested_s = self._enabled_s = self._struck_s = 0.0
         self._open = False
         self._heartbeat = self.create_publisher(Empty, 'slip_control/heartbeat', QOS_SENSOR)
         self._enable = self.create_client(SetBool, 'slip_control/enable')
@@ -75,18 +75,18 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
             steady = now_s - self._enabled_s > STEADY_S
             if every > 0.0 and steady and now_s - self._struck_s > every:
                 self._strike(now_s)
-        elif now_s - self._asked_s > ASK_EVERY_S:
-            self._asked_s = now_s
+        elif now_s - self._requested_s > REQUEST_PERIOD_S:
+            self._requested_s = now_s
             if self._state == SlipState.STOPPED:
                 self._reset.call_async(Trigger.Request())
             elif self._state == SlipState.DISABLED:
                 self._enable.call_async(SetBool.Request(data=True))
 
     def _strike(self, now_s: float) -> None:
-        """Ask for a blow; it counts once the simulation has confirmed it."""
-        if now_s - self._asked_s < ASK_EVERY_S:
+        """Request an impact; it counts once the simulation has confirmed it."""
+        if now_s - self._requested_s < REQUEST_PERIOD_S:
             return
-        self._asked_s, self._start_mm = now_s, self._place_mm
+        self._requested_s, self._start_mm = now_s, self._place_mm
         self._seen, self._stopped, self._advance_mm = False, False, 0.0
         self._knock.call_async(Trigger.Request()).add_done_callback(self._on_struck)
 
@@ -94,17 +94,18 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self._struck_s, self._open = self._now_s(), True
 
     def _report(self) -> None:
-        """Say what became of the last blow and begin anew."""
+        """Log the result of the last impact and start over."""
         self._open = False
         moved = self._place_mm - self._start_mm
-        text = f'blow {"seen" if self._seen else "not seen"}: the object moved {moved:.2f} mm'
+        found = 'detected' if self._seen else 'not detected'
+        text = f'impact {found}: the object moved {moved:.2f} mm'
         if self._stopped:
             text += ', slip control stopped'
         self.get_logger().info(f'{text}, the arm {self._advance_mm:.2f} mm (simulated)')
-        # What it says until it has heard of this is old news.
-        self._state, self._asked_s = SlipState.DISABLED, self._now_s()
+        # Until it answers, the received state is outdated.
+        self._state, self._requested_s = SlipState.DISABLED, self._now_s()
         disabled = self._enable.call_async(SetBool.Request(data=False))
-        # With the force of the start again, so that blows can be compared.
+        # Start each impact with the same force, so that they can be compared.
         disabled.add_done_callback(lambda _: self._put_back.call_async(Trigger.Request()))
 
 

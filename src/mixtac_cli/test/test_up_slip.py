@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac up slip` as a whole over DDS: a blow is seen, the arm holds the object, all ends.
+"""`mixtac up slip` as a whole over DDS: an impact is detected, the arm holds the object, all ends.
 
 Nothing here depends on how fast the host is: simulated time waits for the nodes.
 """
@@ -128,9 +128,9 @@ CONTRACT = {
 }
 
 
-def test_a_blow_is_seen_and_the_object_held_and_everything_ends(witness: Witness) -> None:
-    witness.wait(lambda: 'blow' in witness.words())
-    assert 'blow seen' in witness.words(), witness.words()
+def test_an_impact_is_detected_and_the_object_held_and_everything_ends(witness: Witness) -> None:
+    witness.wait(lambda: 'impact' in witness.words())
+    assert 'impact detected' in witness.words(), witness.words()
     assert witness.slipped_while_enabled
     # The first one leads the controller to the measured positions and moves nothing.
     assert len(witness.trajectories) > 1

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from mixtac_node.graph import NodeSpec
 
 BOOLEAN = ['true', 'false']
-_SHARED = {
+_SHARED: dict[str, dict[str, Any]] = {
     'namespace': {
         'default_value': DEFAULT_NAMESPACE,
         'description': 'Namespace of all nodes and topics',

@@ -1,34 +1,220 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Draws what was received, once per picture; events of each picture as an image by polarity."""
+"""What the live view has received, in bounded memory, and how it is drawn once per picture.
+
+The events of a picture are an image by polarity. Of each plotted line the extreme samples stay.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+import threading
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.codec import decode_message
 from mixtac_events.packets import CodecError
+from mixtac_events.sequence import SequenceCounter
 from mixtac_node.diagnostics import RateMeter
 from mixtac_node.images import ImageConversionError, image_array
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_cli.view.buffers import Columns, Received
+    from mixtac_cli.view.page import Page
     from mixtac_events.arrays import Events
+    from mixtac_events.codec import PacketMessage
+
+
+Columns = tuple[NDArray[np.int64], NDArray[np.float64]]
+
+
+class Curve:
+    """Keeps the samples of one plotted line until they are taken.
+
+    One thread adds, another takes.
+
+    Args:
+        capacity: Samples that are kept until they are taken; further ones are dropped.
+
+    Attributes:
+        received: Samples so far.
+        dropped: Samples dropped because the buffer was full.
+        latest: The last value, NaN before the first.
+    """
+
+    def __init__(self, capacity: int = 4000) -> None:
+        self.received = 0
+        self.dropped = 0
+        self.latest = float('nan')
+        self._time_ns = np.zeros(capacity, np.int64)
+        self._value = np.zeros(capacity)
+        self._count = 0
+        self._lock = threading.Lock()
+
+    def add(self, time_ns: int, value: float) -> None:
+        """Keep a sample.
+
+        Args:
+            time_ns: Time in the plot [ns].
+            value: Plotted value.
+        """
+        self.received += 1
+        self.latest = value
+        with self._lock:
+            i = self._count
+            if i == len(self._value):
+                self.dropped += 1
+                return
+            self._time_ns[i] = time_ns
+            self._value[i] = value
+            self._count = i + 1
+
+    def take(self, limit: int) -> Columns:
+        """Return times [ns] and values since the last call, at most `limit` of them.
+
+        Of each group of neighbours the one farthest from their mean stays, so that a peak is never
+        thinned away.
+        """
+        with self._lock:
+            n = self._count
+            times, values = self._time_ns[:n].copy(), self._value[:n].copy()
+            self._count = 0
+        return thinned(times, values, limit)
+
+
+def thinned(times: NDArray[np.int64], values: NDArray[np.float64], limit: int) -> Columns:
+    """Return at most `limit` of the samples, keeping the extreme one of each group.
+
+    Args:
+        times: Times [ns].
+        values: Values at these.
+        limit: Largest number of samples to return, at least 1.
+    """
+    n = len(values)
+    if n <= limit:
+        return times, values
+    starts = np.linspace(0, n, limit + 1).astype(np.intp)[:-1]
+    lengths = np.diff(np.append(starts, n))
+    means = np.add.reduceat(values, starts) / lengths
+    distance = np.abs(values - np.repeat(means, lengths))
+    # Stable order by group, then by distance: the last of each group is its farthest.
+    group = np.repeat(np.arange(limit), lengths)
+    kept = np.lexsort((distance, group))[np.append(starts[1:], n) - 1]
+    return times[kept], values[kept]
+
+
+MOST_PACKETS = 400
+MOST_BYTES = 2_000_000
+
+
+class PacketBacklog:
+    """Keeps event packets until they are drawn.
+
+    Attributes:
+        counter: Packets received and lost.
+        skipped: Packets not drawn because drawing was too slow.
+    """
+
+    def __init__(self) -> None:
+        self.counter = SequenceCounter()
+        self.skipped = 0
+        self._waiting: deque[PacketMessage] = deque()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def add(self, message: PacketMessage, seq: int) -> None:
+        """Keep a packet; the oldest ones are skipped when there are too many.
+
+        Args:
+            message: The packet.
+            seq: Its number.
+        """
+        self.counter.update(seq)
+        with self._lock:
+            self._waiting.append(message)
+            self._bytes += len(message.events)
+            while len(self._waiting) > MOST_PACKETS or self._bytes > MOST_BYTES:
+                self._bytes -= len(self._waiting.popleft().events)
+                self.skipped += 1
+
+    def take(self) -> list[PacketMessage]:
+        """Return the waiting packets, oldest first, and forget them."""
+        with self._lock:
+            taken = list(self._waiting)
+            self._waiting.clear()
+            self._bytes = 0
+        return taken
+
+
+@dataclass(frozen=True, slots=True)
+class NodeState:
+    """Latest diagnostics of a node.
+
+    Attributes:
+        level: 0 ok, 1 warning, 2 error, 3 stale.
+        message: Its message.
+    """
+
+    level: int
+    message: str
+
+
+@dataclass
+class Received:
+    """Filled by the subscriptions, emptied by the drawing thread.
+
+    Attributes:
+        packets: Event packets.
+        force: Estimated force [N] over arrival.
+        reference: Reference force [N] over arrival.
+        slip_count: Events per counting window over arrival.
+        slip_threshold: The count above which the object slips.
+        slipping: Latest result of the slip detection, None before the first.
+        frame: Latest frame, None once drawn.
+        frames: Frames received.
+        nodes: Diagnostics of the nodes, by name.
+    """
+
+    packets: PacketBacklog = field(default_factory=PacketBacklog)
+    force: Curve = field(default_factory=Curve)
+    reference: Curve = field(default_factory=Curve)
+    slip_count: Curve = field(default_factory=Curve)
+    slip_threshold: Curve = field(default_factory=Curve)
+    slipping: bool | None = None
+    frame: Any = None
+    frames: int = 0
+    nodes: dict[str, NodeState] = field(default_factory=dict)
+
+    def on_frame(self, message: Any) -> None:  # noqa: ANN401
+        """Keep a `sensor_msgs/Image`."""
+        self.frame = message
+        self.frames += 1
+
+    def on_slip(self, message: Any, arrival_ns: int) -> None:  # noqa: ANN401
+        """Keep a `mixtac_msgs/SlipState`."""
+        self.slip_count.add(arrival_ns, float(message.count))
+        self.slip_threshold.add(arrival_ns, float(message.threshold))
+        self.slipping = bool(message.slipping)
+
+    def on_diagnostics(self, message: Any) -> None:  # noqa: ANN401
+        """Keep a `diagnostic_msgs/DiagnosticArray`."""
+        for status in message.status:
+            level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
+            # A new dictionary: the drawing thread iterates over the old one.
+            self.nodes = {**self.nodes, status.name: NodeState(level, status.message)}
 
 
 Colour = tuple[int, int, int]
 BACKGROUND = (24, 26, 30)
 BRIGHTER = (86, 180, 233)
-"""Of Okabe and Ito's palette, which colour-blind people tell apart, as `DARKER`."""
+"""Like `DARKER` from the palette of Okabe and Ito, which colour-blind people can distinguish."""
 DARKER = (230, 120, 20)
 FULL = 3
-"""Events of one polarity, more than of the other, at which a pixel has its full colour."""
+"""Surplus of events of one polarity at which a pixel has its full colour."""
 STILL = FULL + 1
-"""Level of a pixel without events, or with as many of both polarities. 0 is no level."""
+"""Level of a pixel without events, or with as many of both polarities. 0 is not used."""
 
 
 class EventPicture:
@@ -47,7 +233,7 @@ class EventPicture:
         self._sum = np.zeros(height * width, np.int64)
 
     def add(self, events: Events) -> None:
-        """Count events; their coordinates lie inside, as the decoder has checked."""
+        """Count events; the decoder has checked their coordinates."""
         height, width = self.shape
         places = events.y.astype(np.intp) * width + events.x
         counts = np.bincount(places, weights=2.0 * events.polarity - 1.0, minlength=height * width)
@@ -84,40 +270,18 @@ _TEXT_PERIOD_NS = 500_000_000
 _LEVELS = ('ok', '**warning**', '**ERROR**', 'stale')
 
 
-class Canvas(Protocol):
-    """What is drawn on: `mixtac_cli.view.page.Page`."""
-
-    def at(self, time_ns: int) -> None:
-        """Set the time of pictures and texts."""
-
-    def events(self, levels: NDArray[np.uint8]) -> None:
-        """Show a picture of events."""
-
-    def frame(self, pixels: NDArray[np.uint8]) -> None:
-        """Show a frame."""
-
-    def text(self, entity: str, markdown: str) -> None:
-        """Show a text."""
-
-    def curve(self, entity: str, columns: Columns) -> None:
-        """Append samples to a line."""
-
-    def show_slip(self) -> None:
-        """Make room for the slip detection."""
-
-
 class Drawing:
-    """Takes what was received and draws it.
+    """Draws received messages.
 
     Args:
-        received: Where the subscriptions put it.
-        canvas: What to draw on.
+        received: Filled by the subscriptions.
+        canvas: The page to draw on.
 
     Attributes:
         undecodable: Packets and frames that could not be decoded.
     """
 
-    def __init__(self, received: Received, canvas: Canvas) -> None:
+    def __init__(self, received: Received, canvas: Page) -> None:
         self.undecodable = 0
         self._received = received
         self._canvas = canvas
@@ -130,7 +294,7 @@ class Drawing:
         self._next_text_ns = 0
 
     def draw(self, now_ns: int) -> None:
-        """Draw everything that came since the last call.
+        """Draw everything received since the last call.
 
         Args:
             now_ns: Present time [ns, host clock].
@@ -182,7 +346,7 @@ class Drawing:
         received = self._received
         totals = {
             'events': self._events,
-            'packets': received.packets.packets,
+            'packets': received.packets.counter.received,
             'frames': received.frames,
             'force': received.force.received,
             'reference': received.reference.received,
@@ -199,8 +363,8 @@ class Drawing:
 
     def _state(self) -> str:
         received, rates = self._received, self._rates
-        slip = {None: 'not watched', False: 'holds', True: '**SLIPS**'}[received.slipping]
-        gaps = f'{received.packets.lost} lost, {received.packets.skipped} not drawn'
+        slip = {None: 'not running', False: 'stable', True: '**SLIP**'}[received.slipping]
+        gaps = f'{received.packets.counter.lost} lost, {received.packets.skipped} not drawn'
         lines = [
             '| | |',
             '|---|---|',
@@ -212,12 +376,12 @@ class Drawing:
             f'| frames | {rates["frames"]:.1f} /s |',
             f'| undecodable | {self.undecodable} |',
             '',
-            '| node | | says |',
+            '| node | | message |',
             '|---|---|---|',
         ]
         for name, state in sorted(received.nodes.items()):
-            said = state.message.replace('|', '/')
-            lines.append(f'| {name} | {_LEVELS[min(state.level, 3)]} | {said} |')
+            message = state.message.replace('|', '/')
+            lines.append(f'| {name} | {_LEVELS[min(state.level, 3)]} | {message} |')
         return '\n'.join(lines)
 
 

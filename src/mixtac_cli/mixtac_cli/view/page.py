@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The page of the live view, in the terms of rerun; the only module that imports rerun."""
+"""The page of the live view in rerun; the only module that imports rerun."""
 
 from __future__ import annotations
 
@@ -9,27 +9,26 @@ from typing import TYPE_CHECKING, Any
 import rerun as rr
 import rerun.blueprint as rrb
 
-from mixtac_cli.view.drawing import palette
-
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
 
-    from mixtac_cli.view.buffers import Columns
+    Colour = tuple[int, int, int]
 
 
 TIMELINE = 'received'
-"""Arrival at the view on the host clock: the one axis that all sensors have in common."""
+"""Arrival at the view on the host clock, which all topics have in common."""
 
 
 def layout(history_s: float, *, slip: bool) -> Any:  # noqa: ANN401
-    """Return the blueprint: events above frame, plots in the middle, what the nodes say right.
+    """Return the blueprint: events above frame, plots in the middle, diagnostics at the right.
 
     Args:
         history_s: Width of the plots [s].
-        slip: With a plot of the slip detection, for graphs that run it.
+        slip: Add a plot of the slip detection.
     """
     pictures = rrb.Vertical(
         rrb.Spatial2DView(origin='events', name='Events: blue brighter, orange darker'),
@@ -87,11 +86,18 @@ class Page:
 
     Args:
         history_s: Width of the plots [s].
-        url: Where the server takes data.
-        path: New .rrd file to write instead.
+        colours: Colour of each level of the event pictures.
+        url: Address at which the server receives data.
+        path: New .rrd file to write instead of sending.
     """
 
-    def __init__(self, history_s: float, url: str = '', path: Path | None = None) -> None:
+    def __init__(
+        self,
+        history_s: float,
+        colours: Mapping[int, Colour],
+        url: str = '',
+        path: Path | None = None,
+    ) -> None:
         self._history_s = history_s
         self._with_slip = False
         self._stream = rr.RecordingStream('mixtac')
@@ -100,19 +106,19 @@ class Page:
             self._stream.save(path, default_blueprint=blueprint)
         else:
             self._stream.connect_grpc(url, default_blueprint=blueprint)
-        classes = [rr.AnnotationInfo(level, color=each) for level, each in palette().items()]
+        classes = [rr.AnnotationInfo(level, color=each) for level, each in colours.items()]
         self._stream.log('events', rr.AnnotationContext(classes), static=True)
         for entity, (name, colour) in LINES.items():
             line = rr.SeriesLines(colors=[colour], names=[name], widths=[1.5])
             self._stream.log(entity, line, static=True)
 
     def at(self, time_ns: int) -> None:
-        """Set when the next pictures and texts are [ns, host clock]."""
+        """Set the time of the next pictures and texts [ns, host clock]."""
         self._stream.set_time(TIMELINE, timestamp=time_ns * 1e-9)
 
     def events(self, levels: NDArray[np.uint8]) -> None:
         """Show a picture of events, levels of `event_picture` [height, width]."""
-        # Not compressed: browsers unpack late, and show nothing until they have.
+        # Not compressed: browsers decompress slowly and show nothing until then.
         self._stream.log('events', rr.SegmentationImage(levels, opacity=1.0))
 
     def frame(self, pixels: NDArray[np.uint8]) -> None:
@@ -123,7 +129,7 @@ class Page:
         """Show a text."""
         self._stream.log(entity, rr.TextDocument(markdown, media_type='text/markdown'))
 
-    def curve(self, entity: str, columns: Columns) -> None:
+    def curve(self, entity: str, columns: tuple[NDArray[np.int64], NDArray[np.float64]]) -> None:
         """Append samples to a plotted line.
 
         Args:
@@ -137,12 +143,12 @@ class Page:
         self._stream.send_columns(entity, [index], rr.Scalars.columns(scalars=values))
 
     def show_slip(self) -> None:
-        """Make room for the slip detection; once is enough."""
+        """Add the plot of the slip detection, once."""
         if not self._with_slip:
             self._with_slip = True
             self._stream.send_blueprint(layout(self._history_s, slip=True))
 
     def close(self) -> None:
-        """Send what is left."""
+        """Send remaining data and disconnect."""
         self._stream.flush(timeout_sec=2.0)
         self._stream.disconnect()

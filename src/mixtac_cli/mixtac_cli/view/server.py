@@ -37,22 +37,24 @@ def require_rerun() -> Path:
     """
     spec = importlib.util.find_spec('rerun_cli')
     if spec is None or spec.origin is None:
-        raise ViewError('the live view needs rerun-sdk, about 500 MB: install it with `make view`')
-    # Its script of that name would start this as a child and leave it behind when ended.
+        raise ViewError(
+            'the live view needs rerun-sdk (about 500 MB)', remedy='install it with `make view`'
+        )
+    # The script of that name would start this program as a child and not end it.
     return Path(spec.origin).parent / 'rerun'
 
 
 class ViewerServer:
-    """Serves the page and its data from start until `close`.
+    """Serves the page and its data until `close`.
 
     Args:
-        port: Of the page; 0 for any free one.
-        data_port: Of its data; 0 for any free one.
-        memory_mb: Data kept for pages that are opened later [MB].
+        port: Port of the page; 0 for any free one.
+        data_port: Port of its data; 0 for any free one.
+        memory_mb: Data kept for pages opened later [MB].
 
     Attributes:
-        data_url: Where the data are to be sent.
-        page_url: What to open in a browser.
+        data_url: Address to send the data to.
+        page_url: Address to open in a browser.
 
     Raises:
         ViewError: rerun-sdk is missing, a port is taken, or the server does not start.
@@ -97,9 +99,9 @@ class ViewerServer:
         self.close()
 
     def check(self) -> None:
-        """Raise a ViewError when the server has ended by itself."""
+        """Raise a ViewError if the server has ended by itself."""
         if self._process.poll() is not None:
-            raise ViewError(f'the server of the live view has ended: {self._last_words()}')
+            raise ViewError(f'the server of the live view has ended: {self._last_line()}')
 
     def close(self) -> None:
         """End the server and remove its files."""
@@ -122,26 +124,26 @@ class ViewerServer:
                 if time.monotonic() > deadline:
                     raise ViewError(
                         f'the server of the live view does not answer on port {port} after '
-                        f'{_START_S:.0f} s: {self._last_words()}'
+                        f'{_START_S:.0f} s: {self._last_line()}'
                     ) from error
                 time.sleep(0.05)
             else:
                 return
 
-    def _last_words(self) -> str:
+    def _last_line(self) -> str:
         lines = self._log.read_text(errors='replace').strip().splitlines()
-        return lines[-1] if lines else 'it said nothing'
+        return lines[-1] if lines else 'no output'
 
 
 def free_port(port: int, name: str) -> int:
-    """Return a TCP port of this machine that nobody listens on.
+    """Return a free TCP port of this machine.
 
     Args:
-        port: The one wanted, 0 for any.
-        name: Parameter that it comes from.
+        port: Wanted port, 0 for any.
+        name: Name of its parameter.
 
     Raises:
-        ViewError: It is taken.
+        ViewError: It is in use.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -149,8 +151,8 @@ def free_port(port: int, name: str) -> int:
             trial.bind((HOST, port))
         except OSError as error:
             raise ViewError(
-                f'{name} {port} cannot be used ({error.strerror}): does another view run? Choose '
-                'another, or 0 for any'
+                f'{name} {port} cannot be used ({error.strerror})',
+                remedy='stop the other view, or choose another port or 0 for any',
             ) from error
         return int(trial.getsockname()[1])
 
@@ -162,6 +164,6 @@ def _command(program: Path, port: int, data_port: int, memory_mb: int) -> list[s
 
 
 def _private_environment(home: Path) -> dict[str, str]:
-    """Return an environment in which rerun finds settings of its own, with usage data off."""
+    """Return an environment with private rerun settings and usage data off."""
     folders = {'XDG_CONFIG_HOME': str(home / 'config'), 'XDG_DATA_HOME': str(home / 'data')}
     return {**os.environ, **folders, 'TELEMETRY_ENABLED': 'false', 'RERUN_APP_ONLY': 'true'}

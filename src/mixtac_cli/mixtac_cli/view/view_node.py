@@ -1,37 +1,35 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The node of the live view: subscribes, and draws in a thread of its own."""
+"""The live view node: subscribes, and draws in a thread of its own."""
 
 from __future__ import annotations
 
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from diagnostic_msgs.msg import DiagnosticArray
-from event_camera_msgs.msg import EventPacket
-from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
-from sensor_msgs.msg import Image
 
 from mixtac_cli.parameters import ViewParameters
-from mixtac_cli.view.buffers import Received
-from mixtac_cli.view.drawing import Drawing
+from mixtac_cli.view.drawing import Drawing, Received, palette
 from mixtac_cli.view.server import ViewError, ViewerServer, require_rerun
 from mixtac_events.codec import warm_up
-from mixtac_msgs.msg import SlipState
-from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR, BaseNode, declare, run
+from mixtac_node import topics
+from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 
 if TYPE_CHECKING:
-    from mixtac_cli.view.buffers import Curve
+    from geometry_msgs.msg import WrenchStamped
+
+    from mixtac_cli.view.drawing import Curve
     from mixtac_cli.view.page import Page
 
 
 class ViewNode(BaseNode, Node):  # type: ignore[misc]
-    """Only listens: best-effort subscriptions, so that nobody ever waits for the view."""
+    """Only subscribes, best effort, so that no publisher ever waits for the view."""
 
     def __init__(self) -> None:
         super().__init__('view')
@@ -49,14 +47,14 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         self._thread.start()
 
     def check(self) -> None:
-        """Raise a ViewError when the page cannot be fed any more."""
+        """Raise a ViewError if drawing or the server has stopped."""
         if self._server is not None:
             self._server.check()
         if self._failure is not None:
             raise ViewError(f'the live view stopped: {self._failure}')
 
     def close(self) -> None:
-        """End drawing, then the server."""
+        """Stop drawing, then the server."""
         self._stopping.set()
         self._thread.join()
         self._page.close()
@@ -70,31 +68,27 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         p = self._settings
         if p.save:
             if Path(p.save).exists():
-                raise ViewError(f'{p.save} exists: name a new file in `save`')
+                raise ViewError(f'{p.save} exists', remedy='name a new file in `save`')
             self.get_logger().info(f'writing {p.save}')
-            return Page(p.history, path=Path(p.save))
+            return Page(p.history, palette(), path=Path(p.save))
         self._server = ViewerServer(p.port, p.data_port, p.memory)
         self.get_logger().info(f'live view: {self._server.page_url}')
-        return Page(p.history, url=self._server.data_url)
+        return Page(p.history, palette(), url=self._server.data_url)
 
     def _subscribe(self) -> None:
         received = self._received
-        self.create_subscription(
-            EventPacket, 'events', lambda m: received.packets.add(m, m.seq), QOS_EVENTS
-        )
-        self.create_subscription(Image, 'image_raw', received.on_frame, QOS_SENSOR)
-        self._plot('force', received.force)
-        self._plot(self._settings.reference_topic, received.reference)
-        self.create_subscription(
-            SlipState, 'slip', lambda m: received.on_slip(m, time.time_ns()), QOS_FORCE
-        )
-        self.create_subscription(DiagnosticArray, '/diagnostics', received.on_diagnostics, 20)
+        self.subscribe_topic(topics.EVENTS, lambda m: received.packets.add(m, m.seq))
+        self.subscribe_topic(topics.IMAGE_RAW, received.on_frame)
+        self.subscribe_topic(topics.FORCE, partial(self._plot, received.force))
+        reference = self._settings.reference_topic
+        plot_reference = partial(self._plot, received.reference)
+        self.subscribe_topic(topics.REFERENCE_WRENCH, plot_reference, name=reference)
+        self.subscribe_topic(topics.SLIP, lambda m: received.on_slip(m, time.time_ns()))
+        self.subscribe_topic(topics.DIAGNOSTICS, received.on_diagnostics)
 
-    def _plot(self, topic: str, curve: Curve) -> None:
-        def keep(message: WrenchStamped) -> None:
-            curve.add(time.time_ns(), message.wrench.force.z)
-
-        self.create_subscription(WrenchStamped, topic, keep, QOS_FORCE)
+    @staticmethod
+    def _plot(curve: Curve, message: WrenchStamped) -> None:
+        curve.add(time.time_ns(), message.wrench.force.z)
 
     def _draw(self) -> None:
         period = 1.0 / self._settings.rate
@@ -102,10 +96,10 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         while not self._stopping.wait(max(0.0, due - time.monotonic())):
             try:
                 self._drawing.draw(time.time_ns())
-            except Exception as error:  # noqa: BLE001  (told by check, where it ends the node)
+            except Exception as error:  # noqa: BLE001  (check raises it in the main thread)
                 self._failure = error
                 return
-            # Late pictures are left out, not made up for.
+            # Late pictures are skipped.
             due = max(due + period, time.monotonic() + 0.2 * period)
 
     def _status(self) -> Status:
@@ -113,7 +107,7 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         bad = self._drawing.undecodable
         values: dict[str, object] = {
             'packets not drawn': received.packets.skipped,
-            'packets lost': received.packets.lost,
+            'packets lost': received.packets.counter.lost,
             'undecodable': bad,
             'samples dropped': received.force.dropped + received.reference.dropped,
             'page': self._server.page_url if self._server else self._settings.save,

@@ -19,12 +19,12 @@ from event_camera_msgs.msg import EventPacket  # noqa: E402
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 
-from mixtac_cli.up import view_node  # noqa: E402
 from mixtac_cli.view.server import require_rerun  # noqa: E402
 from mixtac_events.arrays import Events  # noqa: E402
 from mixtac_events.codec import encode  # noqa: E402
 from mixtac_msgs.msg import SlipState  # noqa: E402
 from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR  # noqa: E402
+from mixtac_node.graph import live_view  # noqa: E402
 from mixtac_node.images import fill  # noqa: E402
 
 pytestmark = pytest.mark.dds
@@ -83,7 +83,7 @@ class Feeder:
 
 def test_what_is_published_is_shown_and_nothing_is_undecodable(ros_domain, tmp_path):
     path = tmp_path / 'run.rrd'
-    process = subprocess.Popen(view_node(save=path).command('mixtac'), env=ros_domain)
+    process = subprocess.Popen(live_view(save=path).command('mixtac'), env=ros_domain)
     feeder = Feeder()
     try:
         deadline = time.monotonic() + 60

@@ -16,7 +16,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_node.topics import TOPICS, message_class
 
-CONFIG = Path(__file__).resolve().parents[4] / 'config'
+CONFIG = Path(__file__).resolve().parents[1] / 'config'
 TYPES = {each.resolved('mixtac'): each.type_name for each in TOPICS}
 RVIZ_TYPES = {
     'rviz_default_plugins/Image': 'sensor_msgs/msg/Image',
