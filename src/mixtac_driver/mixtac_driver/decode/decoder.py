@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixtac_driver.decode import state as s
-from mixtac_driver.decode.kernel import decode_words, drop_items
-from mixtac_driver.decode.state import DecoderCounters
+from mixtac_driver.decode.kernel import DONE, FRAME, FULL, RESET, decode_words, drop_items
+from mixtac_driver.decode.state import DecoderCounters, new_buffers
 from mixtac_driver.errors import DriverError
 from mixtac_events.arrays import Events
 from mixtac_events.readings import (
@@ -30,7 +29,7 @@ from mixtac_events.readings import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
 
 
 DEFAULT_CAPACITY = 32768
-SAMPLE_CAPACITY = 256
 WORD = np.dtype('<u2')
 
 
@@ -60,92 +58,81 @@ class StreamDecoder:
         imu_flips: tuple[bool, bool, bool] = (False, False, False),
         imu_type: int = 2,
         capacity: int = DEFAULT_CAPACITY,
+        allocate: Callable[[int, Any], NDArray[Any]] = np.zeros,
     ) -> None:
         self._geometry = geometry
         self._imu_flips = imu_flips
         self._imu_type = imu_type
-        self._state = _new_state(geometry)
-        self._counters = np.zeros(s.COUNTER_SIZE, np.int64)
-        self._t = np.empty(capacity, np.int64)
-        self._row = np.empty(capacity, np.uint16)
-        self._column = np.empty(capacity, np.uint16)
-        self._polarity_bytes = np.empty(capacity, np.uint8)
-        self._polarity = self._polarity_bytes.view(np.bool_)
-        inverted = geometry.dvs_inverted
-        self._x, self._y = (self._row, self._column) if inverted else (self._column, self._row)
-        self._imu_t = np.empty(SAMPLE_CAPACITY, np.int64)
-        self._imu_raw = np.zeros((SAMPLE_CAPACITY + 1, s.IMU_BYTES + 1), np.uint8)
-        self._edge_t = np.empty(SAMPLE_CAPACITY, np.int64)
-        self._edge_kind = np.empty(SAMPLE_CAPACITY, np.uint8)
-        pixels = geometry.aps_columns * geometry.aps_rows
-        self._reset_samples = np.zeros(pixels, np.uint16)
-        self._image = np.zeros(pixels, np.uint16)
+        self._buffers = b = new_buffers(geometry, capacity, allocate)
+        self._state, self._counters, self._readings = b.state[0], b.counters[0], b.readings[0]
+        self._image = b.pixels[0]['image']
+        x, y = (b.row, b.column) if geometry.dvs_inverted else (b.column, b.row)
+        self._events = Events(b.t, x, y, b.polarity.view(np.bool_))
         self._half_word = b''
         self._resets = 0
         self._busy = False
         # The first calls compile, or load what was compiled: not while data wait.
-        drop_items(self._state, self._counters)
-        self._run(self._words(b'', short_packet=True), 0, 0)
+        drop_items(b)
+        decode_words(self._words(b'', short_packet=True), 0, 0, b)
 
     @property
     def counters(self) -> DecoderCounters:
         """Everything seen and dropped so far."""
-        return DecoderCounters(*self._counters.tolist())
+        return DecoderCounters(*self._counters.item())
 
     @property
     def time_us(self) -> int:
         """Time that the stream has reached [us, camera clock]."""
-        return int(self._state[s.TIME])
+        return int(self._state['time'])
 
     def push(self, data: Octets, *, short_packet: bool = True) -> Iterator[DecodedBatch]:
         """Decode the bytes of one transfer.
 
         Args:
             data: Bytes as they came.
-            short_packet: True where the camera ended the transfer early, as it does unless the
-                transfer was filled to the last byte.
+            short_packet: True if the camera ended the transfer early; False if the transfer is
+                full to the last byte, so that its last word may be split.
 
         Yields:
             At least one batch, more after bursts and resets of the clock.
 
         Raises:
-            DriverError: The batches of the transfer before were not all taken.
+            DriverError: Not all batches of the previous transfer were taken.
         """
         if self._busy:
-            raise DriverError('the batches of the transfer before must all be taken first')
+            raise DriverError('take all batches of a transfer before pushing the next one')
         self._busy = True
         words = self._words(data, short_packet=short_packet)
-        i, reason = 0, s.FULL
-        while reason != s.DONE:
-            frames: list[Frame] = []
-            i, n, reason = self._run(words, i, 0)
-            while reason == s.FRAME:
-                frames.append(self._frame())
-                i, n, reason = self._run(words, i, n)
-            time_us = self._state[s.TIME_BEFORE_RESET if reason == s.RESET else s.TIME]
-            yield self._batch(n, tuple(frames), int(time_us))
-            self._resets += reason == s.RESET
+        i, reason = 0, FULL
+        while reason != DONE:
+            frames: tuple[Frame, ...] = ()
+            i, n, reason = decode_words(words, i, 0, self._buffers)
+            while reason == FRAME:
+                frames += (self._frame(),)
+                i, n, reason = decode_words(words, i, n, self._buffers)
+            yield self._batch(n, frames, 'time_before_reset' if reason == RESET else 'time')
+            self._resets += reason == RESET
         self._busy = False
 
     def skip(self, gap: Gap) -> None:
-        """Go on after bytes that were lost before they could be pushed.
+        """Continue after bytes that were lost before they could be pushed.
 
-        Items in progress are dropped, and so is the row address; time goes on over the gap.
+        Items in progress and the row address are dropped; time continues over the gap.
 
         Args:
             gap: What was lost.
         """
-        drop_items(self._state, self._counters)
+        state = self._state
+        drop_items(self._buffers)
         self._half_word = b''
-        self._state[s.ROW] = -1
+        state['row'] = -1
         if gap.resets:
-            self._state[s.WRAP_BASE] = 0
-            self._state[s.TIME] = 0
+            state['wrap_base'] = state['time'] = 0
             self._resets += gap.resets
         if gap.wraps:
-            self._state[s.WRAP_BASE] += gap.wraps * 0x8000
-            self._state[s.TIME] = self._state[s.WRAP_BASE]
-        self._counters[s.C_BYTES_LOST] += gap.size
+            state['wrap_base'] += gap.wraps * 0x8000
+            state['time'] = state['wrap_base']
+        self._counters['bytes_lost'] += gap.size
 
     def _words(self, data: Octets, *, short_packet: bool) -> NDArray[np.uint16]:
         octets = np.frombuffer(data, np.uint8)
@@ -154,7 +141,7 @@ class StreamDecoder:
             self._half_word = b''
         if len(octets) % 2:
             if short_packet:
-                self._counters[s.C_BYTES_DROPPED] += 1
+                self._counters['bytes_dropped'] += 1
             else:
                 self._half_word = octets[-1:].tobytes()
             octets = octets[:-1]
@@ -164,62 +151,44 @@ class StreamDecoder:
         words.setflags(write=False)
         return words
 
-    def _run(self, words: NDArray[np.uint16], i: int, n: int) -> Any:  # noqa: ANN401
-        return decode_words(
-            words,
-            i,
-            self._state,
-            self._counters,
-            self._t,
-            self._row,
-            self._column,
-            self._polarity_bytes,
-            n,
-            self._imu_t,
-            self._imu_raw,
-            self._edge_t,
-            self._edge_kind,
-            self._reset_samples,
-            self._image,
-        )
-
-    def _batch(self, n: int, frames: tuple[Frame, ...], time_us: int) -> DecodedBatch:
-        samples, edges = self._state[s.IMU_SAMPLES : s.EDGES + 1].tolist()
+    def _batch(self, n: int, frames: tuple[Frame, ...], time: str) -> DecodedBatch:
+        samples, edges = self._readings['imu_count'], self._readings['edge_count']
         return DecodedBatch(
-            events=Events(self._t[:n], self._x[:n], self._y[:n], self._polarity[:n]),
+            events=self._events[:n],
             frames=frames,
             imu=self._take_imu(samples) if samples else NO_SAMPLES,
             edges=self._take_edges(edges) if edges else NO_EDGES,
-            time_us=time_us,
+            time_us=int(self._state[time]),
             resets=self._resets,
         )
 
     def _take_imu(self, count: int) -> InertialSamples:
-        samples = inertial_samples(
-            self._imu_t[:count], self._imu_raw[:count], self._imu_flips, self._imu_type
-        )
-        # A sample in progress lives in the slot after the complete ones.
-        self._imu_raw[0] = self._imu_raw[count]
-        self._state[s.IMU_SAMPLES] = 0
+        t, raw = self._readings['imu_t'], self._readings['imu_raw']
+        samples = inertial_samples(t[:count], raw[:count], self._imu_flips, self._imu_type)
+        # A sample in progress is stored behind the complete ones.
+        raw[0] = raw[count]
+        self._readings['imu_count'] = 0
         return samples
 
     def _take_edges(self, count: int) -> Edges:
-        self._state[s.EDGES] = 0
-        return Edges(self._edge_t[:count].copy(), self._edge_kind[:count].copy())
+        t, kind = self._readings['edge_t'], self._readings['edge_kind']
+        self._readings['edge_count'] = 0
+        return Edges(t[:count].copy(), kind[:count].copy())
 
     def _frame(self) -> Frame:
         state = self._state
-        width, height = int(state[s.SIZE_X]), int(state[s.SIZE_Y])
+        width, height = int(state['width']), int(state['height'])
+        x, y, _, _ = state['roi'].tolist()
         return Frame(
             image=_arrange(self._image[: width * height], self._geometry, width, height),
-            x=int(state[s.ROI_0]),
-            y=int(state[s.ROI_1]),
-            frame_start_us=int(state[s.FRAME_START]),
-            exposure_start_us=int(state[s.EXPOSURE_START]),
-            exposure_end_us=int(state[s.EXPOSURE_END]),
-            frame_end_us=int(state[s.FRAME_END]),
-            exposure_cycles=int(state[s.EXPOSURE_CYCLES]),
-            global_shutter=bool(state[s.FRAME_GLOBAL]),
+            x=x,
+            y=y,
+            frame_start_us=int(state['frame_start']),
+            exposure_start_us=int(state['exposure_start']),
+            exposure_end_us=int(state['exposure_end']),
+            frame_end_us=int(state['frame_end']),
+            exposure_cycles=int(state['exposure_cycles']),
+            global_shutter=bool(state['frame_global']),
         )
 
 
@@ -233,16 +202,3 @@ def _arrange(
         columns = samples.reshape(width, height)
     turned = columns[:: -1 if geometry.aps_flip_x else 1, :: -1 if geometry.aps_flip_y else 1]
     return np.array(turned if geometry.aps_inverted else turned.T, order='C')
-
-
-def _new_state(geometry: Geometry) -> NDArray[np.int64]:
-    state = np.zeros(s.STATE_SIZE, np.int64)
-    state[s.ROW] = -1
-    state[s.DVS_ROWS] = geometry.dvs_rows
-    state[s.DVS_COLUMNS] = geometry.dvs_columns
-    state[s.APS_COLUMNS] = geometry.aps_columns
-    state[s.APS_ROWS] = geometry.aps_rows
-    state[s.APS_INVERTED] = geometry.aps_inverted
-    state[s.COLUMN_TYPE] = -1
-    state[s.IMU_INDEX] = s.IMU_OUTSIDE
-    return state

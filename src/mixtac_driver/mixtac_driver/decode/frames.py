@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled part of the decoder for frames: columns of reset and signal samples, in any order.
+"""Frames: columns of reset and signal samples, in any order.
 
 A pixel is reset - signal (correlated double sampling), 0 .. 1023. Where the reset sample is below
-384 or the signal sample is 0 the pixel saw so much light that the difference means nothing: 1023.
+384 or the signal sample is 0, the pixel is overexposed and the difference means nothing: it is set
+to 1023.
 """
 
 from __future__ import annotations
@@ -12,249 +13,198 @@ from typing import Any
 
 from numba import int32, njit, uint16, uint64
 
-from mixtac_driver.decode.state import (
-    APS_COLUMNS,
-    APS_INVERTED,
-    APS_ROWS,
-    C_APS_UNEXPECTED,
-    C_FRAMES,
-    C_FRAMES_DROPPED,
-    C_FRAMES_WITHOUT_EXPOSURE,
-    C_ROI_OUTSIDE,
-    C_SAMPLES,
-    C_SAMPLES_UNEXPECTED,
-    COLUMN_TYPE,
-    COLUMNS,
-    EXPOSURE_CYCLES,
-    EXPOSURE_END,
-    EXPOSURE_START,
-    EXPOSURE_WORDS,
-    FRAME_BROKEN,
-    FRAME_END,
-    FRAME_GLOBAL,
-    FRAME_OPEN,
-    FRAME_START,
-    RESET_COLUMNS,
-    ROI_0,
-    ROI_1,
-    ROI_HIGH,
-    ROI_WORDS,
-    SAMPLE,
-    SAMPLES,
-    SIGNAL_COLUMNS,
-    SIZE_X,
-    SIZE_Y,
-    TIME,
-)
+from mixtac_driver.decode.state import NO_COLUMN, RESET_COLUMN, SIGNAL_COLUMN
 
-Int = Any
-Array = Any
+Words = Any
+Record = Any
 OVEREXPOSED_BELOW = 384
 WHITE = 1023
-SAMPLE_WORD = uint16(0x4000)
-CHUNK = 64
 
 
-@njit(nogil=True, forceinline=True)
-def aps_drop(state: Array, counters: Array) -> None:
+@njit(nogil=True)
+def frame_drop(s: Record, c: Record) -> None:
     """Drop the frame in progress, if any."""
-    if state[FRAME_OPEN]:
-        counters[C_FRAMES_DROPPED] += 1
-    state[FRAME_OPEN] = 0
-    state[COLUMN_TYPE] = -1
+    c.frames_dropped += s.frame_open
+    s.frame_open = 0
+    s.column_type = NO_COLUMN
 
 
-@njit(nogil=True, forceinline=True)
-def aps_frame_start(global_shutter: Int, state: Array, counters: Array) -> None:
-    """Begin a frame."""
-    aps_drop(state, counters)
-    state[FRAME_OPEN] = 1
-    state[FRAME_BROKEN] = 0
-    state[FRAME_GLOBAL] = 1 if global_shutter else 0
-    state[FRAME_START] = state[TIME]
-    state[EXPOSURE_START] = -1
-    state[EXPOSURE_END] = -1
-    state[EXPOSURE_CYCLES] = 0
-    state[EXPOSURE_WORDS] = 0
-    state[ROI_WORDS] = 0
-    state[ROI_HIGH] = 0
-    state[RESET_COLUMNS] = 0
-    state[SIGNAL_COLUMNS] = 0
+@njit(nogil=True)
+def frame_start(is_global: bool, s: Record, c: Record) -> None:  # noqa: FBT001
+    """Start a frame, with global or rolling shutter."""
+    frame_drop(s, c)
+    s.frame_open = 1
+    s.frame_broken = 0
+    s.frame_global = is_global
+    s.frame_start = s.time
+    s.exposure_start = -1
+    s.exposure_end = -1
+    s.exposure_cycles = 0
+    s.exposure_words = 0
+    s.roi_values = 0
+    s.roi_high = 0
+    s.columns_done[RESET_COLUMN] = 0
+    s.columns_done[SIGNAL_COLUMN] = 0
 
 
-@njit(nogil=True, forceinline=True)
-def aps_exposure_data(data: Int, state: Array, counters: Array) -> None:
-    """Take 10 more bits of the exposure in ADC cycles, lowest first."""
-    if not state[FRAME_OPEN] or state[EXPOSURE_WORDS] >= 3:
-        counters[C_APS_UNEXPECTED] += 1
+@njit(nogil=True)
+def frame_exposure(data: int, s: Record, c: Record) -> None:
+    """Take 10 more bits of the exposure in ADC cycles, lowest bits first."""
+    if not s.frame_open or s.exposure_words >= 3:
+        c.aps_unexpected += 1
         return
-    state[EXPOSURE_CYCLES] |= data << 10 * state[EXPOSURE_WORDS]
-    state[EXPOSURE_WORDS] += 1
+    s.exposure_cycles |= data << 10 * s.exposure_words
+    s.exposure_words += 1
 
 
-@njit(nogil=True, forceinline=True)
-def aps_region_data(high: Int, data: Int, state: Array, counters: Array) -> None:
-    """Take one byte of start column, start row, end column, end row; high bytes come first."""
-    if not state[FRAME_OPEN] or state[ROI_WORDS] >= 4:
-        counters[C_APS_UNEXPECTED] += 1
-    elif high:
-        state[ROI_HIGH] = data << 8
+@njit(nogil=True)
+def frame_region(is_high: bool, data: int, s: Record, c: Record) -> None:  # noqa: FBT001
+    """Take a byte of start column, start row, end column or end row, high byte first."""
+    if not s.frame_open or s.roi_values >= 4:
+        c.aps_unexpected += 1
+    elif is_high:
+        s.roi_high = data << 8
     else:
-        state[ROI_0 + state[ROI_WORDS]] = state[ROI_HIGH] | data
-        state[ROI_WORDS] += 1
-        if state[ROI_WORDS] == 4:
-            _set_region(state, counters)
+        s.roi[s.roi_values] = s.roi_high | data
+        s.roi_values += 1
+        if s.roi_values == 4:
+            _set_region(s, c)
 
 
-@njit(nogil=True, forceinline=True)
-def _clip_axis(first: Int, size: Int, state: Array, counters: Array) -> Int:
+@njit(nogil=True)
+def _clip_axis(axis: int, size: int, s: Record, c: Record) -> int:
     """Correct start and end of one axis of the region; return its length."""
-    start, end = state[first], state[first + 2]
+    start, end = s.roi[axis], s.roi[axis + 2]
     if start >= size or end >= size or end < start:
-        counters[C_ROI_OUTSIDE] += 1
+        c.roi_outside += 1
         start = start if start < size else 0
         end = end if start <= end < size else size - 1
-        state[first], state[first + 2] = start, end
+        s.roi[axis] = start
+        s.roi[axis + 2] = end
     return end + 1 - start
 
 
-@njit(nogil=True, forceinline=True)
-def _set_region(state: Array, counters: Array) -> None:
-    inverted = state[APS_INVERTED]
-    width = state[APS_ROWS] if inverted else state[APS_COLUMNS]
-    height = state[APS_COLUMNS] if inverted else state[APS_ROWS]
-    size_x = _clip_axis(ROI_0, width, state, counters)
-    size_y = _clip_axis(ROI_1, height, state, counters)
-    state[SIZE_X], state[SIZE_Y] = size_x, size_y
-    state[COLUMNS] = size_y if inverted else size_x
-    state[SAMPLES] = size_x if inverted else size_y
+@njit(nogil=True)
+def _set_region(s: Record, c: Record) -> None:
+    if s.aps_inverted:
+        s.width = s.column_size = _clip_axis(0, s.aps_rows, s, c)
+        s.height = s.columns = _clip_axis(1, s.aps_columns, s, c)
+    else:
+        s.width = s.columns = _clip_axis(0, s.aps_columns, s, c)
+        s.height = s.column_size = _clip_axis(1, s.aps_rows, s, c)
 
 
-@njit(nogil=True, forceinline=True)
-def aps_column_start(column_type: Int, state: Array, counters: Array) -> None:
-    """Begin a column of reset (0) or signal (1) samples."""
-    if not state[FRAME_OPEN]:
-        counters[C_APS_UNEXPECTED] += 1
+@njit(nogil=True)
+def column_start(column_type: int, s: Record, c: Record) -> None:
+    """Start a column of RESET_COLUMN or SIGNAL_COLUMN samples."""
+    if not s.frame_open:
+        c.aps_unexpected += 1
         return
-    column = state[RESET_COLUMNS + column_type]
-    unknown_size = state[ROI_WORDS] < 4
-    signal_without_reset = column_type == 1 and column >= state[RESET_COLUMNS]
-    if unknown_size or signal_without_reset or column >= state[COLUMNS]:
-        counters[C_APS_UNEXPECTED] += 1
-        state[FRAME_BROKEN] = 1
-        state[COLUMN_TYPE] = -1
+    column, resets = s.columns_done[column_type], s.columns_done[RESET_COLUMN]
+    no_reset = column_type == SIGNAL_COLUMN and column >= resets
+    if s.roi_values < 4 or no_reset or column >= s.columns:
+        c.aps_unexpected += 1
+        s.frame_broken = 1
+        s.column_type = NO_COLUMN
         return
-    state[COLUMN_TYPE] = column_type
-    state[SAMPLE] = 0
+    s.column_type = column_type
+    s.column_fill = 0
 
 
 @njit(nogil=True, forceinline=True)
-def _run_end(words: Array, first: Int, stop: Int) -> Int:
-    """Return the index of the first word that is no sample."""
-    i = first
-    while i + CHUNK <= stop:
-        others = uint16(0)
-        for j in range(uint64(i), uint64(i + CHUNK)):
-            others |= words[j] ^ SAMPLE_WORD
-        if others > 0xFFF:
-            break
-        i += CHUNK
-    while i < stop and words[uint64(i)] >> 12 == 4:
+def _count_samples(words: Words, start: int, limit: int) -> int:
+    """Return how many samples come one after the other, at most `limit`."""
+    kinds = uint16(0)
+    for k in range(uint64(start), uint64(start + limit)):
+        kinds = uint16(kinds | (words[k] ^ uint16(0x4000)))
+    if kinds <= 0xFFF:
+        return limit
+    count = 0
+    while words[uint64(start + count)] >> 12 == 4:
+        count += 1
+    return count
+
+
+@njit(nogil=True, forceinline=True)
+def _store_resets(words: Words, start: int, count: int, place: int, p: Record) -> None:
+    source, target, resets = uint64(start), uint64(place), p.resets
+    for k in range(uint64(count)):
+        resets[target + k] = words[source + k] & uint16(0x3FF)
+
+
+@njit(nogil=True, forceinline=True)
+def _subtract_signals(words: Words, start: int, count: int, place: int, p: Record) -> None:
+    source, target, resets, image = uint64(start), uint64(place), p.resets, p.image
+    for k in range(uint64(count)):
+        signal = words[source + k] & uint16(0x3FF)
+        reset = resets[target + k]
+        white = (reset < OVEREXPOSED_BELOW) | (signal == 0)
+        difference = max(int32(reset) - int32(signal), int32(0))
+        image[target + k] = int32(WHITE) if white else difference
+
+
+@njit(nogil=True, forceinline=True)
+def frame_samples(words: Words, start: int, s: Record, c: Record, p: Record) -> int:
+    """Take the samples from word `start` on; return the index of the word after them.
+
+    Samples stay in the order of the wire, column by column.
+    """
+    i, size = start, len(words)
+    if s.column_type != NO_COLUMN:
+        count = _count_samples(words, i, min(size - i, s.column_size - s.column_fill))
+        place = s.columns_done[s.column_type] * s.column_size + s.column_fill
+        if s.column_type == RESET_COLUMN:
+            _store_resets(words, i, count, place, p)
+        else:
+            _subtract_signals(words, i, count, place, p)
+        s.column_fill += count
+        i += count
+    stored = i
+    while i < size and words[uint64(i)] >> 12 == 4:
         i += 1
+    c.samples += i - start
+    c.samples_unexpected += i - stored
     return i
 
 
-@njit(nogil=True, forceinline=True)
-def _take_chunk(
-    words: Array, i: Int, place: Int, size: Int, signal: Int, resets: Array, image: Array
-) -> None:
-    for j in range(uint64(size)):
-        sample = words[uint64(i) + j] & uint16(0x3FF)
-        if signal:
-            reset = resets[uint64(place) + j]
-            white = (reset < OVEREXPOSED_BELOW) | (sample == 0)
-            difference = max(int32(reset) - int32(sample), int32(0))
-            image[uint64(place) + j] = int32(WHITE) if white else difference
-        else:
-            resets[uint64(place) + j] = sample
-
-
-@njit(nogil=True, forceinline=True)
-def _take_samples(
-    words: Array, first: Int, count: Int, place: Int, signal: Int, resets: Array, image: Array
-) -> None:
-    """Store reset samples, or subtract signal samples from them."""
-    if count < CHUNK:
-        _take_chunk(words, first, place, count, signal, resets, image)
+@njit(nogil=True)
+def column_end(s: Record, c: Record) -> None:
+    """Finish a column; one with samples missing breaks the frame."""
+    if s.column_type == NO_COLUMN:
+        c.aps_unexpected += 1
         return
-    # Whole chunks suit the vector unit; the last one overlaps the one before.
-    for done in range(0, count, CHUNK):
-        k = min(done, count - CHUNK)
-        _take_chunk(words, first + k, place + k, CHUNK, signal, resets, image)
+    s.frame_broken |= s.column_fill != s.column_size
+    s.columns_done[s.column_type] += 1
+    s.column_type = NO_COLUMN
 
 
-@njit(nogil=True, forceinline=True)
-def aps_samples(
-    words: Array, size: Int, first: Int, state: Array, counters: Array, resets: Array, image: Array
-) -> Int:
-    """Take the run of samples at word `first`; return the index of the word after it.
-
-    The samples stay in the order of the wire; who takes a complete frame turns it.
-    """
-    column_type = state[COLUMN_TYPE]
-    room = state[SAMPLES] - state[SAMPLE] if column_type >= 0 else 0
-    end = _run_end(words, first, min(size, first + room))
-    count = end - first
-    if column_type >= 0:
-        place = state[RESET_COLUMNS + column_type] * state[SAMPLES] + state[SAMPLE]
-        _take_samples(words, first, count, place, column_type, resets, image)
-        state[SAMPLE] += count
-    while end < size and words[uint64(end)] >> 12 == 4:
-        end += 1
-    counters[C_SAMPLES] += end - first
-    counters[C_SAMPLES_UNEXPECTED] += end - first - count
-    return end
-
-
-@njit(nogil=True, forceinline=True)
-def aps_column_end(state: Array, counters: Array) -> None:
-    """Finish a column; one that is too short breaks the frame."""
-    column_type = state[COLUMN_TYPE]
-    if column_type < 0:
-        counters[C_APS_UNEXPECTED] += 1
-        return
-    if state[SAMPLE] != state[SAMPLES]:
-        state[FRAME_BROKEN] = 1
-    state[RESET_COLUMNS + column_type] += 1
-    state[COLUMN_TYPE] = -1
-
-
-@njit(nogil=True, forceinline=True)
-def aps_mark(place: Int, state: Array, counters: Array) -> None:
+@njit(nogil=True)
+def frame_mark(is_start: bool, s: Record, c: Record) -> None:  # noqa: FBT001
     """Take the time as start or end of the exposure."""
-    if state[FRAME_OPEN]:
-        state[place] = state[TIME]
+    if not s.frame_open:
+        c.aps_unexpected += 1
+    elif is_start:
+        s.exposure_start = s.time
     else:
-        counters[C_APS_UNEXPECTED] += 1
+        s.exposure_end = s.time
 
 
-@njit(nogil=True, forceinline=True)
-def aps_frame_end(state: Array, counters: Array) -> Int:
+@njit(nogil=True)
+def frame_end(s: Record, c: Record) -> bool:
     """Finish a frame; return whether it is complete."""
-    if not state[FRAME_OPEN]:
-        counters[C_APS_UNEXPECTED] += 1
+    if not s.frame_open:
+        c.aps_unexpected += 1
         return False
-    columns = state[COLUMNS] if state[ROI_WORDS] == 4 else -1
-    done = state[RESET_COLUMNS] == columns and state[SIGNAL_COLUMNS] == columns
-    if state[FRAME_BROKEN] or not done:
-        aps_drop(state, counters)
+    resets, signals = s.columns_done[RESET_COLUMN], s.columns_done[SIGNAL_COLUMN]
+    if s.frame_broken or s.roi_values < 4 or resets != s.columns or signals != s.columns:
+        frame_drop(s, c)
         return False
-    state[FRAME_OPEN] = 0
-    state[COLUMN_TYPE] = -1
-    state[FRAME_END] = state[TIME]
-    if state[EXPOSURE_START] < 0 or state[EXPOSURE_END] < state[EXPOSURE_START]:
-        counters[C_FRAMES_WITHOUT_EXPOSURE] += 1
-        state[EXPOSURE_START] = state[FRAME_START]
-        state[EXPOSURE_END] = state[FRAME_END]
-    counters[C_FRAMES] += 1
+    s.frame_open = 0
+    s.column_type = NO_COLUMN
+    s.frame_end = s.time
+    if s.exposure_start < 0 or s.exposure_end < s.exposure_start:
+        c.frames_without_exposure += 1
+        s.exposure_start = s.frame_start
+        s.exposure_end = s.frame_end
+    c.frames += 1
     return True

@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled part of the decoder for inertial samples: start, info byte, up to 14 bytes, end."""
+"""Inertial samples: start word, info byte, up to 14 bytes of payload, end word.
+
+The info byte tells which groups follow: acceleration (bytes 0 .. 5), temperature (6, 7) and
+rotation (8 .. 13). Groups that are not sent are skipped in the payload and stay zero.
+"""
 
 from __future__ import annotations
 
@@ -8,44 +12,30 @@ from typing import Any
 
 from numba import njit
 
-from mixtac_driver.decode.state import (
-    C_IMU,
-    C_IMU_DROPPED,
-    C_IMU_UNEXPECTED,
-    IMU_AWAITS_INFO,
-    IMU_BYTES,
-    IMU_INDEX,
-    IMU_INFO,
-    IMU_OUTSIDE,
-    IMU_SAMPLES,
-    TIME,
-)
+from mixtac_driver.decode.state import IMU_AWAITS_INFO, IMU_BYTES, IMU_OUTSIDE
 
-Int = Any
-Array = Any
-SLOT = IMU_BYTES + 1
-"""Bytes of a sample and its info byte."""
 HAS_ACCELERATION, HAS_ROTATION, HAS_TEMPERATURE = 0x80, 0x40, 0x20
+Record = Any
 
 
-@njit(nogil=True, forceinline=True)
-def imu_drop(state: Array, counters: Array) -> None:
+@njit(nogil=True)
+def imu_drop(s: Record, c: Record) -> None:
     """Drop the sample in progress, if any."""
-    if state[IMU_INDEX] != IMU_OUTSIDE:
-        counters[C_IMU_DROPPED] += 1
-        state[IMU_INDEX] = IMU_OUTSIDE
+    if s.imu_index != IMU_OUTSIDE:
+        c.imu_dropped += 1
+        s.imu_index = IMU_OUTSIDE
 
 
-@njit(nogil=True, forceinline=True)
-def imu_start(state: Array, counters: Array) -> None:
-    """Begin a sample."""
-    imu_drop(state, counters)
-    state[IMU_INDEX] = IMU_AWAITS_INFO
+@njit(nogil=True)
+def imu_start(s: Record, c: Record) -> None:
+    """Start a sample."""
+    imu_drop(s, c)
+    s.imu_index = IMU_AWAITS_INFO
 
 
-@njit(nogil=True, forceinline=True)
-def _next_group(index: Int, info: Int) -> Int:
-    """Return the index of the next byte that is sent, skipping groups that are not."""
+@njit(nogil=True)
+def _next_byte(index: int, info: int) -> int:
+    """Return the index of the next byte that is sent, at or after this one."""
     if index == 0 and not info & HAS_ACCELERATION:
         index = 6
     if index == 6 and not info & HAS_TEMPERATURE:
@@ -55,45 +45,43 @@ def _next_group(index: Int, info: Int) -> Int:
     return index
 
 
-@njit(nogil=True, forceinline=True)
-def imu_info(data: Int, state: Array, counters: Array, raw: Array) -> None:
-    """Take the byte that says which groups follow and on which scales."""
-    if state[IMU_INDEX] != IMU_AWAITS_INFO:
-        counters[C_IMU_UNEXPECTED] += 1
-        imu_drop(state, counters)
+@njit(nogil=True)
+def imu_info(data: int, s: Record, c: Record, r: Record) -> None:
+    """Take the info byte."""
+    if s.imu_index != IMU_AWAITS_INFO:
+        c.imu_unexpected += 1
+        imu_drop(s, c)
         return
-    state[IMU_INFO] = data
-    state[IMU_INDEX] = _next_group(0, data)
-    if state[IMU_INDEX] == IMU_BYTES:
-        imu_drop(state, counters)
+    s.imu_info = data
+    s.imu_index = _next_byte(0, data)
+    if s.imu_index == IMU_BYTES:
+        imu_drop(s, c)
         return
-    slot = state[IMU_SAMPLES] * SLOT
     for k in range(IMU_BYTES):
-        raw[slot + k] = 0
-    raw[slot + IMU_BYTES] = data
+        r.imu_raw[r.imu_count, k] = 0
+    r.imu_raw[r.imu_count, IMU_BYTES] = data
 
 
-@njit(nogil=True, forceinline=True)
-def imu_byte(data: Int, state: Array, counters: Array, raw: Array) -> None:
-    """Take one byte of the sample."""
-    index = state[IMU_INDEX]
-    if index < 0 or index >= IMU_BYTES:
-        counters[C_IMU_UNEXPECTED] += 1
+@njit(nogil=True)
+def imu_byte(data: int, s: Record, c: Record, r: Record) -> None:
+    """Take one byte of the payload."""
+    if s.imu_index < 0 or s.imu_index >= IMU_BYTES:
+        c.imu_unexpected += 1
         return
-    raw[state[IMU_SAMPLES] * SLOT + index] = data
-    state[IMU_INDEX] = _next_group(index + 1, state[IMU_INFO])
+    r.imu_raw[r.imu_count, s.imu_index] = data
+    s.imu_index = _next_byte(s.imu_index + 1, s.imu_info)
 
 
-@njit(nogil=True, forceinline=True)
-def imu_end(state: Array, counters: Array, t_out: Array) -> None:
-    """Finish the sample; its time is that of its end."""
-    if state[IMU_INDEX] == IMU_OUTSIDE:
-        counters[C_IMU_UNEXPECTED] += 1
+@njit(nogil=True)
+def imu_end(s: Record, c: Record, r: Record) -> None:
+    """Finish the sample; its time is that of the end word."""
+    if s.imu_index == IMU_OUTSIDE:
+        c.imu_unexpected += 1
         return
-    if state[IMU_INDEX] != IMU_BYTES:
-        imu_drop(state, counters)
+    if s.imu_index != IMU_BYTES:
+        imu_drop(s, c)
         return
-    t_out[state[IMU_SAMPLES]] = state[TIME]
-    state[IMU_SAMPLES] += 1
-    state[IMU_INDEX] = IMU_OUTSIDE
-    counters[C_IMU] += 1
+    r.imu_t[r.imu_count] = s.time
+    r.imu_count += 1
+    s.imu_index = IMU_OUTSIDE
+    c.imu += 1

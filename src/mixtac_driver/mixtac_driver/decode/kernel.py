@@ -2,320 +2,175 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled core of the stream decoder: one pass over 16-bit words into preallocated arrays.
 
-Bits 15:12 of a word give its kind: 8 .. 15 time stamp, 0 special, 1 row, 2 and 3 column with
-polarity (an event), 4 frame sample, 5 and 6 data of frames and inertial samples, 7 time wrap.
-Rows, columns and stamps make up nearly all of a busy stream, and samples nearly all of a frame, so
-each is taken in runs; the other words come one by one.
+| bits 15:12 | word |
+|---|---|
+| 8 .. 15 | time stamp, 15 bits [us] |
+| 0 | special: reset, edge, or part of a frame or an inertial sample |
+| 1 | row address |
+| 2, 3 | column address, polarity OFF or ON: an event |
+| 4 | frame sample |
+| 5, 6 | data of frames and inertial samples |
+| 7 | wrap of the time stamp |
 
-Compiled functions receive bare pointers: numba counts references atomically for nearly every array
-argument and tests every index for being negative, which costs ten times what decoding a word does.
-The compilation cache is keyed by a fingerprint of all source files of the decoder, because numba
-itself only notices changes of the file that holds the function.
+Event words and frame samples, nearly all of a busy stream, are taken many at a time where possible.
 """
 
 from __future__ import annotations
 
-import zlib
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from numba import int64, njit, types
-from numba.extending import intrinsic
-from numba.np.arrayobj import make_array
+from numba import int64, njit, uint64
 
-from mixtac_driver.decode.events import event_words
+from mixtac_driver.decode.events import BLOCK, take_block, take_event_word
 from mixtac_driver.decode.frames import (
-    aps_column_end,
-    aps_column_start,
-    aps_drop,
-    aps_exposure_data,
-    aps_frame_end,
-    aps_frame_start,
-    aps_mark,
-    aps_region_data,
-    aps_samples,
+    column_end,
+    column_start,
+    frame_drop,
+    frame_end,
+    frame_exposure,
+    frame_mark,
+    frame_region,
+    frame_samples,
+    frame_start,
 )
 from mixtac_driver.decode.imu import imu_byte, imu_drop, imu_end, imu_info, imu_start
-from mixtac_driver.decode.state import (
-    C_EDGES,
-    C_MISC,
-    C_MISC_UNKNOWN,
-    C_RESETS,
-    C_SPECIALS,
-    C_SPECIALS_UNKNOWN,
-    C_TIMESTAMPS_BACKWARDS,
-    C_WORDS,
-    C_WRAPS,
-    DONE,
-    EDGES,
-    EXPOSURE_END,
-    EXPOSURE_START,
-    FRAME,
-    FULL,
-    IMU_SAMPLES,
-    RESET,
-    TIME,
-    TIME_BEFORE_RESET,
-    WRAP_BASE,
-)
+from mixtac_driver.decode.state import READINGS_CAPACITY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
+    import numpy as np
     from numpy.typing import NDArray
 
+    from mixtac_driver.decode.state import Buffers
 
-def _codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ANN401
-    return make_array(signature.args[0])(context, builder, args[0]).data
-
-
-@intrinsic
-def pointer_to(typingctx: Any, array: Any) -> Any:  # noqa: ANN401, ARG001
-    """Return a pointer to the first element of a contiguous array; for compiled code.
-
-    It can be indexed like a one-dimensional array that has no length. The caller must hold the
-    array for as long as the pointer is used.
-    """
-    return types.CPointer(array.dtype)(array), _codegen
-
-
-def source_fingerprint(*patterns: str, folder: Path = Path(__file__).parent) -> int:
-    """Return a number that changes when one of these sources does.
-
-    Args:
-        patterns: Names of files in the folder, or patterns of names.
-        folder: This package unless said otherwise.
-    """
-    fingerprint = 0
-    for path in sorted(path for pattern in patterns for path in folder.glob(pattern)):
-        fingerprint = zlib.crc32(path.read_bytes(), fingerprint)
-    return fingerprint
-
-
-# Scalars are compiler integers and arrays vary in layout: the compiler infers both.
-Int = Any
-Array = Any
-
-
-@njit(nogil=True, forceinline=True)
-def _wrap(count: Int, state: Array, counters: Array) -> None:
-    if count == 0:
-        counters[C_TIMESTAMPS_BACKWARDS] += 1
-        return
-    state[WRAP_BASE] += count * 0x8000
-    state[TIME] = state[WRAP_BASE]
-    counters[C_WRAPS] += 1
-
-
-@njit(nogil=True, forceinline=True)
-def _drop_items(state: Array, counters: Array) -> None:
-    aps_drop(state, counters)
-    imu_drop(state, counters)
-
-
-@njit(nogil=True, forceinline=True)
-def _reset(state: Array, counters: Array) -> None:
-    _drop_items(state, counters)
-    state[TIME_BEFORE_RESET] = state[TIME]
-    state[TIME] = 0
-    state[WRAP_BASE] = 0
-    counters[C_RESETS] += 1
-
-
-@njit(nogil=True, forceinline=True)
-def _frame_special(code: Int, state: Array, counters: Array) -> Int:
-    """Take a special word of frames; return FRAME where one is complete, or DONE."""
-    if 8 <= code <= 9:
-        aps_frame_start(code == 8, state, counters)
-    elif code == 10:
-        return FRAME if aps_frame_end(state, counters) else DONE
-    elif 11 <= code <= 12:
-        aps_column_start(code - 11, state, counters)
-    elif code == 13:
-        aps_column_end(state, counters)
-    else:
-        aps_mark(EXPOSURE_START if code == 14 else EXPOSURE_END, state, counters)
-    return DONE
-
-
-@njit(nogil=True, forceinline=True)
-def _special(
-    code: Int,
-    state: Array,
-    counters: Array,
-    imu_t: Array,
-    edge_t: Array,
-    edge_code: Array,
-) -> Int:
-    """Take a special word; return the reason to stop, or DONE."""
-    if code == 1:
-        _reset(state, counters)
-        return RESET
-    if 8 <= code <= 15:
-        counters[C_SPECIALS] += 1
-        return _frame_special(code, state, counters)
-    if 2 <= code <= 4 or 16 <= code <= 17:
-        edge_t[state[EDGES]] = state[TIME]
-        edge_code[state[EDGES]] = code
-        state[EDGES] += 1
-        counters[C_EDGES] += 1
-    elif code == 5:
-        imu_start(state, counters)
-    elif code == 7:
-        imu_end(state, counters, imu_t)
-    else:
-        counters[C_SPECIALS_UNKNOWN] += 1
-        return DONE
-    counters[C_SPECIALS] += 1
-    return DONE
-
-
-@njit(nogil=True, forceinline=True)
-def _misc(word: Int, state: Array, counters: Array, imu_raw: Array) -> None:
-    """Take a data word of a frame or an inertial sample."""
-    code, data = word >> 8 & 0xF, word & 0xFF
-    if word >> 12 == 6 and word >> 10 & 3 == 0:
-        aps_exposure_data(word & 0x3FF, state, counters)
-    elif word >> 12 == 6 or code > 3:
-        counters[C_MISC_UNKNOWN] += 1
-        return
-    elif code == 0:
-        imu_byte(data, state, counters, imu_raw)
-    elif code == 3:
-        imu_info(data, state, counters, imu_raw)
-    else:
-        aps_region_data(code == 1, data, state, counters)
-    counters[C_MISC] += 1
+DONE, FULL, FRAME, RESET = range(4)
+"""Reasons why `decode_words` returns: end of the words, no room, frame complete, clock reset."""
+Record = Any
 
 
 @njit(nogil=True)
-def _decode(
-    words: Array,
-    size: Int,
-    i: Int,
-    state: Array,
-    counters: Array,
-    events: tuple[Array, Array, Array, Array],
-    capacity: Int,
-    n: Int,
-    imu_t: Array,
-    imu_raw: Array,
-    imu_capacity: Int,
-    edge_t: Array,
-    edge_code: Array,
-    edge_capacity: Int,
-    resets: Array,
-    image: Array,
-) -> tuple[Int, Int, Int]:
-    first, reason = i, DONE
+def _take_wrap(count: int, s: Record, c: Record) -> None:
+    if count == 0:
+        c.timestamps_backwards += 1
+        return
+    s.wrap_base += count * 0x8000
+    s.time = s.wrap_base
+    c.wraps += 1
+
+
+@njit(nogil=True)
+def _take_reset(s: Record, c: Record) -> None:
+    frame_drop(s, c)
+    imu_drop(s, c)
+    s.time_before_reset = s.time
+    s.time = 0
+    s.wrap_base = 0
+    c.resets += 1
+
+
+@njit(nogil=True)
+def _take_edge(code: int, s: Record, c: Record, r: Record) -> None:
+    r.edge_t[r.edge_count] = s.time
+    r.edge_kind[r.edge_count] = code
+    r.edge_count += 1
+    c.edges += 1
+
+
+@njit(nogil=True)
+def _take_special(code: int, s: Record, c: Record, r: Record) -> int:
+    """Take a special word; return the reason to stop, or DONE."""
+    if code == 1:
+        _take_reset(s, c)
+        return RESET
+    reason = DONE
+    if 2 <= code <= 4 or 16 <= code <= 17:
+        _take_edge(code, s, c, r)
+    elif code == 5:
+        imu_start(s, c)
+    elif code == 7:
+        imu_end(s, c, r)
+    elif 8 <= code <= 9:
+        frame_start(code == 8, s, c)
+    elif code == 10:
+        reason = FRAME if frame_end(s, c) else DONE
+    elif 11 <= code <= 12:
+        column_start(code - 11, s, c)
+    elif code == 13:
+        column_end(s, c)
+    elif 14 <= code <= 15:
+        frame_mark(code == 14, s, c)
+    else:
+        c.specials_unknown += 1
+        return DONE
+    c.specials += 1
+    return reason
+
+
+@njit(nogil=True)
+def _take_data(word: int, s: Record, c: Record, r: Record) -> None:
+    """Take a data word of a frame or an inertial sample."""
+    code = word >> 8
+    if code == 0x50:
+        imu_byte(word & 0xFF, s, c, r)
+    elif code == 0x53:
+        imu_info(word & 0xFF, s, c, r)
+    elif 0x51 <= code <= 0x52:
+        frame_region(code == 0x51, word & 0xFF, s, c)
+    elif 0x60 <= code <= 0x63:
+        frame_exposure(word & 0x3FF, s, c)
+    else:
+        c.misc_unknown += 1
+        return
+    c.misc += 1
+
+
+@njit(cache=True, nogil=True)
+def decode_words(words: NDArray[np.uint16], i: int, n: int, b: Buffers) -> tuple[int, int, int]:
+    """Decode words until they end, an output is full, a frame is complete or the clock reset.
+
+    Args:
+        words: `uint16` [W], the stream.
+        i: Index of the first word to decode.
+        n: Events already in the output.
+        b: State, counters and outputs.
+
+    Returns:
+        Index of the next word, events in the output, and DONE, FULL, FRAME or RESET.
+    """
+    s, c, r, p = b.state[0], b.counters[0], b.readings[0], b.pixels[0]
+    out = (b.t, b.row, b.column, b.polarity)
+    size, capacity = len(words), len(b.t)
+    first = next_block = i
+    reason = DONE
     while i < size and reason == DONE:
-        full = n >= capacity or state[IMU_SAMPLES] >= imu_capacity
-        if full or state[EDGES] >= edge_capacity:
+        if n >= capacity or max(r.imu_count, r.edge_count) >= READINGS_CAPACITY:
             reason = FULL
             break
-        word = int64(words[i])
+        word = int64(words[uint64(i)])
         kind = word >> 12
         if kind == 4:
-            i = aps_samples(words, size, i, state, counters, resets, image)
+            i = frame_samples(words, i, s, c, p)
             continue
         if kind >= 8 or 1 <= kind <= 3:
-            i, n = event_words(words, size, i, state, counters, events, capacity, n)
-            continue
-        i += 1
-        if kind == 0:
-            reason = _special(word & 0xFFF, state, counters, imu_t, edge_t, edge_code)
+            if next_block <= i <= size - BLOCK and n <= capacity - BLOCK:
+                end = take_block(words, i, n, s, c, out)
+                if end >= 0:
+                    i, n = i + BLOCK, end
+                    continue
+                next_block = i + BLOCK
+            n = take_event_word(word, n, s, c, out)
+        elif kind == 0:
+            reason = _take_special(word, s, c, r)
         elif kind == 7:
-            _wrap(word & 0xFFF, state, counters)
+            _take_wrap(word & 0xFFF, s, c)
         else:
-            _misc(word, state, counters, imu_raw)
-    counters[C_WORDS] += i - first
+            _take_data(word, s, c, r)
+        i += 1
+    c.words += i - first
     return i, n, reason
 
 
-def _entries(fingerprint: int) -> tuple[Callable[..., tuple[int, int, int]], Callable[..., None]]:
-    """Return the functions that Python calls, cached under the fingerprint of all the rest."""
-
-    @njit(cache=True, nogil=True)
-    def decode_words(
-        words: NDArray[Any],
-        i: int,
-        state: NDArray[Any],
-        counters: NDArray[Any],
-        t_out: NDArray[Any],
-        row_out: NDArray[Any],
-        column_out: NDArray[Any],
-        polarity_out: NDArray[Any],
-        n: int,
-        imu_t: NDArray[Any],
-        imu_raw: NDArray[Any],
-        edge_t: NDArray[Any],
-        edge_code: NDArray[Any],
-        resets: NDArray[Any],
-        image: NDArray[Any],
-    ) -> tuple[int, int, int]:
-        """Decode words until they end, an output is full, a frame is complete or the clock reset.
-
-        Args:
-            words: `uint16` [W], the stream.
-            i: Index of the first word to decode.
-            state: `int64` [STATE_SIZE], kept from call to call.
-            counters: `int64` [COUNTER_SIZE], kept from call to call.
-            t_out: `int64` [N], event times [us on the camera clock since its latest reset].
-            row_out: `uint16` [N], event rows as on the wire.
-            column_out: `uint16` [N], event columns as on the wire.
-            polarity_out: `uint8` [N], 1 for ON.
-            n: Events already in the output.
-            imu_t: `int64` [M], times of inertial samples [us].
-            imu_raw: `uint8` [M + 1, 15], their bytes and last their info byte; one row of scratch.
-            edge_t: `int64` [K], times of edges [us].
-            edge_code: `uint8` [K], their special codes.
-            resets: `uint16` [P], reset samples of the open frame.
-            image: `uint16` [P], the open frame, 0 .. 1023.
-
-        Returns:
-            Index of the next word, events in the output, and DONE, FULL, FRAME or RESET.
-        """
-        _ = fingerprint
-        events = (
-            pointer_to(t_out),
-            pointer_to(row_out),
-            pointer_to(column_out),
-            pointer_to(polarity_out),
-        )
-        result: tuple[int, int, int] = _decode(
-            pointer_to(words),
-            len(words),
-            i,
-            pointer_to(state),
-            pointer_to(counters),
-            events,
-            len(t_out),
-            n,
-            pointer_to(imu_t),
-            pointer_to(imu_raw),
-            len(imu_t),
-            pointer_to(edge_t),
-            pointer_to(edge_code),
-            len(edge_t),
-            pointer_to(resets),
-            pointer_to(image),
-        )
-        return result
-
-    @njit(cache=True, nogil=True)
-    def drop_items(state: NDArray[Any], counters: NDArray[Any]) -> None:
-        """Drop the frame and the inertial sample in progress.
-
-        Args:
-            state: `int64` [STATE_SIZE].
-            counters: `int64` [COUNTER_SIZE].
-        """
-        _ = fingerprint
-        _drop_items(state, counters)
-
-    return decode_words, drop_items
-
-
-decode_words, drop_items = _entries(
-    source_fingerprint('kernel.py', 'state.py', 'events.py', 'vectors.py', 'frames.py', 'imu.py')
-)
+@njit(cache=True, nogil=True)
+def drop_items(b: Buffers) -> None:
+    """Drop the frame and the inertial sample in progress."""
+    frame_drop(b.state[0], b.counters[0])
+    imu_drop(b.state[0], b.counters[0])

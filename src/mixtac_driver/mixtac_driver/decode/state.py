@@ -1,178 +1,219 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""State and counters that the decoder keeps from word to word.
+"""Memory of the decoder: its state from word to word, its counters, and its output arrays.
 
-Both are `int64` arrays. Their indices are plain module integers, because the compiler folds them
-into the code.
+State, counters, readings and pixels are structured arrays of one element. Compiled code takes that
+element, a record, and works on its fields by name (`s.time`, `c.events`), in place. Records are also
+cheap to hand from function to function, unlike arrays, whose references numba counts.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-# Reasons for the kernel to hand control back.
-DONE, FULL, FRAME, RESET = range(4)
-(
-    TIME,  # latest time [us]
-    WRAP_BASE,  # time of the latest wrap [us]
-    TIME_BEFORE_RESET,
-    ROW,  # row of the next events, -1 before the first
-    DVS_ROWS,
-    DVS_COLUMNS,
-    APS_COLUMNS,
-    APS_ROWS,
-    APS_INVERTED,
-    FRAME_OPEN,  # 1 between the start and the end of a frame
-    FRAME_BROKEN,  # 1 when the open frame misses something
-    FRAME_GLOBAL,  # 1 global, 0 rolling shutter
-    FRAME_START,
-    EXPOSURE_START,  # -1 until seen
-    EXPOSURE_END,
-    FRAME_END,
-    EXPOSURE_CYCLES,
-    EXPOSURE_WORDS,
-    ROI_HIGH,  # high byte waiting for its low byte
-    ROI_WORDS,  # ROI values seen, complete at 4
-    ROI_0,  # start column, start row, end column, end row
-    ROI_1,
-    ROI_2,
-    ROI_3,
-    SIZE_X,  # width and height of the open frame, user orientation
-    SIZE_Y,
-    COLUMNS,  # columns expected and samples per column, wire orientation
-    SAMPLES,
-    COLUMN_TYPE,  # 0 reset, 1 signal, -1 between columns
-    RESET_COLUMNS,  # columns done of each type
-    SIGNAL_COLUMNS,
-    SAMPLE,  # samples done of the open column
-    IMU_INDEX,  # next byte, -1 outside a sample, -2 awaiting its info byte
-    IMU_INFO,
-    IMU_SAMPLES,  # samples and, next to it, edges in the output arrays
-    EDGES,
-    STATE_SIZE,
-) = range(37)
-IMU_OUTSIDE, IMU_AWAITS_INFO = -1, -2
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mixtac_driver.davis346.model import Geometry
+
+RESET_COLUMN, SIGNAL_COLUMN, NO_COLUMN = 0, 1, -1
 IMU_BYTES = 14
-(
-    C_WORDS,
-    C_EVENTS,
-    C_EVENTS_OUTSIDE,
-    C_EVENTS_WITHOUT_ROW,
-    C_ROWS,
-    C_ROWS_OUTSIDE,
-    C_TIMESTAMPS,
-    C_TIMESTAMPS_BACKWARDS,
-    C_WRAPS,
-    C_RESETS,
-    C_SPECIALS,
-    C_SPECIALS_UNKNOWN,
-    C_EDGES,
-    C_SAMPLES,
-    C_SAMPLES_UNEXPECTED,
-    C_MISC,
-    C_MISC_UNKNOWN,
-    C_APS_UNEXPECTED,
-    C_FRAMES,
-    C_FRAMES_DROPPED,
-    C_FRAMES_WITHOUT_EXPOSURE,
-    C_ROI_OUTSIDE,
-    C_IMU,
-    C_IMU_DROPPED,
-    C_IMU_UNEXPECTED,
-    C_BYTES_DROPPED,
-    C_BYTES_LOST,
-    COUNTER_SIZE,
-) = range(28)
+IMU_OUTSIDE, IMU_AWAITS_INFO = -1, -2
+READINGS_CAPACITY = 256
 
 
 @dataclass(frozen=True, slots=True)
 class DecoderCounters:
-    """Everything that the decoder saw, dropped or did not know, since it was made.
+    """What the decoder saw, dropped and did not understand since it was created.
 
-    Every word is in `words` and, beyond that, in exactly one of the counters that
-    `words_accounted` adds up; the others say what became of some of them.
+    Every word counts in `words` and in exactly one of the counters that `words_accounted` adds up.
+    The other counters describe what became of these words.
 
     Attributes:
         words: Words decoded.
-        events: Events put out.
-        events_outside: Events dropped because their column lies outside the array.
-        events_without_row: Events dropped because no row address came before them.
+        events: Events decoded.
+        events_outside: Events dropped because their column is outside the pixel array.
+        events_without_row: Events dropped because no row address preceded them.
         rows: Row addresses.
-        rows_outside: Row addresses dropped because they lie outside the array.
-        timestamps: Time stamps that were taken.
-        timestamps_backwards: Stamps and wraps that would set the time back; it stayed.
+        rows_outside: Row addresses ignored because they are outside the pixel array.
+        timestamps: Time stamps accepted.
+        timestamps_backwards: Stamps that would set the time back, and wraps by zero; both ignored.
         wraps: Wraps of the 15-bit time.
         resets: Resets of the camera's clock.
-        specials: Known special words other than resets.
+        specials: Known special words except resets.
         specials_unknown: Special words without a known meaning.
         edges: Edges of the external input and the generator.
-        samples: Samples of the frame converter.
-        samples_unexpected: Those outside a column or beyond its end.
+        samples: Frame samples.
+        samples_unexpected: Frame samples outside a column or beyond its end.
         misc: Known data words of frames and inertial samples.
         misc_unknown: Data words without a known meaning.
-        aps_unexpected: Known frame words (samples aside) where none belong.
-        frames: Frames put out.
-        frames_dropped: Frames dropped because something was missing.
-        frames_without_exposure: Frames put out whose exposure times had to be guessed.
-        roi_outside: Regions corrected because they leave the array.
-        imu: Inertial samples put out.
-        imu_dropped: Inertial samples dropped because something was missing.
-        imu_unexpected: Inertial words where none belong.
-        bytes_dropped: Half words at the end of short packets.
-        bytes_lost: Bytes that never reached the decoder, as told by `StreamDecoder.skip`.
+        aps_unexpected: Frame words, except samples, that do not belong where they were.
+        frames: Frames decoded.
+        frames_dropped: Frames dropped because they were incomplete.
+        frames_without_exposure: Frames decoded whose exposure times had to be estimated.
+        roi_outside: Frame regions corrected because they exceed the pixel array.
+        imu: Inertial samples decoded.
+        imu_dropped: Inertial samples dropped because they were incomplete.
+        imu_unexpected: Inertial words that do not belong where they were.
+        bytes_dropped: Half words dropped at the end of short packets.
+        bytes_lost: Bytes lost before they reached the decoder, as reported to `skip`.
     """
 
-    words: int
-    events: int
-    events_outside: int
-    events_without_row: int
-    rows: int
-    rows_outside: int
-    timestamps: int
-    timestamps_backwards: int
-    wraps: int
-    resets: int
-    specials: int
-    specials_unknown: int
-    edges: int
-    samples: int
-    samples_unexpected: int
-    misc: int
-    misc_unknown: int
-    aps_unexpected: int
-    frames: int
-    frames_dropped: int
-    frames_without_exposure: int
-    roi_outside: int
-    imu: int
-    imu_dropped: int
-    imu_unexpected: int
-    bytes_dropped: int
-    bytes_lost: int
+    words: int = 0
+    events: int = 0
+    events_outside: int = 0
+    events_without_row: int = 0
+    rows: int = 0
+    rows_outside: int = 0
+    timestamps: int = 0
+    timestamps_backwards: int = 0
+    wraps: int = 0
+    resets: int = 0
+    specials: int = 0
+    specials_unknown: int = 0
+    edges: int = 0
+    samples: int = 0
+    samples_unexpected: int = 0
+    misc: int = 0
+    misc_unknown: int = 0
+    aps_unexpected: int = 0
+    frames: int = 0
+    frames_dropped: int = 0
+    frames_without_exposure: int = 0
+    roi_outside: int = 0
+    imu: int = 0
+    imu_dropped: int = 0
+    imu_unexpected: int = 0
+    bytes_dropped: int = 0
+    bytes_lost: int = 0
 
     @property
     def words_accounted(self) -> int:
-        """Return the words by kind, added up: `words` unless the decoder is wrong."""
-        return sum(getattr(self, name) for name in _ONE_PER_WORD)
+        """Sum of the counters of words by kind; equals `words` unless the decoder is wrong."""
+        events = self.events + self.events_outside + self.events_without_row
+        rows = self.rows + self.rows_outside
+        times = self.timestamps + self.timestamps_backwards + self.wraps + self.resets
+        specials = self.specials + self.specials_unknown
+        return events + rows + times + specials + self.samples + self.misc + self.misc_unknown
 
     def as_dict(self) -> dict[str, int]:
         """Return the counters by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return asdict(self)
 
 
-_ONE_PER_WORD = (
-    'events',
-    'events_outside',
-    'events_without_row',
-    'rows',
-    'rows_outside',
-    'timestamps',
-    'timestamps_backwards',
-    'wraps',
-    'resets',
-    'specials',
-    'specials_unknown',
-    'samples',
-    'misc',
-    'misc_unknown',
+COUNTERS = np.dtype([(each.name, np.int64) for each in fields(DecoderCounters)], align=True)
+"""Record of the counters, in the order of DecoderCounters."""
+
+STATE = np.dtype(
+    [
+        ('time', np.int64),  # latest time [us, camera clock since its latest reset]
+        ('wrap_base', np.int64),  # time of the latest wrap [us]
+        ('time_before_reset', np.int64),
+        ('row', np.int64),  # row of the next events, -1 if unknown
+        # Pixel arrays, as on the wire.
+        ('dvs_rows', np.int64),
+        ('dvs_columns', np.int64),
+        ('aps_columns', np.int64),
+        ('aps_rows', np.int64),
+        ('aps_inverted', np.int64),
+        # The frame in progress, or the latest complete one.
+        ('frame_open', np.int64),  # 1 between start and end
+        ('frame_broken', np.int64),  # 1 if anything is missing
+        ('frame_global', np.int64),  # 1 global, 0 rolling shutter
+        ('frame_start', np.int64),
+        ('exposure_start', np.int64),  # -1 until seen
+        ('exposure_end', np.int64),
+        ('frame_end', np.int64),
+        ('exposure_cycles', np.int64),
+        ('exposure_words', np.int64),
+        ('roi_high', np.int64),  # high byte, until its low byte arrives
+        ('roi_values', np.int64),  # values of `roi` received, complete at 4
+        ('roi', np.int64, 4),  # start column, start row, end column, end row; user orientation
+        ('width', np.int64),  # size of the region, user orientation
+        ('height', np.int64),
+        ('columns', np.int64),  # columns expected and samples per column, wire orientation
+        ('column_size', np.int64),
+        ('column_type', np.int64),  # RESET_COLUMN, SIGNAL_COLUMN or NO_COLUMN
+        ('columns_done', np.int64, 2),  # by column type
+        ('column_fill', np.int64),  # samples received of the open column
+        # The inertial sample in progress.
+        ('imu_index', np.int64),  # next byte, IMU_OUTSIDE or IMU_AWAITS_INFO
+        ('imu_info', np.int64),
+    ],
+    align=True,
 )
+"""Record of everything that a word can change for the words after it."""
+
+READINGS = np.dtype(
+    [
+        ('imu_count', np.int64),  # complete samples
+        ('imu_t', np.int64, READINGS_CAPACITY),  # [us]
+        # Payload and info byte of each sample; the sample in progress follows the complete ones.
+        ('imu_raw', np.uint8, (READINGS_CAPACITY + 1, IMU_BYTES + 1)),
+        ('edge_count', np.int64),
+        ('edge_t', np.int64, READINGS_CAPACITY),  # [us]
+        ('edge_kind', np.uint8, READINGS_CAPACITY),
+    ],
+    align=True,
+)
+"""Record of inertial samples and edges that have been decoded but not yet taken."""
+
+
+class Buffers(NamedTuple):
+    """Memory that the compiled decoder works on.
+
+    Attributes:
+        state: STATE [1].
+        counters: COUNTERS [1].
+        readings: READINGS [1].
+        t: `int64` [N], event times [us on the camera clock since its latest reset].
+        row: `uint16` [N], event rows, as on the wire.
+        column: `uint16` [N], event columns, as on the wire.
+        polarity: `uint8` [N], 1 for ON.
+        pixels: [1], the frame in progress, column by column: `resets` `uint16` [P], its reset
+            samples, and `image` `uint16` [P], 0 .. 1023.
+    """
+
+    state: NDArray[Any]
+    counters: NDArray[Any]
+    readings: NDArray[Any]
+    t: NDArray[np.int64]
+    row: NDArray[np.uint16]
+    column: NDArray[np.uint16]
+    polarity: NDArray[np.uint8]
+    pixels: NDArray[Any]
+
+
+def new_buffers(
+    geometry: Geometry, capacity: int, allocate: Callable[[int, Any], NDArray[Any]] = np.zeros
+) -> Buffers:
+    """Return the memory of a decoder that has not seen any words.
+
+    Args:
+        geometry: Pixel arrays of the camera.
+        capacity: Events that the output arrays hold.
+        allocate: Returns a zeroed array, given its length and dtype.
+    """
+    size = geometry.aps_columns * geometry.aps_rows
+    pixels = np.dtype([('resets', np.uint16, size), ('image', np.uint16, size)])
+    state = allocate(1, STATE)
+    for name in ('dvs_rows', 'dvs_columns', 'aps_columns', 'aps_rows', 'aps_inverted'):
+        state[name] = getattr(geometry, name)
+    state['row'] = -1
+    state['column_type'] = NO_COLUMN
+    state['imu_index'] = IMU_OUTSIDE
+    return Buffers(
+        state=state,
+        counters=allocate(1, COUNTERS),
+        readings=allocate(1, READINGS),
+        t=allocate(capacity, np.int64),
+        row=allocate(capacity, np.uint16),
+        column=allocate(capacity, np.uint16),
+        polarity=allocate(capacity, np.uint8),
+        pixels=allocate(1, pixels),
+    )
