@@ -1,11 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Decoder of the data stream: bytes of USB transfers in, events, frames and samples out.
+"""Decoder of the data stream: bytes of USB transfers in; events, frames and samples out.
 
-Words are 16-bit, little-endian and know nothing of transfers, so everything half done is kept from
+Words are 16-bit, little-endian and independent of transfers, so everything incomplete is kept from
 one transfer to the next. That includes half a word: an odd byte at the end of a full transfer
-waits for its other half. At the end of a short packet it cannot come any more (the camera ended
-the packet there), so it is dropped and counted.
+waits for its other half. At the end of a short packet it is dropped and counted, because the camera
+ended the packet there.
+
+Per transfer, the decoder creates a handful of small Python objects and no array of events: batches
+are views of its own arrays. Only frames, inertial samples and edges are copied out.
 """
 
 from __future__ import annotations
@@ -46,9 +49,10 @@ class StreamDecoder:
 
     Args:
         geometry: Pixel arrays of the camera.
-        imu_flips: Axes (x, y, z) of the inertial unit that point the other way.
+        imu_flips: Axes (x, y, z) of the inertial unit that are reversed.
         imu_type: 1 for MPU6050, 2 for MPU9250.
-        capacity: Events per batch; longer bursts come as several batches.
+        capacity: Events per batch; longer bursts are split into several batches.
+        allocate: Returns a zeroed array, given its length and dtype; tests guard the arrays by it.
     """
 
     def __init__(
@@ -71,18 +75,18 @@ class StreamDecoder:
         self._half_word = b''
         self._resets = 0
         self._busy = False
-        # The first calls compile, or load what was compiled: not while data wait.
+        # The first calls compile, or load compiled code: do it now, before data arrive.
         drop_items(b)
         decode_words(self._words(b'', short_packet=True), 0, 0, b)
 
     @property
     def counters(self) -> DecoderCounters:
-        """Everything seen and dropped so far."""
+        """What was decoded and dropped so far."""
         return DecoderCounters(*self._counters.item())
 
     @property
     def time_us(self) -> int:
-        """Time that the stream has reached [us, camera clock]."""
+        """Latest time in the stream [us, camera clock]."""
         return int(self._state['time'])
 
     def push(self, data: Octets, *, short_packet: bool = True) -> Iterator[DecodedBatch]:
@@ -146,7 +150,7 @@ class StreamDecoder:
                 self._half_word = octets[-1:].tobytes()
             octets = octets[:-1]
         words: NDArray[np.uint16] = octets.view(WORD)
-        # One array type, whatever the buffer: the kernel is compiled once, not while data wait.
+        # Always the same array type, whatever the buffer, so that the kernel is compiled only once.
         words = words if words.flags.aligned else words.copy()
         words.setflags(write=False)
         return words
@@ -195,7 +199,7 @@ class StreamDecoder:
 def _arrange(
     samples: NDArray[np.uint16], geometry: Geometry, width: int, height: int
 ) -> NDArray[np.uint16]:
-    """Return a copy, turned from the order of the wire (column by column) to the user's."""
+    """Return a copy, reordered from column by column as on the wire to rows of an image."""
     if geometry.aps_inverted:
         columns = samples.reshape(height, width)
     else:

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Event words: time stamps, rows, and columns with polarity, nearly all words of a busy stream.
+"""Event words: time stamps, rows, and columns with polarity; nearly all words of a busy stream.
 
-How many columns follow a row is random in a real scene, so a loop that branches on the kind of
-word spends most of its time on mispredicted branches (90 million events per second at two events
-per row, where this one takes 440 million). `take_block` has no such branches: every word of a block
-is written as if it were an event, and only an event moves the output on, so that anything else is
-overwritten by the word after it.
+The number of columns that follow a row is random in a real scene, so a loop that branches on the
+kind of word spends most of its time on mispredicted branches: at two events per row on average it
+takes four times as long as `take_block`, which has no such branches. There, every word of a block
+is written as if it were an event, but only an event advances the output, so that the next word
+overwrites anything else.
 """
 
 from __future__ import annotations
@@ -79,7 +79,8 @@ def take_block(words: Words, start: int, n: int, s: Record, c: Record, out: Colu
     c.events += event_count
     c.timestamps += BLOCK - before
     c.timestamps_backwards += before - row_count - event_count
-    return int64(end)
+    taken: int = int64(end)
+    return taken
 
 
 @njit(nogil=True, forceinline=True)

@@ -30,7 +30,7 @@ def frame_drop(s: Record, c: Record) -> None:
 
 
 @njit(nogil=True)
-def frame_start(is_global: bool, s: Record, c: Record) -> None:  # noqa: FBT001
+def frame_start(is_global: bool, s: Record, c: Record) -> None:
     """Start a frame, with global or rolling shutter."""
     frame_drop(s, c)
     s.frame_open = 1
@@ -58,7 +58,7 @@ def frame_exposure(data: int, s: Record, c: Record) -> None:
 
 
 @njit(nogil=True)
-def frame_region(is_high: bool, data: int, s: Record, c: Record) -> None:  # noqa: FBT001
+def frame_region(is_high: bool, data: int, s: Record, c: Record) -> None:
     """Take a byte of start column, start row, end column or end row, high byte first."""
     if not s.frame_open or s.roi_values >= 4:
         c.aps_unexpected += 1
@@ -81,7 +81,8 @@ def _clip_axis(axis: int, size: int, s: Record, c: Record) -> int:
         end = end if start <= end < size else size - 1
         s.roi[axis] = start
         s.roi[axis + 2] = end
-    return end + 1 - start
+    length: int = end + 1 - start
+    return length
 
 
 @njit(nogil=True)
@@ -179,7 +180,7 @@ def column_end(s: Record, c: Record) -> None:
 
 
 @njit(nogil=True)
-def frame_mark(is_start: bool, s: Record, c: Record) -> None:  # noqa: FBT001
+def frame_mark(is_start: bool, s: Record, c: Record) -> None:
     """Take the time as start or end of the exposure."""
     if not s.frame_open:
         c.aps_unexpected += 1

@@ -3,8 +3,8 @@
 """Memory of the decoder: its state from word to word, its counters, and its output arrays.
 
 State, counters, readings and pixels are structured arrays of one element. Compiled code takes that
-element, a record, and works on its fields by name (`s.time`, `c.events`), in place. Records are also
-cheap to hand from function to function, unlike arrays, whose references numba counts.
+element, a record, and works on its fields by name (`s.time`, `c.events`), in place. Passing records
+between compiled functions is cheap; for arrays, numba counts references at every call.
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ def new_buffers(
         capacity: Events that the output arrays hold.
         allocate: Returns a zeroed array, given its length and dtype.
     """
-    size = geometry.aps_columns * geometry.aps_rows
+    size = max(geometry.aps_columns * geometry.aps_rows, 1)
     pixels = np.dtype([('resets', np.uint16, size), ('image', np.uint16, size)])
     state = allocate(1, STATE)
     for name in ('dvs_rows', 'dvs_columns', 'aps_columns', 'aps_rows', 'aps_inverted'):

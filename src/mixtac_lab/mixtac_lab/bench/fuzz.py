@@ -12,7 +12,7 @@ from __future__ import annotations
 import faulthandler
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import numpy as np
 import typer
@@ -27,7 +27,7 @@ from mixtac_events.readings import EdgeKind
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
+    from numpy.typing import DTypeLike, NDArray
 
     from mixtac_events.readings import DecodedBatch
 
@@ -144,7 +144,7 @@ def _require(holds: bool, what: str) -> None:
 
 
 class GuardedDecoder(StreamDecoder):
-    """A decoder that can tell whether it wrote outside its arrays.
+    """A decoder that notices when something is written outside its arrays.
 
     Args:
         geometry: Pixel arrays of the camera.
@@ -152,28 +152,21 @@ class GuardedDecoder(StreamDecoder):
     """
 
     def __init__(self, geometry: Geometry, *, capacity: int) -> None:
-        super().__init__(geometry, capacity=capacity)
-        self._guarded: list[tuple[NDArray[np.uint8], int]] = []
-        arrays = (name for name, a in vars(self).items() if isinstance(a, np.ndarray))
-        for name in list(arrays):
-            setattr(self, name, self._guard(getattr(self, name)))
-        inverted = geometry.dvs_inverted
-        self._x, self._y = (self._row, self._column) if inverted else (self._column, self._row)
-        self._polarity = self._polarity_bytes.view(np.bool_)
+        self._guarded: list[NDArray[np.uint8]] = []
+        super().__init__(geometry, capacity=capacity, allocate=self._allocate)
 
-    def _guard(self, array: NDArray[np.generic]) -> NDArray[np.generic]:
-        room = np.full(array.nbytes + 2 * GUARD, 0xA5, np.uint8)
-        self._guarded.append((room, array.nbytes))
-        inside = room[GUARD : GUARD + array.nbytes].view(array.dtype).reshape(array.shape)
-        inside[...] = array
-        return inside
+    def _allocate(self, length: int, dtype: DTypeLike) -> NDArray[Any]:
+        """Return a zeroed array with guard bytes on both sides."""
+        size = length * np.dtype(dtype).itemsize
+        room = np.full(size + 2 * GUARD, 0xA5, np.uint8)
+        room[GUARD : GUARD + size] = 0
+        self._guarded.append(room)
+        return room[GUARD : GUARD + size].view(dtype)
 
     def intact(self) -> bool:
-        """Return whether everything around the arrays is as it was."""
-        return all(
-            (room[:GUARD] == 0xA5).all() and (room[GUARD + size :] == 0xA5).all()
-            for room, size in self._guarded
-        )
+        """Return whether all guard bytes are unchanged."""
+        ends = (end for room in self._guarded for end in (room[:GUARD], room[-GUARD:]))
+        return all((end == 0xA5).all() for end in ends)
 
 
 @dataclass(slots=True)

@@ -50,41 +50,34 @@ def spoil(monkeypatch, change):
     def spoilt(*args):
         result = sound(*args)
         if len(args[0]):  # the first call, on nothing, is before the guards stand
-            change(args, result)
+            change(args[3], result[1])
         return result
 
     monkeypatch.setattr(decoder_module, 'decode_words', spoilt)
 
 
-def outside(args, result):
-    args[6][: result[1]] = 346
+def outside(buffers, n):
+    buffers.row[:n] = 346
 
 
-def backwards(args, result):
-    args[4][: result[1]] = -1
+def backwards(buffers, n):
+    buffers.t[:n] = -1
 
 
-def uncounted(args, result):
-    args[3][0] += 1
+def uncounted(buffers, n):
+    buffers.counters['words'] += 1
 
 
-def past_the_end(args, result):
-    np.lib.stride_tricks.as_strided(args[5], (len(args[5]) + 1,))[-1] = 0
+def past_the_end(buffers, n):
+    np.lib.stride_tricks.as_strided(buffers.row, (len(buffers.row) + 1,))[-1] = 0
 
 
-@pytest.mark.parametrize(
-    ('change', 'message'),
-    [
-        (outside, 'outside the array'),
-        (backwards, 'goes back'),
-        (uncounted, 'missing'),
-        (past_the_end, 'outside the arrays'),
-    ],
-)
-def test_faults_are_found_and_say_how_to_repeat_them(monkeypatch, change, message):
+@pytest.mark.parametrize('change', [outside, backwards, uncounted, past_the_end])
+def test_faults_are_found_and_say_how_to_repeat_them(monkeypatch, change):
     spoil(monkeypatch, change)
-    with pytest.raises(FuzzError, match=rf'{message}.*--seed 1 --only 2'):
+    with pytest.raises(FuzzError) as caught:
         list(run_session(1, 2, 300_000))
+    assert '--seed 1 --only 2' in str(caught.value)
 
 
 def test_lost_events_are_found():

@@ -12,13 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_driver.davis346.model import Geometry
+from mixtac_driver.decode.events import BLOCK
 
 UNUSUAL = [0, 1, 3, 6, 18, 0x0FFF, 0x4123, 0x5012, 0x5412, 0x6400, 0x7000, 0x7003, 0x1FFF, 0x2FFF]
 
 
-def both(words, geometry=None, **how):
+def both(words, geometry=None, *, capacity=1000, **how):
     geometry = geometry or Geometry()
-    found = decode(words, geometry, **how)
+    found = decode(words, geometry, capacity=capacity, **how)
     assert_same(found, Oracle(geometry).words(words))
     counters = found.decoder.counters
     assert counters.words == counters.words_accounted == len(words)
@@ -38,7 +39,7 @@ def dense(rng, geometry, size, *, sound=False):
 
 
 @pytest.mark.parametrize('sound', [False, True])
-@pytest.mark.parametrize('capacity', [1, 31, 32, 33, 100, 4096])
+@pytest.mark.parametrize('capacity', [1, 100, BLOCK - 1, BLOCK, BLOCK + 1, 4096])
 def test_dense_streams(capacity, sound):
     rng = np.random.default_rng(capacity)
     for inverted in (False, True):
@@ -50,28 +51,40 @@ def test_dense_streams(capacity, sound):
         assert (found.decoder.counters.timestamps_backwards > 0) != sound
 
 
+@pytest.mark.parametrize('sound', [False, True])
+def test_blocks_decode_as_words_one_by_one(sound):
+    rng = np.random.default_rng(1)
+    words = [0x1003, *dense(rng, Geometry(), 5 * BLOCK, sound=sound)]
+    blocks = decode(words, capacity=4 * BLOCK)
+    single = decode(words, capacity=BLOCK - 1)
+    assert blocks.events == single.events
+    assert blocks.decoder.counters == single.decoder.counters
+
+
 @pytest.mark.parametrize('unusual', UNUSUAL)
-def test_unusual_word_at_every_place_of_a_dense_stream(unusual):
+def test_unusual_word_at_the_edges_of_blocks_in_a_dense_stream(unusual):
     rng = np.random.default_rng(unusual)
-    for place in range(1, 70):
-        words = [0x1003, *dense(rng, Geometry(), 100)]
+    for place in (1, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK - 1, 2 * BLOCK, 2 * BLOCK + 1):
+        words = [0x1003, *dense(rng, Geometry(), 3 * BLOCK + 10)]
         words.insert(place, unusual)
         both(words)
 
 
 @SETTINGS
-@given(st.lists(st.tuples(st.integers(0, 90), st.sampled_from(UNUSUAL)), max_size=12), geometries())
+@given(st.lists(st.tuples(st.integers(0, 700), st.sampled_from(UNUSUAL)), max_size=4), geometries())
 def test_unusual_words_anywhere_in_a_dense_stream(places, geometry):
     rng = np.random.default_rng(len(places))
     parts = [[*dense(rng, geometry, size), word] for size, word in places]
-    both([w for part in parts for w in part], geometry, capacity=300)
+    both([w for part in parts for w in part], geometry)
 
 
 @SETTINGS
 @given(st.integers(0, 0xFFFF), geometries())
 def test_every_word_among_usual_ones(word, geometry):
-    for before in (1, 40):
-        both([0x8005, *[0x1003, 0x2004] * before, word, *[0x2005] * 40, 0x8006, 0x3006], geometry)
+    for before in (1, BLOCK):
+        both(
+            [0x8005, *[0x1003, 0x2004] * before, word, *[0x2005] * BLOCK, 0x8006, 0x3006], geometry
+        )
 
 
 def test_row_outside_the_array_keeps_the_row_before():
@@ -99,7 +112,7 @@ def test_unknown_specials_are_counted_and_change_nothing(code):
     assert found.decoder.counters.specials_unknown == 1
 
 
-def test_arrays_of_more_rows_than_share_a_vector_lane():
+def test_arrays_of_other_sizes():
     geometry = Geometry(4096, 4096, False)
     rng = np.random.default_rng(1)
     both(dense(rng, geometry, 1000), geometry, capacity=1000)
