@@ -75,7 +75,7 @@ def align(
         The best map, and the refinement if it is one.
 
     Raises:
-        AlignmentError: No trustworthy map; the text says why and what to do.
+        AlignmentError: No trustworthy map.
     """
     chosen = parameters or AlignmentParameters()
     if method == 'edges':

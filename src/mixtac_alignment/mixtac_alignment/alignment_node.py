@@ -9,8 +9,6 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 import numpy as np
-from event_camera_msgs.msg import EventPacket
-from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
@@ -32,12 +30,16 @@ from mixtac_events.packets import CodecError
 from mixtac_events.sequence import SequenceCounter
 from mixtac_msgs.msg import ClockFit as ClockFitMessage
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
-from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED, BaseNode, declare, run
+from mixtac_node import topics
+from mixtac_node.base_node import QOS_FORCE, BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.images import ImageConversionError, grey
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 
 if TYPE_CHECKING:
+    from event_camera_msgs.msg import EventPacket
+    from geometry_msgs.msg import WrenchStamped
+
     from mixtac_alignment.clock_fit import ClockFit
 
 
@@ -65,24 +67,19 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self._undecodable = 0
         warm_up()
         signals.warm_up()
-        self.create_subscription(EventPacket, 'events', self._on_events, QOS_EVENTS)
-        self.create_subscription(WrenchStamped, p.reference_topic, self._on_force, QOS_FORCE)
-        self._subscribe_frames()
-        self._subscribe_edges()
-        self._aligned = self.create_publisher(WrenchStamped, '~/reference', QOS_FORCE)
-        self._publisher = self.create_publisher(ClockFitMessage, 'clock_fit', QOS_LATCHED)
-        self.create_service(Trigger, '~/fit', self._on_fit)
-        self._diagnostics = DiagnosticsPublisher(self, 'alignment', self._status)
-
-    def _subscribe_frames(self) -> None:
+        self.subscribe_topic(topics.EVENTS, self._on_events)
+        self.subscribe_topic(topics.REFERENCE_WRENCH, self._on_force, name=p.reference_topic)
+        # Deeper queues than those of a display: no frame or edge may be missing.
         self.create_subscription(Image, 'image_raw', self._on_image, QOS_FORCE)
         self.create_subscription(FrameExposure, 'image_exposure', self._on_exposure, QOS_FORCE)
-
-    def _subscribe_edges(self) -> None:
         self.create_subscription(ExternalEdge, 'external_edges', self._on_edge, QOS_FORCE)
         self.create_subscription(
             TimeReference, 'reference_edges', self._on_reference_edge, QOS_FORCE
         )
+        self._aligned = self.publish_topic(topics.ALIGNMENT_REFERENCE, name='~/reference')
+        self._publisher = self.publish_topic(topics.CLOCK_FIT)
+        self.create_service(Trigger, '~/fit', self._on_fit)
+        self._diagnostics = DiagnosticsPublisher(self, 'alignment', self._status)
 
     def _apply(self, parameters: AlignmentParameters) -> None:
         self._settings = parameters

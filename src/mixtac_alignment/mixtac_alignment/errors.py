@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the clock alignment; each text says what to do."""
+"""Errors of the clock alignment; each text names the remedy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mixtac_events.errors import MixtacError
 
 
 class AlignmentError(MixtacError):
-    """Two recordings whose clocks cannot be aligned; the text says what to do."""
+    """Two recordings whose clocks cannot be aligned."""
 
 
 class NoImpulseError(AlignmentError):
@@ -32,7 +32,7 @@ class DriftError(AlignmentError):
 
 
 class RefinementError(AlignmentError):
-    """A recording that holds too little to refine a clock map."""
+    """A recording with too little data to refine a clock map."""
 
 
 class InconsistentFitError(AlignmentError):

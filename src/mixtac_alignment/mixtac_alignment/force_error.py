@@ -13,7 +13,7 @@ from mixtac_node.parameters import parameter
 
 @dataclass(frozen=True)
 class ForceErrorParameters:
-    """What the force error is taken from."""
+    """Topics and length of the running force error."""
 
     force_topic: str = parameter('force', 'WrenchStamped topic of the estimate.', read_only=True)
     reference_topic: str = parameter(
@@ -23,7 +23,7 @@ class ForceErrorParameters:
     )
     window: int = parameter(
         5000,
-        'Pairs over which the errors run; 5000 are 10 s of estimates.',
+        'Number of latest pairs over which the errors are averaged; 5000 are 10 s of estimates.',
         minimum=10,
         maximum=1_000_000,
         read_only=True,
@@ -43,7 +43,7 @@ class ForcePairing:
     Both streams are on the camera clock. An estimate waits until the reference has passed it.
 
     Attributes:
-        unpaired: Estimates that no reference surrounded closely enough.
+        unpaired: Estimates without reference samples close enough on both sides.
 
     Args:
         window: Pairs over which errors run.

@@ -1,19 +1,23 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Publishes how far the estimated force is from the reference, while both run."""
+"""Publishes the running error of the estimated force against the reference."""
 
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
 
-from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
 from mixtac_alignment.force_error import ForceErrorParameters, ForcePairing
-from mixtac_node.base_node import QOS_FORCE, BaseNode, declare, run
+from mixtac_node import topics
+from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import stamp_to_ns
+
+if TYPE_CHECKING:
+    from geometry_msgs.msg import WrenchStamped
 
 
 class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
@@ -24,10 +28,10 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
         p = declare(self, ForceErrorParameters)
         self._sign = p.sign or 1
         self._pairing = ForcePairing(p.window)
-        self.create_subscription(WrenchStamped, p.force_topic, self._on_force, QOS_FORCE)
-        self.create_subscription(WrenchStamped, p.reference_topic, self._on_reference, QOS_FORCE)
-        self._mae = self.create_publisher(Float64, '~/mae', QOS_FORCE)
-        self._rmse = self.create_publisher(Float64, '~/rmse', QOS_FORCE)
+        self.subscribe_topic(topics.FORCE, self._on_force, name=p.force_topic)
+        self.subscribe_topic(topics.ALIGNMENT_REFERENCE, self._on_reference, name=p.reference_topic)
+        self._mae = self.publish_topic(topics.FORCE_ERROR_MAE, name='~/mae')
+        self._rmse = self.publish_topic(topics.FORCE_ERROR_RMSE, name='~/rmse')
         self.create_timer(0.1, self._publish)
         self._diagnostics = DiagnosticsPublisher(self, 'force error', self._status)
 

@@ -258,7 +258,7 @@ class EventHistory:
         self._held = 0
 
     def push(self, part: CellEvents) -> None:
-        """Add the events of a packet; times that step back start anew."""
+        """Add the events of a packet; times that step back restart the history."""
         if not len(part.t_us):
             return
         if self._parts and part.t_us[0] < self._parts[-1].t_us[-1] - RESTART_US:

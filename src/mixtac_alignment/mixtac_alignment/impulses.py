@@ -8,8 +8,8 @@ at its largest deformation. Force peak and event trough are the same moment (pap
 Data). The events come later than that: the deformation of the silicone lags the force, and the
 darker a pixel, the later it responds. This latency is a constant of the sensor (`event_latency_s`)
 and is subtracted. The delay of the force sensor's filter (1.5 to 3 ms for a stream of 800 Hz)
-cannot be told from the offset `b` and stays in it: a camera time maps to the stamp of the sample
-that shows the force of that moment.
+cannot be separated from the offset `b` and stays in it: a camera time maps to the stamp of the
+sample that shows the force of that moment.
 
 The moment of stillness is taken from the falling flank of the loading burst, not from the middle of
 the trough, which is late. A pixel that has fired on the way in must come back by two thresholds
@@ -294,7 +294,7 @@ MODEL_STD_S: Final = 4e-4
 """How far taps of other shapes move the end of the flank, found with threshold pixels and on
 virtual sensors; what moves all alike, the latency of the pixels, stays in the offset of a fit."""
 LARGEST_STD_S: Final = 0.0015
-"""A moment of stillness that is less certain is none: between bounces of a dropped load, say."""
+"""Less certain moments of stillness are dropped [s], for example between bounces of a load."""
 QUEUE_STD_S: Final = 0.001
 """Extra uncertainty where the readout was saturated: late events fill the trough's start."""
 

@@ -170,10 +170,10 @@ class _Estimate:
     Attributes:
         offset: b [s].
         rate: a.
-        weights: Of the retarded responses, 6.
+        weights: Weights of the retarded responses, 6.
         trust: Cauchy weight of each frame, 0 to 1.
         noise: Robust standard deviation of the residuals [N].
-        covariance: Of (b, a, weights), 8 x 8.
+        covariance: Covariance of (b, a, weights), 8 x 8.
         jump: Largest jump that the residuals allow: size [s], time [s], standard deviations.
     """
 

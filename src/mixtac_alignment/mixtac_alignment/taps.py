@@ -4,7 +4,7 @@ r"""The clock map from whole taps: all their events against the whole course of 
 
 Bursts of the smoothed event rate are paired with force peaks to about 10 ms. This needs no trough,
 which pixels with unequal thresholds can hide or double. The frames, laid over the force by that
-map, say which parts of the image brighten under force. The signed events of each tap are then
+map, show which parts of the image brighten under force. The signed events of each tap are then
 fitted with the events that the course of the force predicts.
 
 The force, through the lag of the gel, gives the depth of the tap, :math:`d \propto \sqrt{F_e}` (the
@@ -380,7 +380,7 @@ def _weights(
     if int(inside.sum()) < FEWEST_FRAMES:
         raise NoImpulseError(
             f'{int(inside.sum())} frames while the force was recorded, {FEWEST_FRAMES} are needed '
-            'to tell deformation in the events: record frames too, or use the impulses alone'
+            'to separate deformation in the events: record frames too, or use the impulses alone'
         )
     return brightening(frames.values[inside], depth_of(np.interp(at[inside], t_s, force)))
 

@@ -3,10 +3,10 @@
 """Slip detectors: the event count of the paper and the translation of the skin, with hysteresis.
 
 Count (paper, section Closed loop Slip Control): slip is detected when the event count N_t of a 1 ms
-window exceeds the background threshold N_th. A count cannot tell slip from a change of force, which
-moves beads too. It is the paper's law, kept as the baseline; added are a threshold by false-alarm
-rate, hysteresis, and a threshold that rises with the advance in progress, which causes events as
-well.
+window exceeds the background threshold N_th. A count cannot distinguish slip from a change of
+force, which moves beads too. It is the paper's law, kept as the baseline; added are a threshold by
+false-alarm rate, hysteresis, and a threshold that rises with the advance in progress, which causes
+events as well.
 
 Flow: translation of the skin around the contact. Events of a changing normal force point away from
 the contact and cancel in the translation, and so do pixels that flicker without motion. One window

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of slip control and of the arm that it moves; each text says what to do."""
+"""Errors of slip control and of the arm that it moves; each text names the remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class SlipControlError(MixtacError):
 
 
 class ArmError(SlipControlError):
-    """An arm, a state or a request that cannot be followed; the text says what to do."""
+    """An arm, a state or a request that cannot be followed."""
 
 
 class RobotDescriptionError(ArmError):

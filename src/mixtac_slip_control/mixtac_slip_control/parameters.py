@@ -31,7 +31,7 @@ would make the detectors learn again."""
 
 @dataclass(frozen=True)
 class SlipControlParameters:
-    """How slip is told from the background, how far to advance against it, and what stops it.
+    """How slip is detected, how far to advance against it, and what stops slip control.
 
     Raises:
         ParameterError: A value that the schema refuses, or times too short for the window.

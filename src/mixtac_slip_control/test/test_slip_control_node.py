@@ -152,7 +152,7 @@ class Peer:
         self.force = 0.5
 
     def ready(self, *, trajectories: bool = True) -> bool:
-        deadline = time.monotonic() + 100.0
+        deadline = time.monotonic() + 240.0  # the first run compiles
         inputs = [self._events, self._force, self._heartbeat, self._images]
         inputs += [self._joints] * trajectories
         while time.monotonic() < deadline:

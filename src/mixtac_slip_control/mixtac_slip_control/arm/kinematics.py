@@ -41,9 +41,9 @@ class UrdfJoint:
     """One joint as the URDF states it.
 
     Attributes:
-        name: Of the joint.
+        name: Name of the joint.
         kind: 'revolute', 'continuous', 'prismatic' or 'fixed'.
-        parent: Link it hangs on.
+        parent: Link that carries it.
         child: Link it carries.
         xyz: Origin in the parent's frame [m].
         rpy: Roll, pitch, yaw of the origin in the parent's frame [rad].
@@ -193,7 +193,7 @@ def _unit(axis: Vector, joint: str) -> Vector:
 
 MAX_INVERSE_STEPS = 100
 DAMPING = 1e-3
-"""Of the damped steps at an error of 1 m or 1 rad; it shrinks with the error."""
+"""Damping of the inverse at an error of 1 m or 1 rad; it shrinks with the error."""
 
 
 def rotations(axes: Floats, angles: Floats) -> Floats:
@@ -313,7 +313,7 @@ FR3_READY = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi
 class SerialArm:
     """A chain of revolute and prismatic joints from a base link to a tip link.
 
-    All vectors are in the frame of the base link unless said otherwise; the Jacobian's rows are
+    All vectors are in the frame of the base link unless stated otherwise; the Jacobian's rows are
     the linear velocity of the tip's origin [m/s], then the angular velocity [rad/s].
 
     Attributes:

@@ -43,7 +43,7 @@ class LibfrankaBackend:
     (`libfranka_loop`). Stamps of trajectories are on this host's `time.time_ns`.
 
     Args:
-        address: Of the control unit, for example '172.16.0.2'.
+        address: Address of the control unit, for example '172.16.0.2'.
         interpreter: Python that has pylibfranka and NumPy; default: this one.
         realtime: Refuse to run on a kernel without real-time scheduling, as Franka advises.
         ready_s: Longest wait for the first state [s].

@@ -209,7 +209,7 @@ def interpolate(times: Times, states: Floats, t_ns: int) -> Floats:
 
 
 DURATIONS_MS = (4, 7, 10, 15, 20, 30, 40, 60, 80, 120, 160, 240, 320, 480, 640)
-"""Of the way back, tried in turn."""
+"""Durations of the way back that are tried in turn [ms]."""
 CHECKED = np.linspace(0.0, 1.0, 21)
 """Parts of the way at which the limits are checked."""
 
@@ -274,11 +274,12 @@ LOST_NS = 1_500_000
 """Periods above this mean that the robot went on without a command of ours."""
 BRIDGE_ACCELERATION = 9.5
 BRIDGE_JERK = 4750.0
-"""Of the way back to the trajectory then [rad/s2], [rad/s3]: libfranka's limits less a reserve."""
+"""Jerk limit of the way back to the trajectory [rad/s3]; like `BRIDGE_ACCELERATION` [rad/s2], the
+limit of libfranka less a reserve."""
 
 
 class ControlLoop:
-    """Follows the trajectories it is sent until it is told to stop.
+    """Follows the trajectories it is sent until it is asked to stop.
 
     Args:
         control: Active joint position control.

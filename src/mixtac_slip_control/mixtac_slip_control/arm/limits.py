@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the joints of an arm may do, and checks of a joint state.
+"""Limits of the joints of an arm, and checks of a joint state.
 
 Limits of position, velocity, acceleration, jerk and torque of each joint; checks of ranges, speeds,
 workspace and distance to singularities.
@@ -168,7 +168,7 @@ class JointLimits:
 
         Args:
             q: Joint positions (n,) [rad].
-            names: Of the joints.
+            names: Names of the joints.
             margin: Distance from the ends to keep [rad].
         """
         outside = ~((q >= self.lower + margin) & (q <= self.upper - margin))
@@ -220,10 +220,10 @@ class StateChecks:
 
     Args:
         arm: The arm.
-        limits: Of its joints.
+        limits: Limits of its joints.
         workspace: Where the tip may be; None: anywhere.
         joint_margin: Distance to the ends of the joints' ranges to keep [rad].
-        speed_share: Of the velocity limits that a measured speed may reach.
+        speed_share: Share of the velocity limits that a measured speed may reach.
         min_singular: Smallest singular value of the Jacobian allowed, with angles scaled by
             `length`: below it small motions of the tip need large motions of the joints. The FR3
             has 0.18 in its ready pose and 0.04 with the elbow stretched.

@@ -30,7 +30,7 @@ def derivatives(coefficients: Floats, centre: float, half: float, s: float) -> F
     """Return joint positions and their first three derivatives by the advance (4, n).
 
     Args:
-        coefficients: Of the powers of (s - centre) / half, lowest first (m, n).
+        coefficients: Coefficients of the powers of (s - centre) / half, lowest first (m, n).
         centre: Middle of the fitted range [m].
         half: Half its width [m].
         s: Advance [m].
@@ -103,9 +103,9 @@ DEGREE = 8
 NODES = 13
 SAMPLES = 25
 MAX_CURVE_SHARE = 0.25
-"""Of acceleration and jerk that the bending of the path may take at full speed."""
+"""Share of acceleration and jerk that the curvature of the path may take at full speed."""
 TYPICAL_SPEED = 0.06
-"""Of an advance of 1 mm [m/s], for which the bending of the path is allowed for."""
+"""Peak speed of an advance of 1 mm [m/s], at which the curvature of the path is accounted for."""
 JOINT_MARGIN = 0.02
 """Distance to the ends of the joints' ranges that a path keeps [rad]."""
 
@@ -133,7 +133,8 @@ class NormalPath:
         normal: Unit direction of the advance (3,) in the base frame.
         lower: Start of the fitted range [m], at most 0.
         upper: End of the fitted range [m].
-        coefficients: Of the powers of the advance scaled to -1..1 over the range (m, n).
+        coefficients: Coefficients of the powers of the advance, scaled to -1..1 over the range
+            (m, n).
     """
 
     normal: Floats
@@ -162,7 +163,7 @@ class NormalPath:
         the planner checks every joint and lowers its limits where it does.
 
         Args:
-            limits: Of the joints.
+            limits: Limits of the joints.
             share: Of each rate limit that may be used, 0 to 1.
             max_speed: Largest speed wanted [m/s].
         """
@@ -195,7 +196,7 @@ def fit_normal_path(
 
     Args:
         arm: The arm.
-        limits: Of its joints; positions stay `JOINT_MARGIN` inside.
+        limits: Limits of its joints; positions stay `JOINT_MARGIN` inside.
         q: Joint positions at advance zero (n,) [rad].
         normal: Direction of the advance (3,) in the base frame, of any length.
         lower: Start of the range [m], at most 0.
@@ -243,7 +244,7 @@ def fastest_tangent(jacobian: Floats, direction: Floats, acceleration: Floats) -
     """Return joint motion per advance (n,) that takes the least of the joints' acceleration.
 
     Args:
-        jacobian: Of the tip (6, n).
+        jacobian: Jacobian of the tip (6, n).
         direction: Unit direction of the tip (3,).
         acceleration: Limits of the joints (n,).
     """

@@ -37,7 +37,7 @@ class StreamSettings:
             the controller never joins its own last command to our first point.
         interval_s: Least time between two trajectories [s].
         spacing_s: Time between points [s].
-        share: Of the joints' rate limits that may be used; the rest is reserve.
+        share: Share of the joints' rate limits that may be used; the rest is reserve.
         max_speed: Largest speed of the tip [m/s].
         min_change: Smaller changes of the target are not sent [m].
         history_s: How long past advances are remembered [s].
@@ -93,7 +93,7 @@ class AdvancePlanner:
 
     Args:
         arm: The arm.
-        limits: Of its joints.
+        limits: Limits of its joints.
         settings: Lead, spacing, reserves.
     """
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 BISECTIONS = 60
 MIN_CELLS = 6
-"""Of the smooth motion: three are needed to reach a state, more keep the jerk small."""
+"""Cells of the smooth motion: three are needed to reach a state, more keep the jerk small."""
 
 
 @njit(cache=True)
@@ -198,7 +198,7 @@ def integrate(jerk: Floats, start: Floats, target: float, dt: float) -> Floats:
 
 
 SHARES = (0.97, 0.92, 0.85, 0.75, 0.6, 0.45, 0.3)
-"""Of the limits, tried in turn: what the grid adds to the optimum needs some room."""
+"""Shares of the limits, tried in turn: rounding to the grid needs some room."""
 LONGEST = 400
 """Cells of the longest smooth motion tried."""
 
@@ -221,14 +221,14 @@ def replan(
     not fit the grid, the smoothest that does.
 
     Args:
-        coefficients: Of the joint path, see `path_polynomial.derivatives`.
+        coefficients: Coefficients of the joint path, see `normal_path.derivatives`.
         centre: Middle of its range [m].
         half: Half its width [m].
         start: Position [m], velocity [m/s], acceleration [m/s2] (3,).
         target: Position to end at [m].
         motion: Largest speed [m/s], acceleration [m/s2] and jerk [m/s3] of the coordinate.
-        acceleration_limit: Of the joints (n,) [rad/s2].
-        jerk_limit: Of the joints (n,) [rad/s3].
+        acceleration_limit: Acceleration limits of the joints (n,) [rad/s2].
+        jerk_limit: Jerk limits of the joints (n,) [rad/s3].
         dt: Time between points [s].
     """
     V, A, J = motion

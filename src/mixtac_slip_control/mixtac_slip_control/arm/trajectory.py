@@ -35,7 +35,7 @@ class PlannedTrajectory:
         q: Joint positions (m, n) [rad].
         dq: Joint velocities (m, n) [rad/s].
         ddq: Joint accelerations (m, n) [rad/s2].
-        names: Of the joints.
+        names: Names of the joints.
         branch_s: Time since the stamp [s] from which it differs from the trajectory before it: it
             must be in effect by then.
     """
