@@ -24,13 +24,13 @@ from mixtac_driver.doctor.computer import (
     Finding,
     HostFiles,
     Level,
+    check_attached,
     check_computer,
     first_to_do,
     ok,
     worst,
 )
 from mixtac_driver.doctor.stream import check_running
-from mixtac_driver.doctor.usb import check_attached
 from mixtac_events.errors import MixtacError
 from mixtac_node.files import write_json
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong between the driver and a camera."""
+"""Errors of the driver: a leaf, because USB, decoder, clock and nodes share them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class UsbError(DriverError):
 
 
 class AccessError(UsbError):
-    """The operating system gives no permission to open the camera."""
+    """The operating system does not permit opening the camera."""
 
 
 class InUseError(UsbError):
@@ -32,7 +32,7 @@ class NoAnswerError(UsbError):
 
 
 class BusError(UsbError):
-    """The bus failed, or the camera sent more than it was asked for."""
+    """The bus failed, or the camera sent more than requested."""
 
 
 class UnknownDeviceError(DriverError):
@@ -48,11 +48,11 @@ class DisconnectedError(UsbError):
 
 
 class UnsupportedCameraError(DriverError):
-    """A camera whose chip, firmware or logic this driver does not speak to."""
+    """A camera whose chip, firmware or logic is not supported."""
 
 
 class ConfigurationError(DriverError):
-    """A setting that the camera cannot take."""
+    """A setting that the camera does not support."""
 
 
 class StreamError(DriverError):
@@ -60,4 +60,4 @@ class StreamError(DriverError):
 
 
 class EndOfStream(DriverError):  # noqa: N818 - a state, not a failure
-    """A recording was played to its end: nothing more will come, and nothing is wrong."""
+    """The regular end of a recording."""

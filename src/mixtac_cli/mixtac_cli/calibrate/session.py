@@ -22,8 +22,8 @@ from mixtac_driver.calibration.board import (
     spread,
     stretched,
 )
-from mixtac_driver.calibration.fit import fit_lens
 from mixtac_driver.calibration.lens import RefusedError
+from mixtac_driver.calibration.solve import fit_lens
 from mixtac_node.files import replacing
 from mixtac_node.images import ImageConversionError, image_array
 from mixtac_node.topics import IMAGE_RAW

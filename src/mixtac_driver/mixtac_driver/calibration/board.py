@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 MIN_INNER_CORNERS = 3
 MIN_SPACING_PX = 4.0
-"""Corners closer than this blur into each other."""
+"""Closer corners blur into each other."""
 DARK_QUANTILE, BRIGHT_QUANTILE = 0.5, 99.5
-"""[%] Noise and hot pixels lie outside."""
+"""Percentiles [%]; noise and hot pixels lie outside."""
 _MIN_CONTRAST = 8.0
 _SB_FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
 _QUAD_FLAGS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
@@ -53,7 +53,7 @@ class Board:
     square_m: float
 
     def __post_init__(self) -> None:
-        """Refuse what is no board."""
+        """Raise if this is not a board."""
         if min(self.columns, self.rows) < MIN_INNER_CORNERS:
             raise CalibrationError(
                 f'board {self.columns}x{self.rows}: count the inner corners, at least 3x3'
@@ -66,7 +66,7 @@ class Board:
         """Return the board that, for example, `9x6` names.
 
         Raises:
-            CalibrationError: The text is no board.
+            CalibrationError: The text does not describe a board.
         """
         columns, cross, rows = text.lower().partition('x')
         if not (cross and columns.isdecimal() and rows.isdecimal()):
@@ -82,7 +82,7 @@ class Board:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A board as one frame shows it.
+    """A board in one frame.
 
     Attributes:
         board: The board.
@@ -108,11 +108,11 @@ class View:
 def find_board(
     image: NDArray[np.uint8 | np.uint16], board: Board, label: str = '', *, thorough: bool = False
 ) -> View | None:
-    """Return the board in a frame, or None where it is not whole or not plain to see.
+    """Return the board in a frame, or None if it is incomplete or unclear.
 
     Args:
         image: `uint8` or `uint16` [height, width], grey.
-        board: What to look for.
+        board: The board to find.
         label: Where the frame is from.
         thorough: Search the enlarged frame once more, for small squares; takes several times as
             long where there is no board.
@@ -134,7 +134,7 @@ def find_board(
 
 
 def stretched(image: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint8] | None:
-    """Return a frame with its contrast spread over 8 bit, or None where it has none."""
+    """Return a frame with its contrast stretched to 8 bits, or None if it has none."""
     dark, bright = np.percentile(image, (DARK_QUANTILE, BRIGHT_QUANTILE))
     if bright - dark < _MIN_CONTRAST:
         return None
@@ -169,11 +169,11 @@ def _enlarged(grey: NDArray[np.uint8], scale: int) -> NDArray[np.uint8]:
 def _refined(
     grey: NDArray[np.uint8], corners: NDArray[np.float64], board: Board
 ) -> NDArray[np.float64] | None:
-    """Return corners at the saddle points, or None where they form no board."""
+    """Return corners at the saddle points, or None if they do not form a board."""
     spacing = _spacing(corners, board)
     if spacing < MIN_SPACING_PX:
         return None
-    # A window that reaches the next corner pulls the corner there.
+    # A window that reaches the next corner is drawn towards it.
     window = int(np.clip(_WINDOW_SHARE * spacing, 2, _MAX_WINDOW))
     start = corners.astype(np.float32).reshape(-1, 1, 2).copy()
     cv2.cornerSubPix(grey, start, (window, window), (-1, -1), _REFINE)
@@ -190,7 +190,7 @@ def _spacing(corners: NDArray[np.float64], board: Board) -> float:
 
 
 def _is_board(corners: NDArray[np.float64], board: Board, shape: tuple[int, ...]) -> bool:
-    """Tell whether corners lie in the image on a grid that bends as little as lenses bend it."""
+    """Return whether corners lie in the image, on a grid no more bent than lenses bend it."""
     height, width = shape
     if not np.isfinite(corners).all() or corners.min() < 0.0:
         return False
@@ -218,23 +218,23 @@ def _edge_px(grey: NDArray[np.uint8], corners: NDArray[np.float64], board: Board
 
 
 CELLS = (8, 6)
-"""Columns and rows of the grid over the image in which coverage is counted."""
+"""Columns and rows of the grid for counting coverage."""
 WANTED_SPREAD = (0.6, 0.6, 0.25, 0.4)
 """Range of each measure that counts as complete."""
 WANTED_COVERAGE = 0.75
 WANTED_VIEWS = 20
 MAX_VIEWS = 60
-"""More make the fit slow and add nothing."""
+"""More views make the fit slow and add nothing."""
 MIN_DISTANCE = 0.2
 MIN_NEW_CELLS = 2
 MAX_EDGE_PX = 6.0
 MAX_EDGE_SHARE = 0.5
-"""Of a square: edges wider than that touch the next corner."""
+"""Share of a square; wider edges touch the next corner."""
 
 
 @dataclass(frozen=True, slots=True)
 class ViewMeasures:
-    """Where and how a board is held, each 0 .. 1.
+    """Place and pose of a board in a view, each 0 .. 1.
 
     Attributes:
         x: From the left to the right of the image.
@@ -254,7 +254,7 @@ class ViewMeasures:
 
 
 class Verdict(Enum):
-    """What became of a view; the value says it in words."""
+    """Decision about a view; values are shown to users."""
 
     KEPT = 'kept'
     BLURRED = 'blurred'
@@ -263,7 +263,7 @@ class Verdict(Enum):
 
 
 def measure(view: View) -> ViewMeasures:
-    """Return where and how the board is held in a view."""
+    """Return place and pose of the board in a view."""
     grid = view.grid()
     quad = np.array([grid[0, 0], grid[0, -1], grid[-1, -1], grid[-1, 0]])
     across, along = quad[2] - quad[0], quad[3] - quad[1]
@@ -330,7 +330,7 @@ class ViewSelection:
 
     @property
     def complete(self) -> bool:
-        """Tell whether more views would hardly improve a fit."""
+        """Return whether more views would hardly improve a fit."""
         reached = all(
             got >= wanted for got, wanted in zip(spread(self.views), WANTED_SPREAD, strict=True)
         )

@@ -21,7 +21,7 @@ class CalibrationError(DriverError):
 
 
 class Refusal(Enum):
-    """Why views give no calibration; the value says it in words."""
+    """Reason to refuse a calibration; values are shown to users."""
 
     TOO_FEW_VIEWS = 'too few views'
     TOO_ALIKE = 'views too alike'
@@ -32,18 +32,19 @@ class Refusal(Enum):
 
 
 class RefusedError(CalibrationError):
-    """Views from which no calibration can be trusted.
+    """Views that give no trustworthy calibration.
 
     Args:
-        reason: Which demand they fail.
-        detail: The value found, and the remedy.
+        reason: The demand that is not met.
+        found: The value found.
+        remedy: What the user can do about it.
 
     Attributes:
-        reason: Which demand they fail.
+        reason: As given.
     """
 
-    def __init__(self, reason: Refusal, detail: str) -> None:
-        super().__init__(f'{reason.value}: {detail}')
+    def __init__(self, reason: Refusal, found: str, remedy: str) -> None:
+        super().__init__(f'{reason.value}: {found}', remedy=remedy)
         self.reason = reason
 
 
@@ -60,7 +61,7 @@ _TOLERANCE = 1e-8
 def distort(
     model: str, coefficients: NDArray[np.float64], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return where the lens shows ideal points.
+    """Return the distorted places of ideal points.
 
     Args:
         model: One of MODELS.
@@ -80,7 +81,7 @@ def distort(
 def undistort(
     model: str, coefficients: NDArray[np.float64], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the ideal points that the lens shows at given points.
+    """Return the ideal points of distorted ones.
 
     Args:
         model: One of MODELS.
@@ -104,7 +105,7 @@ def undistort(
 
 
 def fold_radius(model: str, coefficients: NDArray[np.float64]) -> float:
-    """Return the ideal radius up to which a larger radius is shown further out."""
+    """Return the ideal radius up to which the distorted radius grows."""
     angles = np.linspace(0.0, MAX_ANGLE_RAD, _STEPS)
     shown = _radial(model, coefficients, np.tan(angles))
     rising = np.diff(shown) > 0.0
@@ -196,26 +197,26 @@ def _solve(jacobian: NDArray[np.float64], error: NDArray[np.float64]) -> NDArray
 
 
 _ROTATION_TOLERANCE = 1e-3
-"""Files carry as few as five digits."""
+"""Files have as few as five digits."""
 _EXACT = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraCalibration:
-    """The lens and geometry of one camera, and the camera that rectified images seem to come from.
+    """The lens and geometry of one camera, and the virtual camera of rectified images.
 
     Attributes:
         name: Name of the camera.
         width: Columns of the full image.
         height: Rows of the full image.
-        model: Distortion model, one of `distortion.MODELS`.
+        model: Distortion model, one of `MODELS`.
         distortion: Coefficients of the model [n].
         camera_matrix: K [3, 3], focal lengths and principal point [px].
         rectification: R [3, 3], rotation from the camera to the rectified camera.
         projection: P [3, 4], the rectified camera [px].
 
     Raises:
-        CalibrationError: Values that describe no camera.
+        CalibrationError: The values are implausible.
     """
 
     name: str
@@ -228,7 +229,7 @@ class CameraCalibration:
     projection: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        """Refuse values that describe no camera."""
+        """Raise if the values are implausible."""
         self._check_model()
         _check_camera('camera_matrix', self.camera_matrix)
         _check_camera('projection_matrix', self.projection)

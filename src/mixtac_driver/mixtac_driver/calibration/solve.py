@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration from views of a board: fit, rejection of bad views, acceptance, rectification."""
+"""Calibration from views of a board: least-squares fit with uncertainty, rejection, acceptance."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
 from mixtac_driver.calibration.board import MIN_DISTANCE, ViewMeasures, coverage, measure
-from mixtac_driver.calibration.fit import LensFit, fit_lens
 from mixtac_driver.calibration.lens import (
     EQUIDISTANT,
     MAX_ANGLE_RAD,
@@ -31,20 +31,242 @@ if TYPE_CHECKING:
     from mixtac_driver.calibration.board import View
 
 
+_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-9)
+# OpenCV 4 keeps this flag in its fisheye module, with another value.
+_RECOMPUTE = (
+    getattr(cv2.fisheye, 'CALIB_RECOMPUTE_EXTRINSIC', None) or cv2.CALIB_RECOMPUTE_EXTRINSIC
+)
+_FIX_SKEW = getattr(cv2.fisheye, 'CALIB_FIX_SKEW', None) or cv2.CALIB_FIX_SKEW
+_FOCAL_AND_CENTRE = 4
+_POSE = 6
+_RATIONAL = 'rational_polynomial'
+_K3, _K6 = 4, 7
+_CLEARLY_MORE = 1.03
+_STEADIER = 'use more, steadier views'
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LensFit:
+    """A lens, and how well it fits the views.
+
+    Attributes:
+        camera_matrix: K [3, 3] [px].
+        distortion: Coefficients of the model [n].
+        turns: Rotation vector of the board in each view [views, 3] [rad].
+        places: Position of its first corner in each view [views, 3] [m], camera frame.
+        residuals: Seen minus fitted corners of each view [corners, 2] [px].
+        deviations: Standard deviations of fx, fy, cx, cy [px] and the coefficients [4 + n]; 0 for
+            a coefficient that was held at zero.
+    """
+
+    camera_matrix: NDArray[np.float64]
+    distortion: NDArray[np.float64]
+    turns: NDArray[np.float64]
+    places: NDArray[np.float64]
+    residuals: list[NDArray[np.float64]]
+    deviations: NDArray[np.float64]
+
+    @property
+    def view_rms_px(self) -> NDArray[np.float64]:
+        """Return the root mean square distance of each view's corners [views] [px]."""
+        return np.array([np.sqrt((each**2).sum(axis=1).mean()) for each in self.residuals])
+
+
+def fit_lens(views: Sequence[View], model: str) -> LensFit:
+    """Fit a lens with OpenCV; all views have the same weight.
+
+    Args:
+        views: Views of one camera.
+        model: One of `lens.MODELS`.
+
+    Raises:
+        RefusedError: OpenCV finds no lens (`NO_FIT`).
+    """
+    try:
+        found = _solve(views, model)
+    except cv2.error as error:
+        raise RefusedError(
+            Refusal.NO_FIT,
+            f'no {model} lens fits these {len(views)} views ({_cause(error)})',
+            'hold the board flat, and tilt it in different ways',
+        ) from error
+    fixed = [_FOCAL_AND_CENTRE + index for index in found.fixed]
+    residuals, inner, outer = [], [], []
+    for view, turn, place in zip(views, found.turns, found.places, strict=True):
+        seen, by_lens, by_pose = project(
+            view.board.points(), turn, place, found.matrix, found.coefficients, model
+        )
+        residuals.append(view.corners - seen)
+        inner.append(np.delete(by_lens, fixed, axis=1))
+        outer.append(by_pose)
+    if not all(np.isfinite(each).all() for each in residuals):
+        raise RefusedError(Refusal.NO_FIT, f'the {model} fit diverged', _STEADIER)
+    deviations = np.zeros(_FOCAL_AND_CENTRE + MODELS[model])
+    free = np.delete(np.arange(len(deviations)), fixed)
+    try:
+        deviations[free] = _deviations(residuals, inner, outer)
+    except np.linalg.LinAlgError as error:
+        raise RefusedError(Refusal.NO_FIT, f'the {model} fit diverged', _STEADIER) from error
+    return LensFit(
+        found.matrix, found.coefficients, found.turns, found.places, residuals, deviations
+    )
+
+
+def project(
+    points: NDArray[np.float64],
+    turn: NDArray[np.float64],
+    place: NDArray[np.float64],
+    matrix: NDArray[np.float64],
+    coefficients: NDArray[np.float64],
+    model: str,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the image of board points, and its derivatives.
+
+    Args:
+        points: Board points [n, 3] [m].
+        turn: Rotation vector of the board [3] [rad].
+        place: Position of the board [3] [m].
+        matrix: K [3, 3].
+        coefficients: Distortion.
+        model: One of `lens.MODELS`.
+
+    Returns:
+        Pixels [n, 2]; derivatives by fx, fy, cx, cy and coefficients [2 n, 4 + k]; derivatives by
+        the pose [2 n, 6].
+    """
+    shaped = points.reshape(-1, 1, 3)
+    if model == EQUIDISTANT:
+        pixels, jacobian = cv2.fisheye.projectPoints(shaped, turn, place, matrix, coefficients)
+        lens = _FOCAL_AND_CENTRE + MODELS[model]
+        by_lens, by_pose = jacobian[:, :lens], jacobian[:, lens : lens + _POSE]
+    else:
+        pixels, jacobian = cv2.projectPoints(shaped, turn, place, matrix, coefficients)
+        by_lens, by_pose = jacobian[:, _POSE:], jacobian[:, :_POSE]
+    return (
+        np.asarray(pixels, np.float64).reshape(-1, 2),
+        np.asarray(by_lens, np.float64),
+        np.asarray(by_pose, np.float64),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """Result of OpenCV (see LensFit); `fixed` are the coefficients held at zero."""
+
+    rms_px: float
+    matrix: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
+    turns: NDArray[np.float64]
+    places: NDArray[np.float64]
+    fixed: tuple[int, ...] = ()
+
+
+def _solve(views: Sequence[View], model: str) -> _Found:
+    if model == EQUIDISTANT:
+        return _solve_equidistant(views)
+    brown = _solve_brown(views, 'plumb_bob', np.zeros((3, 3)), np.zeros(5), 0)
+    return brown if model == 'plumb_bob' else _solve_rational(views, brown)
+
+
+def _solve_rational(views: Sequence[View], start: _Found) -> _Found:
+    """Fit six coefficients, or all eight if they fit clearly better.
+
+    All eight at once, from nothing, may end far from the lens, and two that are not needed make
+    the model fold back where there are no corners to hold it.
+    """
+    guess = np.append(start.coefficients, (0.0, 0.0, 0.0))
+    eight = _solve_brown(views, _RATIONAL, start.matrix, guess, cv2.CALIB_USE_INTRINSIC_GUESS)
+    guess[[_K3, _K6]] = 0.0
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K6
+    six = _solve_brown(views, _RATIONAL, start.matrix, guess, flags)
+    if not six.rms_px <= _CLEARLY_MORE * eight.rms_px:
+        return eight
+    return replace(six, fixed=(_K3, _K6))
+
+
+def _solve_brown(
+    views: Sequence[View],
+    model: str,
+    matrix: NDArray[np.float64],
+    coefficients: NDArray[np.float64],
+    flags: int,
+) -> _Found:
+    rms, *found = cv2.calibrateCamera(
+        [view.board.points().astype(np.float32) for view in views],
+        [view.corners.astype(np.float32) for view in views],
+        (views[0].width, views[0].height),
+        matrix.copy(),
+        coefficients.copy(),
+        flags=flags | (cv2.CALIB_RATIONAL_MODEL if model == _RATIONAL else 0),
+        criteria=_STOP,
+    )
+    return _found(rms, found, MODELS[model])
+
+
+def _solve_equidistant(views: Sequence[View]) -> _Found:
+    rms, *found = cv2.fisheye.calibrate(
+        [view.board.points()[None] for view in views],
+        [view.corners[None] for view in views],
+        (views[0].width, views[0].height),
+        np.zeros((3, 3)),
+        np.zeros((4, 1)),
+        flags=_RECOMPUTE | _FIX_SKEW,
+        criteria=_STOP,
+    )
+    return _found(rms, found, MODELS[EQUIDISTANT])
+
+
+def _found(rms: float, found: Sequence[Any], count: int) -> _Found:
+    matrix, coefficients, turns, places = found
+    return _Found(
+        float(rms),
+        np.asarray(matrix, np.float64),
+        # OpenCV 5 appends zeros for models that were not requested.
+        np.asarray(coefficients, np.float64).ravel()[:count],
+        np.asarray(turns, np.float64).reshape(-1, 3),
+        np.asarray(places, np.float64).reshape(-1, 3),
+    )
+
+
+def _deviations(
+    residuals: list[NDArray[np.float64]],
+    by_lens: list[NDArray[np.float64]],
+    by_pose: list[NDArray[np.float64]],
+) -> NDArray[np.float64]:
+    """Return standard deviations of the lens with the poses eliminated (Schur complement)."""
+    unknowns = by_lens[0].shape[1]
+    information = np.zeros((unknowns, unknowns))
+    for lens, pose in zip(by_lens, by_pose, strict=True):
+        explained = np.linalg.lstsq(pose, lens, rcond=None)[0]
+        information += lens.T @ (lens - pose @ explained)
+    scale = 1.0 / np.sqrt(np.maximum(information.diagonal(), 1e-30))
+    inverse = np.linalg.pinv(
+        information * scale[:, None] * scale[None, :], rcond=1e-13, hermitian=True
+    )
+    errors = np.concatenate([each.ravel() for each in residuals])
+    freedom = max(1, len(errors) - unknowns - _POSE * len(residuals))
+    variance = float(errors @ errors) / freedom
+    return np.asarray(scale * np.sqrt(np.maximum(inverse.diagonal(), 0.0) * variance))
+
+
+def _cause(error: cv2.error) -> str:
+    return ' '.join(str(getattr(error, 'err', '') or error).split())[:120]
+
+
 _STEP_PX = 4
 
 
 @dataclass(frozen=True, slots=True)
 class Demands:
-    """What views and fit must meet.
+    """Demands on views and fit.
 
     Attributes:
         views: Least number of views.
         distinct_views: Least number of views that differ in place, size or skew.
         coverage: Least share of the image's cells that hold a corner.
-        removed: Largest share of views that may be thrown out.
-        outlier: A view with this many times the median error is thrown out.
-        outlier_px: But none with an error below this [px].
+        removed: Largest share of views that may be rejected.
+        outlier: A view with this many times the median error is rejected.
+        outlier_px: Views with an error below this are never rejected [px].
         rms_px: Largest reprojection error over all corners [px].
         focal_deviation: Largest standard deviation of a focal length, relative.
         aspect: Largest ratio of the focal lengths, minus one; the pixels are square.
@@ -66,30 +288,31 @@ class Demands:
 
 
 def check_views(views: Sequence[View], demands: Demands) -> None:
-    """Refuse views from which no fit can be trusted.
+    """Raise unless views can give a trustworthy fit.
 
     Raises:
-        RefusedError: Too few, too alike, or much of the image is left out.
+        RefusedError: Too few, too similar, or much of the image is not covered.
     """
     if len(views) < demands.views:
         raise RefusedError(
             Refusal.TOO_FEW_VIEWS,
-            f'{len(views)} views show the whole board, {demands.views} are needed; show it longer, '
-            'or check that --board counts the inner corners',
+            f'{len(views)} views show the whole board, {demands.views} are needed',
+            'show it longer, or check that --board counts the inner corners',
         )
     distinct = _distinct(views)
     if distinct < demands.distinct_views:
         raise RefusedError(
             Refusal.TOO_ALIKE,
-            f'{distinct} of {len(views)} views differ, {demands.distinct_views} are needed; move, '
-            'tilt and turn the board',
+            f'{distinct} of {len(views)} views differ, {demands.distinct_views} are needed',
+            'move, tilt and turn the board',
         )
     share = coverage(list(views))
     if share < demands.coverage:
         raise RefusedError(
             Refusal.POOR_COVERAGE,
-            f'corners lie in {100 * share:.0f} % of the image, {100 * demands.coverage:.0f} % is '
-            'needed; hold the board towards every edge',
+            f'corners cover {100 * share:.0f} % of the image, {100 * demands.coverage:.0f} % is '
+            'needed',
+            'hold the board towards every edge',
         )
 
 
@@ -102,31 +325,32 @@ def _distinct(views: Sequence[View]) -> int:
 
 
 def check_fit(fit: LensFit, views: list[View], model: str, demands: Demands) -> None:
-    """Refuse a fit that cannot be trusted.
+    """Raise unless a fit can be trusted.
 
     Args:
         fit: The fit.
-        views: The views it explains.
-        model: Its model.
-        demands: What it must meet.
+        views: The fitted views.
+        model: Its lens model.
+        demands: The demands.
 
     Raises:
-        RefusedError: Large errors, an open focal length, or a camera that is none.
+        RefusedError: Large errors, an uncertain focal length, or an implausible camera.
     """
     rms = float(np.sqrt(np.mean(fit.view_rms_px**2)))
     if rms > demands.rms_px:
         raise RefusedError(
             Refusal.LARGE_RESIDUAL,
-            f'{rms:.2f} px, at most {demands.rms_px:g}; check --board, use a flat board, more '
-            f'light, or another --model than {model}',
+            f'{rms:.2f} px, at most {demands.rms_px:g} px is allowed',
+            f'check --board, use a flat board, more light, or another --model than {model}',
         )
     focal = fit.camera_matrix[[0, 1], [0, 1]]
     uncertain = float((fit.deviations[:2] / focal).max())
     if not 0.0 <= uncertain <= demands.focal_deviation:
         raise RefusedError(
             Refusal.TOO_ALIKE,
-            f'the focal length is known to {100 * uncertain:.1f} % only, '
-            f'{100 * demands.focal_deviation:g} % is needed; tilt the board more',
+            f'the focal length is only known to {100 * uncertain:.1f} %, '
+            f'{100 * demands.focal_deviation:g} % is needed',
+            'tilt the board more',
         )
     _check_camera(fit, views[0], demands)
 
@@ -136,15 +360,15 @@ def _check_camera(fit: LensFit, view: View, demands: Demands) -> None:
     if min(fx, fy) <= 0.0 or not 1.0 / (1.0 + demands.aspect) <= fx / fy <= 1.0 + demands.aspect:
         raise RefusedError(
             Refusal.IMPLAUSIBLE,
-            f'focal lengths {fx:.1f} and {fy:.1f} px of square pixels; check the board, tilt it '
-            'more',
+            f'focal lengths {fx:.1f} and {fy:.1f} px of square pixels',
+            'check the board, and tilt it more',
         )
     size = np.array([view.width, view.height])
     centre = fit.camera_matrix[:2, 2]
     if (np.abs(centre - (size - 1) / 2.0) > demands.centre * size).any():
         raise RefusedError(
             Refusal.IMPLAUSIBLE,
-            f'optical axis at ({centre[0]:.0f}, {centre[1]:.0f}) of {size[0]}x{size[1]} px; '
+            f'optical axis at ({centre[0]:.0f}, {centre[1]:.0f}) of {size[0]}x{size[1]} px',
             'hold the board towards every edge, and tilt it',
         )
 
@@ -161,17 +385,17 @@ def folded_share(fit: LensFit, view: View, model: str) -> float:
 
 
 def check_folded(share: float, model: str, demands: Demands) -> None:
-    """Refuse a model that folds back in too much of the image.
+    """Raise if a model folds back in too much of the image.
 
     Raises:
-        RefusedError: The share is above what is allowed.
+        RefusedError: The share is too large.
     """
     if share > demands.folded:
         raise RefusedError(
             Refusal.IMPLAUSIBLE,
             f'the {model} model folds back in {100 * share:.0f} % of the image, at most '
-            f'{100 * demands.folded:g} %; hold the board into every corner, or use --model '
-            f'{EQUIDISTANT}',
+            f'{100 * demands.folded:g} % is allowed',
+            f'hold the board into every corner, or use --model {EQUIDISTANT}',
         )
 
 
@@ -185,7 +409,7 @@ def rectified_camera(
     """Return a projection matrix P with square pixels.
 
     Args:
-        model: One of `distortion.MODELS`.
+        model: One of `lens.MODELS`.
         coefficients: Of that model.
         camera_matrix: K [3, 3].
         size: Columns and rows of the image.
@@ -205,7 +429,8 @@ def rectified_camera(
     if any(np.isnan(each).all() for each in (left, right, top, bottom)):
         raise RefusedError(
             Refusal.IMPLAUSIBLE,
-            f'the {model} model folds back along an edge of the image; use --model equidistant',
+            f'the {model} model folds back along an edge of the image',
+            f'use --model {EQUIDISTANT}',
         )
     inner_low = np.array([np.nanmax(left[:, 0]), np.nanmax(top[:, 1])])
     inner_high = np.array([np.nanmin(right[:, 0]), np.nanmin(bottom[:, 1])])
@@ -245,7 +470,7 @@ COEFFICIENT_NAMES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """A calibration and what it rests on.
+    """A calibration and its evidence.
 
     Attributes:
         calibration: The calibration.
@@ -295,10 +520,10 @@ def calibrate(
 
     Args:
         views: Views of one board by one camera.
-        model: One of `distortion.MODELS`.
+        model: One of `lens.MODELS`.
         name: Name of the camera.
         alpha: How much of the image rectified images keep, see `rectified_camera`.
-        demands: What views and fit must meet; None for the defaults.
+        demands: Demands on views and fit; None for the defaults.
 
     Raises:
         CalibrationError: Unknown model, or views of different image sizes.
@@ -327,10 +552,10 @@ def calibrate(
 
 
 def check_model(model: str) -> None:
-    """Refuse a name that is no lens model.
+    """Raise if a name is not a lens model.
 
     Raises:
-        CalibrationError: It is none of `distortion.MODELS`.
+        CalibrationError: It is not in `lens.MODELS`.
     """
     if model not in MODELS:
         raise CalibrationError(f'model {model!r} is unknown: use {", ".join(MODELS)}')
@@ -343,7 +568,7 @@ def _check_question(views: Sequence[View], model: str, alpha: float) -> None:
     sizes = {(view.width, view.height) for view in views}
     if len(sizes) > 1:
         raise CalibrationError(
-            f'views have different sizes {sorted(sizes)}: use one camera, full frames'
+            f'views have different sizes {sorted(sizes)}', remedy='use one camera and full frames'
         )
 
 
@@ -364,13 +589,14 @@ def _without_bad_views(
             raise RefusedError(
                 Refusal.LARGE_RESIDUAL,
                 f'more than {len(removed) - 1} of {len(views)} views contradict the others (worst '
-                f'{removed[0][1]:.2f} px); hold the board still and flat',
+                f'{removed[0][1]:.2f} px)',
+                'hold the board still and flat',
             )
         fit = fit_lens(kept, model)
 
 
 def _first_fit(views: list[View], model: str) -> LensFit:
-    """Fit all views; where one of them keeps OpenCV from it, all but that one."""
+    """Fit all views, or all but one where that one makes OpenCV fail."""
     try:
         return fit_lens(views, model)
     except RefusedError as error:

@@ -39,7 +39,7 @@ class EventUndistortion:
     never have an event, and raw pixels whose rectified place lies outside the image lose theirs.
 
     Args:
-        calibration: The camera; its R and P say what to rectify to.
+        calibration: The camera; its R and P define the rectified camera.
 
     Attributes:
         table: `int32` [height, width], rectified place of each raw pixel as row * 65536 + column,
@@ -111,7 +111,7 @@ class ImageUndistortion:
     """Frames as the rectified camera would see them (bilinear interpolation, black outside).
 
     Args:
-        calibration: The camera; its R and P say what to rectify to.
+        calibration: The camera; its R and P define the rectified camera.
     """
 
     def __init__(self, calibration: CameraCalibration) -> None:
@@ -211,8 +211,8 @@ class CalibratedCamera:
         path: File of the calibration, whether or not it exists.
 
     Raises:
-        CalibrationError: The file is damaged or of a camera of another size, or there is none and
-            undistortion is asked for.
+        CalibrationError: The file is damaged or of a camera of another size, or missing
+            although undistortion is enabled.
     """
 
     def __init__(self, parameters: DeviceParameters, size: tuple[int, int]) -> None:
@@ -311,7 +311,7 @@ class CalibratedCamera:
         Args:
             width: Columns of the full image.
             height: Rows of the full image.
-            distortion_model: One of `distortion.MODELS`.
+            distortion_model: One of `lens.MODELS`.
             d: Coefficients.
             k: K, 9 numbers row by row.
             r: R, 9 numbers.

@@ -45,7 +45,7 @@ _ERRNO = {
 }
 _INTERRUPTED = -10
 _abandoned: list[Any] = []
-"""Transfers that the kernel never gave back: freeing their memory would let it write anywhere."""
+"""Transfers that the kernel never returned: it could still write to their memory."""
 
 
 class _Time(ctypes.Structure):
@@ -53,7 +53,7 @@ class _Time(ctypes.Structure):
 
 
 class LibusbPort:
-    """An open camera as libusb knows it.
+    """The libusb handle of an open camera.
 
     Args:
         lib: The library.
@@ -95,7 +95,7 @@ class BulkTransfer:
         port: The camera.
         endpoint: Address of a bulk endpoint that sends to the host.
         size: Bytes to ask for.
-        on_done: Called in `LibusbPort.handle_events` when it finished, however it did.
+        on_done: Called in `LibusbPort.handle_events` when it finished, in any way.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class BulkTransfer:
         self._pointer = port.lib.libusb_alloc_transfer(0)
         if not self._pointer:
             raise USBError('no memory for a transfer', -11, errno.ENOMEM)
-        # Kept here, because libusb does not: ctypes frees a callback nobody refers to.
+        # Kept here, because ctypes frees a callback without references.
         self._callback = libusb1._libusb_transfer_cb_fn_p(lambda _pointer: on_done(self))  # noqa: SLF001
         self._fields = fields = self._pointer.contents
         fields.dev_handle = port.handle
@@ -125,16 +125,16 @@ class BulkTransfer:
 
     @property
     def status(self) -> int:
-        """How it finished."""
+        """Status after it finished."""
         return int(self._fields.status)
 
     @property
     def data(self) -> bytes:
-        """What it brought, copied."""
+        """A copy of its data."""
         return ctypes.string_at(self._address, self._fields.actual_length)
 
     def submit(self) -> None:
-        """Let it wait at the endpoint.
+        """Queue it at the endpoint.
 
         Raises:
             usb.core.USBError: It was not accepted.
@@ -144,15 +144,15 @@ class BulkTransfer:
             raise usb_error(code)
 
     def cancel(self) -> None:
-        """Ask for it back; it finishes as cancelled unless it finishes otherwise before."""
+        """Request its cancellation; it may still finish in another way."""
         self._lib.libusb_cancel_transfer(self._pointer)
 
     def free(self) -> None:
-        """Give its memory back; it must not be waiting."""
+        """Free its memory; it must not be queued."""
         self._lib.libusb_free_transfer(self._pointer)
 
     def abandon(self) -> None:
-        """Keep its memory for ever, because the kernel may still write to it."""
+        """Keep its memory forever, because the kernel may still write to it."""
         _abandoned.append(self)
 
 
@@ -163,7 +163,7 @@ def usb_error(code: int) -> USBError:
 
 
 def transfer_error(status: int) -> USBError:
-    """Return pyusb's error for the status of a transfer that brought nothing."""
+    """Return pyusb's error for the status of a transfer."""
     number = _ERRNO.get(status, errno.EIO)
     return USBError(f'transfer ended with status {status}', None, number)
 
@@ -174,7 +174,7 @@ DRAIN_TIMEOUT_S = 2.0
 
 
 class AsynchronousReader:
-    """Keeps reads waiting at the endpoint until stopped or until the camera goes away.
+    """Keeps reads queued at the endpoint until stopped or until the camera goes away.
 
     Has the interface of `mixtac_driver.usb.transport.BulkReader`. `get` is for one thread; `stop`
     may be called from another. libusb may call back in any thread that makes a request of it.
@@ -182,10 +182,10 @@ class AsynchronousReader:
     Args:
         port: The camera, open and claimed.
         endpoint: Address of the data endpoint.
-        clear_halt: Sets a stalled endpoint going again.
-        transfers: How many reads wait at once.
-        transfer_size: Bytes asked for per read.
-        queue_size: Bytes that may wait for the consumer besides.
+        clear_halt: Clears a stall of the endpoint.
+        transfers: Number of queued reads.
+        transfer_size: Bytes requested per read.
+        queue_size: Limit of received bytes waiting for the consumer.
         now_ns: Host clock [ns since the Unix epoch].
     """
 
@@ -214,11 +214,11 @@ class AsynchronousReader:
 
     @property
     def counters(self) -> TransportCounters:
-        """What the reader did so far."""
+        """Counters since construction."""
         return self._queue.counters(stalls=self._stalls)
 
     def start(self) -> None:
-        """Let the reads wait at the endpoint.
+        """Queue the reads at the endpoint.
 
         Raises:
             UsbError: The kernel does not accept them.
@@ -236,10 +236,10 @@ class AsynchronousReader:
             raise usb_failure(error, 'queueing reads') from error
 
     def stop(self) -> None:
-        """End reading and take the reads back; what has arrived can still be got.
+        """Stop reading and take the reads back; received data can still be got.
 
         Raises:
-            StreamError: The kernel does not give the reads back.
+            StreamError: The kernel does not return the reads.
         """
         self._stopping.set()
         try:
@@ -254,17 +254,17 @@ class AsynchronousReader:
                 transfer.free()
         if self._waiting:
             raise StreamError(
-                f'{len(self._waiting)} USB reads were not given back within {DRAIN_TIMEOUT_S} s'
+                f'{len(self._waiting)} USB reads were not returned within {DRAIN_TIMEOUT_S} s'
             )
 
     def get(self, timeout_s: float) -> Transfer | None:
-        """Return the next transfer, or None when none came in time or reading was stopped.
+        """Return the next transfer, or None if none came in time or reading was stopped.
 
         Args:
-            timeout_s: Longest time to wait [s]; it may come back empty before.
+            timeout_s: Longest time to wait [s]; may return None earlier.
 
         Raises:
-            UsbError: Reading ended because of it, and all that came before it was taken.
+            UsbError: Reading failed, and all data received before were taken.
         """
         if not self._stopping.is_set() and self._failure is None:
             self._look(timeout_s)
@@ -275,12 +275,12 @@ class AsynchronousReader:
 
     def _too_large(self) -> str:
         return (
-            f'the kernel has no room for {self._count} USB reads of {self._transfer_size} bytes: '
+            f'the kernel has no room for {self._count} USB reads of {self._transfer_size} bytes; '
             'lower usb_transfers, or raise /sys/module/usbcore/parameters/usbfs_memory_mb'
         )
 
     def _look(self, timeout_s: float) -> None:
-        """Wait for reads that have finished; with a backlog, only make room in the kernel."""
+        """Collect finished reads; with a backlog, only make room in the kernel."""
         now_s = time.monotonic()
         if len(self._queue):
             if now_s < self._looked_s + ROOM_EVERY_S:
@@ -299,7 +299,7 @@ class AsynchronousReader:
             self._submit_again(transfer)
         elif status != CANCELLED and self._failure is None:
             self._failure = transfer_error(status)
-        # A read that failed or was called back may have brought something before.
+        # A read that failed or was cancelled may hold data.
         if data:
             self._stalls_in_a_row = 0
             self._queue.put(data, self._now_ns(), short_packet=len(data) < transfer.size)
@@ -319,10 +319,10 @@ class AsynchronousReader:
             self._waiting.add(transfer)
 
     def _recover(self, error: USBError) -> None:
-        """Set a stalled endpoint going again.
+        """Clear a stall of the endpoint.
 
         Raises:
-            UsbError: It was another failure, or there are too many stalls in a row.
+            UsbError: It was another failure, or there were too many consecutive stalls.
         """
         self._stalls += 1
         self._stalls_in_a_row += 1
@@ -338,7 +338,7 @@ class AsynchronousReader:
             raise usb_failure(failure, 'reading data') from failure
 
     def _call_back(self) -> None:
-        """Cancel the reads that wait and take them back."""
+        """Cancel the queued reads and take them back."""
         deadline_s = time.monotonic() + DRAIN_TIMEOUT_S
         for transfer in list(self._waiting):
             transfer.cancel()

@@ -75,7 +75,7 @@ def _count(words: Any) -> tuple[int, int]:  # noqa: ANN401
 
 
 def gap_of(data: Octets) -> Gap:
-    """Return the gap that throwing these bytes away leaves."""
+    """Return the gap that dropping these bytes leaves."""
     octets = np.frombuffer(data, np.uint8)
     wraps, resets = _count(octets[: len(octets) // 2 * 2].view('<u2'))
     return Gap(len(octets), int(wraps), int(resets))
@@ -83,13 +83,13 @@ def gap_of(data: Octets) -> Gap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transfer:
-    """What one read brought.
+    """The data of one read.
 
     Attributes:
         data: Bytes.
         arrival_ns: Host time of arrival [ns since the Unix epoch].
         short_packet: True where the camera ended the transfer before the buffer was full.
-        gap: What was thrown away between the transfer before and this one.
+        gap: Data dropped between the previous transfer and this one.
     """
 
     data: bytes
@@ -100,15 +100,15 @@ class Transfer:
 
 @dataclass(frozen=True, slots=True)
 class TransportCounters:
-    """What the reader did so far.
+    """Counters of a reader.
 
     Attributes:
-        transfers: Reads that brought data.
-        size: Bytes they brought.
-        timeouts: Reads that brought none; normal for a camera that is not running.
-        stalls: Times the endpoint had to be set going again.
-        dropped_transfers: Transfers thrown away because the queue was full.
-        dropped_size: Bytes thrown away.
+        transfers: Reads with data.
+        size: Bytes received.
+        timeouts: Reads without data; normal for a camera that is not running.
+        stalls: Stalls of the endpoint that were cleared.
+        dropped_transfers: Transfers dropped because the queue was full.
+        dropped_size: Bytes dropped.
         queued_size: Bytes in the queue now.
         most_queued_size: Greatest number of bytes in the queue.
     """
@@ -126,8 +126,8 @@ class TransportCounters:
 class TransferQueue:
     """Transfers in order.
 
-    When the consumer is too slow the newest transfers are thrown away and counted; the time that
-    passed in them is kept (see `Transfer.gap`).
+    When the consumer is too slow, the newest transfers are dropped and counted; the camera time in
+    them is kept (see `Transfer.gap`).
 
     Args:
         limit: Bytes that may wait for the consumer.
@@ -160,7 +160,7 @@ class TransferQueue:
         )
 
     def put(self, data: bytes, arrival_ns: int, *, short_packet: bool) -> None:
-        """Append a transfer, or throw it away if there is no room.
+        """Append a transfer, or drop it if there is no room.
 
         Args:
             data: Bytes, at least one.
@@ -190,19 +190,19 @@ class TransferQueue:
 
 
 LONGEST_READ_S = 0.1
-"""Longest read: so late `stop` is noticed in another thread."""
+"""Longest read, and delay of noticing `stop` in another thread."""
 MOST_STALLS = 5
-"""Stalls in a row after which clearing them is given up."""
+"""Consecutive stalls after which clearing them is given up."""
 
 
 class BulkReader:
-    """Reads whenever it is asked for data.
+    """Reads one transfer per call of `get`.
 
     Args:
         read: Reads into a buffer within a time [ms] and returns the number of bytes; raises as
             pyusb does.
-        clear_halt: Sets a stalled endpoint going again.
-        transfer_size: Bytes asked for per read.
+        clear_halt: Clears a stall of the endpoint.
+        transfer_size: Bytes requested per read.
         now_ns: Host clock [ns since the Unix epoch].
     """
 
@@ -224,21 +224,21 @@ class BulkReader:
 
     @property
     def counters(self) -> TransportCounters:
-        """What the reader did so far."""
+        """Counters since construction."""
         return self._queue.counters(timeouts=self._timeouts, stalls=self._stalls)
 
     def start(self) -> None:
-        """Do nothing: reading begins with the first `get`."""
+        """Do nothing: the first `get` starts reading."""
 
     def stop(self) -> None:
-        """Let no further read begin; one that another thread waits in ends at its time-out."""
+        """Start no further read; one in another thread ends at its time-out."""
         self._stopping.set()
 
     def get(self, timeout_s: float) -> Transfer | None:
-        """Return the next transfer, or None when none came in time or reading was stopped.
+        """Return the next transfer, or None if none came in time or reading was stopped.
 
         Args:
-            timeout_s: Longest time to wait [s]; it may come back empty before.
+            timeout_s: Longest time to wait [s]; may return None earlier.
 
         Raises:
             UsbError: Reading failed, or the camera is gone.
@@ -281,9 +281,9 @@ class DebugMessage:
     """One message.
 
     Attributes:
-        code: 0 where nothing is wrong.
+        code: 0 for no fault.
         time: Time of the message on the controller's clock, in its own units.
-        text: What it says.
+        text: Its text.
     """
 
     code: int
@@ -302,8 +302,8 @@ def decode_message(data: bytes) -> DebugMessage | None:
 class DebugReader:
     """Reads the debug endpoint in a thread of its own, until stopped or until that fails.
 
-    It is harmless where there is no such endpoint, and when the camera goes away: the reader of
-    the data endpoint sees that too, and reports it.
+    Harmless if there is no such endpoint or the camera goes away: the reader of the data endpoint
+    reports that.
 
     Args:
         read: Reads into a buffer within a time [ms] and returns the number of bytes; raises as
@@ -322,11 +322,11 @@ class DebugReader:
         self._thread = threading.Thread(target=self._run, name='davis-debug', daemon=True)
 
     def start(self) -> None:
-        """Begin to read."""
+        """Start reading."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End reading; returns when the thread has ended."""
+        """Stop reading; returns when the thread has ended."""
         self._stopping.set()
         if self._thread.ident is not None:
             self._thread.join(DEBUG_STOP_TIMEOUT_S)

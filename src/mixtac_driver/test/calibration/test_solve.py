@@ -23,7 +23,6 @@ from board_camera import (
 )
 
 from mixtac_driver.calibration.board import Board, find_board
-from mixtac_driver.calibration.fit import fit_lens
 from mixtac_driver.calibration.lens import (
     MODELS,
     CalibrationError,
@@ -31,7 +30,7 @@ from mixtac_driver.calibration.lens import (
     RefusedError,
     undistort,
 )
-from mixtac_driver.calibration.solve import Demands, calibrate
+from mixtac_driver.calibration.solve import Demands, calibrate, fit_lens
 
 MIDDLE = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
 
