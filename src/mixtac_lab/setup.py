@@ -5,6 +5,44 @@
 from setuptools import find_packages, setup
 
 PACKAGE = 'mixtac_lab'
+PAPER = f'{PACKAGE}.experiments.paper'
+STUDY = f'{PACKAGE}.experiments.studies'
+EXPERIMENTS = {
+    name: f'{PAPER}.{name}:{name}'
+    for name in (
+        'vibration',
+        'stability',
+        'inputs',
+        'fusion',
+        'impact',
+        'slip',
+        'model',
+        'comparison',
+    )
+}
+STUDIES = {
+    'all': f'{PACKAGE}.experiments.harness:all',
+    'tones': f'{PAPER}.vibration:tones',
+    'grasps': f'{PAPER}.slip:grasps',
+    'difficulty': f'{STUDY}.difficulty:difficulty',
+    'ablation': f'{STUDY}.difficulty:ablation',
+    'models': f'{STUDY}.models:models',
+    'adaptation': f'{STUDY}.models:adaptation',
+    'alignment': f'{STUDY}.alignment:alignment',
+}
+BENCHMARKS = {
+    'decode': f'{PACKAGE}.bench.decode:decode',
+    'fuzz': f'{PACKAGE}.bench.fuzz:fuzz',
+    'pipeline': f'{PACKAGE}.bench.pipeline:pipeline',
+    'compose': f'{PACKAGE}.bench.pipeline:compose',
+    'two-sensors': f'{PACKAGE}.bench.pipeline:two_sensors',
+    'recovery': f'{PACKAGE}.bench.recovery:recovery',
+    'infer': f'{PACKAGE}.bench.infer:infer',
+    'simulate': f'{PACKAGE}.bench.simulate:simulate',
+    'align': f'{PACKAGE}.bench.align:align',
+    'slip': f'{PACKAGE}.bench.slip:slip',
+    'limits': f'{PACKAGE}.bench.limits:limits',
+}
 
 setup(
     name=PACKAGE,
@@ -22,38 +60,11 @@ setup(
     description='Experiments and benchmarks of Mixtac',
     license='Apache-2.0',
     entry_points={
+        'mixtac.experiments': [f'{name} = {target}' for name, target in EXPERIMENTS.items()],
         'mixtac.commands': [
-            'bench.decode = mixtac_lab.bench.decode:decode',
-            'bench.fuzz = mixtac_lab.bench.fuzz:fuzz',
-            'bench.pipeline = mixtac_lab.bench.pipeline:pipeline',
-            'bench.compose = mixtac_lab.bench.force:compose',
-            'bench.two-sensors = mixtac_lab.bench.force:two_sensors',
-            'bench.recovery = mixtac_lab.bench.recovery:recovery',
-            'bench.infer = mixtac_lab.bench.infer:infer',
-            'bench.simulate = mixtac_lab.bench.simulate:simulate',
-            'bench.align = mixtac_lab.bench.align:align',
-            'bench.slip = mixtac_lab.bench.slip:slip',
-            *(
-                f'experiments.{name} = mixtac_lab.commands:{name}'
-                for name in (
-                    'vibration',
-                    'stability',
-                    'inputs',
-                    'fusion',
-                    'impact',
-                    'slip',
-                    'model',
-                    'comparison',
-                )
-            ),
-            'experiments.all = mixtac_lab.commands:all_experiments',
-            'experiments.tones = mixtac_lab.experiments.studies.tones:tones',
-            'experiments.grasps = mixtac_lab.experiments.paper.slip:grasps',
-            'experiments.difficulty = mixtac_lab.experiments.studies.difficulty:difficulty',
-            'experiments.ablation = mixtac_lab.experiments.studies.difficulty:ablation',
-            'experiments.models = mixtac_lab.experiments.studies.models:models',
-            'experiments.adaptation = mixtac_lab.experiments.studies.models:adaptation',
-            'experiments.alignment = mixtac_lab.experiments.studies.alignment:alignment',
+            *(f'experiments.{name} = {target}' for name, target in EXPERIMENTS.items()),
+            *(f'experiments.{name} = {target}' for name, target in STUDIES.items()),
+            *(f'bench.{name} = {target}' for name, target in BENCHMARKS.items()),
         ],
     },
 )

@@ -3,226 +3,162 @@
 """Results of long computations on disk, keyed by inputs and by the version of the code.
 
 A run that was interrupted continues where it stopped: a piece of work is computed only if no
-result is stored for it. Results are JSON; larger arrays lie in files beside them whose names
-begin with the same stem.
+result is stored for it. Results are JSON that people can read; larger arrays are in files beside
+them whose names begin with the same stem. `joblib.Memory` keys a function by its own source only,
+not by the packages it calls, and stores pickles, so it is not used here; `joblib.Parallel` is.
 """
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
 import json
-import multiprocessing
-import os
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+import tempfile
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
+
+import joblib
+from rich.progress import Progress
+
+from mixtac_events.errors import MixtacError
+from mixtac_node.files import write_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-
-_BESIDE = ('usb', 'arm', 'grasp', 'datasets')
-
-
-@functools.cache
-def digest_of(*packages: str) -> str:
-    """Return a digest of the Python files of packages, without their subpackages' tests."""
-    digest = hashlib.blake2b(digest_size=6)
-    for package in packages:
-        for path in sorted(_folder(package).rglob('*.py')):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+    from rich.console import Console
 
 
 @functools.cache
-def sensor_digest() -> str:
-    """Return a digest of the simulated sensor: the simulator without camera port, arm and grasp."""
+def code_version(*names: str) -> str:
+    """Return a digest of the Python files of packages and modules.
+
+    Args:
+        names: Full names, such as `mixtac_sim.optics`; a package counts with all that is in it.
+    """
     digest = hashlib.blake2b(digest_size=6)
-    root = _folder('mixtac_sim')
-    for path in sorted(root.rglob('*.py')):
-        inside = path.relative_to(root).parts
-        if inside[0] not in _BESIDE and not path.stem.endswith(('_node', '_parameters', '_cli')):
-            digest.update(path.read_bytes())
+    for name in names:
+        spec = find_spec(name)
+        if spec is None or spec.origin is None:
+            raise ModuleNotFoundError(name)
+        origin = Path(spec.origin)
+        root = origin.parent
+        files = sorted(root.rglob('*.py')) if spec.submodule_search_locations else [origin]
+        for path in files:
+            digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     return digest.hexdigest()
 
 
-def _folder(package: str) -> Path:
-    spec = find_spec(package)
-    assert spec is not None  # noqa: S101  (packages of this project)
-    assert spec.origin is not None  # noqa: S101
-    return Path(spec.origin).parent
+def files_version(paths: Sequence[Path]) -> str:
+    """Return what changes when files do: their paths, sizes and dates."""
+    return json.dumps([(str(p), p.stat().st_size, p.stat().st_mtime_ns) for p in paths])
 
 
-_LOOK_S = 1.0
-_WORD = '.word'
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """One piece of work; can be sent to another process.
 
+    Attributes:
+        label: Prefix of its file names.
+        function: Called with the path of the result without suffix, as prefix of the names of
+            further files, and with `arguments`; returns the result, ready for JSON.
+        arguments: Everything else that the function needs; their `repr` is part of the key.
+        version: Version of the code and of the files that the result depends on.
+    """
 
-class Piece(Protocol):
-    """One piece of work; must survive being sent to another process."""
+    label: str
+    function: Callable[..., dict[str, Any]]
+    arguments: tuple[Any, ...]
+    version: str
 
     @property
-    def label(self) -> str:
-        """Begin of the names of its files."""
-
-    def identity(self) -> str:
-        """Return a text of all that changes the result."""
-
-    def compute(self, folder: Path, stem: str) -> dict[str, Any]:
-        """Return the result, JSON-ready.
-
-        Args:
-            folder: Where larger results go, in files whose names begin with `stem`.
-            stem: As said.
-        """
+    def stem(self) -> str:
+        """Name of its files without suffix: label and digest of the key."""
+        key = f'{self.function.__qualname__} {self.arguments!r} {self.version}'
+        return f'{self.label}-{hashlib.blake2b(key.encode(), digest_size=6).hexdigest()}'
 
 
-def stem_of(piece: Piece) -> str:
-    """Return the begin of the names of a piece's files: label and digest of its identity."""
-    digest = hashlib.blake2b(piece.identity().encode(), digest_size=6).hexdigest()
-    return f'{piece.label}-{digest}'
-
-
-def carry_out(
-    pieces: Sequence[Piece],
-    folder: Path,
-    jobs: int = 1,
-    advance: Callable[[], object] = lambda: None,
-    say: Callable[[str], object] = lambda _text: None,
-) -> list[dict[str, Any]]:
-    """Return the results of pieces in their order; only those that are missing are computed.
+class Store:
+    """Results in a folder.
 
     Args:
-        pieces: What to do.
-        folder: Where results are kept.
-        jobs: Processes.
-        advance: Called after each piece.
-        say: Called now and then with how far the pieces under way are, where there are several
-            processes.
+        folder: The folder; None for a temporary one that is removed together with the store.
 
-    Raises:
-        MixtacError: A piece cannot be carried out; those that were finished are kept.
+    Attributes:
+        folder: The folder.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    for word in folder.glob(f'*{_WORD}'):  # of a run that was cut off
-        word.unlink(missing_ok=True)
-    results: dict[int, dict[str, Any]] = {}
-    for index, piece in enumerate(pieces):
-        found = _kept(folder / f'{stem_of(piece)}.json')
-        if found is not None:
-            results[index] = found
-            advance()
-    missing = [index for index in range(len(pieces)) if index not in results]
-    if jobs == 1 or len(missing) == 1:
-        for index in missing:
-            results[index] = _carry_out_one(pieces[index], folder)
-            advance()
-    elif missing:
-        _spread_out(pieces, missing, folder, jobs, results, advance, say)
-    return [results[index] for index in range(len(pieces))]
 
+    def __init__(self, folder: Path | None = None) -> None:
+        self._temporary = None
+        if folder is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix='mixtac-')
+            folder = Path(self._temporary.name)
+        if folder.is_file():
+            raise MixtacError(
+                f'{folder} is a file of an older version', remedy='name a folder for the results'
+            )
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
 
-def _spread_out(
-    pieces: Sequence[Piece],
-    missing: Sequence[int],
-    folder: Path,
-    jobs: int,
-    results: dict[int, dict[str, Any]],
-    advance: Callable[[], object],
-    say: Callable[[str], object],
-) -> None:
-    context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(
-        min(jobs, len(missing)), mp_context=context, initializer=_one_thread
-    ) as pool:
-        futures = {pool.submit(_carry_out_one, pieces[i], folder): i for i in missing}
-        open_ones = set(futures)
+    def path(self, piece: Piece, suffix: str = '.json') -> Path:
+        """Return the path of the result of a piece, or of one of its other files."""
+        return self.folder / f'{piece.stem}{suffix}'
+
+    def find(self, piece: Piece) -> dict[str, Any] | None:
+        """Return the stored result of a piece, None if there is none or it is damaged."""
         try:
-            while open_ones:
-                finished, open_ones = wait(open_ones, _LOOK_S, FIRST_COMPLETED)
-                for future in finished:
-                    results[futures[future]] = future.result()
-                    advance()
-                say(', '.join(_told(folder)))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+            found: dict[str, Any] = json.loads(self.path(piece).read_text(encoding='utf-8'))
+        except (OSError, ValueError):
+            return None
+        return found
 
-
-def tell(folder: Path, stem: str, text: str) -> None:
-    """Leave word of how far a piece is, for the process that waits for it."""
-    (folder / f'{stem}{_WORD}').write_text(text, encoding='utf-8')
-
-
-def _told(folder: Path) -> list[str]:
-    """Return what the pieces under way have said."""
-    words = []
-    for path in sorted(folder.glob(f'*{_WORD}')):
-        with contextlib.suppress(OSError):  # it may have been finished meanwhile
-            words.append(path.read_text(encoding='utf-8'))
-    return words
-
-
-def _one_thread() -> None:
-    # Processes share the cores; libraries read this when they are loaded.
-    for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
-        os.environ[name] = '1'
-
-
-def _carry_out_one(piece: Piece, folder: Path) -> dict[str, Any]:
-    stem = stem_of(piece)
-    result = piece.compute(folder, stem)
-    partial = folder / f'{stem}.partial'
-    partial.write_text(json.dumps(result) + '\n', encoding='utf-8')
-    partial.replace(folder / f'{stem}.json')
-    (folder / f'{stem}{_WORD}').unlink(missing_ok=True)
-    return result
-
-
-def _kept(path: Path) -> dict[str, Any] | None:
-    try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding='utf-8'))
-    except (OSError, ValueError):
-        return None
-    return found
-
-
-class Kept:
-    """Results by their keys, one JSON line each.
-
-    A key names what was measured and with which settings, not the version of the code: begin a new
-    file after a change of the code.
-
-    Args:
-        path: The file; None keeps nothing.
-    """
-
-    def __init__(self, path: Path | None = None) -> None:
-        self._path = path
-        self._known: dict[str, Any] = {}
-        if path is not None and path.exists():
-            for line in path.read_text(encoding='utf-8').splitlines():
-                entry = json.loads(line)
-                self._known[entry['key']] = entry['value']
-
-    def get(self, key: str, measure: Callable[[], Any]) -> Any:  # noqa: ANN401
-        """Return the kept result of a key, or measure and keep it.
+    def run(
+        self,
+        pieces: Sequence[Piece],
+        jobs: int = 1,
+        advance: Callable[[], object] = lambda: None,
+    ) -> list[dict[str, Any]]:
+        """Return the results of pieces in their order; only missing ones are computed.
 
         Args:
-            key: Names the measurement.
-            measure: Returns what JSON can hold; not a number is kept as such.
+            pieces: What to do.
+            jobs: Number of processes.
+            advance: Called after each piece.
+
+        Raises:
+            MixtacError: A piece failed; the results of finished pieces stay stored.
         """
-        if key not in self._known:
-            self._known[key] = measure()
-            if self._path is not None:
-                line = json.dumps({'key': key, 'value': self._known[key]})
-                with self._path.open('a', encoding='utf-8') as file:
-                    file.write(line + '\n')
-        return self._known[key]
+        results: dict[int, dict[str, Any]] = {}
+        missing = []
+        for index, piece in enumerate(pieces):
+            found = self.find(piece)
+            if found is None:
+                missing.append(index)
+            else:
+                results[index] = found
+                advance()
+        calls = [joblib.delayed(_compute)(index, pieces[index], self.folder) for index in missing]
+        processes = min(jobs, len(missing)) or 1
+        # Processes share the cores, so each gets one thread.
+        with joblib.parallel_config('loky', n_jobs=processes, inner_max_num_threads=1):
+            finished = joblib.Parallel(return_as='generator_unordered', batch_size=1)(calls)
+            for index, result in finished:
+                results[index] = result
+                advance()
+        return [results[index] for index in range(len(pieces))]
+
+    def run_shown(
+        self, title: str, pieces: Sequence[Piece], console: Console, jobs: int = 1
+    ) -> list[dict[str, Any]]:
+        """Return the results of pieces as `run` does, with a progress bar of that title."""
+        with Progress(console=console, transient=True) as progress:
+            bar = progress.add_task(title, total=len(pieces))
+            return self.run(pieces, jobs, lambda: progress.advance(bar))
 
 
-def digest(*parts: object) -> str:
-    """Return a short name of settings: equal settings have equal names."""
-    return hashlib.sha256(repr(parts).encode()).hexdigest()[:12]
+def _compute(index: int, piece: Piece, folder: Path) -> tuple[int, dict[str, Any]]:
+    result = piece.function(folder / piece.stem, *piece.arguments)
+    write_json(folder / f'{piece.stem}.json', result)
+    return index, result

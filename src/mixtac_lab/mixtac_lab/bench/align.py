@@ -4,17 +4,27 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Optional
 
 import numpy as np
 import typer
+from rich.console import Console
+from rich.progress import track
 
+from mixtac_alignment.align import Recording
+from mixtac_alignment.align import align as align_recording
+from mixtac_alignment.bags import pool_sensor
 from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures, by_cell, reduce_frame
+from mixtac_alignment.refinement import refine
+from mixtac_alignment.taps import fit_taps
+from mixtac_alignment.two_impulse import fit_counts
 from mixtac_events.errors import MixtacError
+from mixtac_lab.store import Piece, Store, code_version
+from mixtac_node.files import write_json
 from mixtac_sim.world.effects import PRESETS, preset
+from mixtac_sim.world.training_trials import simulator_digest
 from mixtac_sim.world.trial import simulate_trial
 
 if TYPE_CHECKING:
@@ -23,16 +33,24 @@ if TYPE_CHECKING:
     from mixtac_alignment.bags import SensorTiming
     from mixtac_alignment.clock_fit import ClockFit
     from mixtac_alignment.refinement import Refinement
+    from mixtac_sim.world.trial import Trial
 
 
+OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 FIRST_SEED: Final = 600_000
 """Nothing was tuned on this seed or a later one."""
 PROFILES: Final = ('impact', 'dynamic', 'oscillation', 'press', 'demo')
 """Trials of one sensor; the first of them shows the lag of its gel."""
 LENGTH_S: Final = 25.0
-"""Of a trial, as in the paper."""
+"""Length of a trial, as in the paper [s]."""
 DAMAGES: Final = ('no impulse', 'one impulse', 'clipped', 'double taps', 'event gap', 'clock jump')
 ADC_WHITE: Final = 1023.0
+POINTS: Final = 41
+"""Number of times in a trial at which the error is taken."""
+WRONG_S: Final = 2e-3
+"""A clock map with a larger error is wrong [s]."""
+METHODS: Final = ('paper', 'two_impulse', 'refined', 'two_impulse_pooled', 'refined_pooled')
+"""Pooled: with gel and latency of the sensor from all its trials, as `mixtac align` on a folder."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,9 +58,6 @@ class TrialRecording:
     """A recording and its true clock map.
 
     Attributes:
-        sensor: Number of the sensor.
-        profile: Force profile.
-        preset: How hard it is.
         events: Events by cell, camera clock.
         frames: Frames, camera clock.
         force_t_s: Reference stamps, reference clock [s].
@@ -53,9 +68,6 @@ class TrialRecording:
             offset and delay of the sensor together.
     """
 
-    sensor: int
-    profile: str
-    preset: str
     events: CellEvents
     frames: FrameFeatures
     force_t_s: NDArray[np.float64]
@@ -64,70 +76,94 @@ class TrialRecording:
     rate: float
     offset_s: float
 
+    @classmethod
+    def of(cls, trial: Trial) -> TrialRecording:
+        """Return the recording of a simulated trial."""
+        rows, columns = trial.frames.shape[1:]
+        values = np.stack([reduce_frame(frame, ADC_WHITE) for frame in trial.frames])
+        rate, offset_us = trial.clock
+        return cls(
+            events=by_cell(trial.events, columns, rows),
+            frames=FrameFeatures(trial.exposure_start_us, trial.exposure_end_us, values),
+            force_t_s=np.asarray(trial.reference_t_us * 1e-6, np.float64),
+            force=trial.reference_wrench[:, 2],
+            taps_s=tuple(trial.profile.sync_s),
+            rate=rate,
+            offset_s=1e-6 * (offset_us + trial.reference_delay_us),
+        )
+
+    @classmethod
+    def load(cls, path: Path) -> TrialRecording:
+        """Read what `save` wrote."""
+        with np.load(path) as stored:
+            data = dict(stored)
+        return cls(
+            events=CellEvents(data['events_us'].astype(np.int64), data['cell'], data['on']),
+            frames=FrameFeatures(data['start_us'], data['end_us'], data['values']),
+            force_t_s=data['force_t_s'],
+            force=data['force'],
+            taps_s=tuple(map(float, data['taps_s'])),
+            rate=float(data['clock'][0]),
+            offset_s=float(data['clock'][1]),
+        )
+
+    def save(self, path: Path) -> None:
+        """Write the recording to an npz file."""
+        np.savez(
+            path,
+            allow_pickle=False,
+            events_us=self.events.t_us.astype(np.int32),
+            cell=self.events.cell,
+            on=self.events.on,
+            start_us=self.frames.start_us,
+            end_us=self.frames.end_us,
+            values=self.frames.values,
+            force_t_s=self.force_t_s,
+            force=self.force,
+            taps_s=np.array(self.taps_s),
+            clock=np.array([self.rate, self.offset_s]),
+        )
+
     @property
     def counts(self) -> EventCounts:
         """Return the event counts."""
         return EventCounts.of(self.events.t_us)
 
     def true_s(self, camera_us: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return camera times [us] on the reference clock [s], in truth."""
+        """Return camera times [us] on the reference clock [s] by the true map."""
         return np.asarray(self.rate * camera_us * 1e-6 + self.offset_s)
 
 
-def simulate_recording(
-    number: int, seconds: float = LENGTH_S, cache: Path | None = None
-) -> TrialRecording:
-    """Return recording `number` of the benchmark, from a cache where it has been simulated."""
-    path = None if cache is None else cache / f'{FIRST_SEED + number}_{seconds:g}s_cells.npz'
-    if path is None or not path.exists():
-        data = _simulated(number, seconds)
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            np.savez(path, allow_pickle=False, **data)
-    else:
-        with np.load(path) as stored:
-            data = dict(stored)
-    return TrialRecording(
-        sensor=number // len(PROFILES),
-        profile=PROFILES[number % len(PROFILES)],
-        preset=_preset(number),
-        events=CellEvents(data['events_us'].astype(np.int64), data['cell'], data['on']),
-        frames=FrameFeatures(data['start_us'], data['end_us'], data['values']),
-        force_t_s=data['force_t_s'],
-        force=data['force'],
-        taps_s=tuple(map(float, data['taps_s'])),
-        rate=float(data['clock'][0]),
-        offset_s=float(data['clock'][1]),
-    )
+def simulate_recording(number: int, seconds: float, store: Store) -> TrialRecording:
+    """Return recording `number` of the benchmark, simulated if the store does not hold it."""
+    version = f'{simulator_digest()} {code_version("mixtac_alignment.histories")}'
+    name = f'recording_{FIRST_SEED + number}'
+    piece = Piece(name, _simulated, (number, seconds), version)
+    store.run([piece])
+    return TrialRecording.load(store.path(piece, '.npz'))
 
 
-def _preset(number: int) -> str:
-    return tuple(PRESETS)[number // len(PROFILES) % len(PRESETS)]
-
-
-def _simulated(number: int, seconds: float) -> dict[str, NDArray[Any]]:
+def _simulated(base: Path, number: int, seconds: float) -> dict[str, Any]:
     trial = simulate_trial(
-        FIRST_SEED + number // len(PROFILES),
+        FIRST_SEED + sensor_of(number),
         FIRST_SEED + number,
         PROFILES[number % len(PROFILES)],
         seconds,
         sync=True,
-        preset=preset(_preset(number)),
+        preset=preset(preset_of(number)),
     )
-    rate, offset_us = trial.clock
-    events = by_cell(trial.events, 346, 260)
-    return {
-        'events_us': events.t_us.astype(np.int32),
-        'cell': events.cell,
-        'on': events.on,
-        'start_us': trial.exposure_start_us,
-        'end_us': trial.exposure_end_us,
-        'values': np.stack([reduce_frame(frame, ADC_WHITE) for frame in trial.frames]),
-        'force_t_s': trial.reference_t_us * 1e-6,
-        'force': trial.reference_wrench[:, 2],
-        'taps_s': np.array(trial.profile.sync_s),
-        'clock': np.array([rate, 1e-6 * (offset_us + trial.reference_delay_us)]),
-    }
+    TrialRecording.of(trial).save(base.with_name(f'{base.name}.npz'))
+    return {'seconds': seconds}
+
+
+def sensor_of(number: int) -> int:
+    """Return the number of the sensor of a recording."""
+    return number // len(PROFILES)
+
+
+def preset_of(number: int) -> str:
+    """Return the difficulty preset of a recording."""
+    return tuple(PRESETS)[sensor_of(number) % len(PRESETS)]
 
 
 def damage(recording: TrialRecording, kind: str, rng: np.random.Generator) -> TrialRecording:
@@ -166,7 +202,7 @@ def _cut(recording: TrialRecording, start_s: float, end_s: float) -> TrialRecord
 
 
 def _double(recording: TrialRecording, apart_s: float) -> TrialRecording:
-    """Repeat what happened at the first tap shortly after it, in both streams."""
+    """Repeat the first tap shortly after it, in both streams."""
     first = recording.taps_s[0]
     all_events = recording.events
     t = all_events.t_us * 1e-6
@@ -189,7 +225,7 @@ def _gap(recording: TrialRecording, at_s: float) -> TrialRecording:
 
 
 def _jump(recording: TrialRecording, at_s: float, jump_s: float) -> TrialRecording:
-    """Set the camera's clock on or back; what follows keeps its true map from before."""
+    """Set the camera clock forward or back; the true map stays that from before the jump."""
     jump_us, at_us = round(jump_s * 1e6), round(at_s * 1e6)
     frames = recording.frames
     start, end = (np.where(t > at_us, t + jump_us, t) for t in (frames.start_us, frames.end_us))
@@ -210,23 +246,14 @@ def _only(events: CellEvents, chosen: NDArray[Any]) -> CellEvents:
     return CellEvents(events.t_us[chosen], events.cell[chosen], events.on[chosen])
 
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
-POINTS: Final = 41
-"""Times over a trial at which the error is taken."""
-WRONG_S: Final = 2e-3
-"""A map with a larger error is wrong."""
-METHODS: Final = ('paper', 'two_impulse', 'refined', 'two_impulse_pooled', 'refined_pooled')
-"""Pooled: with gel and latency of the sensor from all its trials, as `mixtac align` on a folder."""
-
-
 @dataclass(slots=True)
 class Scores:
     """Errors of one method.
 
     Attributes:
-        errors_s: Per trial, time error over the trial [s].
-        inside: Per trial, share of these within the stated 95 % interval.
-        refused: Trials without a map.
+        errors_s: Time errors of each trial [s].
+        inside: Share of them within the stated 95 % interval, for each trial.
+        refused: Number of trials without a clock map.
     """
 
     errors_s: list[NDArray[np.float64]] = field(default_factory=list)
@@ -234,7 +261,7 @@ class Scores:
     refused: int = 0
 
     def add(self, fit: ClockFit, recording: TrialRecording) -> None:
-        """Add the map of a recording."""
+        """Add the clock map of a recording."""
         times = _times(recording)
         error = fit.to_reference(times) - recording.true_s(times)
         self.errors_s.append(np.abs(error))
@@ -255,88 +282,110 @@ class Scores:
 
 
 def align(
-    trials: Annotated[int, typer.Option(min=1, help='Simulated trials.')] = 200,
-    damaged: Annotated[int, typer.Option(min=0, help='Damaged trials.')] = 100,
-    seconds: Annotated[float, typer.Option(min=8.0, help='Length of a trial.')] = 25.0,
-    cache: Annotated[OptionalPath, typer.Option(help='Folder that keeps the recordings.')] = None,
-    report: Annotated[OptionalPath, typer.Option('--json', help='Write the result.')] = None,
+    trials: Annotated[int, typer.Option(min=1, help='Number of simulated trials.')] = 200,
+    damaged: Annotated[int, typer.Option(min=0, help='Number of damaged trials.')] = 100,
+    seconds: Annotated[float, typer.Option(min=8.0, help='Length of a trial [s].')] = LENGTH_S,
+    cache: Annotated[OptionalPath, typer.Option(help='Folder for simulated recordings.')] = None,
+    report: Annotated[
+        OptionalPath, typer.Option('--json', help='Also write the results to this JSON file.')
+    ] = None,
 ) -> None:
     """Measure the error of the clock alignment on simulated trials with known clocks."""
-    from rich.console import Console
-    from rich.progress import track
-
-    console = Console()
+    console, store = Console(), Store(cache)
     scores = {name: Scores() for name in METHODS}
     groups: dict[str, Scores] = {}
     faults = DamageScores()
     sensor: list[TrialRecording] = []
     for number in track(range(trials), 'aligning', console=console):
-        recording = simulate_recording(number, seconds, cache)
-        if sensor and sensor[0].sensor != recording.sensor:
-            score_sensor(sensor, scores, groups)
+        recording = simulate_recording(number, seconds, store)
+        if number % len(PROFILES) == 0 and sensor:
+            score_sensor(sensor, preset_of(number - 1), scores, groups)
             sensor = []
         sensor.append(recording)
         if number < damaged:
             faults.add(recording, number)
-    score_sensor(sensor, scores, groups)
+    score_sensor(sensor, preset_of(trials - 1), scores, groups)
     result = {'seconds': seconds} | summarise(scores, groups, faults)
     console.print_json(data=result)
     if report is not None:
-        report.write_text(json.dumps(result, indent=2) + '\n', encoding='utf-8')
+        write_json(report, result)
 
 
 def score_sensor(
-    recordings: list[TrialRecording], scores: dict[str, Scores], groups: dict[str, Scores]
+    recordings: list[TrialRecording],
+    preset_name: str,
+    scores: dict[str, Scores],
+    groups: dict[str, Scores],
 ) -> None:
-    """Fit the recordings of a sensor, each alone and with what all of them say of the sensor."""
-    from mixtac_alignment.bags import pool_sensor
-    from mixtac_alignment.refinement import refine
-    from mixtac_alignment.taps import fit_taps
+    """Fit the recordings of a sensor, each alone and with the pooled timing of the sensor.
+
+    Args:
+        recordings: Recordings of one sensor.
+        preset_name: Its difficulty preset.
+        scores: Scores by method; added to.
+        groups: Scores of the refined methods by preset; added to.
+    """
 
     def fit(each: TrialRecording, suffix: str, known: SensorTiming | None) -> Refinement | None:
-        lag, settings = (None, None) if known is None else (known.lag, known.parameters)
-        data = (each.frames, each.force_t_s, each.force)
+        two_impulse, refined = (scores[f'{name}{suffix}'] for name in ('two_impulse', 'refined'))
         try:
-            first = fit_taps(each.counts, each.events, *data, settings, lag)
+            first = fit_impulses(each, known)
         except MixtacError:
-            scores[f'two_impulse{suffix}'].refused += 1
-            scores[f'refined{suffix}'].refused += 1
+            two_impulse.refused += 1
+            refined.refused += 1
             return None
-        scores[f'two_impulse{suffix}'].add(first, each)
+        two_impulse.add(first, each)
         try:
-            refined = refine(first, *data, lag)
+            better = fit_refined(each, first, known)
         except MixtacError:
-            scores[f'refined{suffix}'].refused += 1
+            refined.refused += 1
             return None
-        scores[f'refined{suffix}'].add(refined.fit, each)
-        groups.setdefault(f'refined{suffix} {each.preset}', Scores()).add(refined.fit, each)
-        return refined
+        refined.add(better.fit, each)
+        groups.setdefault(f'refined{suffix} {preset_name}', Scores()).add(better.fit, each)
+        return better
 
     found = [fit(each, '', None) for each in recordings]
     known = pool_sensor([refined for refined in found if refined is not None])
     for each in recordings:
         fit(each, '_pooled', known)
-        _score_paper(each, scores['paper'])
+        try:
+            scores['paper'].add(fit_counts(each.counts, each.force_t_s, each.force), each)
+        except MixtacError:
+            scores['paper'].refused += 1
 
 
-def _score_paper(recording: TrialRecording, scores: Scores) -> None:
-    from mixtac_alignment.two_impulse import fit_counts
+def fit_impulses(recording: TrialRecording, known: SensorTiming | None) -> ClockFit:
+    """Return the clock map from the impulses.
 
-    try:
-        scores.add(fit_counts(recording.counts, recording.force_t_s, recording.force), recording)
-    except MixtacError:
-        scores.refused += 1
+    Args:
+        recording: The recording.
+        known: Timing of the sensor from other recordings; None for none.
+
+    Raises:
+        AlignmentError: The impulses cannot be found or paired.
+    """
+    lag, settings = (None, None) if known is None else (known.lag, known.parameters)
+    force = (recording.force_t_s, recording.force)
+    return fit_taps(recording.counts, recording.events, recording.frames, *force, settings, lag)
+
+
+def fit_refined(
+    recording: TrialRecording, first: ClockFit, known: SensorTiming | None
+) -> Refinement:
+    """Return the refined clock map; arguments and errors as for `fit_impulses`."""
+    lag = None if known is None else known.lag
+    return refine(first, recording.frames, recording.force_t_s, recording.force, lag)
 
 
 @dataclass(slots=True)
 class DamageScores:
-    """What became of damaged recordings, by kind.
+    """Results on damaged recordings, by kind of damage.
 
     Attributes:
-        refused: Refused with a reason.
-        right: Solved, within 2 ms over the whole trial.
-        wrong: Solved, but not right.
-        worst_ms: Largest error of a solved one [ms].
+        refused: Number refused with a reason.
+        right: Number solved with at most 2 ms of error over the whole trial.
+        wrong: Number solved with a larger error.
+        worst_ms: Largest error of a solved recording [ms].
     """
 
     refused: dict[str, int] = field(default_factory=dict)
@@ -345,10 +394,7 @@ class DamageScores:
     worst_ms: float = 0.0
 
     def add(self, recording: TrialRecording, number: int) -> None:
-        """Damage a recording in the way whose turn it is, and align it."""
-        from mixtac_alignment.align import Recording
-        from mixtac_alignment.align import align as align_recording
-
+        """Damage a recording in the way given by its number, and align it."""
         kind = DAMAGES[number % len(DAMAGES)]
         try:
             broken = damage(recording, kind, np.random.default_rng(number))

@@ -11,7 +11,6 @@ Run `mixtac bench decode` or `python -m mixtac_lab.bench.decode`.
 
 from __future__ import annotations
 
-import json as json_module
 import subprocess
 import sys
 import time
@@ -27,6 +26,7 @@ from rich.table import Table
 
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
+from mixtac_node.files import write_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,8 +46,8 @@ def event_stream(
     Args:
         events_per_row: Events that share a row address.
         count: Events.
-        random: True for a geometric spread of the events per row and of the stamps.
-        seed: Of addresses and polarities.
+        random: True for geometrically distributed events per row and time stamps.
+        seed: Seed of addresses and polarities.
     """
     rng = np.random.default_rng(seed)
     rows = count // events_per_row
@@ -87,11 +87,11 @@ def frame_stream(frames: int, seed: int = 1) -> NDArray[np.uint16]:
 
 
 def repeated(words: NDArray[np.uint16], size: int) -> NDArray[np.uint16]:
-    """Return a stream again and again, a wrap of the time before each, up to about a size.
+    """Return a stream repeated to about a size, with a time wrap before each repetition.
 
     Args:
         words: The stream.
-        size: [B]; at least one whole stream comes back.
+        size: Size [B]; the result holds at least one whole stream.
     """
     once = np.concatenate((np.array([0x7001], '<u2'), words))
     return np.tile(once, max(round(size / once.nbytes), 1))
@@ -100,9 +100,9 @@ def repeated(words: NDArray[np.uint16], size: int) -> NDArray[np.uint16]:
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 EVENTS_PER_ROW = (1, 2, 8)
 TRANSFER_BYTES = 256 << 10
-"""Large enough that Python's share, about 5 us per transfer, hardly counts."""
+"""Large enough that the share of Python, about 5 us per transfer, is negligible [B]."""
 EVENT_BYTES = 13
-"""What an event takes in the decoder's arrays."""
+"""Size of an event in the arrays of the decoder [B]."""
 FRAME_BYTES = 2 * FRAME_COLUMNS * FRAME_ROWS
 SEED_EVENTS = 2_000_000
 SEED_FRAMES = 4
@@ -120,12 +120,12 @@ START = (
 
 @dataclass(frozen=True, slots=True)
 class Speed:
-    """How fast one stream went.
+    """Decoding speed of one stream.
 
     Attributes:
         per_s: Events or frames decoded per second.
-        memcpy_ratio: Time to decode over time to copy the stream.
-        output_memcpy_ratio: Time to decode over time to copy as many bytes as the output takes.
+        memcpy_ratio: Ratio of the time to decode to the time to copy the stream.
+        output_memcpy_ratio: Ratio of the time to decode to the time to copy the size of the output.
     """
 
     per_s: float
@@ -138,11 +138,11 @@ class DecodeReport:
     """Speeds of the decoder on one core.
 
     Attributes:
-        fixed: By events per row: 1, 2, 8; the same in every row.
-        random: By mean events per row; their number is geometrically distributed.
-        frames: Full frames.
-        memcpy_bytes_per_s: Of the fastest copy.
-        start_s: Time [s] to import, construct and decode in a fresh process, compiled before.
+        fixed: Speeds by events per row: 1, 2, 8; the same in every row.
+        random: Speeds by mean events per row, geometrically distributed.
+        frames: Speed of full frames.
+        memcpy_bytes_per_s: Speed of the fastest copy.
+        start_s: Time to import, construct and decode in a new process, compiled before [s].
         stream_bytes: Size of the streams.
         transfer_bytes: Size of the pieces in which the decoder gets them.
     """
@@ -156,7 +156,7 @@ class DecodeReport:
     transfer_bytes: int
 
     def as_dict(self) -> dict[str, object]:
-        """Return the figures by their names in the JSON file."""
+        """Return the figures for JSON."""
         return {
             **_figures(self.fixed),
             'frames_per_s': self.frames.per_s,
@@ -177,11 +177,11 @@ def _figures(speeds: dict[int, Speed]) -> dict[str, dict[str, float]]:
 
 
 def _shortest(jobs: list[list[Callable[[], None]]], seconds: float) -> list[float]:
-    """Return the times [s] of jobs in pieces that take turns for a while.
+    """Return the sums of the shortest times of the pieces of jobs that alternate [s].
 
     Args:
-        jobs: The pieces of each job, of which the shortest times are added up.
-        seconds: Time [s] that all turns take together, and at least MIN_TURNS.
+        jobs: Pieces of each job.
+        seconds: Time of all turns together [s]; there are at least MIN_TURNS.
     """
     best = [[np.inf] * len(pieces) for pieces in jobs]
     end = time.perf_counter() + seconds
@@ -225,9 +225,9 @@ def _measure(words: NDArray[np.uint16], seconds: float) -> tuple[Speed, Speed, f
 
 
 def start_seconds() -> float:
-    """Return the time [s] to import, construct and decode in a fresh process.
+    """Return the time to import, construct and decode in a new process [s].
 
-    The first process only sees to it that everything is compiled; the fastest of the others counts.
+    The first process only compiles; the fastest of the others counts.
     """
     times = [
         float(
@@ -244,8 +244,8 @@ def run_decode_benchmark(*, seconds: float = 1.5, stream_bytes: int = 128 << 20)
     """Measure the decoder.
 
     Args:
-        seconds: Time [s] for each of the seven streams.
-        stream_bytes: Size of each stream; more than the processor's caches hold.
+        seconds: Time for each of the seven streams [s].
+        stream_bytes: Size of each stream [B]; more than the caches of the processor.
     """
     speeds: dict[bool, dict[int, Speed]] = {False: {}, True: {}}
     rates = []
@@ -292,17 +292,21 @@ def _print(console: Console, report: DecodeReport) -> None:
 
 
 def decode(
-    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
-    seconds: Annotated[float, typer.Option(min=0, help='Time for each of seven streams.')] = 1.5,
+    json: Annotated[
+        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option(min=0, help='Time for each of seven streams [s].')
+    ] = 1.5,
     megabytes: Annotated[
-        int, typer.Option(min=1, help='Size of each stream; more than the caches hold.')
+        int, typer.Option(min=1, help='Size of each stream [MiB]; more than the caches hold.')
     ] = 128,
 ) -> None:
-    """Measure how fast events and frames are decoded, beside a plain copy of the same bytes."""
+    """Measure the decoding speed of events and frames, relative to a copy of the same bytes."""
     report = run_decode_benchmark(seconds=seconds, stream_bytes=megabytes << 20)
     _print(Console(), report)
     if json is not None:
-        json.write_text(json_module.dumps(report.as_dict(), indent=2) + '\n')
+        write_json(json, report.as_dict())
 
 
 if __name__ == '__main__':

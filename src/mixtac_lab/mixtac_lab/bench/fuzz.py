@@ -39,14 +39,14 @@ MAX_DAMAGES = 64
 
 
 def _events(rng: np.random.Generator, geometry: Geometry) -> list[int]:
-    """A row with columns, hardly ever outside the array."""
+    """Return a row with columns, rarely outside the array."""
     row = int(rng.integers(0, geometry.dvs_rows + 2))
     columns = rng.integers(0, geometry.dvs_columns + 1, rng.integers(0, 12))
     return [0x1000 | row, *(columns | rng.choice([0x2000, 0x3000], len(columns)))]
 
 
 def _frame(rng: np.random.Generator, geometry: Geometry) -> list[int]:
-    """A frame of a small region, columns of both kinds one after the other or in turn."""
+    """Return a frame of a small region, with columns of both kinds in sequence or alternating."""
     aps = (geometry.aps_columns, geometry.aps_rows)
     x0, y0 = (int(rng.integers(0, n)) for n in (aps[::-1] if geometry.aps_inverted else aps))
     width, height = (int(n) for n in rng.integers(1, 40, 2))
@@ -66,8 +66,8 @@ def _inertial(rng: np.random.Generator) -> list[int]:
     return [5, 0x5300 | info, *(0x5000 | rng.integers(0, 256, size)), 7]
 
 
-def sound_stream(rng: np.random.Generator, geometry: Geometry, parts: int) -> Words:
-    """Return a stream as a camera sends it: everything stamped, the time wrapping."""
+def valid_stream(rng: np.random.Generator, geometry: Geometry, parts: int) -> Words:
+    """Return a stream as a camera sends it: all data with time stamps, and time wraps."""
     words: list[int] = []
     tick = 0
     for _ in range(parts):
@@ -96,7 +96,7 @@ def random_words(rng: np.random.Generator, size: int) -> Words:
     return np.frombuffer(rng.bytes(2 * size), '<u2')
 
 
-def crowded_words(rng: np.random.Generator, geometry: Geometry, size: int) -> Words:
+def mostly_address_words(rng: np.random.Generator, geometry: Geometry, size: int) -> Words:
     """Return words that are mostly rows, columns and stamps, in any order."""
     words = random_words(rng, size)
     limits = np.full(16, 0xFFFF, np.uint16)
@@ -109,9 +109,9 @@ def crowded_words(rng: np.random.Generator, geometry: Geometry, size: int) -> Wo
     return usual
 
 
-def damaged(rng: np.random.Generator, sound: Words, other: Words) -> Words:
-    """Return the stream with bits flipped, words lost, doubled and altered, and parts replaced."""
-    words = sound.copy()
+def damaged(rng: np.random.Generator, valid: Words, other: Words) -> Words:
+    """Return a stream with flipped bits, lost, doubled and changed words, and replaced parts."""
+    words = valid.copy()
     places = rng.integers(0, len(words), rng.integers(1, MAX_DAMAGES))
     words[places] ^= (1 << rng.integers(0, 16, len(places))).astype('<u2')
     places = rng.integers(0, len(words), rng.integers(1, MAX_DAMAGES))
@@ -127,7 +127,7 @@ def damaged(rng: np.random.Generator, sound: Words, other: Words) -> Words:
 
 SESSION_WORDS = 1 << 23
 BLOCK_WORDS = 1 << 17
-SOUND_PARTS = 3000
+VALID_PARTS = 3000
 GUARD = 64
 HANG_S = 120.0
 EDGE_KINDS = [int(kind) for kind in EdgeKind]
@@ -135,7 +135,7 @@ OptionalInt = Optional[int]  # noqa: UP045  (typer evaluates this under Python 3
 
 
 class FuzzError(DriverError):
-    """The decoder did something that it must never do."""
+    """The decoder violated an invariant."""
 
 
 def _require(holds: bool, what: str) -> None:
@@ -171,7 +171,7 @@ class GuardedDecoder(StreamDecoder):
 
 @dataclass(slots=True)
 class Tally:
-    """What came out of the decoder of one session, checked as it came."""
+    """Checks and counts the output of the decoder in one session."""
 
     geometry: Geometry
     resets: int = 0
@@ -182,10 +182,10 @@ class Tally:
     edges: int = 0
 
     def take(self, batch: DecodedBatch) -> None:
-        """Check one batch and count what is in it.
+        """Check one batch and count its contents.
 
         Raises:
-            FuzzError: Something is where or when it cannot be.
+            FuzzError: A position or a time is impossible.
         """
         _require(batch.resets in (self.resets, self.resets + 1), 'resets were skipped')
         if batch.resets > self.resets:
@@ -236,20 +236,20 @@ def _geometry(rng: np.random.Generator) -> Geometry:
 
 
 def _blocks(rng: np.random.Generator, geometry: Geometry) -> Iterator[NDArray[np.uint16]]:
-    """Yield blocks of words of all sorts for ever."""
-    sound = [sound_stream(rng, geometry, SOUND_PARTS) for _ in range(2)]
+    """Yield blocks of all kinds of words, without end."""
+    valid = [valid_stream(rng, geometry, VALID_PARTS) for _ in range(2)]
     while True:
         yield random_words(rng, BLOCK_WORDS)
-        yield crowded_words(rng, geometry, BLOCK_WORDS)
+        yield mostly_address_words(rng, geometry, BLOCK_WORDS)
         for _ in range(4):
-            pieces = [damaged(rng, *sound[:: rng.choice([-1, 1])]) for _ in range(3)]
+            pieces = [damaged(rng, *valid[:: rng.choice([-1, 1])]) for _ in range(3)]
             yield np.concatenate(pieces)
 
 
 def _push(
     rng: np.random.Generator, decoder: GuardedDecoder, tally: Tally, block: NDArray[np.uint16]
 ) -> int:
-    """Push a block in transfers of random sizes, some cut inside a word; return bytes pushed."""
+    """Push a block in transfers of random sizes, some cut within a word; return their bytes."""
     data = block.tobytes()
     limits = np.sort(rng.integers(0, len(data), rng.integers(1, 60))).tolist()
     pushed = 0
@@ -276,15 +276,15 @@ def run_session(seed: int, number: int, words: int = SESSION_WORDS) -> Iterator[
     """Run one session.
 
     Args:
-        seed: Of all sessions.
-        number: Of this session.
+        seed: Seed of all sessions.
+        number: Number of this session.
         words: Words to push, rounded up to whole blocks.
 
     Yields:
-        Words pushed by every block.
+        Number of words of each block.
 
     Raises:
-        FuzzError: The decoder did something wrong; seed and number are named.
+        FuzzError: The decoder violated an invariant; the message holds seed and number.
     """
     rng = np.random.default_rng([seed, number])
     geometry = _geometry(rng)
@@ -298,7 +298,8 @@ def run_session(seed: int, number: int, words: int = SESSION_WORDS) -> Iterator[
             _check_counters(decoder, tally, pushed)
         except FuzzError as error:
             raise FuzzError(
-                f'{error}: repeat with --seed {seed} --only {number} ({pushed} bytes in)'
+                f'{error} after {pushed} bytes',
+                remedy=f'repeat with --seed {seed} --only {number}',
             ) from error
         finally:
             faulthandler.cancel_dump_traceback_later()
@@ -308,11 +309,11 @@ def run_session(seed: int, number: int, words: int = SESSION_WORDS) -> Iterator[
 
 
 def fuzz(
-    words: Annotated[float, typer.Option(min=1, help='Words to push.')] = 1e7,
-    seed: Annotated[int, typer.Option(min=0, help='Of everything.')] = 0,
-    only: Annotated[OptionalInt, typer.Option(help='Repeat just this session.')] = None,
+    words: Annotated[float, typer.Option(min=1, help='Number of words.')] = 1e7,
+    seed: Annotated[int, typer.Option(min=0, help='Random seed.')] = 0,
+    only: Annotated[OptionalInt, typer.Option(help='Run only this session.')] = None,
 ) -> None:
-    """Push random and damaged words through the decoder and check what it puts out."""
+    """Push random and damaged words through the decoder and check its output."""
     console = Console()
     done = 0
     with Progress(console=console) as progress:
@@ -323,7 +324,7 @@ def fuzz(
                 progress.update(task, completed=done)
             if done >= words:
                 break
-    console.print(f'{done} words, seed {seed}: nothing wrong')
+    console.print(f'{done} words, seed {seed}: no errors')
 
 
 if __name__ == '__main__':

@@ -1,20 +1,117 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What benchmarks of running nodes share: CPU time, loss and age of received packets."""
+"""Shared parts of benchmarks: child processes, ages of received packets, quantiles, reports.
+
+`BenchRun` starts a camera, nodes and subscribers as processes and measures their CPU time.
+`Arrivals` counts lost events and measures the age of events at a subscriber.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import contextlib
+import json
+import os
+import signal
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import psutil
 
 from mixtac_events.sequence import SequenceCounter
 from mixtac_lab.bench.pattern import MARKER, MARKER_US
+from mixtac_node.process import JsonProcess
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from types import TracebackType
+
     from mixtac_events.arrays import Events
-    from mixtac_node.process import JsonProcess
+    from mixtac_node.graph import NodeSpec
+
+
+START_TIMEOUT_S = 300.0
+"""Time to wait for a process to start [s]; on a loaded machine a start takes long."""
+
+
+class BenchRun:
+    """The processes of a benchmark, in a `with` block that ends them.
+
+    Attributes:
+        folder: Temporary folder for sockets.
+        processes: Processes by name, in the order of their start.
+    """
+
+    def __init__(self) -> None:
+        self.processes: dict[str, JsonProcess] = {}
+        self._stack = contextlib.ExitStack()
+        self._env = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+
+    def __enter__(self) -> BenchRun:
+        """Make the folder."""
+        folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix='mixtac-'))
+        self.folder = Path(folder)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End all processes, the last one first, and remove the folder."""
+        self._stack.close()
+
+    def start(self, name: str, command: list[str]) -> JsonProcess:
+        """Start a process under a name."""
+        process = self._stack.enter_context(JsonProcess(name, command, self._env))
+        self.processes[name] = process
+        return process
+
+    def start_node(self, name: str, node: NodeSpec, namespace: str) -> JsonProcess:
+        """Start a node under a name."""
+        return self.start(name, node.command(namespace, log_level='warn'))
+
+    def start_program(self, name: str, module: str, *arguments: str) -> JsonProcess:
+        """Start a module of `mixtac_lab.bench.programs` under a name."""
+        module = f'mixtac_lab.bench.programs.{module}'
+        return self.start(name, [sys.executable, '-m', module, *arguments])
+
+    def start_camera(self, kind: str, **options: object) -> tuple[str, dict[str, Any]]:
+        """Start a virtual camera in a process named `camera`, see `programs.camera`.
+
+        Returns:
+            Its device name for the driver, and its description of what it sends.
+        """
+        socket = self.folder / 'usb.sock'
+        flags = [f'--{name.replace("_", "-")}={value}' for name, value in options.items()]
+        camera = self.start_program('camera', 'camera', kind, f'--socket={socket}', *flags)
+        return f'virtual:{socket}', camera.expect('ready', START_TIMEOUT_S)
+
+    def measure(
+        self, seconds: float, progress: Callable[[float], None] = lambda _seconds: None
+    ) -> tuple[float, dict[str, float]]:
+        """Wait while the processes run.
+
+        Args:
+            seconds: Length of the measurement [s].
+            progress: Called repeatedly with the elapsed seconds.
+
+        Returns:
+            Its real length [s], and the CPU time of each process over it.
+        """
+        before = {name: cpu_s(process) for name, process in self.processes.items()}
+        started_s = time.monotonic()
+        while (elapsed_s := time.monotonic() - started_s) < seconds:
+            time.sleep(min(0.5, seconds - elapsed_s))
+            progress(time.monotonic() - started_s)
+        elapsed_s = time.monotonic() - started_s
+        used = {name: (cpu_s(self.processes[name]) - start) for name, start in before.items()}
+        return elapsed_s, {name: each / elapsed_s for name, each in used.items()}
 
 
 def cpu_s(process: JsonProcess) -> float:
@@ -23,20 +120,40 @@ def cpu_s(process: JsonProcess) -> float:
     return float(times.user + times.system)
 
 
+def send(**values: object) -> None:
+    """Write one JSON object to standard output, for the `JsonProcess` of the parent."""
+    print(json.dumps(values), flush=True)
+
+
+def stop_event() -> threading.Event:
+    """Return an event that is set by SIGTERM and SIGINT."""
+    event = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: event.set())
+    return event
+
+
+def quantiles(values: Iterable[float], levels: tuple[float, ...] = (0.5, 0.99)) -> dict[str, float]:
+    """Return quantiles of values by names such as `p50`; `max` is the level 1."""
+    names = ['max' if level == 1.0 else f'p{1e3 * level:g}'.removesuffix('0') for level in levels]
+    found = np.quantile(list(values), levels).tolist()
+    return dict(zip(names, found, strict=True))
+
+
 BIN_US = 5
 BINS = 200_000
 """Ages up to one second."""
 
 
 class Arrivals:
-    """Takes packets in order of arrival.
+    """Statistics of packets of a pattern, in order of arrival.
 
-    The times of the packets are the camera's count plus the host time at which the driver believes
-    that the count was zero. The error of that belief is seen at the markers and taken out again, so
-    that ages are true ones.
+    The time of an event is the camera's count plus the driver's estimate of the host time at which
+    that count was zero. The markers show the error of the estimate, which is removed, so the ages
+    are true.
 
     Args:
-        origin_ns: True host time [ns since the Unix epoch] at which the camera's clock read zero.
+        origin_ns: True host time at which the camera's clock was zero [ns since the Unix epoch].
         period_us: Length of the pattern [us].
         events: Events per period.
     """

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json as json_format
 import sys
 import time
 from array import array
@@ -22,7 +21,10 @@ from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.live_feed import LiveFeed
-from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.streaming import ForceEstimator, warm_up
+from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
+from mixtac_lab.bench.harness import quantiles
+from mixtac_node.files import write_json
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.world.trial import TrialStream
 
@@ -55,10 +57,10 @@ class PacketFields:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A frame as it becomes available.
+    """A frame and the time at which it is available.
 
     Attributes:
-        ready_us: Camera time at which its readout ends.
+        ready_us: Camera time at the end of its readout [us].
         mid_us: Centre of its exposure, camera clock [us].
         image: Intensity, uint16 [260, 346].
     """
@@ -70,12 +72,12 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A trial as the driver would publish it.
+    """A trial as the driver publishes it.
 
     Attributes:
         ends_us: Camera time up to which each packet is complete [us].
-        packets: One per millisecond.
-        frames: In the order in which they become available.
+        packets: One packet per millisecond.
+        frames: Frames in the order in which they become available.
         events: Number of events.
     """
 
@@ -90,7 +92,7 @@ def make_scene(seconds: float, preset: str, profile: str = 'dynamic') -> Scene:
 
     Args:
         seconds: Length [s].
-        preset: How hard the virtual sensor is.
+        preset: Difficulty preset of the virtual sensor.
         profile: Force profile.
     """
     spec = TrialSpec('infer', profile, seconds, DEVICE_SEED, TRIAL_SEED, preset, 'test')
@@ -131,19 +133,19 @@ def _cut(scene: Scene, events: Events, start_us: int, end_us: int) -> None:
 
 
 DEADLINE_S: Final = 0.002
-"""A force that comes later than the end of the next window is late."""
+"""A force after the end of the next window is late [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class PacedRun:
-    """A run in real time, frames in the background as in the node.
+    """A run in real time, with frames in the background as in the node.
 
     Attributes:
-        step_ms: Time of each call that closed a window, decoding of the packet included [ms].
-        window_cpu_ms: Processor time of the thread of the windows per window, decoding of all its
-            packets included [ms]; other processes hardly change it.
-        forces: Forces that came out.
-        late: Forces that came out more than 2 ms after their packet was handed over or due.
+        step_ms: Time of each call that closes a window, including the decoding of the packet [ms].
+        window_cpu_ms: Processor time per window of the thread that computes windows, including the
+            decoding of all packets [ms]; other processes hardly change it.
+        forces: Number of forces.
+        late: Number of forces more than 2 ms after their packet was due.
         frames_dropped: Frames replaced by a newer one before they were encoded.
         cpu: Processor time over real time, all threads.
     """
@@ -157,11 +159,11 @@ class PacedRun:
 
 
 def run_paced(model: Model, scene: Scene) -> PacedRun:
-    """Hand over every packet and frame when the camera would.
+    """Feed every packet and frame at its time.
 
     Args:
         model: Content of a weight file whose estimator is warmed up.
-        scene: What to hand over.
+        scene: Packets and frames.
     """
     feed = LiveFeed(ForceEstimator(open_estimator(model), background_frames=True))
     steps: list[float] = []
@@ -170,7 +172,7 @@ def run_paced(model: Model, scene: Scene) -> PacedRun:
     origin_us = scene.ends_us[0]
     for end_us, packet in zip(scene.ends_us, scene.packets, strict=True):
         while frames and frames[0].ready_us <= end_us:
-            _hand_over(feed, frames.popleft())
+            _feed_image(feed, frames.popleft())
         due_s = start_s + 1e-6 * (end_us - origin_us)
         time.sleep(max(due_s - time.perf_counter(), 0.0))
         called_s, before_s = time.perf_counter(), time.thread_time()
@@ -189,8 +191,8 @@ def run_paced(model: Model, scene: Scene) -> PacedRun:
 
 
 def frame_times_ms(model: Model, scene: Scene) -> list[float]:
-    """Return the time of each frame step of one thread, from image to correction-ready [ms]."""
-    estimator = ForceEstimator(open_estimator(model))
+    """Return the time of each frame step on one thread, from image to correction [ms]."""
+    estimator = ForceEstimator(model)
     times = []
     for frame in scene.frames:
         start_s = time.perf_counter()
@@ -199,12 +201,6 @@ def frame_times_ms(model: Model, scene: Scene) -> list[float]:
     estimator.close()
     reference = estimator.reference
     return times[0 if reference is None else reference.frames :]
-
-
-def quantiles(values: list[float]) -> dict[str, float]:
-    """Return the median and the 99th percentile."""
-    p50, p99 = np.quantile(values, (0.5, 0.99))
-    return {'p50': float(p50), 'p99': float(p99)}
 
 
 @dataclass(slots=True)
@@ -219,7 +215,7 @@ class _ImageFields:
     data: array[int]
 
 
-def _hand_over(feed: LiveFeed, frame: Frame) -> None:
+def _feed_image(feed: LiveFeed, frame: Frame) -> None:
     height, width = frame.image.shape
     data = array('B', frame.image.tobytes())
     big_endian = int(sys.byteorder == 'big')
@@ -230,10 +226,18 @@ OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python
 
 
 def infer(
-    model: Annotated[Optional[str], typer.Option(help='Weight file or name.')] = None,  # noqa: UP045
-    seconds: Annotated[float, typer.Option(min=3, max=600, help='Length of the run.')] = 20.0,
-    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = 'paper_like',
-    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+    model: Annotated[
+        Optional[str],  # noqa: UP045  (typer evaluates this under Python 3.10)
+        typer.Option(help='Weight file, or name of a shipped model.'),
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=3, max=600, help='Length of the run [s].')] = 20.0,
+    preset: Annotated[
+        str,
+        typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.'),
+    ] = 'paper_like',
+    json: Annotated[
+        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
+    ] = None,
 ) -> None:
     """Measure the estimator on one thread: a simulated trial in real time, frames beside it."""
     console = Console()
@@ -241,25 +245,20 @@ def infer(
         report = measure(model, seconds, preset)
     _print(console, report)
     if json is not None:
-        json.parent.mkdir(parents=True, exist_ok=True)
-        json.write_text(json_format.dumps(report, indent=2) + '\n', encoding='utf8')
+        write_json(json, report)
 
 
 def measure(model_name: str | None, seconds: float, preset: str) -> dict[str, Any]:
-    """Return the figures as JSON-ready values.
+    """Return the figures, ready for JSON.
 
     Args:
         model_name: Weight file or name of a model; None for the shipped one.
         seconds: Length of the simulated trial [s].
-        preset: How hard the virtual sensor is.
+        preset: Difficulty preset of the virtual sensor.
 
     Raises:
         ModelError: There is no such model.
     """
-    # These compile; the command line starts without them.
-    from mixtac_fger.streaming import warm_up
-    from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
-
     model = read_model(find_model(model_name or DEFAULT_MODEL))
     estimator = open_estimator(model)
     scene = make_scene(seconds, preset)
@@ -273,12 +272,6 @@ def measure(model_name: str | None, seconds: float, preset: str) -> dict[str, An
         'parameters': estimator.parameters,
         'windows': paced.forces,
         'events_per_s': scene.events / seconds,
-        **_live_figures(paced),
-    }
-
-
-def _live_figures(paced: PacedRun) -> dict[str, Any]:
-    return {
         'window_cpu_ms': paced.window_cpu_ms,
         'late': paced.late,
         'frames_dropped': paced.frames_dropped,
@@ -296,7 +289,7 @@ def _print(console: Console, report: dict[str, Any]) -> None:
     console.print(table)
     console.print(
         f'{report["parameters"]:,} parameters, {report["flops_per_cycle"] / 1e6:.1f} MFLOP per'
-        f' 40 ms; {report["windows"]} forces, {report["late"]} of them later than 2 ms,'
+        f' 40 ms; {report["windows"]} forces, {report["late"]} of them more than 2 ms late,'
         f' {report["frames_dropped"]} frames skipped, {100 * report["cpu"]:.0f} % of a core at'
         f' {report["events_per_s"] / 1e6:.2f} Mev/s; {1e3 * report["window_cpu_ms"]:.0f} us of'
         ' processor time per window'

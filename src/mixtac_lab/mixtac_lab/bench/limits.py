@@ -2,18 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random slips, states and delays: whether the planned stream keeps the limits of the arm.
 
-The caller provides the trajectory controller, so that it can be an emulation written
-independently of the planner. Its commands are judged as an arm sees them: by differences of the
-positions from cycle to cycle.
+The trajectories go to emulations of ros2_control's trajectory controller at 1 kHz, one for each way
+in which it interpolates, written independently of the planner. Their commands are judged as an arm
+does: by differences of the positions from cycle to cycle.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Optional
 
 import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
 
+from mixtac_node.files import write_json
+from mixtac_sim.arm.controller import JointTrajectoryController, Release
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.planner import MAX_ADVANCE, AdvancePlanner
@@ -30,41 +36,30 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
+OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 CYCLE_S = 1e-3
 SLACK = 1e-6
-"""Share by which rounding may exceed a limit."""
+"""Share of a limit that rounding may exceed."""
 CYCLES_FOR_CONTROLLER = 2
-"""Of the lead, that the controller takes itself; the rest may go into transport."""
-
-
-class Controller(Protocol):
-    """A trajectory controller with a cycle of 1 ms, such as mixtac_sim's emulation."""
-
-    def reset(self, q: Floats, now_s: float) -> None:
-        """Hold joint positions (n,) [rad]; the first cycle is at this time [s]."""
-
-    def accept(self, trajectory: PlannedTrajectory, now_s: float) -> str | None:
-        """Receive a trajectory at a time [s]; return why it is rejected, or None."""
-
-    def sample(self, t_s: float) -> tuple[Floats, Floats, Floats]:
-        """Return what is commanded (n,) [rad], [rad/s], [rad/s2] in the cycle of a time [s]."""
+"""Cycles of the lead that the controller needs; the rest is for transport."""
+RELEASES: tuple[Release, ...] = ('jazzy', 'humble')
 
 
 @dataclass(slots=True)
 class TrialTally:
-    """What trials led to; the worst values are shares of the limit, 1 at the limit.
+    """Result of trials; the worst values are shares of the limit, 1 at the limit.
 
     Attributes:
-        trials: Sequences played.
-        trajectories: Trajectories sent.
-        rejected: Of these, refused by the controller.
-        refused: Plans that the planner did not make.
-        position: Commands outside a joint's range.
+        trials: Number of sequences played.
+        trajectories: Number of trajectories sent.
+        rejected: Number of trajectories rejected by the controller.
+        refused: Number of plans that the planner refused.
+        position: Number of commands outside the range of a joint.
         velocity: Worst velocity.
         acceleration: Worst acceleration.
         jerk: Worst jerk.
-        moving: Sequences that did not end at rest at the target.
-        violations: Sequences that broke any limit, were rejected or did not end at rest.
+        moving: Number of sequences that did not end at rest at the target.
+        violations: Number of sequences that violated a limit, were rejected or did not end at rest.
     """
 
     trials: int = 0
@@ -79,28 +74,47 @@ class TrialTally:
     violations: int = 0
 
 
+def limits(
+    trials: Annotated[int, typer.Option(min=1, help='Number of random sequences.')] = 10_000,
+    seed: Annotated[int, typer.Option(min=0, help='Random seed.')] = 1,
+    json: Annotated[
+        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
+    ] = None,
+) -> None:
+    """Send random slips through planner and arm controller; count violated joint limits."""
+    console = Console()
+    with Progress(console=console, transient=True) as progress:
+        bar = progress.add_task('sequences', total=trials)
+        tally = asdict(run_trials(trials, seed, advance=lambda: progress.advance(bar)))
+    console.print_json(data=tally)
+    if json is not None:
+        write_json(json, {'seed': seed} | tally)
+
+
 def run_trials(
     count: int,
     seed: int,
-    controllers: tuple[Callable[[], Controller], ...],
+    releases: tuple[Release, ...] = RELEASES,
     per_state: int = 20,
     settings: StreamSettings | None = None,
+    advance: Callable[[], object] = lambda: None,
 ) -> TrialTally:
-    """Play random sequences on the FR3 and judge every command.
+    """Play random sequences on the FR3 and check every command.
 
     Args:
         count: Number of sequences.
-        seed: Of everything random.
-        controllers: Makers of controllers, taken in turn.
-        per_state: Sequences from each joint state and normal drawn.
-        settings: Of the planner.
+        seed: Random seed.
+        releases: Releases of ros2_control to emulate, in turn.
+        per_state: Number of sequences from each random joint state and normal.
+        settings: Settings of the planner.
+        advance: Called after each sequence.
     """
     rng = np.random.default_rng(seed)
-    arm, limits = SerialArm.fr3(), JointLimits.fr3()
-    planner = AdvancePlanner(arm, limits, settings)
+    joints = JointLimits.fr3()
+    planner = AdvancePlanner(SerialArm.fr3(), joints, settings)
     tally = TrialTally()
     while tally.trials < count:
-        q = rng.uniform(limits.lower, limits.upper)
+        q = rng.uniform(joints.lower, joints.upper)
         normal = rng.normal(size=3)
         try:
             planner.reset(q, normal)
@@ -108,28 +122,30 @@ def run_trials(
             continue
         for _ in range(min(per_state, count - tally.trials)):
             planner.restart()
-            controller = controllers[tally.trials % len(controllers)]()
+            release = releases[tally.trials % len(releases)]
+            controller = JointTrajectoryController(1.0 / CYCLE_S, release=release)
             trial = _Trial(planner, controller, normal, rng)
             trial.play(int(rng.integers(10, 80)))
-            _judge(trial, limits, tally)
+            _judge(trial, joints, tally)
+            advance()
     tally.refused = planner.refused
     return tally
 
 
 class _Trial:
-    """One sequence: windows of counts ask for advances; trajectories arrive late.
+    """One sequence: windows of counts request advances; trajectories arrive late.
 
     Args:
         planner: Planner, just reset.
-        controller: Controller to drive.
+        controller: Controller of the arm.
         normal: Direction of the advance (3,).
-        rng: Source of counts, delays and phases.
+        rng: Random counts, delays and phases.
     """
 
     def __init__(
         self,
         planner: AdvancePlanner,
-        controller: Controller,
+        controller: JointTrajectoryController,
         normal: Floats,
         rng: np.random.Generator,
     ) -> None:
@@ -179,7 +195,7 @@ class _Trial:
         self._on_the_way.append((arrival, trajectory))
 
     def _run(self, until_s: float) -> None:
-        """Let controller cycles and arrivals happen in their order up to a time [s]."""
+        """Run controller cycles and arrivals in their order up to a time [s]."""
         while self._cycle_s <= until_s:
             self._deliver(self._cycle_s)
             self.commands.append(np.stack(self._controller.sample(self._cycle_s)))
@@ -193,18 +209,18 @@ class _Trial:
             self.rejected += self._controller.accept(trajectory, arrival) is not None
 
 
-def _judge(trial: _Trial, limits: JointLimits, tally: TrialTally) -> None:
+def _judge(trial: _Trial, joints: JointLimits, tally: TrialTally) -> None:
     states = np.array(trial.commands)
     q = np.concatenate([np.repeat(trial.q[None], 3, axis=0), states[:, 0]])
     steps = [np.diff(q, n, axis=0) / CYCLE_S**n for n in (1, 2, 3)]
-    bounds = [limits.velocity_bounds(position) for position in states[:, 0]]
+    bounds = [joints.velocity_bounds(position) for position in states[:, 0]]
     lowest, highest = (np.array([b[k] for b in bounds]) for k in (0, 1))
     speed = np.maximum(np.maximum(states[:, 1], 0) / highest, np.minimum(states[:, 1], 0) / lowest)
-    velocity = max(float(speed.max()), float((np.abs(steps[0]) / limits.velocity).max()))
+    velocity = max(float(speed.max()), float((np.abs(steps[0]) / joints.velocity).max()))
     accelerations = np.concatenate([np.abs(steps[1]), np.abs(states[:, 2])])
-    acceleration = float((accelerations / limits.acceleration).max())
-    jerk = float((np.abs(steps[2]) / limits.jerk).max())
-    outside = int(((states[:, 0] < limits.lower) | (states[:, 0] > limits.upper)).any(1).sum())
+    acceleration = float((accelerations / joints.acceleration).max())
+    jerk = float((np.abs(steps[2]) / joints.jerk).max())
+    outside = int(((states[:, 0] < joints.lower) | (states[:, 0] > joints.upper)).any(1).sum())
     moving = bool(np.abs(states[-1, 1:]).max() > 1e-9) or not _arrived(trial, states[-1, 0])
     tally.trials += 1
     tally.trajectories += trial.sent
@@ -214,7 +230,7 @@ def _judge(trial: _Trial, limits: JointLimits, tally: TrialTally) -> None:
     tally.acceleration = max(tally.acceleration, acceleration)
     tally.jerk = max(tally.jerk, jerk)
     tally.moving += moving
-    # Written so that NaN is a violation.
+    # NaN counts as a violation.
     within = max(velocity, acceleration, jerk) <= 1.0 + SLACK
     tally.violations += not within or outside > 0 or moving or trial.rejected > 0
 
@@ -222,5 +238,5 @@ def _judge(trial: _Trial, limits: JointLimits, tally: TrialTally) -> None:
 def _arrived(trial: _Trial, q: Floats) -> bool:
     path = trial.planner.path
     if path is None:
-        raise ArmError('the planner of this trial has no path: reset it with a normal')
+        raise ArmError('the planner of this trial has no path', remedy='reset it with a normal')
     return bool(np.abs(path.derivatives(trial.planner.target)[0] - q).max() < 1e-9)

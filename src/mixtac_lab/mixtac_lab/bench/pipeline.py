@@ -1,57 +1,88 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Age of events at a subscriber in another process, and the highest rate without loss.
+"""Age of events and forces at a subscriber in another process, losses, rates and CPU time.
 
-Three processes: a virtual camera that sends a pattern over its USB protocol, the driver node as
-shipped, and a subscriber. The age of an event is the host time at which its packet arrives at the
-subscriber minus the true time at which the camera stamped it.
+`pipeline` measures the driver: a virtual camera sends a pattern over its USB protocol to the driver
+node as shipped. `compose` measures driver and estimator, in separate processes and in one.
+`two_sensors` runs two virtual sensors with two estimators at once. The age of an event is the host
+time at which its packet arrives at the subscriber minus the true time of the event; the age of a
+force counts from the end of its window.
 """
 
 from __future__ import annotations
 
-import contextlib
-import json as json_format
 import os
-import sys
-import tempfile
-import time
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from mixtac_lab.bench.harness import cpu_s
-from mixtac_node.graph import config_file, executable
-from mixtac_node.process import JsonProcess
+from mixtac_lab.bench.harness import START_TIMEOUT_S, BenchRun
+from mixtac_node.files import write_json
+from mixtac_node.graph import NodeSpec, sensor_graph
+from mixtac_node.process import GraphError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from mixtac_node.process import JsonProcess
 
+
+OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
+Json = Annotated[OptionalPath, typer.Option(help='Also write the results to this JSON file.')]
 NAMESPACE = 'mixtac_bench'
-START_TIMEOUT_S = 30.0
 SETTLE_S = 2.0
+FORCE_SETTLE_S = 3.0
+TWO_SENSORS_SETTLE_S = 5.0
+AGE_RATE = 1e6
+LOSS_RATE = 5e6
+SENSOR_RATE = 12e6
+"""Approximate maximum rate of the sensor."""
+FRAME_INTERVAL_US = 25_000
+READING_INTERVAL_US = 1000
+LADDER = (5e6, SENSOR_RATE, 20e6, 30e6, 40e6)
+STEP_SECONDS = 10.0
+AGES = ('force_age_p50_ms', 'force_age_p99_ms', 'force_age_max_ms')
+SIDES = {'left': 5, 'right': 6}
+"""Namespaces, and the seeds of their virtual sensors, which determine the serial numbers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What the camera sends.
+    """Data that the camera sends.
 
     Attributes:
         rate: Events per second.
-        per_row: Mean events per row.
-        frame_interval_us: Time between frames [us], 0 for none.
-        reading_interval_us: Time between inertial samples [us], 0 for none.
+        per_row: Mean number of events per row.
+        frame_interval: Time between frames [us], 0 for none.
+        reading_interval: Time between inertial samples [us], 0 for none.
     """
 
     rate: float
     per_row: float = 1.0
-    frame_interval_us: int = 0
-    reading_interval_us: int = 0
+    frame_interval: int = 0
+    reading_interval: int = 0
+
+    def start(self, run: BenchRun) -> tuple[str, dict[str, Any]]:
+        """Start a camera with this load; returns as `BenchRun.start_camera`."""
+        return run.start_camera(
+            'pattern',
+            rate=self.rate,
+            per_row=self.per_row,
+            frame_interval=self.frame_interval,
+            reading_interval=self.reading_interval,
+        )
+
+
+def full_load(rate: float) -> Load:
+    """Return a load with frames and inertial samples."""
+    return Load(rate, frame_interval=FRAME_INTERVAL_US, reading_interval=READING_INTERVAL_US)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +90,10 @@ class PipelineRun:
     """One run.
 
     Attributes:
-        load: What the camera sent.
+        load: Load of the camera.
         seconds: Length of the measurement [s].
-        figures: See `mixtac_lab.bench.harness.Arrivals.summary`.
-        camera_stalls: Times that the camera's buffer overflowed.
+        figures: Ages and losses, see `mixtac_lab.bench.harness.Arrivals.summary`.
+        camera_stalls: Number of buffer overflows of the camera.
         driver_cpu: CPU time of the driver over time.
         probe_cpu: CPU time of the subscriber over time.
     """
@@ -76,12 +107,12 @@ class PipelineRun:
 
     @property
     def lost(self) -> int:
-        """Events that did not arrive."""
+        """Number of events that did not arrive."""
         return int(self.figures['events_lost'])
 
     @property
     def clean(self) -> bool:
-        """Whether everything sent has arrived."""
+        """Whether everything that was sent arrived."""
         nothing = not self.lost and not self.figures['packets_lost'] and not self.camera_stalls
         return nothing and self.figures['periods'] > 0
 
@@ -99,94 +130,59 @@ class PipelineRun:
         }
 
 
+def pattern_of(run: BenchRun, sent: Mapping[str, Any], origin: Mapping[str, Any]) -> dict[str, int]:
+    """Return the arguments of `Arrivals` for a running camera.
+
+    Args:
+        run: Processes; one is named `camera`.
+        sent: Description by the camera of what it sends.
+        origin: First origin of its clock that it reported.
+    """
+    # A start lets the clock run and then resets it: only the last origin counts.
+    latest = run.processes['camera'].latest('origin_ns', dict(origin))
+    return {
+        'origin_ns': latest['origin_ns'],
+        'period_us': sent['period_us'],
+        'events': sent['events'],
+    }
+
+
 def run_pipeline(
     load: Load,
     seconds: float,
     parameters: Mapping[str, object] | None = None,
     progress: Callable[[float], None] = lambda _seconds: None,
 ) -> PipelineRun:
-    """Run the three processes and measure.
+    """Run camera, driver and subscriber, and measure.
 
     Args:
-        load: What the camera sends.
+        load: Load of the camera.
         seconds: Length of the measurement [s].
         parameters: Driver parameters that differ from the shipped ones.
-        progress: Called now and then with the seconds measured so far.
+        progress: Called repeatedly with the elapsed seconds.
 
     Raises:
         GraphError: A process did not start.
     """
-    env = dict(os.environ)
-    env['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    with contextlib.ExitStack() as stack:
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='mixtac-'))
-        socket = str(Path(folder) / 'usb.sock')
-        camera = stack.enter_context(JsonProcess('camera', camera_command(load, socket), env))
-        pattern = camera.expect('ready', START_TIMEOUT_S)
-        module = 'mixtac_lab.bench.programs.arrival_probe_node'
-        probe = stack.enter_context(JsonProcess('subscriber', [sys.executable, '-m', module], env))
+    with BenchRun() as run:
+        device, sent = load.start(run)
+        probe = run.start_program('subscriber', 'probe_node')
         probe.expect('ready', START_TIMEOUT_S)
-        command = _driver_command(socket, parameters or {})
-        driver = stack.enter_context(JsonProcess('driver', command, env))
-        first = camera.expect('origin_ns', START_TIMEOUT_S)
-        time.sleep(SETTLE_S)
-        # A start sets the clock going and then resets it: only the last origin counts.
-        origin_ns = camera.latest('origin_ns', first)['origin_ns']
-        probe.send(
-            topic=f'/{NAMESPACE}/events',
-            pattern={
-                'origin_ns': origin_ns,
-                'period_us': pattern['period_us'],
-                'events': pattern['events'],
-            },
-        )
-        began_s, driver_s, probe_s = time.monotonic(), cpu_s(driver), cpu_s(probe)
-        while (elapsed_s := time.monotonic() - began_s) < seconds:
-            time.sleep(min(0.5, seconds - elapsed_s))
-            progress(time.monotonic() - began_s)
-        elapsed_s = time.monotonic() - began_s
-        driver_s, probe_s = cpu_s(driver) - driver_s, cpu_s(probe) - probe_s
+        overrides = {'device': device, **(parameters or {})}
+        driver = NodeSpec('mixtac_driver', 'driver_node', 'driver', overrides=overrides)
+        run.start_node('driver', driver, NAMESPACE)
+        camera = run.processes['camera']
+        origin = camera.expect('origin_ns', START_TIMEOUT_S)
+        run.measure(SETTLE_S)
+        pattern = pattern_of(run, sent, origin)
+        probe.send(probe='events', namespace=f'/{NAMESPACE}', pattern=pattern)
+        elapsed_s, cpu = run.measure(seconds, progress)
         probe.stop()
         figures = probe.expect('events_lost', START_TIMEOUT_S)
-        driver.stop()
+        run.processes['driver'].stop()
         camera.stop()
         stalls = int(camera.expect('periods_lost', START_TIMEOUT_S)['periods_lost'])
-    return PipelineRun(load, elapsed_s, figures, stalls, driver_s / elapsed_s, probe_s / elapsed_s)
-
-
-def camera_command(load: Load, socket: str) -> list[str]:
-    """Return the command line of the camera that sends a load on a socket."""
-    options = {
-        'socket': socket,
-        'rate': load.rate,
-        'per-row': load.per_row,
-        'frame-interval': load.frame_interval_us,
-        'reading-interval': load.reading_interval_us,
-    }
-    flags = [f'--{name}={value}' for name, value in options.items()]
-    return [sys.executable, '-m', 'mixtac_lab.bench.programs.pattern_camera', *flags]
-
-
-def _driver_command(socket: str, parameters: Mapping[str, object]) -> list[str]:
-    values = {'device': f'virtual:{socket}', **parameters}
-    arguments = [f'{name}:={value}' for name, value in values.items()]
-    return [
-        *(str(executable('mixtac_driver', 'driver_node')), '--ros-args'),
-        *('-r', f'__ns:=/{NAMESPACE}', '--log-level', 'warn'),
-        *('--params-file', str(config_file('driver.yaml'))),
-        *(part for argument in arguments for part in ('-p', argument)),
-    ]
-
-
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
-AGE_RATE = 1e6
-LOSS_RATE = 5e6
-SENSOR_RATE = 12e6
-"""About what the sensor can deliver at most."""
-FRAME_INTERVAL_US = 25_000
-READING_INTERVAL_US = 1000
-LADDER = (5e6, SENSOR_RATE, 20e6, 30e6, 40e6)
-STEP_SECONDS = 10.0
+    return PipelineRun(load, elapsed_s, figures, stalls, cpu['driver'], cpu['subscriber'])
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,9 +190,9 @@ class PipelineReport:
     """All runs.
 
     Attributes:
-        age: At 1 Mev/s.
-        loss: At 5 Mev/s.
-        ladder: At growing rates with frames and inertial samples, up to the first that lost some.
+        age: Run at 1 Mev/s.
+        loss: Run at 5 Mev/s.
+        ladder: Runs at growing rates with frames and inertial samples, up to the first loss.
     """
 
     age: PipelineRun
@@ -205,7 +201,7 @@ class PipelineReport:
 
     @property
     def max_rate_mev_s(self) -> float:
-        """Greatest rate of the ladder at which nothing was lost [10^6/s], 0 for none."""
+        """Largest rate of the ladder without loss [10^6/s], 0 for none."""
         return max((run.load.rate / 1e6 for run in self.ladder if run.clean), default=0.0)
 
     def as_dict(self) -> dict[str, Any]:
@@ -230,20 +226,19 @@ class PipelineReport:
 def measure(
     seconds: float, loss_seconds: float, start: Callable[[str, float], Callable[[float], None]]
 ) -> PipelineReport:
-    """Make all runs.
+    """Do all runs.
 
     Args:
         seconds: Length of the run at 1 Mev/s [s].
         loss_seconds: Length of the run at 5 Mev/s [s].
-        start: Called with name and length of each run; returns what is told its progress.
+        start: Called with name and length of each run; returns a function that is called with the
+            elapsed seconds.
     """
     age = run_pipeline(Load(AGE_RATE), seconds, progress=start('age at 1 Mev/s', seconds))
     loss = run_pipeline(Load(LOSS_RATE), loss_seconds, progress=start('5 Mev/s', loss_seconds))
     ladder: list[PipelineRun] = []
     for rate in LADDER:
-        load = Load(
-            rate, frame_interval_us=FRAME_INTERVAL_US, reading_interval_us=READING_INTERVAL_US
-        )
+        load = full_load(rate)
         name = f'{rate / 1e6:g} Mev/s, frames, IMU'
         ladder.append(run_pipeline(load, STEP_SECONDS, progress=start(name, STEP_SECONDS)))
         if not ladder[-1].clean:
@@ -252,13 +247,13 @@ def measure(
 
 
 def pipeline(
-    seconds: Annotated[float, typer.Option(min=2, help='Length of the run at 1 Mev/s (s).')] = 30,
+    seconds: Annotated[float, typer.Option(min=2, help='Length of the run at 1 Mev/s [s].')] = 30,
     loss_seconds: Annotated[
-        float, typer.Option(min=2, help='Length of the run at 5 Mev/s (s).')
+        float, typer.Option(min=2, help='Length of the run at 5 Mev/s [s].')
     ] = 60,
-    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+    json: Json = None,
 ) -> None:
-    """Measure the age of events at a subscriber, losses, and the greatest rate without."""
+    """Measure the age of events at a subscriber, losses, and the largest rate without loss."""
     console = Console()
     columns = (TextColumn('{task.description}'), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bars:
@@ -269,25 +264,25 @@ def pipeline(
 
         report = measure(seconds, loss_seconds, start)
     runs = (report.age, report.loss, *report.ladder)
-    console.print(_table(runs))
-    console.print(f'largest rate held without loss: {report.max_rate_mev_s:g} Mev/s')
+    console.print(_pipeline_table(runs))
+    console.print(f'largest rate without loss: {report.max_rate_mev_s:g} Mev/s')
     if json is not None:
-        json.write_text(json_format.dumps(report.as_dict(), indent=2) + '\n')
+        write_json(json, report.as_dict())
 
 
-def _table(runs: Sequence[PipelineRun]) -> Table:
+def _pipeline_table(runs: Sequence[PipelineRun]) -> Table:
     table = Table(
         title='Events of a simulated camera at a subscriber in another process',
         title_justify='left',
     )
-    headings = ('Mev/s', 'with frames', 's', 'age p50 ms', 'p99 ms', 'max ms', 'events lost')
+    headings = ('Mev/s', 'frames', 's', 'age p50 ms', 'p99 ms', 'max ms', 'events lost')
     for heading in (*headings, 'driver CPU', 'subscriber CPU'):
         table.add_column(heading, justify='right')
     for run in runs:
         figures = run.figures
         table.add_row(
             f'{run.load.rate / 1e6:g}',
-            'yes' if run.load.frame_interval_us else 'no',
+            'yes' if run.load.frame_interval else 'no',
             f'{run.seconds:.0f}',
             f'{figures["age_p50_ms"]:.2f}',
             f'{figures["age_p99_ms"]:.2f}',
@@ -295,5 +290,194 @@ def _table(runs: Sequence[PipelineRun]) -> Table:
             f'{run.lost}' if not run.camera_stalls else f'{run.lost} + camera',
             f'{100 * run.driver_cpu:.0f} %',
             f'{100 * run.probe_cpu:.0f} %',
+        )
+    return table
+
+
+class Kind(Enum):
+    """Arrangement of driver and estimator in processes."""
+
+    SEPARATE = 'separate'
+    ONE = 'one'
+
+
+def compose(
+    seconds: Annotated[float, typer.Option(min=2, help='Length of each run [s].')] = 20,
+    repeats: Annotated[int, typer.Option(min=1, help='Runs of each kind, alternating.')] = 3,
+    rate: Annotated[float, typer.Option(min=1000, help='Events per second.')] = AGE_RATE,
+    only: Annotated[
+        Optional[Kind],  # noqa: UP045  (typer evaluates this under Python 3.10)
+        typer.Option(help='Run one kind only, for a long measurement.'),
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Measure the age of forces at a subscriber, from separate processes and from one."""
+    console = Console()
+    runs = []
+    kinds = [only] if only is not None else list(Kind)
+    with console.status('measuring'):
+        for _ in range(repeats):
+            runs += [run_force(full_load(rate), seconds, together=k is Kind.ONE) for k in kinds]
+    console.print(_runs_table(runs))
+    if json is not None:
+        write_json(json, summarise(runs, rate))
+
+
+def run_force(load: Load, seconds: float, *, together: bool) -> dict[str, Any]:
+    """Run camera, driver, estimator and subscriber, and measure.
+
+    Args:
+        load: Load of the camera; it needs frames.
+        seconds: Length of the measurement [s].
+        together: Run driver and estimator in one process.
+
+    Returns:
+        `single_process`, the figures of `programs.probe_node.force_figures`, `cpu` by process and
+        `cpu_total`.
+
+    Raises:
+        GraphError: A process did not start, or no force arrived.
+    """
+    with BenchRun() as run:
+        device, sent = load.start(run)
+        probe = run.start_program('subscriber', 'probe_node')
+        probe.expect('ready', START_TIMEOUT_S)
+        graph = sensor_graph(device, single_process=together)
+        nodes = [node for node in graph if node.name != 'virtual_sensor']
+        for node in nodes:
+            run.start_node(node.name, node, NAMESPACE)
+        origin = run.processes['camera'].expect('origin_ns', START_TIMEOUT_S)
+        probe.send(probe='force', namespace=f'/{NAMESPACE}', settle_s=FORCE_SETTLE_S)
+        probe.expect('active', START_TIMEOUT_S)
+        probe.send(pattern=pattern_of(run, sent, origin))
+        probe.expect('measuring', START_TIMEOUT_S)
+        _, shares = run.measure(seconds)
+        probe.stop()
+        figures = probe.expect('forces', START_TIMEOUT_S)
+    if not figures['forces']:
+        raise GraphError(
+            'no force arrived', remedy='run `mixtac up --device virtual` and read /diagnostics'
+        )
+    cpu = {node.name: shares[node.name] for node in nodes}
+    return {'single_process': together, **figures, 'cpu': cpu, 'cpu_total': sum(cpu.values())}
+
+
+def summarise(runs: Sequence[Mapping[str, Any]], rate: float) -> dict[str, Any]:
+    """Return medians of each kind and all runs for JSON."""
+    summary: dict[str, Any] = {}
+    for name, together in (('separate', False), ('single_process', True)):
+        kind = [run for run in runs if run['single_process'] == together]
+        if not kind:
+            continue
+        keys = (*AGES, 'force_rate_hz', 'cpu_total')
+        summary[name] = {key: float(np.median([run[key] for run in kind])) for key in keys}
+        summary[name]['windows_missing'] = sum(run['windows_missing'] for run in kind)
+    return {'simulated_camera': True, 'events_per_s': rate, **summary, 'runs': list(runs)}
+
+
+def _runs_table(runs: Sequence[Mapping[str, Any]]) -> Table:
+    table = Table(
+        title='Age of the force at a subscriber: arrival minus the end of its window '
+        '(simulated camera)',
+        title_justify='left',
+    )
+    headings = ('processes', 'p50 ms', 'p99 ms', 'max ms', 'Hz', 'windows missing', 'CPU')
+    for heading in headings:
+        table.add_column(heading, justify='left' if heading == 'processes' else 'right')
+    for run in sorted(runs, key=lambda each: bool(each['single_process'])):
+        table.add_row(
+            'one' if run['single_process'] else 'separate',
+            *(f'{run[key]:.2f}' for key in AGES),
+            f'{run["force_rate_hz"]:.1f}',
+            f'{run["windows_missing"]:.0f}',
+            f'{100 * run["cpu_total"]:.0f} %',
+        )
+    return table
+
+
+def two_sensors(
+    seconds: Annotated[float, typer.Option(min=2, help='Length of the measurement [s].')] = 20,
+    single_process: Annotated[
+        bool, typer.Option(help='Run each driver and its estimator in one process.')
+    ] = False,
+    json: Json = None,
+) -> None:
+    """Measure rates, ages and CPU of two virtual sensors with two estimators at once."""
+    console = Console()
+    with console.status('measuring'):
+        report = run_two(seconds, together=single_process)
+    console.print(_sensors_table(report))
+    if json is not None:
+        write_json(json, report)
+
+
+def run_two(seconds: float, *, together: bool) -> dict[str, Any]:
+    """Run both sensors and return their figures for JSON.
+
+    Args:
+        seconds: Length of the measurement [s].
+        together: Run each driver and its estimator in one process.
+
+    Raises:
+        GraphError: A process did not start.
+    """
+    with BenchRun() as run:
+        probes: dict[str, JsonProcess] = {}
+        for side, seed in SIDES.items():
+            # At rest: contacts of two sensors would not coincide from run to run.
+            virtual = {
+                'device_seed': seed,
+                'scenario': 'idle',
+                'reference_topic': f'/{side}/ft_sensor/wrench',
+            }
+            device = f'virtual:{run.folder}/{side}.sock'
+            graph = sensor_graph(device, virtual_sensor=virtual, single_process=together)
+            for node in graph:
+                run.start_node(f'{side}/{node.name}', node, side)
+            probes[side] = run.start_program(f'{side}/probe', 'probe_node')
+        for side, probe in probes.items():
+            probe.expect('ready', START_TIMEOUT_S)
+            probe.send(probe='force', namespace=f'/{side}', settle_s=TWO_SENSORS_SETTLE_S)
+        for probe in probes.values():
+            probe.expect('active', START_TIMEOUT_S)
+            probe.send(pattern=None)
+        for probe in probes.values():
+            probe.expect('measuring', START_TIMEOUT_S)
+        elapsed_s, shares = run.measure(seconds)
+        cpu = {name: share for name, share in shares.items() if not name.endswith('/probe')}
+        report: dict[str, Any] = {
+            'simulated': True,
+            'single_process': together,
+            'seconds': elapsed_s,
+            'cpu_count': os.cpu_count(),
+            'cpu_total': sum(cpu.values()),
+        }
+        for side, probe in probes.items():
+            probe.stop()
+            prefix = f'{side}/'
+            own = {n.removeprefix(prefix): c for n, c in cpu.items() if n.startswith(prefix)}
+            report[side] = {**probe.expect('forces', START_TIMEOUT_S), 'cpu': own}
+    return report
+
+
+def _sensors_table(report: dict[str, Any]) -> Table:
+    title = (
+        f'Two virtual sensors, {report["cpu_count"]} cores, {100 * report["cpu_total"]:.0f} % CPU'
+    )
+    table = Table(title=title, title_justify='left')
+    for heading in ('sensor', 'Hz', 'windows missing', 'age p50 ms', 'p99 ms', 'CPU'):
+        table.add_column(heading, justify='left' if heading == 'sensor' else 'right')
+    for side in SIDES:
+        each = report[side]
+        if not each['forces']:
+            table.add_row(side, 'no force')
+            continue
+        table.add_row(
+            side,
+            f'{each["force_rate_hz"]:.1f}',
+            str(each['windows_missing']),
+            f'{each["force_age_p50_ms"]:.2f}',
+            f'{each["force_age_p99_ms"]:.2f}',
+            ', '.join(f'{name} {100 * value:.0f} %' for name, value in each['cpu'].items()),
         )
     return table

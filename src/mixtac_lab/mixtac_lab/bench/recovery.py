@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import gc
-import json as json_module
 import random
 import tempfile
 import threading
@@ -30,8 +29,11 @@ from mixtac_driver.davis346.writes import register_writes
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.arrays import Events
+from mixtac_lab.bench.harness import quantiles
+from mixtac_node.files import write_json
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import Fault, FaultKind
+from mixtac_sim.usb.registers import HEIGHT, WIDTH
 from mixtac_sim.usb.server import UsbServer
 from mixtac_sim.usb.words import ImuReading
 
@@ -50,7 +52,7 @@ _SEEDS = 1 << 32
 
 
 def _lasting(kind: FaultKind) -> Outage:
-    """Something goes wrong on the running camera for a while."""
+    """Return a fault of the running camera that lasts for a random time."""
 
     def outage(device: VirtualDavis346, rng: Random) -> float:
         seconds = rng.uniform(SHORTEST_S, LONGEST_S)
@@ -61,7 +63,7 @@ def _lasting(kind: FaultKind) -> Outage:
 
 
 def _at_once(kind: FaultKind, largest: int) -> Outage:
-    """Something goes wrong once, and the camera is well again at once."""
+    """Return a fault of the running camera that ends at once."""
 
     def outage(device: VirtualDavis346, rng: Random) -> float:
         size, seed = rng.randint(1, largest), rng.randrange(_SEEDS)
@@ -71,8 +73,8 @@ def _at_once(kind: FaultKind, largest: int) -> Outage:
     return outage
 
 
-def _ill_after_plugging(kind: FaultKind) -> Outage:
-    """The camera is plugged in again, but something is wrong with it for a while."""
+def _after_plugging(kind: FaultKind) -> Outage:
+    """Return a fault that follows unplugging and plugging in, and lasts for a random time."""
 
     def outage(device: VirtualDavis346, rng: Random) -> float:
         device.unplug()
@@ -108,10 +110,10 @@ OUTAGES: dict[str, Outage] = {
     'held by another program': _held_by_another,
     'data endpoint stalls once': _at_once(FaultKind.STALL_DATA, 1),
     'data endpoint stalls for long': _lasting(FaultKind.STALL_DATA),
-    'requests stall': _ill_after_plugging(FaultKind.STALL_CONTROL),
-    'requests time out': _ill_after_plugging(FaultKind.TIMEOUT_CONTROL),
-    'requests answered late': _ill_after_plugging(FaultKind.DELAY_CONTROL),
-    'registers read as garbage': _ill_after_plugging(FaultKind.GARBAGE_REGISTERS),
+    'requests stall': _after_plugging(FaultKind.STALL_CONTROL),
+    'requests time out': _after_plugging(FaultKind.TIMEOUT_CONTROL),
+    'requests answered late': _after_plugging(FaultKind.DELAY_CONTROL),
+    'registers read as garbage': _after_plugging(FaultKind.GARBAGE_REGISTERS),
     'short and odd reads': _lasting(FaultKind.SHORT_READS),
     'bytes lost': _at_once(FaultKind.DROP_BYTES, 1 << 16),
     'garbage in the data': _at_once(FaultKind.GARBAGE_WORDS, 1 << 13),
@@ -122,16 +124,15 @@ OUTAGES: dict[str, Outage] = {
     'bus error': _at_once(FaultKind.READ_ERROR, 1),
     'clock reset by the cable': _at_once(FaultKind.CLOCK_RESET, 1),
 }
-"""By name: does something to a camera and returns when it is well again [s, monotonic clock].
+"""Faults by name: functions that disturb a camera and return the time at which it works again [s,
+monotonic clock]; they may block until then.
 
-They may take as long as the outage. A camera that is silent until restarted counts as well from
-the beginning: that the driver has to notice it is part of the recovery.
+A camera that is silent until restarted counts as working: detecting that is part of the recovery.
 """
 SERIAL = 'V0000346'
 PERIOD_S = 0.002
 EVENTS_PER_S = 50_000
 READING_INTERVAL_US = 1000
-WIDTH, HEIGHT = 346, 260
 
 
 class RecoveryScene:
@@ -139,7 +140,7 @@ class RecoveryScene:
 
     Args:
         path: Socket to listen on.
-        seed: Of the events.
+        seed: Seed of the events.
 
     Attributes:
         device: The camera.
@@ -154,7 +155,7 @@ class RecoveryScene:
         self._thread = threading.Thread(target=self._run, name='scene', daemon=True)
 
     def __enter__(self) -> RecoveryScene:
-        """Let time run."""
+        """Start the clock."""
         self._thread.start()
         return self
 
@@ -164,7 +165,7 @@ class RecoveryScene:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Stop time and remove the camera."""
+        """Stop the clock and remove the camera."""
         self._stopping.set()
         self._thread.join()
         self._server.close()
@@ -198,20 +199,20 @@ class RecoveryScene:
 
 SILENCE_S = 0.5
 STEADY_S = 0.7
-"""A stream that lasts this long without failure or gap has recovered; longer than SILENCE_S."""
+"""Time without failure or gap after which a stream has recovered [s]; longer than SILENCE_S."""
 GAP_S = 0.2
-"""A pause between data that ends a stream; the camera's time alone comes every 33 ms."""
+"""Pause between data that ends a stream [s]; the camera sends its time every 33 ms."""
 LONGEST_RECOVERY_S = 20.0
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 
 
 @dataclass(frozen=True, slots=True)
 class Resources:
-    """What the process holds.
+    """Resources of the process.
 
     Attributes:
-        threads: Threads.
-        descriptors: Open file descriptors.
+        threads: Number of threads.
+        descriptors: Number of open file descriptors.
         memory_mib: Resident memory [MiB].
     """
 
@@ -222,13 +223,13 @@ class Resources:
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What followed one fault.
+    """Recovery from one fault.
 
     Attributes:
-        fault: Its name.
-        seconds: From the moment that the camera was well again to the first data of the stream
-            that lasted [s]; NaN where none came.
-        restored: Whether all settings were in the camera again.
+        fault: Name of the fault.
+        seconds: Time from the end of the fault to the first data of the stream that lasted [s]; NaN
+            for none.
+        restored: Whether all settings were restored in the camera.
     """
 
     fault: str
@@ -238,15 +239,15 @@ class Recovery:
 
 @dataclass(frozen=True, slots=True)
 class RecoveryReport:
-    """The outcome.
+    """Result of the benchmark.
 
     Attributes:
-        seed: Of the faults.
+        seed: Seed of the faults.
         recoveries: One for each fault, in order.
-        went_back: Times that published time went back.
-        reconnects: Times that the driver opened the camera anew.
-        before: What the process held while streaming before the first fault.
-        after: The same after the last one.
+        went_back: Number of backward steps of the published time.
+        reconnects: Number of times that the driver reopened the camera.
+        before: Resources while streaming before the first fault.
+        after: Resources after the last fault.
     """
 
     seed: int
@@ -258,11 +259,11 @@ class RecoveryReport:
 
     @property
     def recovered(self) -> int:
-        """Faults after which a lasting stream with all settings came back."""
+        """Number of faults after which a lasting stream with all settings returned."""
         return sum(each.restored for each in self.recoveries)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return figures for JSON; times in seconds."""
+        """Return values for JSON; times in seconds."""
         names = sorted({each.fault for each in self.recoveries})
         return {
             'faults': len(self.recoveries),
@@ -281,27 +282,28 @@ class RecoveryReport:
 
 
 class _Driver:
-    """A camera under a supervisor, and what came of it."""
+    """A camera under a supervisor, and statistics of its stream."""
 
     def __init__(self, path: str) -> None:
-        self.camera = Davis346(DriverParameters(device=f'virtual:{path}', stream_timeout=SILENCE_S))
+        self.parameters = DriverParameters(device=f'virtual:{path}', stream_timeout=SILENCE_S)
+        self.camera = Davis346(self.parameters)
         self.supervisor = Supervisor(
             self.camera, on_start=_nothing, on_batch=self._on_batch, on_error=_nothing
         )
         self.went_back = 0
         self._time_us = 0
-        self._well_s = 0.0
+        self._works_s = 0.0
         self._failures = 0
         self._first_s: float | None = None
         self._latest_s = 0.0
 
-    def expect(self, well_s: float) -> None:
-        """Wait for a stream from now on; the camera is well from a time on [s, monotonic]."""
-        self._first_s, self._well_s = None, well_s
+    def expect(self, works_s: float) -> None:
+        """Wait for a stream from now on; the camera works from a time on [s, monotonic clock]."""
+        self._first_s, self._works_s = None, works_s
 
     def recovery_s(self) -> float:
-        """Return the time from when the camera was well to the stream that lasts [s], or NaN."""
-        deadline_s = self._well_s + LONGEST_RECOVERY_S
+        """Return the time from the end of the fault to the stream that lasts [s], or NaN."""
+        deadline_s = self._works_s + LONGEST_RECOVERY_S
         while time.monotonic() < deadline_s:
             first_s = self._first_s
             now_s = time.monotonic()
@@ -309,7 +311,7 @@ class _Driver:
             if now_s - self._latest_s > GAP_S:
                 lasted = False
             if first_s is not None and lasted and self._failures == self.supervisor.failures:
-                return first_s - self._well_s
+                return first_s - self._works_s
             time.sleep(0.01)
         return float('nan')
 
@@ -319,7 +321,7 @@ class _Driver:
         now_s = time.monotonic()
         gap, self._latest_s = now_s - self._latest_s > GAP_S, now_s
         fresh = self._first_s is None or self._failures != self.supervisor.failures or gap
-        if fresh and now_s >= self._well_s:
+        if fresh and now_s >= self._works_s:
             self._failures, self._first_s = self.supervisor.failures, now_s
 
 
@@ -329,12 +331,12 @@ def run_recovery_benchmark(
     *,
     on_fault: Callable[[Recovery], None] = lambda _recovery: None,
 ) -> RecoveryReport:
-    """Do one fault after another to a streaming camera.
+    """Inject one fault after another into a streaming camera.
 
     Args:
-        faults: How many; all kinds come equally often, in random order.
-        seed: Of their order, lengths and contents.
-        on_fault: Called after each.
+        faults: Number of faults; all kinds occur equally often, in random order.
+        seed: Seed of their order, lengths and contents.
+        on_fault: Called after each fault.
     """
     rng = random.Random(seed)  # noqa: S311 - not for secrets
     with tempfile.TemporaryDirectory() as folder:
@@ -346,8 +348,8 @@ def run_recovery_benchmark(
             driver.recovery_s()
             before = _resources()
             recoveries = []
-            for name in _plan(faults, rng):
-                recoveries.append(_suffer(name, scene, driver, rng))
+            for name in fault_names(faults, rng):
+                recoveries.append(_recover_from(name, scene, driver, rng))
                 on_fault(recoveries[-1])
             after = _resources()
             driver.supervisor.stop()
@@ -357,11 +359,13 @@ def run_recovery_benchmark(
 
 
 def recovery(
-    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
-    faults: Annotated[int, typer.Option(min=1, help='How many faults.')] = 100,
-    seed: Annotated[int, typer.Option(min=0, help='Of their order and lengths.')] = 0,
+    json: Annotated[
+        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
+    ] = None,
+    faults: Annotated[int, typer.Option(min=1, help='Number of faults.')] = 100,
+    seed: Annotated[int, typer.Option(min=0, help='Random seed of the faults.')] = 0,
 ) -> None:
-    """Do random faults to a streaming virtual camera; measure how the driver recovers."""
+    """Inject random faults into a streaming virtual camera; measure how the driver recovers."""
     console = Console()
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task('faults', total=faults)
@@ -370,10 +374,11 @@ def recovery(
         )
     _print(console, report)
     if json is not None:
-        json.write_text(json_module.dumps(report.as_dict(), indent=2) + '\n')
+        write_json(json, report.as_dict())
 
 
-def _plan(faults: int, rng: random.Random) -> Iterator[str]:
+def fault_names(faults: int, rng: random.Random) -> Iterator[str]:
+    """Yield names of faults in random order, each kind equally often."""
     names: list[str] = []
     for _ in range(faults):
         if not names:
@@ -381,10 +386,10 @@ def _plan(faults: int, rng: random.Random) -> Iterator[str]:
         yield names.pop()
 
 
-def _suffer(name: str, scene: RecoveryScene, driver: _Driver, rng: random.Random) -> Recovery:
+def _recover_from(name: str, scene: RecoveryScene, driver: _Driver, rng: random.Random) -> Recovery:
     camera = driver.camera
     exposure_us = rng.randrange(1000, 20_000)
-    camera.apply(dataclasses.replace(camera.control.configuration, aps_exposure_us=exposure_us))
+    camera.apply(dataclasses.replace(driver.parameters, aps_exposure_us=exposure_us))
     driver.expect(float('inf'))
     driver.expect(OUTAGES[name](scene.device, rng))
     seconds = driver.recovery_s()
@@ -404,7 +409,7 @@ def _nothing(*_: object) -> None:
 
 def _resources() -> Resources:
     gc.collect()
-    # What was closed last may take a moment to end on the other side of the socket.
+    # The other end of the socket may need a moment to close.
     time.sleep(1.0)
     process = psutil.Process()
     memory = process.memory_info().rss / (1 << 20)
@@ -413,8 +418,8 @@ def _resources() -> Resources:
 
 def _quantiles(recoveries: Sequence[Recovery]) -> dict[str, float]:
     seconds = [each.seconds for each in recoveries]
-    p50, p95, longest = np.quantile(seconds, (0.5, 0.95, 1.0)).round(3).tolist()
-    return {'count': len(seconds), 'p50': p50, 'p95': p95, 'max': longest}
+    found = quantiles(seconds, (0.5, 0.95, 1.0))
+    return {'count': len(seconds), **{name: round(value, 3) for name, value in found.items()}}
 
 
 def _print(console: Console, report: RecoveryReport) -> None:

@@ -5,25 +5,38 @@
 from __future__ import annotations
 
 import cProfile
-import json as json_format
 import pstats
 import statistics
 import struct
 import tempfile
 import time
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Optional
 
 import psutil
 import typer
 from rich.console import Console
 from rich.table import Table
+from rosbags.rosbag2 import Writer
 
+from mixtac_node.files import write_json
+from mixtac_sim.bags.camera import CameraMessages
+from mixtac_sim.bags.generation import generate
+from mixtac_sim.bags.trial_bag import TruthMessages, write_trial
+from mixtac_sim.optics.beads import BeadMotion
+from mixtac_sim.optics.renderer import Renderer
+from mixtac_sim.pixels.aps import Aps
+from mixtac_sim.pixels.dvs import Dvs
+from mixtac_sim.pixels.noise import NoiseSource, Readout
+from mixtac_sim.usb import registers
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.endpoints import DATA_ENDPOINT, serial_number
 from mixtac_sim.usb.faults import UsbTimeout
-from mixtac_sim.usb.registers import Aps, Dvs, Imu, Module, Mux, Usb
+from mixtac_sim.usb.registers import Module, Mux, Usb
+from mixtac_sim.world.datasets import describe, plan_profile
+from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
+from mixtac_sim.world.sensor import Touch
 from mixtac_sim.world.trial import TrialStream
 
 if TYPE_CHECKING:
@@ -33,29 +46,29 @@ if TYPE_CHECKING:
     from mixtac_sim.world.trial import Stretch
 
 
-STAGES: Final = {
-    'mechanics': {('touch.py', 'block'), ('bead_motion.py', 'place')},
-    'rendering': {('renderer.py', 'draw')},
-    'event pixels': {('dvs.py', 'step')},
-    'event noise': {('noise.py', 'block')},
-    'event readout': {('readout.py', 'read')},
-    'frames': {('aps.py', 'expose_before'), ('aps.py', 'expose_after'), ('aps.py', 'finish')},
-    'reference sensor': {('reference.py', 'process')},
-    'inertial unit': {('inertial_unit.py', 'readings')},
-    'USB words': {('device.py', 'submit'), ('device.py', 'advance')},
-    'USB reads': {('host_side.py', 'read_bulk')},
-    'camera messages': {('camera_messages.py', 'add')},
-    'truth messages': {('truth_messages.py', 'add')},
-    'bag': {('writer.py', 'write'), ('writer.py', 'close'), ('writer.py', 'add_connection')},
+STAGES: Final[dict[str, tuple[Any, ...]]] = {
+    'mechanics': (Touch.block, BeadMotion.place),
+    'rendering': (Renderer.draw,),
+    'event pixels': (Dvs.step,),
+    'event noise': (NoiseSource.block,),
+    'event readout': (Readout.read,),
+    'frames': (Aps.expose_before, Aps.expose_after, Aps.finish),
+    'reference sensor': (ReferenceSensor.process,),
+    'inertial unit': (InertialUnit.readings,),
+    'USB words': (VirtualDavis346.submit, VirtualDavis346.advance),
+    'USB reads': (VirtualDavis346.read_bulk,),
+    'camera messages': (CameraMessages.add,),
+    'truth messages': (TruthMessages.add,),
+    'bag': (Writer.write, Writer.close, Writer.add_connection),
 }
-"""Functions of each stage as (file, name); none of them calls one of another stage."""
+"""Functions of each stage; none of them calls one of another stage."""
 
 
 def time_by_stage(call: Callable[[], object]) -> dict[str, float]:
-    """Run something and return the share of its time that each stage took; they add up to 1.
+    """Run a function and return the share of its time in each stage; they add up to 1.
 
     Args:
-        call: What to run; the profiler makes it somewhat slower.
+        call: The function; the profiler makes it somewhat slower.
     """
     profiler = cProfile.Profile()
     profiler.runcall(call)
@@ -63,22 +76,22 @@ def time_by_stage(call: Callable[[], object]) -> dict[str, float]:
 
 
 def stage_shares(stats: pstats.Stats) -> dict[str, float]:
-    """Return the share of each stage in the profiled time, largest first, the rest as `other`."""
+    """Return the share of each stage in the profiled time, largest first; the rest is `other`."""
     table = stats.stats  # type: ignore[attr-defined]
     total = float(stats.total_tt)  # type: ignore[attr-defined]
     spent = dict.fromkeys(STAGES, 0.0)
-    for (path, _, name), (_, _, _, cumulative, _) in table.items():
-        key = (PurePath(path).name, name)
-        for stage, functions in STAGES.items():
-            if key in functions:
-                spent[stage] += cumulative
+    for stage, functions in STAGES.items():
+        for function in functions:
+            code = function.__code__
+            key = (code.co_filename, code.co_firstlineno, code.co_name)
+            spent[stage] += table[key][3] if key in table else 0.0
     shares = {stage: seconds / total for stage, seconds in spent.items() if seconds > 0.0}
     shares['other'] = max(1.0 - sum(shares.values()), 0.0)
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
 TICK_US: Final = 1_000
-"""The virtual sensor hands over what is due every millisecond."""
+"""The virtual sensor submits its data every millisecond [us]."""
 READ_BYTES: Final = 1 << 22
 _TO_DEVICE, _WRITE_MANY = 0x40, 0xC2
 _RUN: Final = (
@@ -86,11 +99,11 @@ _RUN: Final = (
     (Module.USB, Usb.RUN),
     (Module.MUX, Mux.TIMESTAMP_RUN),
     (Module.MUX, Mux.RUN),
-    (Module.DVS, Dvs.RUN),
-    (Module.APS, Aps.RUN),
-    (Module.IMU, Imu.RUN_ACCEL),
-    (Module.IMU, Imu.RUN_GYRO),
-    (Module.IMU, Imu.RUN_TEMPERATURE),
+    (Module.DVS, registers.Dvs.RUN),
+    (Module.APS, registers.Aps.RUN),
+    (Module.IMU, registers.Imu.RUN_ACCEL),
+    (Module.IMU, registers.Imu.RUN_GYRO),
+    (Module.IMU, registers.Imu.RUN_TEMPERATURE),
 )
 
 
@@ -100,10 +113,10 @@ class ChainRun:
 
     Attributes:
         simulated_s: Simulated time [s].
-        wall_s: Time it took [s].
-        cpu_s: Processor time it took [s].
-        events: Events simulated.
-        octets: Bytes that came out of the camera.
+        wall_s: Elapsed time [s].
+        cpu_s: Processor time [s].
+        events: Number of simulated events.
+        octets: Number of bytes sent by the camera.
     """
 
     simulated_s: float
@@ -125,10 +138,10 @@ class Chain:
         self._camera = running_camera(serial_number(spec.device_seed))
 
     def run(self) -> ChainRun:
-        """Run the whole trial and take the time; only once.
+        """Run the whole trial and measure the time; only once.
 
         Raises:
-            UsbTimeout: The camera has lost its tongue.
+            UsbTimeout: The camera did not answer.
         """
         wall_s, cpu_s = time.perf_counter(), time.process_time()
         events = octets = last_us = 0
@@ -152,7 +165,7 @@ class Chain:
 
 
 def running_camera(serial: str) -> VirtualDavis346:
-    """Return a virtual camera with everything on, whose clock stands at zero."""
+    """Return a virtual camera with everything on and its clock at zero."""
     camera = VirtualDavis346(serial, clock=lambda: 0)
     settings: Sequence[tuple[int, int, int]] = [
         *((int(module), int(param), 1) for module, param in _RUN),
@@ -174,15 +187,15 @@ STAGE_S: Final = 8.0
 
 @dataclass(frozen=True, slots=True)
 class SimulateReport:
-    """What was measured.
+    """Result of the benchmark.
 
     Attributes:
         online: Runs of the full chain on one core.
         batch_s: Simulated time of the batch [s].
-        batch_wall_s: Time the batch took on two cores [s].
-        batch_cpu_s: Processor time it took over the number of processes [s].
-        online_stages: Share of each stage in the chain.
-        batch_stages: Share of each stage when a bag is written.
+        batch_wall_s: Elapsed time of the batch on two cores [s].
+        batch_cpu_s: Processor time of the batch per process [s].
+        online_stages: Share of time of each stage in the chain.
+        batch_stages: Share of time of each stage in writing a bag.
     """
 
     online: tuple[ChainRun, ...]
@@ -194,22 +207,22 @@ class SimulateReport:
 
     @property
     def online_factor(self) -> float:
-        """Simulated over real time of the chain, median of the runs."""
+        """Ratio of simulated to elapsed time of the chain, median of the runs."""
         return statistics.median(run.simulated_s / run.wall_s for run in self.online)
 
     @property
     def online_cpu_factor(self) -> float:
-        """Simulated over processor time of the chain, median of the runs."""
+        """Ratio of simulated to processor time of the chain, median of the runs."""
         return statistics.median(run.simulated_s / run.cpu_s for run in self.online)
 
     @property
     def batch_factor(self) -> float:
-        """Simulated over real time of the batch."""
+        """Ratio of simulated to elapsed time of the batch."""
         return self.batch_s / self.batch_wall_s
 
     @property
     def batch_cpu_factor(self) -> float:
-        """Simulated over processor time of the batch per process: as if nothing else ran."""
+        """Ratio of simulated to processor time of the batch per process, without other load."""
         return self.batch_s / self.batch_cpu_s
 
     def as_dict(self) -> dict[str, Any]:
@@ -225,31 +238,31 @@ class SimulateReport:
 
 
 def simulate(
-    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
-    seconds: Annotated[float, typer.Option(min=5, max=600, help='Length of a trial.')] = 25.0,
-    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = 'paper_like',
+    json: Annotated[
+        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=5, max=600, help='Length of a trial [s].')] = 25.0,
+    preset: Annotated[
+        str,
+        typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.'),
+    ] = 'paper_like',
 ) -> None:
-    """Measure the virtual sensor: full chain with USB words on one core, bags on two."""
+    """Measure the speed of the virtual sensor: full chain with USB on one core, bags on two."""
     console = Console()
     with console.status('simulating'):
         report = measure(seconds, preset)
     print_report(console, report, seconds, preset)
     if json is not None:
-        json.parent.mkdir(parents=True, exist_ok=True)
-        json.write_text(json_format.dumps(report.as_dict(), indent=2) + '\n', encoding='utf8')
+        write_json(json, report.as_dict())
 
 
 def measure(seconds: float, preset: str) -> SimulateReport:
-    """Measure both ways out of the simulator.
+    """Measure both outputs of the simulator, camera and bags.
 
     Args:
         seconds: Length of a trial [s].
-        preset: How hard the effects are.
+        preset: Difficulty preset of the virtual sensor.
     """
-    # These compile; the command line starts without them.
-    from mixtac_sim.bags.trial_bag import write_trial
-    from mixtac_sim.world.datasets import plan_profile
-
     specs = plan_profile(PROFILE, BATCH_TRIALS, seconds, preset=preset)
     warm = plan_profile(PROFILE, BATCH_JOBS, WARM_UP_S, preset=preset)
     staged = plan_profile(PROFILE, 1, min(seconds, STAGE_S), preset=preset)[0]
@@ -270,16 +283,13 @@ def measure(seconds: float, preset: str) -> SimulateReport:
 
 
 def processor_s() -> float:
-    """Return the processor time that this process and its living children have used [s]."""
+    """Return the processor time of this process and its running children [s]."""
     this = psutil.Process()
     times = [process.cpu_times() for process in (this, *this.children(recursive=True))]
     return float(sum(each.user + each.system for each in times))
 
 
 def _batch(specs: list[TrialSpec], folder: Path) -> None:
-    from mixtac_sim.bags.generation import generate
-    from mixtac_sim.world.datasets import describe
-
     preset = specs[0].preset
     plan = describe(PROFILE, 0, preset, 'trial', specs)
     generate(plan, folder, jobs=BATCH_JOBS)

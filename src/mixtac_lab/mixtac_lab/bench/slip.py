@@ -7,70 +7,83 @@ USB protocol, driver node, slip control node and virtual arm as shipped (except 
 settling time, so that slip control is ready before the next knock), and a probe that receives
 `slip` and the trajectories. All times are on the monotonic clock of the host. The camera counts
 it without skew from an origin that it reports, so the onset of each knock is known to a
-microsecond. The time of arrival at the probe counts, transport included.
+microsecond. Latencies end at the arrival at the probe and include the transport.
 """
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
-import sys
-import tempfile
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import numpy as np
 import typer
+from rich.console import Console
 
-from mixtac_lab.bench.harness import cpu_s
-from mixtac_node.graph import config_file, executable, yaml_value
-from mixtac_node.process import GraphError, JsonProcess
+from mixtac_lab.bench.harness import START_TIMEOUT_S, BenchRun
+from mixtac_lab.figures import new_figure, save_figure
+from mixtac_lab.slip.detectors import QUIET, count_alarms, curves
+from mixtac_lab.slip.loop import ArmSetup
+from mixtac_lab.slip.trials import (
+    TrialPlan,
+    latency_quantiles,
+    stored_trial,
+    summary,
+    trial_piece,
+)
+from mixtac_lab.store import Store
+from mixtac_node.files import write_json
+from mixtac_node.graph import NodeSpec
+from mixtac_node.process import GraphError
+from mixtac_sim.arm.plant import Tracking
+from mixtac_slip_control.parameters import SlipControlParameters
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from rich.console import Console
+    from numpy.typing import NDArray
 
-    from mixtac_lab.slip.trials import TrialPlan, TrialResult
-    from mixtac_lab.store import Kept
+    from mixtac_lab.slip.trials import TrialResult
+    from mixtac_node.process import JsonProcess
 
 
+OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 NAMESPACE = 'mixtac_slip_bench'
 TRAJECTORIES = f'/{NAMESPACE}/joint_trajectory'
 JOINTS = f'/{NAMESPACE}/joint_states'
-START_S = 300.0
 ENABLE_S = 60.0
 WARM_UP_S = 5.0
-"""Knocks that come so soon after the first enabling do not count [s]."""
+"""Time after the first enabling in which knocks do not count [s]."""
 SETTLING_S = 0.1
 """Settling time of slip control [s]."""
 HORIZON_NS = 100_000_000
-"""Answers later than this after an onset belong to nothing."""
+"""Answers later than this after an onset are not matched with it [ns]."""
 QUIET_NS = 50_000_000
-"""A knock tells of trajectories only where slip control was enabled and sent none for so long
-before: otherwise the first one after it need not be its answer."""
+"""A knock counts for the trajectories only if slip control was enabled and sent none for this time
+before it [ns]; otherwise the first one after it may not be its answer."""
+STIFFNESSES = (10.0, 5.0, 2.0, 1.0)
+"""Stiffnesses of the contact, in turn [N/mm]."""
+FIRST_SEED = 70_000
 
 
 @dataclass(frozen=True, slots=True)
 class DdsLatency:
-    """What was measured.
+    """Latencies over DDS.
 
     Attributes:
-        speeds_mm_s: Speed of each knock that fell into the measurement [mm/s].
-        detection_ms: From its onset to the arrival of `slip` [ms]; NaN where none came.
-        publish_ms: From the onset to the arrival of the first trajectory [ms], for the knocks
-            before which slip control was enabled and quiet; NaN where none came.
-        not_ready: Knocks before which it was not.
-        missed_detections: Knocks without a detection.
-        missed_answers: Knocks without a trajectory, of those that `publish_ms` tells of.
-        false_alarms: Slips that were seen without one.
+        speeds_mm_s: Speed of each knock in the measurement [mm/s].
+        detection_ms: Time from the onset of each knock to the arrival of `slip` [ms]; NaN for none.
+        publish_ms: Time from the onset to the arrival of the first trajectory [ms], for knocks
+            before which slip control was enabled and quiet; NaN for none.
+        not_ready: Number of knocks before which it was not enabled and quiet.
+        missed_detections: Number of knocks without a detection.
+        missed_answers: Number of knocks in `publish_ms` without a trajectory.
+        false_alarms: Number of reported slips without a knock.
         seconds: Length of the measurement [s].
-        camera_stalls: Times that the camera's buffer overflowed.
-        windows: Windows that slip control reported, of one millisecond each.
-        stops: Times that its interlock stopped the arm: on a busy host its watchdogs do.
+        camera_stalls: Number of buffer overflows of the camera.
+        windows: Number of windows of 1 ms that slip control reported.
+        stops: Number of interlock stops; the watchdogs cause some on a busy host.
         cpu_shares: CPU time of each process over the length of the measurement.
     """
 
@@ -98,74 +111,75 @@ def measure(
 
     Args:
         seconds: Length of the measurement [s].
-        seed: Draws sensor, day, times and speeds.
+        seed: Seed of sensor, day, times and speeds.
         speeds_mm_s: Range of the speeds.
-        progress: Called now and then with the seconds measured so far.
+        progress: Called repeatedly with the elapsed seconds.
 
     Raises:
         GraphError: A process did not start, or slip control could not be enabled.
     """
-    env = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-    with contextlib.ExitStack() as stack:
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='mixtac-'))
-        socket = str(Path(folder) / 'usb.sock')
-        started: dict[str, JsonProcess] = {}
-
-        def start(name: str, command: list[str]) -> JsonProcess:
-            started[name] = stack.enter_context(JsonProcess(name, command, env))
-            return started[name]
-
-        camera = start('camera', _camera(socket, seed, speeds_mm_s))
-        scene = camera.expect('ready', START_S)
-        probe = start('probe', [sys.executable, '-m', f'{__package__}.programs.slip_probe_node'])
-        probe.expect('ready', START_S)
-        start('arm', _arm())
-        start('slip control', _slip_control())
-        start('driver', _driver(socket))
-        first = camera.expect('origin_ns', START_S)
-        probe.send(namespace=f'/{NAMESPACE}', trajectory_topic=TRAJECTORIES)
+    slowest, fastest = speeds_mm_s
+    with BenchRun() as run:
+        device, scene = run.start_camera('knocks', seed=seed, slowest=slowest, fastest=fastest)
+        probe = run.start_program('probe', 'probe_node')
+        probe.expect('ready', START_TIMEOUT_S)
+        for name, node in _nodes(device).items():
+            run.start_node(name, node, NAMESPACE)
+        camera = run.processes['camera']
+        first = camera.expect('monotonic_ns', START_TIMEOUT_S)
+        probe.send(probe='slip', namespace=f'/{NAMESPACE}', trajectory_topic=TRAJECTORIES)
         _wait_enabled(probe)
-        # A start sets the clock going and then resets it: only the last origin counts.
-        origin_ns = int(camera.latest('origin_ns', first)['origin_ns'])
-        _wait(WARM_UP_S)
-        before = {name: cpu_s(process) for name, process in started.items()}
+        # A start lets the clock run and then resets it: only the last origin counts.
+        origin_ns = int(camera.latest('monotonic_ns', first)['monotonic_ns'])
+        run.measure(WARM_UP_S)
         began_ns = time.monotonic_ns()
-        _wait(seconds, progress)
-        ended_ns = time.monotonic_ns()
-        used = {name: cpu_s(process) - before[name] for name, process in started.items()}
+        elapsed_s, cpu = run.measure(seconds, progress)
         probe.stop()
-        noted = probe.expect('slips_ns', START_S)
+        noted = probe.expect('slips_ns', START_TIMEOUT_S)
         camera.stop()
-        stalls = int(camera.expect('periods_lost', START_S)['periods_lost'])
-    span_s = 1e-9 * (ended_ns - began_ns)
-    shares = {name: round(s / span_s, 4) for name, s in used.items()}
-    return _match(scene, noted, origin_ns, (began_ns, ended_ns - HORIZON_NS), stalls, shares)
+        stalls = int(camera.expect('periods_lost', START_TIMEOUT_S)['periods_lost'])
+    span_ns = (began_ns, began_ns + int(1e9 * elapsed_s) - HORIZON_NS)
+    shares = {name: round(share, 4) for name, share in cpu.items()}
+    return match_knocks(scene, noted, origin_ns, span_ns, stalls, shares)
 
 
-def _wait(seconds: float, progress: Callable[[float], None] = lambda _seconds: None) -> None:
-    began_s = time.monotonic()
-    while (elapsed_s := time.monotonic() - began_s) < seconds:
-        time.sleep(min(0.5, seconds - elapsed_s))
-        progress(elapsed_s)
+def _nodes(device: str) -> dict[str, NodeSpec]:
+    """Return the nodes under test by the names of their processes."""
+    arm = {'trajectory_topic': TRAJECTORIES, 'joint_state_topic': JOINTS}
+    control = {
+        'arm': 'fr3',
+        'normal_frame': 'base',
+        'normal_y': 1.0,
+        'normal_z': 0.0,
+        'settling_time': SETTLING_S,
+    }
+    return {
+        'arm': NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=arm),
+        'slip control': NodeSpec(
+            'mixtac_slip_control', 'slip_control_node', 'slip_control', overrides=arm | control
+        ),
+        'driver': NodeSpec('mixtac_driver', 'driver_node', 'driver', overrides={'device': device}),
+    }
 
 
 def _wait_enabled(probe: JsonProcess) -> None:
-    """Wait until slip control runs.
+    """Wait until slip control is enabled.
 
     Raises:
-        GraphError: It could not be enabled; says why not.
+        GraphError: It could not be enabled; the message holds its reason.
     """
     try:
         probe.expect('enabled', ENABLE_S)
     except GraphError as error:
         probe.stop()
-        reason = probe.expect('last_reason', START_S)['last_reason']
+        reason = probe.expect('last_reason', START_TIMEOUT_S)['last_reason']
         raise GraphError(
-            f'slip control could not be enabled within {ENABLE_S:g} s: {reason or "no answer"}'
+            f'slip control could not be enabled within {ENABLE_S:g} s: {reason or "no answer"}',
+            remedy='end other programs that load the processor',
         ) from error
 
 
-def _match(
+def match_knocks(
     scene: dict[str, Any],
     noted: dict[str, Any],
     origin_ns: int,
@@ -173,7 +187,16 @@ def _match(
     stalls: int,
     shares: dict[str, float],
 ) -> DdsLatency:
-    """Return the latencies of the knocks between two times."""
+    """Return the latencies of the knocks between two times.
+
+    Args:
+        scene: Description by the camera: `period_us`, `onsets_us`, `speeds_mm_s`.
+        noted: Figures of the slip probe.
+        origin_ns: Start of the first period.
+        span_ns: First and last time.
+        stalls: Number of buffer overflows of the camera.
+        shares: CPU time of each process over time.
+    """
     period_ns = 1000 * int(scene['period_us'])
     periods = range(
         max((span_ns[0] - origin_ns) // period_ns, 0), (span_ns[1] - origin_ns) // period_ns + 1
@@ -208,14 +231,14 @@ def _match(
     )
 
 
-def _ready(at_ns: int, spans_ns: Sequence[Sequence[int]], sent_ns: Any) -> bool:  # noqa: ANN401
-    """Tell whether slip control was enabled and quiet before a time."""
+def _ready(at_ns: int, spans_ns: Sequence[Sequence[int]], sent_ns: NDArray[np.int64]) -> bool:
+    """Return whether slip control was enabled and quiet before a time."""
     enabled = any(start <= at_ns - QUIET_NS and at_ns <= end for start, end in spans_ns)
     return enabled and not np.any((sent_ns > at_ns - QUIET_NS) & (sent_ns < at_ns))
 
 
-def _after(starts: np.ndarray[Any, np.dtype[np.int64]], times: Any) -> list[float]:  # noqa: ANN401
-    """Return the time from each start to the first of some times after it [ms], or NaN."""
+def _after(starts: NDArray[np.int64], times: NDArray[np.int64]) -> list[float]:
+    """Return the delay from each start to the next of some times [ms]; NaN for none."""
     found = []
     for start in starts:
         k = int(np.searchsorted(times, start))
@@ -224,97 +247,64 @@ def _after(starts: np.ndarray[Any, np.dtype[np.int64]], times: Any) -> list[floa
     return found
 
 
-def _camera(socket: str, seed: int, speeds: tuple[float, float]) -> list[str]:
-    options = {'socket': socket, 'seed': seed, 'slowest': speeds[0], 'fastest': speeds[1]}
-    flags = [f'--{name}={value}' for name, value in options.items()]
-    return [sys.executable, '-m', f'{__package__}.programs.knock_camera', *flags]
-
-
-def _driver(socket: str) -> list[str]:
-    return _node(
-        [str(executable('mixtac_driver', 'driver_node'))], 'driver', device=f'virtual:{socket}'
-    )
-
-
-def _slip_control() -> list[str]:
-    return _node(
-        [str(executable('mixtac_slip_control', 'slip_control_node'))],
-        'slip_control',
-        arm='fr3',
-        trajectory_topic=TRAJECTORIES,
-        joint_state_topic=JOINTS,
-        normal_frame='base',
-        normal_y=1.0,
-        normal_z=0.0,
-        settling_time=SETTLING_S,
-    )
-
-
-def _arm() -> list[str]:
-    return _node(
-        [sys.executable, '-m', 'mixtac_sim.virtual_arm_node'],
-        'virtual_arm',
-        trajectory_topic=TRAJECTORIES,
-        joint_state_topic=JOINTS,
-    )
-
-
-def _node(program: Sequence[str], name: str, **values: object) -> list[str]:
-    """Return a node's command line with its shipped parameters and some others."""
-    given = (
-        part for key, value in values.items() for part in ('-p', f'{key}:={yaml_value(value)}')
-    )
-    shipped = config_file(f'{name}.yaml')
-    files = ['--params-file', str(shipped)] if shipped.exists() else []
-    return [
-        *program,
-        '--ros-args',
-        '-r',
-        f'__ns:=/{NAMESPACE}',
-        '--log-level',
-        'warn',
-        *files,
-        *given,
-    ]
-
-
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
-STIFFNESSES = (10.0, 5.0, 2.0, 1.0)
-"""Stiffness of the contact in turns [N/mm]."""
-
-
 def slip(
-    trials: Annotated[int, typer.Option(min=4, help='Trials with the box.')] = 200,
-    knock: Annotated[float, typer.Option(help='Speed after the blow (mm/s).')] = 50.0,
-    margin: Annotated[float, typer.Option(help='Grasp force over the least that holds.')] = 1.05,
-    lag: Annotated[float, typer.Option(help='Time constant of the arm (s).')] = 3.5e-3,
-    quiet_minutes: Annotated[float, typer.Option(help='Of each quiet scene (min).')] = 30.0,
-    curve_trials: Annotated[int, typer.Option(help='Slips per speed for the curves.')] = 40,
-    dds_seconds: Annotated[float, typer.Option(help='Over real DDS (s); 0 for none.')] = 330.0,
-    preset: Annotated[str, typer.Option(help='How hard the sensors are.')] = 'paper_like',
+    trials: Annotated[int, typer.Option(min=4, help='Number of trials with the box.')] = 200,
+    knock: Annotated[
+        float, typer.Option(help='Speed of the object after the knock [mm/s].')
+    ] = 50.0,
+    margin: Annotated[
+        float, typer.Option(help='Ratio of the grasp force to the smallest force that holds.')
+    ] = 1.05,
+    lag: Annotated[
+        float, typer.Option(help='Time constant with which the arm follows its commands [s].')
+    ] = 3.5e-3,
+    quiet_minutes: Annotated[
+        float, typer.Option(help='Length of each scene without slip [min]; 0 for none.')
+    ] = 30.0,
+    curve_trials: Annotated[
+        int, typer.Option(help='Slips per speed for the latency curves; 0 for none.')
+    ] = 40,
+    dds_seconds: Annotated[
+        float, typer.Option(help='Length of the measurement over DDS [s]; 0 for none.')
+    ] = 330.0,
+    preset: Annotated[
+        str,
+        typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.'),
+    ] = 'paper_like',
     keep: Annotated[
-        OptionalPath, typer.Option(help='Keep finished parts in this file and go on from them.')
+        OptionalPath,
+        typer.Option(help='Folder for finished parts; an interrupted run continues there.'),
     ] = None,
-    report: Annotated[OptionalPath, typer.Option('--json', help='Write the result.')] = None,
-    figure: Annotated[OptionalPath, typer.Option(help='Draw the curves there (PNG).')] = None,
+    report: Annotated[
+        OptionalPath, typer.Option('--json', help='Also write the results to this JSON file.')
+    ] = None,
+    figure: Annotated[
+        OptionalPath, typer.Option(help='Draw the latency curves to this PNG file.')
+    ] = None,
 ) -> None:
     """Measure slip control: held objects, latency, limits, false alarms. Simulated results."""
-    from rich.console import Console
-
-    from mixtac_lab.slip.loop import ArmSetup
-    from mixtac_lab.slip.trials import TrialPlan
-    from mixtac_lab.store import Kept
-    from mixtac_sim.arm.plant import Tracking
-    from mixtac_slip_control.parameters import SlipControlParameters
-
-    console, kept = Console(), Kept(keep)
+    console, store = Console(), Store(keep)
     settings = SlipControlParameters()
     arm = ArmSetup(Tracking(lag))
     plan = TrialPlan(margin=margin, knock_mm_s=knock, preset=preset, arm=arm, settings=settings)
-    results = _box_trials(console, plan, trials, kept)
-    latency = _over_dds(console, dds_seconds) if dds_seconds > 0.0 else None
-    quiet = _quiet(console, quiet_minutes, plan, kept) if quiet_minutes > 0.0 else []
-    outcome = _outcome(results, latency, quiet)
+    pieces = []
+    for k in range(trials):
+        stiffness = STIFFNESSES[k % len(STIFFNESSES)]
+        pieces.append(trial_piece(replace(plan, seed=FIRST_SEED + k, stiffness_n_per_mm=stiffness)))
+    found = store.run_shown('box trials', pieces, console)
+    results = [stored_trial(each)[0] for each in found]
+    latency = None
+    if dds_seconds > 0.0:
+        with console.status('slips over DDS'):
+            latency = measure(dds_seconds)
+    quiet = []
+    if quiet_minutes > 0.0:
+        alarms = [
+            count_alarms(name, 60.0 * quiet_minutes, settings, preset, store, console)
+            for name in QUIET
+        ]
+        quiet = [asdict(each) for each in alarms]
+    outcome = summarise(results, latency, quiet)
     outcome['conditions'] = {
         'margin': margin,
         'knock_mm_s': knock,
@@ -323,60 +313,19 @@ def slip(
         'normal': list(plan.arm.normal),
         'transport': asdict(plan.transport),
     }
+    console.print_json(data=outcome)
     if curve_trials > 0:
-        from mixtac_lab.slip.detectors import curves
-
         outcome['curves'] = curves(curve_trials, settings, preset)
         if figure is not None:
-            from mixtac_lab.slip.trials import draw_curves
-
             draw_curves(figure, outcome['curves'])
     if report is not None:
-        report.write_text(json.dumps(outcome, indent=2) + '\n', encoding='utf-8')
-    shown = {k: v for k, v in outcome.items() if k != 'curves'}
-    console.print_json(data=shown)
+        write_json(report, outcome)
 
 
-def _box_trials(console: Console, plan: TrialPlan, trials: int, kept: Kept) -> list[TrialResult]:
-    """Run the trials with the box, at each stiffness in turn."""
-    from dataclasses import replace
-
-    from rich.progress import track
-
-    from mixtac_lab.slip.trials import kept_trial
-
-    results = []
-    for k in track(range(trials), 'box trials', console=console):
-        stiffness = STIFFNESSES[k % len(STIFFNESSES)]
-        each = replace(plan, seed=70_000 + k, stiffness_n_per_mm=stiffness)
-        results.append(kept_trial(each, kept)[0])
-    return results
-
-
-def _over_dds(console: Console, seconds: float) -> Any:  # noqa: ANN401
-
-    with console.status('slips over real DDS'):
-        return measure(seconds)
-
-
-def _quiet(console: Console, minutes: float, plan: TrialPlan, kept: Kept) -> list[dict[str, Any]]:
-    from rich.progress import track
-
-    from mixtac_lab.slip.detectors import QUIET, count_alarms
-
-    seconds, names = 60.0 * minutes, track(QUIET, 'quiet scenes', console=console)
-    found = [count_alarms(name, seconds, plan.settings, plan.preset, kept) for name in names]
-    return [asdict(alarms) for alarms in found]
-
-
-def _outcome(
-    results: list[TrialResult],
-    latency: Any,  # noqa: ANN401
-    quiet: list[dict[str, Any]],
+def summarise(
+    results: Sequence[TrialResult], latency: DdsLatency | None, quiet: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return everything but the curves; the latencies are those over DDS where measured."""
-    from mixtac_lab.slip.trials import quantiles, summary
-
+    """Return the results for JSON; the latencies are those over DDS if they were measured."""
     box = summary(results)
     outcome: dict[str, Any] = {
         'simulated': True,
@@ -391,12 +340,34 @@ def _outcome(
             f'{k:g}': summary([r for r in results if abs(r.stiffness_n_per_mm - k) < 0.02 * k])
             for k in STIFFNESSES
         },
-        'quiet': quiet,
+        'quiet': list(quiet),
     }
     if latency is not None:
-        outcome['detection_ms'] = quantiles(latency.detection_ms)
-        outcome['publish_ms'] = quantiles(latency.publish_ms)
-        outcome['latency_from'] = 'real DDS, measured at a subscriber'
+        outcome['detection_ms'] = latency_quantiles(latency.detection_ms)
+        outcome['publish_ms'] = latency_quantiles(latency.publish_ms)
+        outcome['latency_from'] = 'DDS, measured at a subscriber'
         outcome['dds'] = asdict(latency)
         outcome['false_alarms'] += latency.false_alarms
     return outcome
+
+
+def draw_curves(path: Path, curves: Mapping[str, Any]) -> None:
+    """Draw latency against false alarms of both detectors, one panel per speed.
+
+    Args:
+        path: Image file.
+        curves: Result of `mixtac_lab.slip.detectors.curves`.
+    """
+    figure, axes = new_figure(columns=len(curves), width=4.0 * len(curves), height=3.6)
+    for ax, (speed, both) in zip(axes, curves.items(), strict=True):
+        for name, curve in both.items():
+            late = [np.nan if v is None else v for v in curve['latency_ms']]
+            (line,) = ax.plot(np.array(curve['false_alarms_per_min']) + 0.01, late, label=name)
+            shipped = curve['shipped']
+            if shipped['latency_p50_ms'] is not None:
+                at = shipped['false_alarms_per_min'] + 0.01, shipped['latency_p50_ms']
+                ax.plot(*at, 'o', color=line.get_color(), label=f'{name}, shipped')
+        ax.set(xscale='log', xlabel='false alarms per minute + 0.01', ylabel='median latency [ms]')
+        ax.set_title(f'{speed.replace("_mm_s", " mm/s")}, simulated')
+        ax.legend()
+    save_figure(figure, path)

@@ -1,27 +1,40 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What an experiment is given and what it returns.
+"""What an experiment gets and returns, how it becomes a command, and how commands run it.
 
 An experiment is a function that takes a `Context` and returns an `Outcome`: rows that set our
-values beside those of the paper, figures, and a list of what was done differently. The rows that
-all force experiments share are made here as well.
+values beside those of the paper, figures, and a list of differences from the paper. To add one,
+decorate the function with `experiment` and name it in two entry points of a package: in the group
+`mixtac.experiments` as `NAME`, and in the group `mixtac.commands` as `experiments.NAME`.
 """
 
 from __future__ import annotations
 
+import datetime as dt
 import math
+import os
+import platform
+import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, List, Optional  # noqa: UP035
 
 import numpy as np
+import typer
 
-from mixtac_lab.store import carry_out
+from mixtac_events.errors import MixtacError
+from mixtac_lab.experiments import report, sizes
+from mixtac_lab.experiments.report import Outcome, Row, Value
+from mixtac_lab.store import Store
 from mixtac_learning.judge.metrics import measure, peak_error
+from mixtac_recordings.recording import RecordingError
+from mixtac_sim.world.training_trials import simulator_digest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Mapping, Sequence
 
+    from rich.console import Console
     from rich.progress import Progress
 
     from mixtac_lab.experiments.sizes import Sizes
@@ -30,116 +43,15 @@ if TYPE_CHECKING:
     from mixtac_learning.judge.metrics import Metrics
 
 
-@dataclass(frozen=True, slots=True)
-class Value:
-    """A number of ours.
-
-    Attributes:
-        mean: Mean; NaN where there is nothing to take the mean of.
-        spread: Standard deviation of one, 0 where there is only one.
-        count: How many values.
-        over: What they differ in: seeds, trials, repetitions.
-    """
-
-    mean: float
-    spread: float
-    count: int
-    over: str
-
-    @classmethod
-    def of(cls, values: Iterable[float], over: str = 'seeds') -> Value:
-        """Return mean and spread of the finite ones among some values."""
-        good = [value for value in values if math.isfinite(value)]
-        if not good:
-            return cls(math.nan, 0.0, 0, over)
-        spread = float(np.std(good, ddof=1)) if len(good) > 1 else 0.0
-        return cls(float(np.mean(good)), spread, len(good), over)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON-ready values; a mean of nothing is None."""
-        known = math.isfinite(self.mean)
-        return {
-            'mean': round(self.mean, 5) if known else None,
-            'spread': round(self.spread, 5),
-            'count': self.count,
-            'over': self.over,
-        }
+GROUP = 'mixtac.experiments'
+"""Entry points of all experiments."""
+# typer evaluates these under Python 3.10.
+OptionalPath = Optional[Path]  # noqa: UP045
+OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One line of a report.
-
-    Attributes:
-        name: What was measured, of what.
-        ours: Our number.
-        paper: The paper's, None where it gives none.
-        place: Where in the paper it stands; empty if nowhere.
-        unit: Of both; empty for ratios.
-        conditions: Under which ours was measured.
-        simulated: Whether the data are simulated.
-    """
-
-    name: str
-    ours: Value
-    paper: float | None
-    place: str
-    unit: str
-    conditions: str
-    simulated: bool = True
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON-ready values."""
-        return {
-            'name': self.name,
-            'ours': self.ours.as_dict(),
-            'paper': self.paper,
-            'place': self.place,
-            'unit': self.unit,
-            'conditions': self.conditions,
-            'simulated': self.simulated,
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What an experiment gave.
-
-    Attributes:
-        name: Of the experiment.
-        title: For people.
-        paper: What the paper did, in a sentence or two.
-        data: Data set: name, seeds, preset, sizes.
-        rows: Numbers.
-        figures: Pictures by caption.
-        deviations: What differs from the paper's protocol.
-        skipped: Why the experiment was not carried out; empty if it was.
-        table: The numbers as the paper sets them out, first line headings; empty for none.
-    """
-
-    name: str
-    title: str
-    paper: str
-    data: str
-    rows: list[Row] = field(default_factory=list)
-    figures: dict[str, Path] = field(default_factory=dict)
-    deviations: tuple[str, ...] = ()
-    skipped: str = ''
-    table: tuple[tuple[str, ...], ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON-ready values; figures by their file names."""
-        return {
-            'name': self.name,
-            'title': self.title,
-            'paper': self.paper,
-            'data': self.data,
-            'rows': [row.as_dict() for row in self.rows],
-            'figures': {caption: path.name for caption, path in self.figures.items()},
-            'deviations': list(self.deviations),
-            'skipped': self.skipped,
-            'table': [list(line) for line in self.table],
-        }
+class ExperimentError(MixtacError):
+    """An experiment that does not exist, or that cannot be run."""
 
 
 def pooled(estimates: Sequence[TrialEstimate]) -> Metrics:
@@ -160,12 +72,12 @@ def error_rows(
     """Return MAE, RMSE and R2 of a model; one value per seed.
 
     Args:
-        name: Of the model.
-        by_seed: Its estimates.
-        paper: The paper's numbers by `mae`, `rmse`, `r2`; missing ones were not given.
-        place: Where in the paper.
-        conditions: Of the data.
-        simulated: Whether the data are.
+        name: Display name of the model.
+        by_seed: Its estimates by seed.
+        paper: The paper's values by `mae`, `rmse`, `r2`, where it gives them.
+        place: Section, figure or table of the paper.
+        conditions: Which trials these are.
+        simulated: Whether the data are simulated.
     """
     metrics = [pooled(estimates) for estimates in by_seed.values()]
     return [
@@ -185,7 +97,7 @@ def error_rows(
 def constant_row(
     by_seed: Mapping[int, Sequence[TrialEstimate]], conditions: str, *, simulated: bool
 ) -> Row:
-    """Return the MAE of the best constant: what no sensor at all achieves."""
+    """Return the MAE of the best constant, which any sensor must beat."""
     values = Value.of(pooled(estimates).constant_mae for estimates in by_seed.values())
     return Row('best constant: MAE', values, None, '', 'N', conditions, simulated)
 
@@ -211,22 +123,23 @@ def interval_s(estimate: TrialEstimate) -> float:
 
 
 def rate_hz(estimates: Sequence[TrialEstimate]) -> float:
-    """Return how many different forces per second a model gives [Hz]."""
+    """Return the number of distinct forces per second [Hz]."""
     changes = sum(int(np.count_nonzero(np.diff(e.force))) for e in estimates)
     return changes / sum(1e-6 * float(e.t_us[-1] - e.t_us[0]) for e in estimates)
 
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """A run.
+    """A run of experiments.
 
     Attributes:
-        sizes: How large.
-        folder: Where everything is kept.
-        seeds: How many seeds: each is another training and, simulated, another sensor.
-        jobs: Processes.
-        bags: The user's recordings; None for simulated ones.
-        progress: Where bars are shown.
+        sizes: How much to compute.
+        folder: Folder of the report; what is stored lies below it.
+        seeds: Number of seeds; each is another training and, simulated, another sensor.
+        jobs: Number of processes.
+        bags: Folder of the user's recordings; None to simulate.
+        progress: Shows progress bars.
+        store: Results that are stored; by default in the folder `pieces`.
     """
 
     sizes: Sizes
@@ -235,29 +148,190 @@ class Context:
     jobs: int
     bags: Path | None
     progress: Progress
+    store: Store = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Open the store."""
+        object.__setattr__(self, 'store', Store(self.folder / 'pieces'))
 
     @property
     def figures(self) -> Path:
-        """Folder of the figures; made when it is asked for."""
+        """Folder of the figures; made on first use."""
         folder = self.folder / 'figures'
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
-    @property
-    def pieces(self) -> Path:
-        """Folder of finished pieces of work."""
-        return self.folder / 'pieces'
-
     def run(self, title: str, pieces: Sequence[Piece]) -> list[dict[str, Any]]:
-        """Return the results of pieces of work, with a bar meanwhile.
+        """Return the results of pieces of work and show a progress bar meanwhile.
 
         Raises:
-            MixtacError: One cannot be carried out.
+            MixtacError: A piece failed.
         """
         bar = self.progress.add_task(title, total=len(pieces))
+        return self.store.run(pieces, self.jobs, lambda: self.progress.advance(bar))
 
-        def say(words: str) -> None:
-            text = f'{title} ({words})' if words else title
-            self.progress.update(bar, description=text)
 
-        return carry_out(pieces, self.pieces, self.jobs, lambda: self.progress.advance(bar), say)
+def experiment(
+    *, order: float = math.inf
+) -> Callable[[Callable[[Context], Outcome]], Callable[..., None]]:
+    """Return a decorator that makes a function `Context -> Outcome` a command with options.
+
+    The name of the function is the name of the experiment, its docstring the help of the command.
+
+    Args:
+        order: Position in `mixtac experiments all` and in its report.
+    """
+
+    def decorate(function: Callable[[Context], Outcome]) -> Callable[..., None]:
+        def command(
+            more: Annotated[OptionalStrings, typer.Argument(help='More experiments.')] = None,
+            quick: Annotated[
+                bool, typer.Option('--quick', help='Takes minutes; the results mean nothing.')
+            ] = False,
+            json: Annotated[
+                OptionalPath, typer.Option(help='Also write the results to this JSON file.')
+            ] = None,
+            out: Annotated[
+                OptionalPath,
+                typer.Option(help='Output folder; an interrupted run continues there.'),
+            ] = None,
+            bags: Annotated[
+                OptionalPath,
+                typer.Option(
+                    exists=True,
+                    file_okay=False,
+                    help='Folder of your recordings; see docs/experiments.md.',
+                ),
+            ] = None,
+            seeds: Annotated[
+                int, typer.Option(min=0, help='Number of seeds; 0: three, or one with --quick.')
+            ] = 0,
+            jobs: Annotated[
+                int, typer.Option(min=0, help='Number of processes; 0: one per core.')
+            ] = 0,
+        ) -> None:
+            from rich.console import Console
+
+            names = select([function.__name__, *(more or [])])
+            run_experiments(
+                Console(), names, quick=quick, json=json, out=out, bags=bags, seeds=seeds, jobs=jobs
+            )
+
+        command.__doc__ = function.__doc__
+        command.__name__ = function.__name__
+        command.run = function  # type: ignore[attr-defined]
+        command.order = order  # type: ignore[attr-defined]
+        return command
+
+    return decorate
+
+
+ALL = 'all'
+
+
+@experiment()
+def all(context: Context) -> Outcome:  # noqa: A001, ARG001  (name of the command)
+    """All experiments of the paper, and those of other packages."""
+    raise ExperimentError(f'{ALL!r} stands for all experiments')
+
+
+def select(names: Sequence[str]) -> dict[str, Any]:
+    """Return the commands of experiments by name, each once, in the order of the paper.
+
+    Args:
+        names: Names of experiments; `all` stands for all of them.
+
+    Raises:
+        ExperimentError: There is no such experiment.
+    """
+    points = {point.name: point for point in entry_points(group=GROUP)}
+    unknown = sorted(set(names) - {*points, ALL})
+    if unknown:
+        raise ExperimentError(
+            f'unknown experiment {unknown[0]!r}',
+            remedy=f'choose from {", ".join(sorted(points))}, or {ALL}',
+        )
+    chosen = {name: points[name].load() for name in (points if ALL in names else names)}
+    return dict(sorted(chosen.items(), key=lambda item: item[1].order))
+
+
+def run_experiments(
+    console: Console,
+    commands: Mapping[str, Any],
+    *,
+    quick: bool = False,
+    json: Path | None = None,
+    out: Path | None = None,
+    bags: Path | None = None,
+    seeds: int = 0,
+    jobs: int = 0,
+) -> list[Outcome]:
+    """Run experiments and write the report.
+
+    Args:
+        console: Shows progress and results.
+        commands: Experiments by name, as `select` returns them.
+        quick: Take the sizes that need minutes only.
+        json: Another file for the results.
+        out: Folder of the report; None for one below `runs`.
+        bags: Folder of recordings; None to simulate.
+        seeds: Number of seeds; 0 for the default.
+        jobs: Number of processes; 0 for one per core.
+
+    Raises:
+        MixtacError: An experiment failed; finished pieces stay stored.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+
+    chosen = sizes.QUICK if quick else sizes.FULL
+    where = f'experiments_{chosen.name}' + ('' if bags is None else '_bags')
+    folder = out or Path('runs') / where
+    started = time.monotonic()
+    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn())
+    with Bars(*columns, TimeElapsedColumn(), console=console) as progress:
+        context = Context(
+            chosen,
+            folder,
+            seeds or (1 if quick else 3),
+            jobs or os.cpu_count() or 1,
+            bags,
+            progress,
+        )
+        outcomes = [_run_one(*item, context, len(commands)) for item in commands.items()]
+    run = _describe(list(commands), context, time.monotonic() - started)
+    report.write(folder, outcomes, run, json)
+    report.show(console, outcomes)
+    console.print(f'report: {folder / "report.html"}')
+    return outcomes
+
+
+def _run_one(name: str, command: Any, context: Context, count: int) -> Outcome:  # noqa: ANN401
+    """Return an outcome; of several experiments, one without its recordings is skipped."""
+    try:
+        outcome: Outcome = command.run(context)
+    except RecordingError as error:
+        if context.bags is None or count == 1:
+            raise
+        return Outcome(name, name.capitalize(), '-', context.bags.name, skipped=str(error))
+    return outcome
+
+
+def _describe(names: Sequence[str], context: Context, seconds: float) -> dict[str, Any]:
+    """Return what a report says of its run."""
+    options = ['--quick'] if context.sizes.name == 'quick' else []
+    options += [f'--seeds {context.seeds}', f'--out {context.folder.name}']
+    options += [] if context.bags is None else [f'--bags {context.bags.name}']
+    return {
+        'command': ' '.join(['./mixtac experiments', *names, *options]),
+        'experiments': ', '.join(names),
+        'sizes': context.sizes.name,
+        'seeds': context.seeds,
+        'processes': context.jobs,
+        'data': 'virtual sensor (simulated)' if context.bags is None else context.bags.name,
+        'simulator': simulator_digest(),
+        'machine': f'{os.cpu_count()} cores, {platform.machine()}, Python '
+        f'{platform.python_version()}',
+        'minutes': f'{seconds / 60:.1f}, without results that were stored before',
+        'date': f'{dt.datetime.now(dt.timezone.utc):%Y-%m-%d}',
+    }

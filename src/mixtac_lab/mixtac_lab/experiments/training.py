@@ -10,80 +10,102 @@ share.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import torch
 
-from mixtac_lab.experiments.sizes import DYNAMIC, HOLD, IMPACT, PRESET, STATIC, TRAINED
-from mixtac_lab.store import sensor_digest, stem_of, tell
-from mixtac_learning.judge.estimators import TrialEstimate
+from mixtac_fger.config import FgerConfig
+from mixtac_fger.weights import read_model
+from mixtac_lab.experiments.harness import constant_row
+from mixtac_lab.experiments.report import Outcome
+from mixtac_lab.experiments.sizes import (
+    DYNAMIC,
+    EVENTS,
+    FGER,
+    FRAMES,
+    FUSION,
+    HOLD,
+    IMPACT,
+    PRESET,
+    STATIC,
+    run_config,
+)
+from mixtac_lab.store import Piece, code_version, files_version
+from mixtac_learning.judge.estimators import TrialEstimate, trial_estimator
+from mixtac_learning.paper.config import PaperConfig
+from mixtac_learning.paper.samples import PaperRecipe
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, SimulatedData
+from mixtac_learning.train.run import Run, save, training_sources
 from mixtac_learning.trials.bags import BagSource, bag_sources
+from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_learning.trials.store import prepare
 from mixtac_recordings.recording import RecordingError
-from mixtac_sim.world.training_trials import TrialSpec, training_plan
+from mixtac_sim.world.training_trials import TrialSpec, simulator_digest, training_plan
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rich.progress import Progress, TaskID
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from mixtac_lab.experiments.harness import Context
+    from mixtac_lab.experiments.report import Row
     from mixtac_lab.experiments.sizes import Sizes
     from mixtac_learning.trials.store import Recipe
     from mixtac_learning.trials.trial import TrialSource
 
 
-_ARRAYS = ('t_us', 'force', 'known', 'reference', 'frames_only')
+class Model(NamedTuple):
+    """How a model appears in reports."""
+
+    label: str
+    short: str
+    colour: str
+
+
+MODELS = {
+    OURS: Model('FGER-Net, small (ours)', 'FGER-Net,\nsmall (ours)', '#0072b2'),
+    FGER: Model("FGER-Net, the paper's layers", "FGER-Net,\npaper's layers", '#009e73'),
+    FRAMES: Model('frames only', 'frames only', '#e69f00'),
+    EVENTS: Model('events only', 'events only', '#d55e00'),
+    FUSION: Model('feature-level fusion', 'feature-level\nfusion', '#cc79a7'),
+}
+"""Colours that stay distinct without colour vision (Okabe and Ito 2008)."""
+JUDGED = {
+    DYNAMIC: (OURS, FGER, FRAMES, EVENTS),
+    STATIC: (OURS, FGER, FUSION),
+    HOLD: (OURS, FGER),
+    IMPACT: (OURS, FGER),
+}
+"""Models that are evaluated on each profile."""
+Estimates = dict[str, dict[int, list[TrialEstimate]]]
+"""Estimates by model and seed."""
+PROFILES = tuple(JUDGED)
+FIRST_DATA_SEED = 40
+"""Data seeds of `mixtac_sim.world.training_trials`; other ones than those of shipped models."""
+FIRST_TEST = 830_000
+"""First trial seed of the tests; training uses 100,000 to 200,000."""
+SHARE_TESTED = 5
+"""One bag in this many is a test trial: 8:2 by trial, as in the paper."""
+_WORDS = ('name', 'profile', 'device')
 
 
 def save_estimate(path: Path, estimate: TrialEstimate) -> None:
     """Write an estimate as an npz file."""
-    arrays = {name: getattr(estimate, name) for name in _ARRAYS}
-    words = json.dumps([estimate.name, estimate.profile, estimate.device])
-    kept = {name: array for name, array in arrays.items() if array is not None}
-    np.savez_compressed(path, words=np.array(words), **kept)
+    values = {each.name: getattr(estimate, each.name) for each in fields(estimate)}
+    words = json.dumps([values.pop(name) for name in _WORDS])
+    arrays = {name: array for name, array in values.items() if array is not None}
+    np.savez_compressed(path, words=np.array(words), **arrays)
 
 
 def load_estimate(path: Path) -> TrialEstimate:
     """Read what `save_estimate` wrote."""
-    with np.load(path, allow_pickle=False) as kept:
-        name, profile, device = json.loads(str(kept['words']))
-        arrays: dict[str, Any] = {each: kept.get(each) for each in _ARRAYS}
-    return TrialEstimate(name=name, profile=profile, device=device, **arrays)
-
-
-PROFILES = (DYNAMIC, STATIC, HOLD, IMPACT)
-FIRST_DATA_SEED = 40
-"""Data seeds of `mixtac_sim.world.training_trials`, apart from those of shipped models."""
-FIRST_TEST = 830_000
-"""First trial seed of the tests; training uses 100,000 to 200,000."""
-SHARE_TESTED = 5
-"""One bag in so many is judged on: 8:2 by trial, as in the paper."""
-
-
-class TrialSets(Protocol):
-    """Where training and test trials come from; must survive being sent to another process."""
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the trials are simulated."""
-
-    def training(self, seed: int) -> DataConfig:
-        """Return what the models of a seed are trained on."""
-
-    def tests(self, seed: int, profile: str) -> Sequence[TrialSource]:
-        """Return trials of a profile that no model of the seed was trained on.
-
-        Raises:
-            MixtacError: There are none.
-        """
-
-    def describe(self, profile: str) -> str:
-        """Return the data set in words."""
+    with np.load(path, allow_pickle=False) as stored:
+        words = dict(zip(_WORDS, json.loads(str(stored['words'])), strict=True))
+        names = [each.name for each in fields(TrialEstimate) if each.name not in _WORDS]
+        arrays: dict[str, Any] = {name: stored.get(name) for name in names}
+    return TrialEstimate(**words, **arrays)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,21 +113,21 @@ class SimulatedTrials:
     """One simulated sensor per seed.
 
     Attributes:
-        sizes: How many and how long.
+        sizes: Numbers and lengths of the trials.
     """
 
     sizes: Sizes
 
     @property
     def simulated(self) -> bool:
-        """Yes."""
+        """Always true."""
         return True
 
     def training(self, seed: int) -> DataConfig:
         """Return trials of the seed's sensor."""
         sizes = self.sizes
         data = SimulatedData(
-            PRESET, 1, sizes.trials, sizes.seconds, TRAINED, FIRST_DATA_SEED + seed
+            PRESET, 1, sizes.trials, sizes.seconds, sizes.mix, FIRST_DATA_SEED + seed
         )
         return DataConfig(simulated=data, checked=0.0)
 
@@ -121,21 +143,21 @@ class SimulatedTrials:
         """Return sizes, preset and seeds."""
         sizes = self.sizes
         count, seconds = sizes.tests[profile]
-        trained = ', '.join(dict.fromkeys(TRAINED[: sizes.trials]))
+        trained = ', '.join(dict.fromkeys(sizes.mix[: sizes.trials]))
         return (
             f'virtual sensor, preset {PRESET}; per seed one sensor, trained on {sizes.trials}'
             f' trials of {sizes.seconds:g} s ({trained}; data seeds from'
-            f' {FIRST_DATA_SEED}), judged on {count} {profile} trials of {seconds:g} s of other'
+            f' {FIRST_DATA_SEED}), tested on {count} {profile} trials of {seconds:g} s on other'
             f' days (trial seeds from {FIRST_TEST})'
         )
 
 
 @dataclass(frozen=True, slots=True)
 class BagTrials:
-    """A user's bags: one folder per profile, as `mixtac simulate --dataset NAME` makes them.
+    """A user's bags: one folder per profile, as `mixtac simulate --dataset NAME` writes them.
 
-    Trials that a `dataset.yaml` gives to a split stay there; of the others every fifth is
-    judged on and the rest is trained on.
+    A `dataset.yaml` decides which trials are for training; without one, every fifth trial is a
+    test trial.
 
     Attributes:
         folder: Holds folders named `dynamic`, `static`, `long_term` and `impact`.
@@ -145,11 +167,11 @@ class BagTrials:
 
     @property
     def simulated(self) -> bool:
-        """Whether all bags say that they are."""
+        """Whether all bags are marked as simulated."""
         return all(is_simulated(bag) for name in PROFILES for bag in self._bags(name))
 
     def training(self, seed: int) -> DataConfig:
-        """Return the training bags of all profiles, for every seed the same.
+        """Return the training bags of all profiles, the same for every seed.
 
         Raises:
             RecordingError: There are none.
@@ -157,11 +179,11 @@ class BagTrials:
         del seed
         bags = [bag for name in PROFILES for bag in self._split(name)[0]]
         if not bags:
-            raise RecordingError(f'{self.folder} holds no bags to train on: {_remedy()}')
+            raise RecordingError(f'{self.folder} holds no bags for training', remedy=_REMEDY)
         return DataConfig(bags=tuple(str(bag.path) for bag in bags), checked=0.0)
 
     def tests(self, seed: int, profile: str) -> Sequence[TrialSource]:
-        """Return the bags of a profile that were held out.
+        """Return the test bags of a profile.
 
         Raises:
             RecordingError: There are none.
@@ -169,17 +191,19 @@ class BagTrials:
         del seed
         held = self._split(profile)[1]
         if not held:
-            raise RecordingError(f'{self.folder / profile} holds no bags to judge on: {_remedy()}')
+            raise RecordingError(
+                f'{self.folder / profile} holds no bags for testing', remedy=_REMEDY
+            )
         return held
 
     def describe(self, profile: str) -> str:
-        """Return the folder and how many bags there are."""
+        """Return the folder and the numbers of bags."""
         trained, held = self._split(profile)
         total = sum(len(self._split(name)[0]) for name in PROFILES)
         kind = 'simulated bags' if self.simulated else 'recorded bags'
         return (
-            f'{kind} in {self.folder.name}: {total} trained on, of these {len(trained)} {profile};'
-            f' {len(held)} {profile} bags judged on, split by trial'
+            f'{kind} in {self.folder.name}: {total} for training, of these {len(trained)}'
+            f' {profile}; {len(held)} {profile} bags for testing, split by trial'
         )
 
     def _bags(self, profile: str) -> list[BagSource]:
@@ -204,253 +228,196 @@ def trial_sets(sizes: Sizes, bags: Path | None) -> SimulatedTrials | BagTrials:
 
 
 def is_simulated(bag: BagSource) -> bool:
-    """Return whether a bag, or what describes it, says that it was simulated."""
+    """Return whether a bag, or its description, is marked as simulated."""
     return bool(bag.origin.get('simulated')) or 'trial_seed' in bag.origin
 
 
-def _remedy() -> str:
-    return (
-        f'record at least five trials into each of the folders {", ".join(PROFILES)}, with the'
-        ' reference sensor, and align them'
-    )
-
-
-FGER, FRAMES, EVENTS, FUSION = 'fger', 'frames', 'events', 'fusion'
-"""The paper's networks."""
-LABELS = {
-    OURS: 'FGER-Net, small (ours)',
-    FGER: "FGER-Net, the paper's layers",
-    FRAMES: 'frames only',
-    EVENTS: 'events only',
-    FUSION: 'feature-level fusion',
-}
-"""Names of the models for people."""
-MODELS = {
-    DYNAMIC: (OURS, FGER, FRAMES, EVENTS),
-    STATIC: (OURS, FGER, FUSION),
-    HOLD: (OURS, FGER),
-    IMPACT: (OURS, FGER),
-}
-"""Models that are judged on each profile."""
-Estimates = dict[str, dict[int, list['TrialEstimate']]]
-"""Estimates by model and seed."""
+_REMEDY = (
+    f'record at least five trials into each of the folders {", ".join(PROFILES)}, with the'
+    ' reference sensor, and align them'
+)
 
 
 def deviations(sizes: Sizes) -> tuple[str, ...]:
-    """Return what differs from the paper wherever models are trained."""
-    scale = sizes.paper_network['scale']
-    training = sizes.paper_training
-    reduced = (
-        f"The paper's networks see frames averaged over {scale} x {scale} pixels and at most"
-        f' {sizes.paper_network["events_per_packet"]} events per packet, and are trained for'
-        f' {training["epochs"]} epochs with batches of {training["batch"]} and a rate of'
-        f' {training["rate"]:g} (paper: 50 epochs, 128, 1e-4): what two CPU cores do in the'
-        ' time there is. `mixtac experiments models --size native` trains them as stated, on'
-        ' a GPU.'
-    )
-    together = (
-        f'One training set of all profiles for all experiments, {sizes.trials} trials of'
-        f' {sizes.seconds:g} s per sensor, where the paper trains on the data set of each.'
-    )
-    widths = (
-        'Widths and the use of frames within a cycle are not in the paper; docs/fger.md says'
-        ' what was taken.'
-    )
-    return together, reduced, widths
-
-
-def run_config(sizes: Sizes, model: str, seed: int, data: DataConfig, cache: Path) -> RunConfig:
-    """Return the training run of a model."""
-    ours = model == OURS
-    training = sizes.our_training if ours else sizes.paper_training
-    return RunConfig(
-        model=model,
-        network={} if ours else sizes.paper_network,
-        training=training | {'seed': seed},
-        data=replace(data, cache=str(cache)),
+    """Return the differences from the paper wherever models are trained."""
+    network, training = sizes.paper_network, sizes.paper_training
+    scale = network['scale']
+    return (
+        (
+            f'One training set of all profiles for all experiments, {sizes.trials} trials of'
+            f' {sizes.seconds:g} s per sensor; the paper trains on the data set of each experiment.'
+        ),
+        (
+            f"The paper's networks see frames averaged over {scale} x {scale} pixels and at most"
+            f' {network["events_per_packet"]} events per packet, and are trained for'
+            f' {training["epochs"]} epochs with batches of {training["batch"]} and a rate of'
+            f' {training["rate"]:g} (paper: 50 epochs, 128, 1e-4): what two CPU cores do in the'
+            ' time available. `mixtac experiments models --size native` trains them as stated, on'
+            ' a GPU.'
+        ),
+        (
+            'Widths and the use of frames within a cycle are not in the paper; docs/fger.md'
+            ' describes the choices.'
+        ),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class TrainPiece:
-    """The training of one model with one seed.
+def learning_version() -> str:
+    """Return the version of simulator, networks and training."""
+    packages = ('mixtac_events', 'mixtac_fger', 'mixtac_learning')
+    return f'{simulator_digest()} {code_version(*packages)}'
 
-    Attributes:
-        model: Which.
-        seed: Of weights, order and, simulated, of the sensor.
-        config: The run.
+
+def train(context: Context, configs: Mapping[tuple[str, int], RunConfig]) -> dict[Any, str]:
+    """Train what is missing.
+
+    Args:
+        context: The run; samples are stored in its folder.
+        configs: Training runs by model and seed.
+
+    Returns:
+        Stem of the weight file in the store, by model and seed.
     """
-
-    model: str
-    seed: int
-    config: RunConfig
-
-    @property
-    def label(self) -> str:
-        """Model and seed."""
-        return f'model_{self.model}_s{self.seed}'
-
-    def identity(self) -> str:
-        """Return the run's fingerprint and the simulator's."""
-        return f'{self.config.fingerprint()} {_data_version(self.config.data)}'
-
-    def compute(self, folder: Path, stem: str) -> dict[str, Any]:
-        """Train; a run that was cut off goes on."""
-        import torch
-
-        from mixtac_learning.train.run import Run, save
-        from mixtac_sim.world import training_trials as generation
-
-        torch.set_num_threads(1)
-        # Samples are named after the whole simulator, and so is what was begun with them.
-        begun = folder / f'{stem}_{generation.simulator_digest()}'
-
-        def report(stage: str, epoch: int, epochs: int, _loss: float, _error: float | None) -> None:
-            tell(folder, stem, f'{self.model} s{self.seed}: {stage} {epoch}/{epochs}')
-
-        trained = Run(self.config, begun, report=report).carry_out()
-        save(folder / f'{stem}.safetensors', trained, {})
-        return {'minutes': trained.card.training['minutes'], 'skipped': trained.skipped}
+    pieces = {}
+    for (model, seed), config in configs.items():
+        bags = [path for bag in config.data.bags for path in _bag_files(Path(bag))]
+        version = f'{learning_version()} {files_version(bags)}'
+        plain = replace(config, data=replace(config.data, cache=''))
+        pieces[model, seed] = Piece(f'model_{model}_s{seed}', _train, (plain,), version)
+    missing = [configs[key] for key, piece in pieces.items() if context.store.find(piece) is None]
+    _prepare(context, missing)
+    context.run('training', list(pieces.values()))
+    return {key: piece.stem for key, piece in pieces.items()}
 
 
-@dataclass(frozen=True, slots=True)
-class JudgePiece:
-    """All models of a seed on one trial, which is loaded once.
+def _train(base: Path, config: RunConfig) -> dict[str, Any]:
+    """Train and write the weight file; an interrupted training continues."""
+    torch.set_num_threads(1)
+    data = replace(config.data, cache=str(_samples(base.parent)))
+    trained = Run(replace(config, data=data), base).carry_out()
+    save(base.with_name(f'{base.name}.safetensors'), trained, {})
+    return {'minutes': trained.card.training['minutes'], 'skipped': trained.skipped}
 
-    Attributes:
-        seed: Of the models.
-        source: The trial.
-        weights: Stem of the weight file by model.
-    """
 
-    seed: int
-    source: TrialSource
-    weights: dict[str, str]
+def _samples(store: Path) -> Path:
+    return store.parent / 'samples'
 
-    @property
-    def label(self) -> str:
-        """Seed and trial."""
-        return f'judged_s{self.seed}_{self.source.name}'
 
-    def identity(self) -> str:
-        """Return the models and the trial."""
-        if isinstance(self.source, BagSource):
-            version = _bags_version([self.source.path])
-        else:
-            version = f'{self.source.name} {sensor_digest()}'
-        return json.dumps([self.weights, version], sort_keys=True)
+def _prepare(context: Context, configs: Iterable[RunConfig]) -> None:
+    """Prepare the samples before trainings run side by side, which would prepare them twice."""
+    recipes: dict[str, tuple[Recipe, dict[str, TrialSource]]] = {}
+    for config in configs:
+        recipe = _recipe(config)
+        key = json.dumps(recipe.fingerprint(), sort_keys=True)
+        sources = recipes.setdefault(key, (recipe, {}))[1]
+        sources |= {source.name: source for source in training_sources(config.data)}
+    for recipe, sources in recipes.values():
+        bar = context.progress.add_task('preparing samples', total=len(sources))
+        folder = _samples(context.store.folder)
+        prepare([*sources.values()], recipe, folder, context.jobs, _updating(context, bar))
 
-    def compute(self, folder: Path, stem: str) -> dict[str, Any]:
-        """Estimate the trial with each model.
 
-        Raises:
-            MixtacError: The trial cannot be used.
-        """
-        import torch
+def _updating(context: Context, bar: Any) -> Callable[[int], None]:  # noqa: ANN401
+    return lambda done: context.progress.update(bar, completed=done)
 
-        from mixtac_fger.weights import read_model
-        from mixtac_learning.judge.estimators import trial_estimator
 
-        torch.set_num_threads(1)
-        trial = self.source.load()
-        files = {}
-        for model, weights in self.weights.items():
-            estimate = trial_estimator(read_model(folder / f'{weights}.safetensors'))(trial)
-            files[model] = f'{stem}_{model}.npz'
-            save_estimate(folder / files[model], estimate)
-        return {'files': files}
+def _recipe(config: RunConfig) -> Recipe:
+    """Return how the model of a run needs its samples."""
+    if config.model == OURS:
+        network = FgerConfig.from_dict(FgerConfig().to_dict() | config.network)
+        return FgerRecipe(network, config.data.label)
+    paper = PaperConfig.from_dict({'model': config.model} | config.network)
+    return PaperRecipe(paper, config.data.label)
 
 
 def estimates(context: Context, profile: str) -> Estimates:
-    """Return what the models of a profile say of its test trials; trains what is missing.
+    """Return the estimates of the models of a profile on its test trials; trains what is missing.
 
     Args:
         context: The run.
-        profile: One of `MODELS`.
+        profile: One of `JUDGED`.
 
     Raises:
         MixtacError: Trials are missing or cannot be used.
     """
     sets = trial_sets(context.sizes, context.bags)
-    models = MODELS[profile]
-    tests = {seed: sets.tests(seed, profile) for seed in range(context.seeds)}
-    weights = _train(context, models)
-    pieces = [
-        JudgePiece(seed, source, {model: weights[model, seed] for model in models})
-        for seed in range(context.seeds)
-        for source in tests[seed]
-    ]
-    found: Estimates = {model: {seed: [] for seed in range(context.seeds)} for model in models}
-    results = context.run(f'{profile}: judging', pieces)
-    for piece, result in zip(pieces, results, strict=True):
+    models, seeds = JUDGED[profile], range(context.seeds)
+    tests = {seed: sets.tests(seed, profile) for seed in seeds}
+    weights = train(
+        context,
+        {
+            (model, seed): run_config(context.sizes, model, seed, sets.training(seed))
+            for seed in seeds
+            for model in models
+        },
+    )
+    cases = [(seed, source) for seed in seeds for source in tests[seed]]
+    pieces = []
+    for seed, source in cases:
+        bags = _bag_files(source.path) if isinstance(source, BagSource) else []
+        version = f'{learning_version()} {files_version(bags)}'
+        arguments = (source, {model: weights[model, seed] for model in models})
+        pieces.append(Piece(f'judged_s{seed}_{source.name}', _judge, arguments, version))
+    found: Estimates = {model: {seed: [] for seed in seeds} for model in models}
+    results = context.run(f'{profile}: testing', pieces)
+    for (seed, _), result in zip(cases, results, strict=True):
         for model, name in result['files'].items():
-            found[model][piece.seed].append(load_estimate(context.pieces / name))
+            found[model][seed].append(load_estimate(context.store.folder / name))
     return found
 
 
-def _train(context: Context, models: Sequence[str]) -> dict[tuple[str, int], str]:
-    """Train what is missing, and return the stem of the weight file by model and seed."""
+def _judge(base: Path, source: TrialSource, weights: Mapping[str, str]) -> dict[str, Any]:
+    """Estimate a trial, which is loaded once, with each model."""
+    torch.set_num_threads(1)
+    trial = source.load()
+    files = {}
+    for model, stem in weights.items():
+        estimate = trial_estimator(read_model(base.parent / f'{stem}.safetensors'))(trial)
+        files[model] = f'{base.name}_{model}.npz'
+        save_estimate(base.parent / files[model], estimate)
+    return {'files': files}
+
+
+def _bag_files(bag: Path) -> list[Path]:
+    """Return the files of a bag and its clock fit."""
+    fit = bag.with_name(f'{bag.name}.clock_fit.json')
+    return [*sorted(bag.iterdir()), *([fit] if fit.exists() else [])]
+
+
+def force_outcome(
+    context: Context,
+    profile: str,
+    *,
+    rows: Callable[..., list[Row]],
+    draw: Callable[..., Path],
+    caption: str,
+    conditions: str,
+    **outcome: Any,  # noqa: ANN401
+) -> Outcome:
+    """Return the outcome of an experiment that compares models on one profile.
+
+    Args:
+        context: The run.
+        profile: One of `JUDGED`.
+        rows: Returns the rows of the experiment from the estimates and `simulated`, whether the
+            trials are simulated.
+        draw: Writes the figure to a path, from the same.
+        caption: Caption of the figure.
+        conditions: Which trials these are, for the row of the best constant.
+        **outcome: Other fields of `Outcome`.
+
+    Raises:
+        MixtacError: Trials are missing or cannot be used.
+    """
     sets = trial_sets(context.sizes, context.bags)
-    cache = context.folder / 'samples'
-    pieces = [
-        TrainPiece(model, seed, run_config(context.sizes, model, seed, sets.training(seed), cache))
-        for seed in range(context.seeds)
-        for model in models
-    ]
-    missing = [p for p in pieces if not (context.pieces / f'{stem_of(p)}.json').exists()]
-    _prepare(context, missing)
-    context.run('training', pieces)
-    return {(piece.model, piece.seed): stem_of(piece) for piece in pieces}
-
-
-def _prepare(context: Context, pieces: Sequence[TrainPiece]) -> None:
-    """Prepare the samples before trainings run side by side, which would prepare them twice."""
-    from mixtac_learning.train.run import training_sources
-    from mixtac_learning.trials.store import prepare
-
-    recipes: dict[str, tuple[Recipe, list[TrialSource]]] = {}
-    for piece in pieces:
-        recipe = _recipe(piece.config)
-        key = json.dumps(recipe.fingerprint(), sort_keys=True)
-        known = recipes.setdefault(key, (recipe, []))[1]
-        names = {source.name for source in known}
-        known += [s for s in training_sources(piece.config.data) if s.name not in names]
-    for recipe, sources in recipes.values():
-        bar = context.progress.add_task('preparing samples', total=len(sources))
-        prepare(
-            sources,
-            recipe,
-            context.folder / 'samples',
-            context.jobs,
-            partial(_show, context.progress, bar),
-        )
-
-
-def _show(progress: Progress, bar: TaskID, done: int) -> None:
-    progress.update(bar, completed=done)
-
-
-def _recipe(config: RunConfig) -> Recipe:
-    """Return how the model of a run wants its samples."""
-    from mixtac_fger.config import FgerConfig
-    from mixtac_learning.paper.config import PaperConfig
-    from mixtac_learning.paper.samples import PaperRecipe
-    from mixtac_learning.trials.samples import FgerRecipe
-
-    if config.model == OURS:
-        return FgerRecipe(FgerConfig.from_dict(FgerConfig().to_dict() | config.network))
-    return PaperRecipe(PaperConfig.from_dict({'model': config.model} | config.network))
-
-
-def _data_version(data: DataConfig) -> str:
-    """Return what changes when simulated or recorded data do."""
-    if data.simulated is not None:
-        return sensor_digest()
-    return _bags_version([Path(bag) for bag in data.bags])
-
-
-def _bags_version(bags: Sequence[Path]) -> str:
-    """Return names, sizes and dates of the files of bags and of their clock fits."""
-    files = [path for bag in bags for path in sorted(bag.iterdir())]
-    files += [fit for bag in bags if (fit := bag.with_name(f'{bag.name}.clock_fit.json')).exists()]
-    return json.dumps([(str(p), p.stat().st_size, p.stat().st_mtime_ns) for p in files])
+    found = estimates(context, profile)
+    simulated = sets.simulated
+    outcome['deviations'] = (*deviations(context.sizes), *outcome.get('deviations', ()))
+    path = draw(context.figures / f'{outcome["name"]}.png', found, simulated=simulated)
+    constant = constant_row(found[OURS], conditions, simulated=simulated)
+    return Outcome(
+        data=sets.describe(profile),
+        rows=[*rows(found, simulated=simulated), constant],
+        figures={caption: path},
+        **outcome,
+    )

@@ -10,13 +10,11 @@ their thresholds, in units of the background tail learned at the start of each t
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from functools import partial
-from itertools import starmap
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from mixtac_lab.store import Kept, digest
+from mixtac_lab.store import Piece, code_version
 from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.optics.scene import Flicker
@@ -27,10 +25,13 @@ from mixtac_slip_control.features import SlipFeatures
 from mixtac_slip_control.parameters import DETECTORS, SlipControlParameters
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
+    from rich.console import Console
 
+    from mixtac_lab.store import Store
     from mixtac_sim.grasp.slip_scene import SceneBlock
     from mixtac_slip_control.features import SlipWindow
 
@@ -39,12 +40,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoredTrial:
-    """The windows of one trial as each detector sees them, after the learning.
+    """Scores of the windows of one trial after the learning.
 
     Attributes:
         end_us: Ends of the windows [n], camera clock [us].
-        count: Count over its threshold [n]: above 1 the shipped detector fires.
-        flow: Flow over its threshold [n].
+        count: Ratio of the count to its threshold [n]: the shipped detector reports slip above 1.
+        flow: Ratio of the flow to its threshold [n].
     """
 
     end_us: NDArray[np.int64]
@@ -58,10 +59,10 @@ class DetectorCurve:
 
     Attributes:
         scale: Thresholds as multiples of the shipped one [m].
-        false_alarms_per_min: Onsets per minute without slip [m].
+        false_alarms_per_min: Reported onsets per minute without slip [m].
         latency_ms: Median time from onset to detection [m]; infinite where most are missed.
         latency_p99_ms: Its 99th percentile [m].
-        missed: Part of the trials without a detection [m].
+        missed: Share of trials without a detection [m].
         auc: Probability that the highest score in the first windows of a slip exceeds that of as
             many windows without slip.
     """
@@ -82,8 +83,8 @@ def score_trial(
     """Return the scores of a trial.
 
     Args:
-        windows: All windows of the trial, the first ones at rest.
-        learning: How many of them the detectors learn from; they are not scored.
+        windows: All windows of the trial; the first ones are at rest.
+        learning: Number of windows from which the detectors learn; they are not scored.
         settings: Settings of the detectors.
 
     Raises:
@@ -98,8 +99,8 @@ def score_trial(
         by_flow.learn(window)
     if not (by_count.learned and by_flow.learned):
         raise SlipControlError(
-            f'{min(learning, len(windows))} windows do not suffice to learn the background: give '
-            'as many as the settings ask for, with frames'
+            f'{min(learning, len(windows))} windows do not suffice to learn the background',
+            remedy='give as many windows as the settings require, with frames',
         )
     rows = np.empty((2, len(windows) - learning))
     for column, window in zip(rows.T, windows[learning:], strict=True):
@@ -121,7 +122,7 @@ def detector_curve(
     horizon_us: int = 50_000,
     rest_us: int = 5_000,
 ) -> DetectorCurve:
-    """Return latency against false alarms of a detector.
+    """Return latency versus false alarms of a detector.
 
     Args:
         detector: `flow` or `count`.
@@ -136,8 +137,8 @@ def detector_curve(
     """
     if detector not in ('flow', 'count') or not slips or not quiet:
         raise SlipControlError(
-            f'detector {detector!r}, {len(slips)} trials with slip, {len(quiet)} without: give '
-            'flow or count and at least one of each'
+            f'detector {detector!r}, {len(slips)} trials with slip, {len(quiet)} without',
+            remedy='give flow or count and at least one trial of each kind',
         )
     scales = np.geomspace(0.02, 3.0, 60) if scale is None else scale
     calm = [(trial.end_us, getattr(trial, detector)) for trial in quiet]
@@ -164,7 +165,7 @@ def _onsets(times: NDArray[np.int64], above: NDArray[np.bool_], rest_us: int) ->
 def _latency(
     trial: ScoredTrial, detector: str, onset_us: int, threshold: float, horizon_us: int
 ) -> float:
-    """Return the time from onset to the end of the first window above [ms]."""
+    """Return the time from the onset to the end of the first window above the threshold [ms]."""
     scores = getattr(trial, detector)
     first, last = np.searchsorted(trial.end_us, (onset_us, onset_us + horizon_us), side='right')
     found = np.flatnonzero(scores[first:last] > threshold)
@@ -177,7 +178,7 @@ def _auc(
     calm: Sequence[tuple[NDArray[np.int64], Floats]],
     span: int = 5,
 ) -> float:
-    """Return the area under the curve of the highest of 5 scores (Mann and Whitney)."""
+    """Return the area under the ROC curve of the maximum of `span` scores (Mann and Whitney)."""
     positive = []
     for trial, onset in slips:
         first = int(np.searchsorted(trial.end_us, onset, side='right'))
@@ -196,30 +197,30 @@ QuietName = Literal['hold', 'load', 'flicker']
 QUIET: tuple[QuietName, ...] = get_args(QuietName)
 FORCE_N = 0.7
 SWING_N = 0.3
-"""The force of a slow load change goes up and down by so much [N]."""
+"""Amplitude of the force in a slow load change [N]."""
 SWING_HZ = (0.25, 0.5, 1.0)
-"""As often as one of these, by the scene's seed [Hz]: up to 1 N/s."""
+"""Frequencies of the load change, by the seed of the scene [Hz]: up to 1 N/s."""
 LOAD_RATIO = 0.6
-"""Pull over what friction holds, where nothing may slip."""
+"""Ratio of the pull to the friction limit in scenes without slip."""
 FLICKER_HZ = 100.0
-"""A lamp at 50 Hz mains shines alike in both half waves."""
+"""A lamp at 50 Hz mains flickers with both half waves [Hz]."""
 FLICKER_DEPTHS = (0.08, 0.12, 0.15)
-"""Ripple of the light in the sensor, one of these by the scene's seed: a lamp with 30 % ripple that
-makes a quarter, 40 % or half of the light beside the sensor's own steady LED (estimates; an opaque
-skin lets far less in). From about 20 % on the pixels fire by themselves and fill the readout."""
+"""Ripple of the light in the sensor, by the seed of the scene: a lamp with 30 % ripple that makes a
+quarter, 40 % or half of the light, beside the steady LED of the sensor (estimates; an opaque skin
+lets far less light in). From about 20 % the pixels fire by themselves and saturate the readout."""
 BLOCK_STEPS = 32
 
 
 def quiet_blocks(
     name: QuietName, seconds: float, seed: int, preset_name: str
 ) -> Iterator[SceneBlock]:
-    """Yield what a sensor sees of an object that does not slip, in blocks of 4 ms.
+    """Yield the sensor data of an object that does not slip, in blocks of 4 ms.
 
     Args:
         name: Steady hold, slow change of the load, or flickering lamps.
         seconds: Length [s].
-        seed: Sensor and day.
-        preset_name: How hard the sensor is.
+        seed: Seed of sensor and day.
+        preset_name: Difficulty preset of the sensor.
     """
     scene = SlipScene(
         seed,
@@ -248,14 +249,14 @@ def flicker_of(seed: int) -> Flicker:
 def slip_blocks(
     speed_mm_s: float, onset_s: float, seconds: float, seed: int, preset_name: str
 ) -> Iterator[SceneBlock]:
-    """Yield what a sensor sees of an object that slips once, in blocks of 1 ms.
+    """Yield the sensor data of an object that slips once, in blocks of 1 ms.
 
     Args:
         speed_mm_s: Speed of the slip [mm/s].
-        onset_s: When it begins [s].
+        onset_s: Onset of the slip [s].
         seconds: Length [s].
-        seed: Sensor and day.
-        preset_name: How hard the sensor is.
+        seed: Seed of sensor and day.
+        preset_name: Difficulty preset of the sensor.
     """
     scene = SlipScene(seed, seed, preset(preset_name), force_n=FORCE_N)
     return scene.play(knock_profile(speed_mm_s, onset_s, seconds - onset_s, seconds))
@@ -264,11 +265,11 @@ def slip_blocks(
 def windows_of(
     blocks: Iterator[SceneBlock], settings: SlipControlParameters
 ) -> Iterator[SlipWindow]:
-    """Yield the windows of a scene, as the controller's core cuts them.
+    """Yield the windows of a scene, as the controller forms them.
 
     Args:
-        blocks: Of the scene.
-        settings: Of the controller.
+        blocks: Data of the scene.
+        settings: Settings of the controller.
     """
     features = SlipFeatures(settings)
     for block in blocks:
@@ -283,9 +284,9 @@ LEARN_S = 1.1
 SLIP_TRIAL_S = 1.2
 QUIET_TRIAL_S = 5.0
 PIECE_S = 60.0
-"""A long quiet time is made of pieces of so long, each with a sensor and a day of its own [s]."""
+"""Length of the pieces of a long scene, each with its own sensor and day [s]."""
 QUIET_SEED = 50_000
-"""Sensors of the quiet scenes; no threshold was chosen on them."""
+"""First seed of the sensors of quiet scenes; no threshold was tuned on them."""
 SLIP_SEED = 60_000
 
 
@@ -296,10 +297,10 @@ class Alarms:
     Attributes:
         name: Kind of scene.
         seconds: Simulated time after the background was learned [s].
-        flow: Onsets that the flow detector saw.
-        count: Onsets that the count law saw.
+        flow: Onsets reported by the flow detector.
+        count: Onsets reported by the count law.
         mean_count: Mean events per window.
-        saturated: Windows in which the sensor was saturated, on which an arm would stop.
+        saturated: Windows with a saturated sensor, which would stop an arm.
     """
 
     name: str
@@ -315,52 +316,57 @@ def count_alarms(
     seconds: float,
     settings: SlipControlParameters,
     preset_name: str,
-    kept: Kept | None = None,
+    store: Store,
+    console: Console,
 ) -> Alarms:
     """Return the false alarms of both detectors with their shipped thresholds.
 
     Args:
         name: Kind of scene.
-        seconds: Simulated time, the learning not counted [s].
-        settings: Of the controller.
-        preset_name: How hard the sensors are.
-        kept: Holds the pieces that were measured before.
+        seconds: Simulated time without the learning [s].
+        settings: Settings of the controller.
+        preset_name: Difficulty preset of the sensors.
+        store: Stored results.
+        console: Shows the progress.
     """
-    pieces, store = [], kept or Kept()
-    watched = digest(settings, preset_name)
     number = max(round(seconds / PIECE_S), 1)
-    for k in range(number):
-        length = seconds / number
-        key = f'quiet {name} {QUIET_SEED + k} {length:g} s {watched}'
-        piece = store.get(key, partial(_quiet_piece, name, k, length, settings, preset_name))
-        pieces.append(Alarms(**piece))
+    version = code_version('mixtac_events', 'mixtac_sim', 'mixtac_slip_control', __name__)
+    arguments = [(name, k, seconds / number, settings, preset_name) for k in range(number)]
+    pieces = [Piece(f'quiet_{name}_{each[1]}', _quiet_piece, each, version) for each in arguments]
+    found = store.run_shown(f'scene without slip: {name}', pieces, console)
+    parts = [Alarms(**each) for each in found]
     return Alarms(
         name,
-        sum(p.seconds for p in pieces),
-        sum(p.flow for p in pieces),
-        sum(p.count for p in pieces),
-        float(np.mean([p.mean_count for p in pieces])),
-        sum(p.saturated for p in pieces),
+        sum(p.seconds for p in parts),
+        sum(p.flow for p in parts),
+        sum(p.count for p in parts),
+        float(np.mean([p.mean_count for p in parts])),
+        sum(p.saturated for p in parts),
     )
 
 
 def _quiet_piece(
-    name: QuietName, number: int, seconds: float, settings: SlipControlParameters, preset_name: str
+    _base: Path,
+    name: QuietName,
+    number: int,
+    seconds: float,
+    settings: SlipControlParameters,
+    preset_name: str,
 ) -> dict[str, Any]:
     """Return the alarms of one sensor on one day, for JSON."""
-    both, was = Detectors(settings), dict.fromkeys(DETECTORS, False)
+    both, before = Detectors(settings), dict.fromkeys(DETECTORS, False)
     alarms = dict.fromkeys(DETECTORS, 0)
     counts = windows = saturated = 0
     blocks = quiet_blocks(name, LEARN_S + seconds, QUIET_SEED + number, preset_name)
     for window in windows_of(blocks, settings):
         both.update(window, 0.0)
-        now = {'flow': both.flow.slipping, 'count': both.count.slipping}
+        slipping = {'flow': both.flow.slipping, 'count': both.count.slipping}
         if window.end_us > 1e6 * LEARN_S:
             for each in DETECTORS:
-                alarms[each] += now[each] and not was[each]
+                alarms[each] += slipping[each] and not before[each]
             counts, windows = counts + window.count, windows + 1
             saturated += window.count >= settings.saturation_count
-        was = now
+        before = slipping
     mean = counts / max(windows, 1)
     return asdict(Alarms(name, seconds, alarms['flow'], alarms['count'], mean, saturated))
 
@@ -369,26 +375,23 @@ def curves(
     trials: int,
     settings: SlipControlParameters,
     preset_name: str,
-    progress: Callable[[Sequence[int]], Sequence[int]] = lambda numbers: numbers,
 ) -> dict[str, Any]:
-    """Return latency against false alarms of both detectors, by speed, for JSON.
+    """Return latency versus false alarms of both detectors, by speed, for JSON.
 
     Args:
         trials: Slips per speed.
-        settings: Of the controller.
-        preset_name: How hard the sensors are.
-        progress: Wraps the numbers of the trials.
+        settings: Settings of the controller.
+        preset_name: Difficulty preset of the sensors.
     """
-    quiet = list(
-        starmap(
-            lambda k, name: _scored_quiet(name, k, settings, preset_name),
-            [(k, name) for k in range(max(trials // 5, 1)) for name in QUIET],
-        )
-    )
+    quiet = [
+        _scored_quiet(name, k, settings, preset_name)
+        for k in range(max(trials // 5, 1))
+        for name in QUIET
+    ]
     result: dict[str, Any] = {}
     for speed in SPEEDS_MM_S:
         slips = []
-        for k in progress(range(trials)):
+        for k in range(trials):
             # Windows lie on whole milliseconds; onsets lie anywhere between them.
             onset_s = LEARN_S + 1e-3 * (20.0 + k / trials)
             blocks = slip_blocks(speed, onset_s, SLIP_TRIAL_S, SLIP_SEED + k, preset_name)

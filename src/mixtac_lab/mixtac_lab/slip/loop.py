@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasp, sensor, slip controller, trajectories and arm in lock-step, 1 ms at a time.
 
-Faster than real time and reproducible. `Transport` holds the delays that the real chain adds
-between the parts; `mixtac bench slip` measures them over DDS. `best_arrest` gives the lower bound
-that no controller can beat: the same grasp and the same knock with the best motion of the arm.
+The loop is faster than real time and reproducible. `Transport` holds the delays that the real chain
+adds between the parts; `mixtac bench slip` measures them over DDS. `best_arrest` returns the lower
+bound that no controller can beat: the same grasp and knock with the best motion of the arm.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ if TYPE_CHECKING:
 
 GRID_S = 1e-6 * STEP_US
 AFTER_S = 0.3
-"""How long is waited for the object to stop [s]."""
+"""Time for the object to come to rest [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArmReach:
-    """What the arm can do along the contact normal.
+    """Limits of the arm along the contact normal.
 
     Attributes:
-        acceleration: [m/s2].
-        jerk: [m/s3].
+        acceleration: Largest acceleration [m/s2].
+        jerk: Largest jerk [m/s3].
         lag_s: Time constant of its tracking [s].
         max_force_n: Force at which the advance must end [N].
     """
@@ -62,11 +62,11 @@ class ArmReach:
 
 @dataclass(frozen=True, slots=True)
 class Arrest:
-    """How an object came to rest.
+    """How an object comes to rest.
 
     Attributes:
-        slip_mm: How far it moved from the blow on [mm].
-        arrest_ms: Until it stood still [ms]; NaN if it did not.
+        slip_mm: Displacement from the knock on [mm].
+        arrest_ms: Time from the knock to rest [ms]; NaN for never.
     """
 
     slip_mm: float
@@ -74,14 +74,14 @@ class Arrest:
 
     @property
     def held(self) -> bool:
-        """Whether it stood still in the end, no more than 5 mm lower."""
+        """Whether it came to rest, no more than 5 mm lower."""
         return bool(np.isfinite(self.arrest_ms)) and self.slip_mm <= HELD_MM
 
 
 HELD_MM = 5.0
-"""Farther down an object counts as lost [mm]: the fingertip's contact is 12 mm wide."""
+"""An object that slips farther is lost [mm]: the contact of the fingertip is 12 mm wide."""
 STILL_S = 0.02
-"""How long it must stand still [s]."""
+"""Time without motion that counts as rest [s]."""
 
 
 def arrest_of(
@@ -90,13 +90,13 @@ def arrest_of(
     speed_mm_s: NDArray[np.float64],
     onset_us: float,
 ) -> Arrest:
-    """Return how an object came to rest after a blow.
+    """Return how an object comes to rest after a knock.
 
     Args:
         t_us: Times [n] [us].
-        object_mm: Its place [n] [mm].
-        speed_mm_s: Its speed [n] [mm/s].
-        onset_us: When the blow began [us].
+        object_mm: Position of the object [n] [mm].
+        speed_mm_s: Speed of the object [n] [mm/s].
+        onset_us: Onset of the knock [us].
     """
     first = int(np.searchsorted(t_us, onset_us))
     slip = float(object_mm[-1] - object_mm[max(first - 1, 0)])
@@ -107,12 +107,12 @@ def arrest_of(
 
 
 def best_arrest(grasp: Grasp, reach: ArmReach, delay_s: float) -> Arrest:
-    """Return the arrest by the fastest motion to the force limit, begun after a delay.
+    """Return the arrest by the fastest motion to the force limit, started after a delay.
 
     Args:
-        grasp: A fresh one without a camera.
-        reach: The arm.
-        delay_s: From the onset of the blow to the begin of the commanded motion [s].
+        grasp: A new grasp without a camera.
+        reach: Limits of the arm.
+        delay_s: Time from the onset of the knock to the start of the commanded motion [s].
     """
     knock = round(grasp.setup.knock_s / GRID_S)
     count = knock + round(AFTER_S / GRID_S)
@@ -127,8 +127,8 @@ def best_arrest(grasp: Grasp, reach: ArmReach, delay_s: float) -> Arrest:
 def fastest_way(distance_mm: float, reach: ArmReach, count: int) -> NDArray[np.float64]:
     """Return the fastest rest-to-rest motion within acceleration and jerk, lagged [count] [mm].
 
-    Full acceleration, then full braking, each with ramps of the jerk's time: that is the
-    convolution of a bang-bang motion with a window of that time. Sampled every 125 us.
+    Full acceleration, then full braking, each with jerk-limited ramps: the convolution of a
+    bang-bang motion with a window of the length of a ramp. Sampled every 125 us.
     """
     t = (np.arange(count) + 1) * GRID_S
     half_s = np.sqrt(1e-3 * distance_mm / reach.acceleration)
@@ -150,15 +150,15 @@ CYCLE_S = 1e-3
 STEPS = 8
 """Grid steps of the grasp per cycle."""
 EPOCH_S = 100.0
-"""Controller time at the start: a stamp of zero would mean something else."""
+"""Controller time at the start [s]; a stamp of zero has another meaning."""
 SIDEWAYS = (0.0, 1.0, 0.0)
-"""Contact normal in the base frame: at the ready pose the arm is fastest that way."""
+"""Contact normal in the base frame; the arm is fastest in this direction at the ready pose."""
 FORCE_EVERY = 2
 """Cycles per estimate of the force: 500 Hz."""
 FORCE_NOISE_N = 0.03
 """Standard deviation of an estimate of the force [N]."""
 FRAME_DELAY_S = 4e-3
-"""From the end of a frame's readout to its guide [s]."""
+"""Time from the end of the readout of a frame to its guide [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,9 +166,9 @@ class Transport:
     """Delays between the parts [s].
 
     Attributes:
-        events_s: From the end of a window to the controller: USB, driver and DDS.
-        command_s: From the controller's answer to the trajectory at the arm.
-        force_s: Age of an estimate of the force.
+        events_s: Time from the end of a window to the controller: USB, driver and DDS.
+        command_s: Time from the answer of the controller to the trajectory at the arm.
+        force_s: Age of a force estimate.
     """
 
     events_s: float = 0.7e-3
@@ -178,14 +178,14 @@ class Transport:
 
 @dataclass(frozen=True, slots=True)
 class ArmSetup:
-    """The arm and how it is driven.
+    """The arm and its settings.
 
     Attributes:
-        tracking: How it follows its commands.
-        normal: Of the contact, in the base frame.
-        stream: How advances are streamed; the planner's own settings if None.
-        plant: What follows the commands: a lag of each joint, or the arm in MuJoCo with servos of
-            that lag, pressing a gel of the contact's stiffness.
+        tracking: How the arm follows its commands.
+        normal: Contact normal in the base frame.
+        stream: Settings of the stream of advances; None for the defaults of the planner.
+        plant: Model of the arm: a lag of each joint, or MuJoCo with servos of that lag, pressing a
+            gel with the stiffness of the contact.
     """
 
     tracking: Tracking = field(default_factory=Tracking)
@@ -199,19 +199,19 @@ class LoopRecord:
     """A whole run; times are true time [us] since the start.
 
     Attributes:
-        t_us: On the grid of 125 us [n].
-        object_mm: Place of the object, downwards [n] [mm].
-        speed_mm_s: Its speed [n] [mm/s].
+        t_us: Times on a grid of 125 us [n].
+        object_mm: Position of the object, downwards [n] [mm].
+        speed_mm_s: Speed of the object [n] [mm/s].
         normal_n: Normal force [n] [N].
-        advance_mm: Place of the fingertip [n] [mm].
-        answered_us: When each window was answered [m].
-        steps: What the controller said of each window [m].
-        published_us: When trajectories were published [p].
+        advance_mm: Position of the fingertip [n] [mm].
+        answered_us: Time of the answer to each window [m].
+        steps: Answer of the controller to each window [m].
+        published_us: Times at which trajectories were published [p].
         rejected: Trajectories that the arm's controller rejected.
-        violations: Samples of the commanded motion that broke a limit.
+        violations: Samples of the commanded motion that violate a limit.
         q: Commanded joint positions, one per cycle [c, 7] [rad].
-        stopped: Why the interlock stopped the arm; empty if it did not.
-        events: Of each cycle [c].
+        stopped: Reason of an interlock stop; empty without one.
+        events: Events of each cycle [c].
     """
 
     t_us: NDArray[np.int64]
@@ -234,10 +234,10 @@ class ClosedLoop:
 
     Args:
         grasp: The grasp, with a camera.
-        settings: Of the slip controller; None leaves the loop open.
+        settings: Settings of the slip controller; None leaves the loop open.
         arm: The arm.
         transport: Delays.
-        seed: Of the noise of the force estimates.
+        seed: Seed of the noise of the force estimates.
     """
 
     def __init__(
@@ -270,11 +270,12 @@ class ClosedLoop:
         self._published: list[float] = []
 
     def run(self, seconds: float, enable_s: float) -> LoopRecord:
-        """Run to a time and return everything that happened.
+        """Run to a time and return the record.
 
         Args:
             seconds: Length [s].
-            enable_s: When the controller is enabled [s]; it must have learned its background.
+            enable_s: Time at which the controller is enabled [s]; it must have learned its
+                background by then.
 
         Raises:
             SlipControlError: The controller cannot be enabled.
@@ -289,11 +290,11 @@ class ClosedLoop:
 
     @property
     def _now_s(self) -> float:
-        """Return when the news of the last cycle reach the controller [s]."""
+        """Return the time at which data of the last cycle reach the controller [s]."""
         return EPOCH_S + self._cycle * CYCLE_S + self._transport.events_s
 
     def _step(self) -> None:
-        """Go on by one cycle."""
+        """Advance by one cycle."""
         now_s = EPOCH_S + self._cycle * CYCLE_S
         due = [item for item in self._under_way if item[0] <= now_s]
         self._under_way = self._under_way[len(due) :]
@@ -307,11 +308,11 @@ class ClosedLoop:
         self._ways.append(way)
         self._commands.append(command)
         if self._controller is not None:
-            self._tell(block, self._controller)
-            self._ask(block, self._controller)
+            self._send_inputs(block, self._controller)
+            self._send_events(block, self._controller)
 
-    def _tell(self, block: GraspBlock, controller: SlipController) -> None:
-        """Hand the slower inputs to the controller."""
+    def _send_inputs(self, block: GraspBlock, controller: SlipController) -> None:
+        """Pass the slower inputs to the controller."""
         now_s, now_us = self._now_s, 1e6 * self._cycle * CYCLE_S
         controller.on_heartbeat(now_s)
         controller.on_joint_state(self._tip.q.tolist(), now_s)
@@ -325,8 +326,8 @@ class ClosedLoop:
             middle = (frame.exposure_start_us + frame.exposure_end_us) // 2
             controller.features.frame(frame.intensity, middle)
 
-    def _ask(self, block: GraspBlock, controller: SlipController) -> None:
-        """Hand over the events and send what the controller asks for."""
+    def _send_events(self, block: GraspBlock, controller: SlipController) -> None:
+        """Pass the events to the controller and send its trajectories."""
         now_s = self._now_s
         assert block.events is not None  # noqa: S101  (a loop has a camera)
         steps = controller.on_events(block.events, int(block.t_us[-1]), now_s)
@@ -362,7 +363,7 @@ class ClosedLoop:
 
 
 def _tip(setup: ArmSetup, grasp: Grasp) -> FingertipAdvance | MujocoArm:
-    """Return what follows the commands."""
+    """Return the model of the arm."""
     normal, tracking = np.array(setup.normal), setup.tracking
     if setup.plant == 'lag':
         return FingertipAdvance(READY, normal, tracking, CYCLE_S)

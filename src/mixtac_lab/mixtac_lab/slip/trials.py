@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Slip trials: an object, a knock, the result, and summaries and figures of many of them."""
+"""Slip trials: an object, a knock, the result, and summaries of many trials."""
 
 from __future__ import annotations
 
@@ -8,16 +8,12 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from mixtac_events.arrays import Events
 from mixtac_lab.slip.loop import ArmReach, ArmSetup, ClosedLoop, Transport, arrest_of, best_arrest
-from mixtac_lab.store import digest
+from mixtac_lab.store import Piece, code_version
 from mixtac_sim.arm.fr3 import READY
 from mixtac_sim.grasp.grasp import Grasp
 from mixtac_sim.grasp.objects import ObjectName, draw_setup
-from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.world.effects import preset
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
@@ -25,41 +21,40 @@ from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
 from mixtac_slip_control.parameters import SlipControlParameters
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from mixtac_lab.slip.loop import LoopRecord
-    from mixtac_lab.store import Kept
 
 
 KNOCK_S = 1.45
-"""When the blow comes [s]: the background has been learned, the arm is enabled."""
+"""Onset of the knock [s]: the background is learned and the arm is enabled by then."""
 ENABLE_S = 1.1
 LOOK_BACK_US = 20_000
 MOVED_MM = 5e-3
-"""Moved by more in the look-back, an object has slipped by itself: held with little margin, some do
-before the blow [mm]."""
+"""An object that moved farther than this during the look-back slipped by itself [mm]. With little
+margin, some objects do so before the knock."""
 SECONDS = 1.8
 
 
 @dataclass(frozen=True, slots=True)
 class TrialPlan:
-    """What a trial fixes.
+    """Settings of a trial.
 
     Attributes:
         name: Kind of object.
-        seed: Draws the object, the day and the sensor.
-        margin: Grasp force over the smallest that holds.
-        knock_mm_s: Speed after the blow [mm/s]; from a drawn share of the weight's momentum if
-            None.
-        stiffness_n_per_mm: Of the whole contact [N/mm]; that of gel, mesh and object if None.
-        preset: How hard the sensor is.
+        seed: Seed of the object, the day and the sensor.
+        margin: Ratio of the grasp force to the smallest force that holds the object.
+        knock_mm_s: Speed of the object after the knock [mm/s]; None to compute it from a random
+            share of the momentum of the falling weight.
+        stiffness_n_per_mm: Stiffness of the whole contact [N/mm]; None for that of gel, mesh and
+            object.
+        preset: Difficulty preset of the virtual sensor.
         arm: The arm.
         transport: Delays between the parts.
-        settings: Of the slip controller.
+        settings: Settings of the slip controller.
     """
 
     name: ObjectName = 'box'
@@ -73,7 +68,7 @@ class TrialPlan:
     settings: SlipControlParameters = field(default_factory=SlipControlParameters)
 
     def grasp(self, *, camera: bool, knock_s: float = KNOCK_S) -> Grasp:
-        """Return the grasp of this trial, from its beginning."""
+        """Return the grasp of this trial at its start."""
         rng = np.random.default_rng([self.seed, 7])
         setup = draw_setup(
             self.name,
@@ -86,7 +81,7 @@ class TrialPlan:
         return Grasp(setup, self.seed, self.seed, preset(self.preset), camera=camera)
 
     def reach(self, *, ideal: bool) -> ArmReach:
-        """Return what the arm can do along the normal; ideal: without lag."""
+        """Return the limits of the arm along the normal; an ideal arm has no lag."""
         planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), StreamSettings(share=1.0))
         planner.reset(READY, np.array(self.arm.normal), self.settings.max_total)
         motion = planner.motion_limits
@@ -103,38 +98,39 @@ class TrialPlan:
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """What came of a trial; times from the begin of the blow [ms], NaN for never.
+    """Result of a trial; times from the onset of the knock [ms], NaN for never.
 
     Attributes:
         name: Kind of object.
-        seed: Of the trial.
+        seed: Seed of the trial.
         mass_g: Mass of the object [g].
-        knock_mm_s: Speed after the blow [mm/s].
-        transmitted: Share of the falling weight's momentum.
+        knock_mm_s: Speed of the object after the knock [mm/s].
+        transmitted: Share of the momentum of the falling weight that reaches the object.
         grasp_n: Grasp force [N].
-        knock_share: Normal force when the blow begins over that grasp force; the controller has
-            been enabled and has probed by then.
-        stiffness_n_per_mm: Of the contact [N/mm].
-        detection_ms: When the chosen detector said slip.
-        count_ms: When the count law did.
-        flow_ms: When the flow detector did.
-        publish_ms: When the first trajectory after the detection was published.
-        slip_mm: How far the object moved [mm].
-        arrest_ms: When it stood still.
-        held: Whether it was held.
-        open_slip_mm: How far it moves without control [mm].
-        open_held: Whether it is held without control.
-        floor_mm: Slip with the best motion of an arm without lag, begun at the onset [mm].
-        floor_ms: Its arrest.
-        chain_mm: Slip with the best motion of this arm, begun one window after the onset and
-            after the delays of the chain [mm].
-        chain_ms: Its arrest.
+        knock_share: Ratio of the normal force at the onset to the grasp force; the controller is
+            enabled and has probed by then.
+        stiffness_n_per_mm: Stiffness of the contact [N/mm].
+        detection_ms: Time at which the selected detector reported slip.
+        count_ms: Time at which the count law reported slip.
+        flow_ms: Time at which the flow detector reported slip.
+        publish_ms: Time at which the first trajectory after the detection was published.
+        slip_mm: Displacement of the object [mm].
+        arrest_ms: Time at which the object came to rest.
+        held: Whether the object was held.
+        open_slip_mm: Displacement without control [mm].
+        open_held: Whether the object is held without control.
+        floor_mm: Lower bound of the displacement: the best motion of an arm without lag, started
+            at the onset [mm].
+        floor_ms: Time of rest with that motion.
+        chain_mm: Lower bound for this arm: its best motion, started one window and the delays of
+            the chain after the onset [mm].
+        chain_ms: Time of rest with that motion.
         peak_n: Largest normal force [N].
         advance_mm: Advance at the end [mm].
-        false_alarms: Slips seen before the blow where the object had not moved.
-        limit_violations: Samples of the commanded motion that broke a limit.
-        rejected: Trajectories that the arm's controller rejected.
-        stopped: Why the interlock stopped; empty if it did not.
+        false_alarms: Slips reported before the knock while the object did not move.
+        limit_violations: Samples of the commanded motion that violate a limit.
+        rejected: Trajectories rejected by the controller of the arm.
+        stopped: Reason of an interlock stop; empty without one.
     """
 
     name: str
@@ -166,15 +162,18 @@ class TrialResult:
     stopped: str
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result for JSON."""
-        return asdict(self)
+        """Return the result for JSON; never is None."""
+        return {
+            key: None if isinstance(value, float) and not np.isfinite(value) else value
+            for key, value in asdict(self).items()
+        }
 
 
 def run_trial(plan: TrialPlan) -> tuple[TrialResult, LoopRecord]:
-    """Run a trial with its open loop and its floors.
+    """Run a trial, its open loop and its lower bounds.
 
     Args:
-        plan: What it fixes.
+        plan: Settings of the trial.
 
     Raises:
         SlipControlError: The controller could not be enabled.
@@ -185,7 +184,7 @@ def run_trial(plan: TrialPlan) -> tuple[TrialResult, LoopRecord]:
     )
     onset_us = 1e6 * KNOCK_S
     arrest = arrest_of(record.t_us, record.object_mm, record.speed_mm_s, onset_us)
-    # The mechanics of rest do not matter for what follows: a blow that comes sooner saves time.
+    # The rest before the knock does not matter below: an earlier knock saves time.
     soon = 0.05
     floor = best_arrest(plan.grasp(camera=False, knock_s=soon), plan.reach(ideal=True), 0.0)
     delay_s = 1e-6 * plan.settings.window_us + plan.chain_s()
@@ -227,15 +226,15 @@ def run_trial(plan: TrialPlan) -> tuple[TrialResult, LoopRecord]:
     )
 
 
-def _first_ms(record: LoopRecord, said: list[bool]) -> float:
-    """Return when a detector first said slip after the onset [ms]."""
-    return _after_ms(record.answered_us[np.array(said)])
+def _first_ms(record: LoopRecord, slipping: list[bool]) -> float:
+    """Return the time of the first slip that a detector reported after the onset [ms]."""
+    return _after_ms(record.answered_us[np.array(slipping)])
 
 
 def _published_ms(record: LoopRecord) -> float:
-    """Return when the first trajectory was published that may answer the detection [ms]."""
+    """Return the time of the first trajectory that can answer the detection [ms]."""
     detected_ms = _first_ms(record, [s.slipping for s in record.steps])
-    # Written so that no detection, which is not a number, leaves nothing.
+    # Without a detection the comparison with NaN selects nothing.
     answers = record.published_us >= 1e6 * KNOCK_S + 1e3 * detected_ms - 1.0
     return _after_ms(record.published_us[answers])
 
@@ -251,10 +250,10 @@ def _after_ms(times_us: np.ndarray[Any, np.dtype[np.float64]]) -> float:
 
 
 def _alarms_before(record: LoopRecord) -> int:
-    """Return how many slips the chosen detector saw before the blow where nothing slipped."""
+    """Return the number of slips reported before the knock while the object did not move."""
     early = record.answered_us < 1e6 * KNOCK_S
-    said = np.array([s.slipping for s in record.steps])[early]
-    onsets = np.flatnonzero(np.diff(said.astype(np.int8), prepend=0) > 0)
+    slipping = np.array([s.slipping for s in record.steps])[early]
+    onsets = np.flatnonzero(np.diff(slipping.astype(np.int8), prepend=0) > 0)
     return sum(not _moved(record, record.steps[k].end_us) for k in onsets)
 
 
@@ -264,10 +263,10 @@ def _moved(record: LoopRecord, time_us: float) -> bool:
     return bool(record.object_mm[now] - record.object_mm[then] > MOVED_MM)
 
 
-def quantiles(values: Iterable[float]) -> dict[str, float | None]:
-    """Return median and 99th percentile of the numbers among some values; a NaN is a miss.
+def latency_quantiles(values: Iterable[float]) -> dict[str, float | None]:
+    """Return median and 99th percentile of latencies; a NaN is a miss.
 
-    A miss is later than everything, so that a percentile that falls on one is None.
+    A miss counts as later than everything: a percentile that falls on a miss is None.
     """
     array = np.array(list(values), np.float64)
     late = np.where(np.isfinite(array), array, np.inf)
@@ -279,7 +278,7 @@ def quantiles(values: Iterable[float]) -> dict[str, float | None]:
 
 
 def summary(results: Sequence[TrialResult]) -> dict[str, Any]:
-    """Return the figures of some trials for JSON."""
+    """Return statistics of trials for JSON."""
     count = len(results)
     return {
         'trials': count,
@@ -294,10 +293,10 @@ def summary(results: Sequence[TrialResult]) -> dict[str, Any]:
         'floor_arrest_ms': _median(r.floor_ms for r in results),
         'chain_floor_slip_mm': _median(r.chain_mm for r in results),
         'chain_floor_arrest_ms': _median(r.chain_ms for r in results),
-        'detection_ms': quantiles(r.detection_ms for r in results),
-        'count_ms': quantiles(r.count_ms for r in results),
-        'flow_ms': quantiles(r.flow_ms for r in results),
-        'publish_ms': quantiles(r.publish_ms for r in results),
+        'detection_ms': latency_quantiles(r.detection_ms for r in results),
+        'count_ms': latency_quantiles(r.count_ms for r in results),
+        'flow_ms': latency_quantiles(r.flow_ms for r in results),
+        'publish_ms': latency_quantiles(r.publish_ms for r in results),
         'knock_mm_s': _median(r.knock_mm_s for r in results),
         'stiffness_n_per_mm': _median(r.stiffness_n_per_mm for r in results),
         'grasp_n': _median(r.grasp_n for r in results),
@@ -315,7 +314,7 @@ def _mean(values: Iterable[float]) -> float:
 
 
 def _median(values: Iterable[float]) -> dict[str, float | None]:
-    """Return the median and the range in which 80 % lie."""
+    """Return the median, the 10th and the 90th percentile."""
     array = np.array(list(values), np.float64)
     good = array[np.isfinite(array)]
     if not len(good):
@@ -328,148 +327,29 @@ def _median(values: Iterable[float]) -> dict[str, float | None]:
     }
 
 
-CURVE_MS: Final = np.arange(-10.0, 81.0)
-"""Times of the curve from the begin of the blow [91] [ms]."""
+COURSE_MS: Final = np.arange(-10.0, 80.0, 0.5)
+"""Times of the stored displacement from the onset of the knock [180] [ms]."""
 
 
-def kept_trial(plan: TrialPlan, kept: Kept) -> tuple[TrialResult, NDArray[np.float64]]:
-    """Return the result of a trial and the object's place at `CURVE_MS` [91] [mm].
-
-    Args:
-        plan: What it fixes.
-        kept: Holds the trials that were run before.
-
-    Raises:
-        SlipControlError: The controller could not be enabled.
-    """
-
-    def measure() -> dict[str, Any]:
-        result, record = run_trial(plan)
-        return {'result': result.as_dict(), 'curve': place_curve(record).round(5).tolist()}
-
-    entry = kept.get(f'trial {plan.name} {plan.seed} {digest(plan)}', measure)
-    return TrialResult(**entry['result']), np.array(entry['curve'])
+def trial_piece(plan: TrialPlan) -> Piece:
+    """Return a trial as a piece of work; `stored_trial` reads its result."""
+    version = code_version('mixtac_events', 'mixtac_sim', 'mixtac_slip_control', 'mixtac_lab.slip')
+    return Piece(f'grasp_{plan.name}_s{plan.seed}', _trial, (plan,), version)
 
 
-def place_curve(record: LoopRecord) -> NDArray[np.float64]:
-    """Return the object's place at `CURVE_MS` from where the blow met it [91] [mm]."""
+def _trial(_base: Path, plan: TrialPlan) -> dict[str, Any]:
+    """Return the result and the course of the displacement at `COURSE_MS` [mm]."""
+    result, record = run_trial(plan)
     t_ms = 1e-3 * record.t_us - 1e3 * KNOCK_S
     start = np.interp(0.0, t_ms, record.object_mm)
-    return np.asarray(np.interp(CURVE_MS, t_ms, record.object_mm) - start)
+    course = np.interp(COURSE_MS, t_ms, record.object_mm) - start
+    return result.as_dict() | {'course_mm': course.round(4).tolist()}
 
 
-SPAN_MS = (-10.0, 80.0)
-KEY_MS = (-5.0, 0.0)
-"""Begins of the first two key frames from the onset [ms]; the last is where the object stands."""
-FRAME_MS = 5.0
-"""Time over which a key frame collects events [ms]."""
-
-
-def draw_trial(path: Path, result: TrialResult, record: LoopRecord) -> None:
-    """Draw displacement, force, counts and three key frames of a trial.
-
-    Args:
-        path: Where the figure goes.
-        result: What came of the trial.
-        record: What happened in it.
-    """
-    figure = Figure(figsize=(9.0, 7.0), layout='constrained')
-    grid = figure.add_gridspec(3, 3)
-    t_ms = 1e-3 * record.t_us - 1e3 * KNOCK_S
-    seen = (t_ms >= SPAN_MS[0]) & (t_ms <= SPAN_MS[1])
-    start = record.object_mm[np.searchsorted(t_ms, 0.0)]
-    place = figure.add_subplot(grid[0, :2])
-    place.plot(t_ms[seen], record.object_mm[seen] - start)
-    place.set(ylabel='object [mm], downwards', title=f'{result.name}, simulated')
-    _counts(figure.add_subplot(grid[1, :2]), record)
-    force = figure.add_subplot(grid[0, 2])
-    force.plot(t_ms[seen], record.normal_n[seen])
-    force.set(ylabel='normal force [N]')
-    advance = figure.add_subplot(grid[1, 2])
-    advance.plot(t_ms[seen], record.advance_mm[seen])
-    advance.set(xlabel='after the blow [ms]', ylabel='fingertip [mm]')
-    last = result.arrest_ms if np.isfinite(result.arrest_ms) else SPAN_MS[1]
-    for k, at in enumerate((*KEY_MS, last)):
-        _key_frame(figure.add_subplot(grid[2, k]), record, at)
-    _save(figure, path)
-
-
-def draw_objects(
-    path: Path, curves: Mapping[str, Sequence[NDArray[np.float64]]], paper_mm: Mapping[str, float]
-) -> None:
-    """Draw the way of every object after the blow, one panel per kind.
-
-    Args:
-        path: Where the figure goes.
-        curves: Place at `CURVE_MS` of each trial [91] [mm], by kind.
-        paper_mm: Mean displacement in the paper [mm], by kind.
-    """
-    figure = Figure(figsize=(4.0 * len(curves), 3.4), layout='constrained')
-    axes = figure.subplots(1, len(curves), squeeze=False)[0]
-    for ax, (name, ways) in zip(axes, curves.items(), strict=True):
-        for way in ways:
-            ax.plot(CURVE_MS, way, color='tab:blue', alpha=0.3, linewidth=0.8)
-        ax.plot(CURVE_MS, np.mean(ways, axis=0), color='tab:blue', label='mean')
-        ax.axhline(paper_mm[name], color='tab:gray', linestyle=':', label="the paper's mean")
-        ax.set(xlabel='after the blow [ms]', title=f'{name}, {len(ways)} trials, simulated')
-        ax.legend()
-    axes[0].set_ylabel('displacement [mm]')
-    _save(figure, path)
-
-
-def draw_curves(path: Path, curves: Mapping[str, Any]) -> None:
-    """Draw latency against false alarms of both detectors, one panel per speed.
-
-    Args:
-        path: Where the figure goes.
-        curves: Of `mixtac_lab.slip.detectors.curves`.
-    """
-    figure = Figure(figsize=(4.0 * len(curves), 3.6), layout='constrained')
-    axes = figure.subplots(1, len(curves), squeeze=False)[0]
-    for ax, (speed, both) in zip(axes, curves.items(), strict=True):
-        for name, curve in both.items():
-            late = [np.nan if v is None else v for v in curve['latency_ms']]
-            (line,) = ax.plot(np.array(curve['false_alarms_per_min']) + 0.01, late, label=name)
-            shipped = curve['shipped']
-            if shipped['latency_p50_ms'] is not None:
-                at = shipped['false_alarms_per_min'] + 0.01, shipped['latency_p50_ms']
-                ax.plot(*at, 'o', color=line.get_color(), label=f'{name}, shipped')
-        ax.set(xscale='log', xlabel='false alarms per minute + 0.01', ylabel='median latency [ms]')
-        ax.set_title(f'{speed.replace("_mm_s", " mm/s")}, simulated')
-        ax.legend()
-    _save(figure, path)
-
-
-def _counts(ax: Axes, record: LoopRecord) -> None:
-    t_ms = 1e-3 * np.array([step.end_us for step in record.steps]) - 1e3 * KNOCK_S
-    seen = (t_ms >= SPAN_MS[0]) & (t_ms <= SPAN_MS[1])
-    ax.step(t_ms[seen], np.array([s.count for s in record.steps])[seen], label='events per ms')
-    threshold = np.array([s.threshold for s in record.steps])
-    ax.step(t_ms[seen], threshold[seen], label='threshold of the count law')
-    ax.set(xlabel='after the blow [ms]')
-    ax.legend()
-
-
-def _key_frame(ax: Axes, record: LoopRecord, at_ms: float) -> None:
-    """Show the events of a few milliseconds."""
-    first = 1e6 * KNOCK_S + 1e3 * at_ms
-    events = Events.concatenate(record.events)
-    chosen = events[
-        int(np.searchsorted(events.t, first)) : int(
-            np.searchsorted(events.t, first + 1e3 * FRAME_MS)
-        )
-    ]
-    ax.imshow(_picture(chosen), cmap='gray', vmin=-1, vmax=1)
-    ax.set(xticks=[], yticks=[], title=f'{at_ms:.0f} to {at_ms + FRAME_MS:.0f} ms')
-
-
-def _picture(events: Events) -> NDArray[np.float64]:
-    """Return ON less OFF events per pixel [260, 346]."""
-    picture = np.zeros((HEIGHT, WIDTH))
-    np.add.at(picture, (events.y, events.x), np.where(events.polarity, 1.0, -1.0))
-    return picture
-
-
-def _save(figure: Figure, path: Path) -> None:
-    FigureCanvasAgg(figure)
-    figure.savefig(path, dpi=120)
+def stored_trial(found: dict[str, Any]) -> tuple[TrialResult, NDArray[np.float64]]:
+    """Return the result of a trial piece, and the displacement at `COURSE_MS` [180] [mm]."""
+    fields: dict[str, Any] = {
+        key: np.nan if value is None else value for key, value in found.items()
+    }
+    course = np.array(fields.pop('course_mm'))
+    return TrialResult(**fields), course

@@ -1,30 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The planner's stream through an emulation of joint_trajectory_controller, written apart from it.
+"""The stream of the planner through an emulated arm controller, written independently of it.
 
-`MIXTAC_LIMIT_TRIALS=100000` plays as many sequences as the acceptance test asks for, in minutes.
+`mixtac bench limits --trials 100000` plays as many sequences as the acceptance test needs.
 """
 
-import os
+import json
 
 from mixtac_lab.bench import limits as limit_trials
 from mixtac_lab.bench.limits import run_trials
-from mixtac_sim.arm.controller import JointTrajectoryController
 from mixtac_slip_control.arm.planner import StreamSettings
 
-COUNT = int(os.environ.get('MIXTAC_LIMIT_TRIALS', '400'))
-
-
-def jazzy():
-    return JointTrajectoryController(1000.0, release='jazzy')
-
-
-def humble():
-    return JointTrajectoryController(1000.0, release='humble')
+COUNT = 400
 
 
 def test_no_random_sequence_breaks_a_limit_of_the_fr3():
-    tally = run_trials(COUNT, seed=1, controllers=(jazzy, humble))
+    tally = run_trials(COUNT, seed=1)
     assert tally.trials == COUNT
     assert tally.trajectories > 2 * COUNT
     assert tally.refused == tally.rejected == 0
@@ -36,9 +27,16 @@ def test_no_random_sequence_breaks_a_limit_of_the_fr3():
 
 def test_trajectories_later_than_the_lead_break_limits(monkeypatch):
     monkeypatch.setattr(limit_trials, 'CYCLES_FOR_CONTROLLER', -5)
-    assert run_trials(60, seed=1, controllers=(jazzy,)).violations > 0
+    assert run_trials(60, seed=1, releases=('jazzy',)).violations > 0
 
 
 def test_without_an_overlap_humble_breaks_limits():
     settings = StreamSettings(overlap_s=0.0)
-    assert run_trials(60, seed=1, controllers=(humble,), settings=settings).violations > 0
+    assert run_trials(60, seed=1, releases=('humble',), settings=settings).violations > 0
+
+
+def test_command_writes_the_tally(tmp_path):
+    path = tmp_path / 'limits.json'
+    limit_trials.limits(trials=3, seed=2, json=path)
+    found = json.loads(path.read_text())
+    assert (found['trials'], found['seed'], found['violations']) == (3, 2, 0)

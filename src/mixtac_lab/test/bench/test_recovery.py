@@ -44,7 +44,7 @@ def test_driver_recovers_from_every_fault_and_leaks_nothing(short_faults):
 
 
 def test_plan_brings_all_kinds_equally_often():
-    plan = list(recovery._plan(3 * len(recovery.OUTAGES), random.Random(3)))
+    plan = list(recovery.fault_names(3 * len(recovery.OUTAGES), random.Random(3)))
     assert all(plan.count(name) == 3 for name in recovery.OUTAGES)
 
 

@@ -1,15 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The table of vision-based tactile sensors with a row of ours (paper, table III)."""
+"""The table of vision-based tactile sensors with a row for ours (paper, table III)."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mixtac_lab.experiments.harness import Outcome, Row, Value, pooled, rate_hz
-from mixtac_lab.experiments.report import mark, number, value_text
-from mixtac_lab.experiments.sizes import DYNAMIC
-from mixtac_lab.experiments.training import FGER, LABELS, deviations, estimates, trial_sets
+from mixtac_lab.experiments.harness import experiment, pooled, rate_hz
+from mixtac_lab.experiments.report import Outcome, Row, Value, number, value_text
+from mixtac_lab.experiments.sizes import DYNAMIC, FGER
+from mixtac_lab.experiments.training import MODELS, deviations, estimates, trial_sets
+from mixtac_lab.figures import mark
 from mixtac_learning.train.config import OURS
 
 if TYPE_CHECKING:
@@ -29,19 +30,16 @@ MIXTAC = (500.0, 0.04, 1.0)
 _PLACE = 'section V-B, table III'
 
 
+@experiment(order=8)
 def comparison(context: Context) -> Outcome:
-    """Return rate, error and range of ours beside those of other sensors.
-
-    Raises:
-        MixtacError: Trials are missing or cannot be used.
-    """
+    """Rate, error and range beside other sensors."""
     sets = trial_sets(context.sizes, context.bags)
     found = estimates(context, DYNAMIC)
     rows = []
     for model in (OURS, FGER):
         values = _figures(found[model])
         for (title, value, unit), paper in zip(values, MIXTAC, strict=True):
-            name = f'Mixtac, frames and events, {LABELS[model]}: {title}'
+            name = f'Mixtac, frames and events, {MODELS[model].label}: {title}'
             rows.append(Row(name, value, paper, _PLACE, unit, 'dynamic trials', sets.simulated))
     for sensor, kind, *numbers in OTHERS:
         nothing = Value.of([])
@@ -50,7 +48,7 @@ def comparison(context: Context) -> Outcome:
             rows.append(Row(name, nothing, paper, _PLACE, unit, 'cited by the paper', False))
     return Outcome(
         name='comparison',
-        title='Beside other sensors',
+        title='Comparison with other sensors',
         paper='Rate, error and range as published; sensors, forces and tests differ.',
         data=sets.describe(DYNAMIC),
         rows=rows,
@@ -59,10 +57,10 @@ def comparison(context: Context) -> Outcome:
             *deviations(context.sizes),
             'Our row is of a simulated sensor; the others are of real ones.'
             if sets.simulated
-            else 'Our row is of the recordings given.',
+            else 'Our row is of the given recordings.',
             (
-                'The synchronising taps, up to 2 N, are part of our trials, and so of the largest'
-                ' force.'
+                'The synchronising taps, up to 2 N, are part of our trials and count for the'
+                ' largest force.'
             ),
         ),
     )
@@ -79,14 +77,14 @@ def _figures(by_seed: dict[int, list[TrialEstimate]]) -> tuple[tuple[str, Value,
 
 
 def _table(found: Estimates, *, simulated: bool) -> tuple[tuple[str, ...], ...]:
-    """Return the paper's table with our lines."""
+    """Return the paper's table with our rows."""
     lines: list[tuple[str, ...]] = [
         ('sensor', 'input', 'rate [Hz]', 'normal force error [N]', 'range [N]')
     ]
     lines += [(name, kind, *map(number, values)) for name, kind, *values in OTHERS]
     lines.append(('Mixtac (paper)', 'frames and events', *map(number, MIXTAC)))
     for model in (OURS, FGER):
-        name = f'{LABELS[model]}, {mark(simulated)}'
+        name = f'{MODELS[model].label}, {mark(simulated)}'
         values = [value_text(value) for _, value, _ in _figures(found[model])]
         lines.append((name, 'frames and events', *values))
     return tuple(lines)

@@ -7,15 +7,23 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
+import torch
 
-from mixtac_lab.experiments.harness import Outcome, Row, Value
-from mixtac_lab.experiments.sizes import PRESET
-from mixtac_lab.experiments.training import FGER, LABELS
+from mixtac_lab.bench.infer import measure
+from mixtac_lab.experiments.harness import experiment
+from mixtac_lab.experiments.report import Outcome, Row, Value
+from mixtac_lab.experiments.sizes import FGER, PRESET
+from mixtac_lab.experiments.training import MODELS
+from mixtac_learning.network import count_parameters
+from mixtac_learning.paper.config import PaperConfig
+from mixtac_learning.paper.networks import build, one_cycle, operations_per_cycle
 from mixtac_learning.train.config import OURS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mixtac_lab.experiments.harness import Context
+    from mixtac_learning.paper.networks import PaperNetwork
 
 
 PARAMETERS, FLOPS, LATENCY_MS = 0.517e6, 2.0e9, 0.87
@@ -24,12 +32,9 @@ _PLACE = 'section III-B'
 REPETITIONS = 10
 
 
+@experiment(order=7)
 def model(context: Context) -> Outcome:
-    """Return parameters, operations and latency of both networks, on this machine.
-
-    Raises:
-        ModelError: The shipped model is missing.
-    """
+    """Parameters, operations and latency of the networks."""
     bar = context.progress.add_task('size and latency', total=2)
     rows = _paper_rows()
     context.progress.advance(bar)
@@ -46,98 +51,49 @@ def model(context: Context) -> Outcome:
             'Latency on this CPU, one thread, not on a GPU; other work on the machine adds to it.',
             "The paper's widths are not stated; those that reach both totals were taken.",
             (
-                'The paper does not say what its latency spans; here the window step'
-                ' decodes a packet'
-                ' and gives a force, and the frame step runs beside it, 25 times a second.'
+                'The paper does not state what its latency includes; here the window step decodes a'
+                ' packet and returns a force, and the frame step runs beside it, 25 times a second.'
             ),
         ),
     )
 
 
-def _paper_rows() -> list[Row]:
-    from mixtac_learning.network import count_parameters
-    from mixtac_learning.paper.config import PaperConfig
-    from mixtac_learning.paper.networks import build, operations_per_cycle
+def _row(name: str, value: Value, unit: str, text: str, paper: float | None = None) -> Row:
+    place = '' if paper is None else _PLACE
+    return Row(name, value, paper, place, unit, text, simulated=False)
 
+
+def _paper_rows() -> list[Row]:
     config = PaperConfig()
     network = build(config)
-    name, text = LABELS[FGER], 'native resolution, 512 events per packet'
-    exact = 'counted'
+    name, text = MODELS[FGER].label, 'native resolution, 512 events per packet'
+    thread = f'{text}; PyTorch on this CPU, one thread'
+    operations = _one(operations_per_cycle(config))
+    cycle_ms = Value.of(_cycle_ms(network, config), 'repetitions')
+    packet_ms = Value.of(_packet_ms(network, config), 'repetitions')
+    flops = f'{text}; 2 per multiply-add'
+    interval = f'{text}; frame and 20 packets, PyTorch on this CPU, one thread'
     return [
-        Row(
-            f'{name}: parameters',
-            _one(count_parameters(network)),
-            PARAMETERS,
-            _PLACE,
-            '',
-            exact,
-            False,
-        ),
-        Row(
-            f'{name}: operations per frame interval',
-            _one(operations_per_cycle(config)),
-            FLOPS,
-            _PLACE,
-            'FLOP',
-            f'{text}; 2 per multiply-add',
-            False,
-        ),
-        Row(
-            f'{name}: one frame interval',
-            Value.of(_cycle_ms(network, config), 'repetitions'),
-            None,
-            '',
-            'ms',
-            f'{text}; frame and 20 packets, PyTorch on this CPU, one thread',
-            False,
-        ),
-        Row(
-            f'{name}: one packet',
-            Value.of(_packet_ms(network, config), 'repetitions'),
-            LATENCY_MS,
-            _PLACE,
-            'ms',
-            f'{text}; PyTorch on this CPU, one thread; paper: RTX 4090',
-            False,
-        ),
+        _row(f'{name}: parameters', _one(count_parameters(network)), '', 'counted', PARAMETERS),
+        _row(f'{name}: operations per frame interval', operations, 'FLOP', flops, FLOPS),
+        _row(f'{name}: one frame interval', cycle_ms, 'ms', interval),
+        _row(f'{name}: one packet', packet_ms, 'ms', f'{thread}; paper: RTX 4090', LATENCY_MS),
     ]
 
 
 def _our_rows(seconds: float) -> list[Row]:
-    from mixtac_lab.bench.infer import measure
-
     found: dict[str, Any] = measure(None, seconds, PRESET)
-    name = LABELS[OURS]
+    name = MODELS[OURS].label
     text = 'this CPU, one thread; spread: median to 99th percentile'
     windows = int(found['windows'])
+    step, frame = (_median(found[key], windows) for key in ('step_ms', 'frame_ms'))
+    operations = _one(found['flops_per_cycle'])
+    flops = '2 per multiply-add'
     return [
-        Row(
-            f'{name}: parameters',
-            _one(found['parameters']),
-            PARAMETERS,
-            _PLACE,
-            '',
-            'counted',
-            False,
-        ),
-        Row(
-            f'{name}: operations per frame interval',
-            _one(found['flops_per_cycle']),
-            FLOPS,
-            _PLACE,
-            'FLOP',
-            '2 per multiply-add',
-            False,
-        ),
-        Row(
-            f'{name}: window step',
-            _median(found['step_ms'], windows),
-            LATENCY_MS,
-            _PLACE,
-            'ms',
-            text,
-        ),
-        Row(f'{name}: frame step', _median(found['frame_ms'], windows), None, '', 'ms', text),
+        _row(f'{name}: parameters', _one(found['parameters']), '', 'counted', PARAMETERS),
+        _row(f'{name}: operations per frame interval', operations, 'FLOP', flops, FLOPS),
+        Row(f'{name}: window step', step, LATENCY_MS, _PLACE, 'ms', text),
+        Row(f'{name}: frame step', frame, None, '', 'ms', text),
     ]
 
 
@@ -149,27 +105,21 @@ def _median(quantiles: dict[str, float], count: int) -> Value:
     return Value(quantiles['p50'], quantiles['p99'] - quantiles['p50'], count, 'windows')
 
 
-def _cycle_ms(network: Any, config: Any) -> list[float]:  # noqa: ANN401 - torch is loaded late
-    from mixtac_learning.paper.networks import one_cycle
-
+def _cycle_ms(network: PaperNetwork, config: PaperConfig) -> list[float]:
     batch = one_cycle(config)
     return _timed(lambda: network(batch, network.initial_state(1)), network)
 
 
-def _packet_ms(network: Any, config: Any) -> list[float]:  # noqa: ANN401
-    import torch
-
+def _packet_ms(network: PaperNetwork, config: PaperConfig) -> list[float]:
     points = torch.rand(config.events_per_packet, 4)
     packet = torch.zeros(config.events_per_packet, dtype=torch.int64)
     state = network.initial_state(1)
-    recurrence = network.recurrence
+    recurrence: Any = network.recurrence
     return _timed(lambda: recurrence.step(recurrence.encoder(points, packet, 1), state), network)
 
 
-def _timed(call: Any, network: Any) -> list[float]:  # noqa: ANN401
+def _timed(call: Callable[[], object], network: PaperNetwork) -> list[float]:
     """Return the durations of a call in evaluation mode on one thread [ms]."""
-    import torch
-
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     network.eval()
@@ -183,4 +133,4 @@ def _timed(call: Any, network: Any) -> list[float]:  # noqa: ANN401
                 durations.append(1e3 * (time.perf_counter() - start))
     finally:
         torch.set_num_threads(threads)
-    return list(np.array(durations))
+    return durations

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Long holds: does the error grow with time (paper, section IV-B)."""
+"""Long holds: whether the error grows with time (paper, section IV-B)."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixtac_lab.experiments.harness import Outcome, Row, Value, constant_row, error_rows, interval_s
-from mixtac_lab.experiments.report import COLOURS, mark, new_figure, save_figure
+from mixtac_lab.experiments.harness import error_rows, experiment, interval_s
+from mixtac_lab.experiments.report import Row, Value
 from mixtac_lab.experiments.sizes import HOLD
-from mixtac_lab.experiments.training import LABELS, MODELS, deviations, estimates, trial_sets
+from mixtac_lab.experiments.training import MODELS, force_outcome
+from mixtac_lab.figures import PAPER, mark, new_figure, save_figure
 from mixtac_learning.judge.metrics import ROLLING_S, moving_mean
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_lab.experiments.harness import Context
+    from mixtac_lab.experiments.report import Outcome
     from mixtac_lab.experiments.training import Estimates
     from mixtac_learning.judge.estimators import TrialEstimate
 
@@ -33,46 +35,35 @@ _CONDITIONS = 'rolling MAE in a sliding window of 0.5 s, median of all trials of
 Bins = list['NDArray[np.float64]']
 
 
+@experiment(order=2)
 def stability(context: Context) -> Outcome:
-    """Return the rolling error of long holds.
-
-    Raises:
-        MixtacError: Trials are missing or cannot be used.
-    """
-    sets = trial_sets(context.sizes, context.bags)
-    found = estimates(context, HOLD)
-    rows = [
-        row
-        for model in MODELS[HOLD]
-        for row in _rows(LABELS[model], found[model], simulated=sets.simulated)
-    ]
-    rows.append(constant_row(found[MODELS[HOLD][0]], 'whole trials', simulated=sets.simulated))
-    path = _draw(context.figures / 'stability.png', found, simulated=sets.simulated)
-    caption = 'Rolling MAE in bins of 5 s, all trials and seeds; bars are medians'
-    return Outcome(
+    """Long holds: whether the error grows within 25 s."""
+    return force_outcome(
+        context,
+        HOLD,
         name='stability',
         title='Stability of long holds',
         paper='Ten holds of about 25 s with an 18 mm hemisphere; MAE in a sliding window of 0.5 s,'
         ' violins per 5 s.',
-        data=sets.describe(HOLD),
-        rows=rows,
-        figures={caption: path},
+        rows=_rows,
+        draw=_draw,
+        caption='Rolling MAE in bins of 5 s, all trials and seeds; bars are medians',
+        conditions='whole trials',
         deviations=(
-            *deviations(context.sizes),
             'Error against the true force where it is known (simulated), else the reference.',
-            'Only held-out trials count; the paper does not say whether its ten are.',
+            'Only test trials count; the paper does not state whether its ten are test trials.',
         ),
     )
 
 
 def rolling_bins(estimate: TrialEstimate) -> Bins:
-    """Return the rolling error of a trial [N], cut into spans of 5 s from its begin."""
+    """Return the rolling error of a trial [N], in spans of 5 s from its start."""
     interval = interval_s(estimate)
     width = max(round(ROLLING_S / interval), 1)
     error = moving_mean(np.abs(estimate.force - estimate.known), width)
     which = ((estimate.t_us - estimate.t_us[0]) * 1e-6 // BIN_S).astype(np.int64)
     last = max(int(which[-1]), 0)
-    # A remainder of less than half a span belongs to the one before.
+    # A remainder of less than half a span belongs to the previous span.
     if last and np.count_nonzero(which == last) * interval < 0.5 * BIN_S:
         which[which == last] = last - 1
         last -= 1
@@ -87,42 +78,46 @@ def _pooled_bins(trials: Sequence[TrialEstimate]) -> Bins:
     ]
 
 
-def _rows(name: str, by_seed: dict[int, list[TrialEstimate]], *, simulated: bool) -> list[Row]:
-    bins = [_pooled_bins(trials) for trials in by_seed.values()]
+def _rows(found: Estimates, *, simulated: bool) -> list[Row]:
     rows = []
-    for k in range(max(len(each) for each in bins)):
-        paper = PAPER_N[k] if k < len(PAPER_N) else None
-        span = f'{BIN_S * k:g} to {BIN_S * (k + 1):g} s'
-        medians = Value.of(float(np.median(each[k])) for each in bins if k < len(each))
-        title = f'{name}: median rolling MAE, {span}'
-        place = _PLACE if paper is not None else ''
-        rows.append(Row(title, medians, paper, place, 'N', _CONDITIONS, simulated))
-    return rows + error_rows(name, by_seed, {}, '', 'whole trials', simulated=simulated)[:1]
+    for model, by_seed in found.items():
+        name = MODELS[model].label
+        bins = [_pooled_bins(trials) for trials in by_seed.values()]
+        for k in range(max(len(each) for each in bins)):
+            paper = PAPER_N[k] if k < len(PAPER_N) else None
+            span = f'{BIN_S * k:g} to {BIN_S * (k + 1):g} s'
+            medians = Value.of(float(np.median(each[k])) for each in bins if k < len(each))
+            title = f'{name}: median rolling MAE, {span}'
+            place = _PLACE if paper is not None else ''
+            rows.append(Row(title, medians, paper, place, 'N', _CONDITIONS, simulated))
+        rows += error_rows(name, by_seed, {}, '', 'whole trials', simulated=simulated)[:1]
+    return rows
 
 
 def _draw(path: Path, found: Estimates, *, simulated: bool) -> Path:
     figure, axes = new_figure(columns=len(found), width=9.0, height=3.6)
     top = 0.0
     for ax, (model, by_seed) in zip(axes, found.items(), strict=True):
+        colour = MODELS[model].colour
         bins = _pooled_bins([each for trials in by_seed.values() for each in trials])
         centres = [BIN_S * (k + 0.5) for k in range(len(bins))]
         thin = [values[:: max(len(values) // 3000, 1)] for values in bins]
         parts = ax.violinplot(thin, centres, widths=0.8 * BIN_S, showextrema=False)
         bodies: Any = parts['bodies']
         for body in bodies:
-            body.set(facecolor=COLOURS[model], alpha=0.5)
+            body.set(facecolor=colour, alpha=0.5)
         medians = [float(np.median(values)) for values in bins]
-        ax.hlines(medians, np.array(centres) - 1.2, np.array(centres) + 1.2, COLOURS[model], lw=2)
+        ax.hlines(medians, np.array(centres) - 1.2, np.array(centres) + 1.2, colour, lw=2)
         ax.plot(
             centres[: len(PAPER_N)],
             PAPER_N[: len(centres)],
             'D',
-            color=COLOURS['paper'],
+            color=PAPER,
             ms=5,
             label="paper's medians",
         )
         top = max(top, *(float(np.quantile(values, 0.99)) for values in bins), 0.1)
-        ax.set(title=f'{LABELS[model]}, {mark(simulated)}', xlabel='time since the begin [s]')
+        ax.set(title=f'{MODELS[model].label}, {mark(simulated)}', xlabel='time since the start [s]')
         ax.legend(loc='upper right', frameon=False, fontsize=8)
     for ax in axes:
         ax.set_ylim(0.0, 1.1 * top)

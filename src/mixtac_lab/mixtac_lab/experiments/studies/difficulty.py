@@ -13,7 +13,6 @@ frames correct.
 
 from __future__ import annotations
 
-import json as json_module
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Optional
@@ -24,12 +23,19 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mixtac_fger.weights import DEFAULT_MODEL, find_model
+from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
+from mixtac_lab.experiments.sizes import PRESET
 from mixtac_learning.judge.estimators import stream
 from mixtac_learning.judge.metrics import fit_scale, measure
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.trial import DatasetError
-from mixtac_sim.world.training_trials import calibration_plan, evaluation_plan, unseen_devices
+from mixtac_node.files import write_json
+from mixtac_sim.world.effects import EFFECTS
+from mixtac_sim.world.training_trials import (
+    calibration_plan,
+    evaluation_plan,
+    unseen_devices,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -44,22 +50,22 @@ if TYPE_CHECKING:
 
 
 WINDOW_US = 10_000
-"""Window of an increment [us]; a linear sum does not depend on it, the noise of a fit does."""
+"""Window of an increment [us]; a linear sum does not depend on it, but the noise of a fit does."""
 CELL_PX = 44
 """Side of a cell [px]: eight columns and six rows."""
 RIDGES = (0.01, 0.1, 1.0, 10.0, 100.0)
-"""Penalties to choose from, over the mean square of the fit's (standardised) features."""
+"""Penalties to choose from, in mean squares of the standardised features."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Increments:
-    """Events and force of one trial in windows, from the end of the image on.
+    """Events and force of one trial in windows that start at the end of the image.
 
     Attributes:
         t_us: Ends of the windows, camera clock [us], int64 [n].
         features: Sums per cell of polarity times the image's log-gradient (x, y), ON and OFF
             events, float64 [n, 4 * cells].
-        force: True force at the ends [n + 1] [N]; the first is where the integral starts.
+        force: True force at the ends [n + 1] [N]; the first is the start of the integral.
     """
 
     t_us: NDArray[np.int64]
@@ -71,7 +77,7 @@ def increments(trial: TrialArrays, label: ForceLabel, reference_frames: int) -> 
     """Return the windows of a trial.
 
     Args:
-        trial: Events and frames; only the first frames are looked at.
+        trial: Events and frames; only the first frames are used.
         label: True force on the camera clock.
         reference_frames: Number of frames before the first contact.
 
@@ -111,7 +117,7 @@ class EventIntegrator:
 
     Attributes:
         gains: Increment per unit of each feature [4 * cells] [N].
-        offset: Increment of a window without events [N]: less what noise alone would add.
+        offset: Increment of a window without events [N]; it compensates the noise.
     """
 
     gains: NDArray[np.float64]
@@ -119,7 +125,7 @@ class EventIntegrator:
 
     @classmethod
     def fit(cls, trials: Sequence[Increments], ridge: float = RIDGES[0]) -> EventIntegrator:
-        """Return the map of least squares over training trials.
+        """Return the least-squares map over training trials.
 
         Args:
             trials: Training trials.
@@ -136,7 +142,7 @@ class EventIntegrator:
 
     @classmethod
     def choose(cls, trials: Sequence[Increments]) -> EventIntegrator:
-        """Return the map with the penalty that integrates best on training trials left out.
+        """Return the map with the penalty that integrates best in cross-validation.
 
         Args:
             trials: Training trials, two or more; each is left out once.
@@ -156,18 +162,18 @@ class EventIntegrator:
         return np.asarray(trial.features @ self.gains + self.offset)
 
     def integrate(self, trial: Increments) -> NDArray[np.float64]:
-        """Return the force at the end of each window [n] [N], from the true one at the start."""
+        """Return the force at the end of each window [n] [N], starting from the true force."""
         return np.asarray(trial.force[0] + np.cumsum(self.changes(trial)))
 
 
 def judge_integrator(
     integrator: EventIntegrator, trials: Sequence[Increments]
 ) -> tuple[NDArray[np.float64], float]:
-    """Return mean absolute errors in four quarters of each trial, and how good increments are.
+    """Return mean absolute errors in four quarters of each trial, and R2 of the increments.
 
     Args:
         integrator: Fitted to other trials.
-        trials: Unseen ones.
+        trials: Trials without fit.
 
     Returns:
         Errors [trial, 4] [N], and R2 of the increments.
@@ -186,8 +192,8 @@ def summarise_integrator(quarters: NDArray[np.float64], r2: float) -> dict[str, 
     """Return the figures of a report.
 
     Args:
-        quarters: Of `judge_integrator` [trial, 4] [N].
-        r2: Of the increments.
+        quarters: Errors from `judge_integrator` [trial, 4] [N].
+        r2: R2 of the increments.
 
     Returns:
         `integrator_increment_r2`; `integrator_early_mae` and `integrator_late_mae` [N] in the first
@@ -223,7 +229,7 @@ class Scales:
         """Return the scales that one calibration press gives.
 
         Raises:
-            CalibrationError: It was no press.
+            CalibrationError: The trial is not a press.
         """
         fused = fit_scale(press.force, press.known).force_scale
         return cls(fused, fit_scale(_frames_only(press), press.known).force_scale)
@@ -231,12 +237,12 @@ class Scales:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """One trial, judged.
+    """Estimates of one trial.
 
     Attributes:
         run: Estimates with all frames, scaled.
-        blind: Estimates without any frame after the reference, scaled: events alone, integrated.
-        brightness: Mean brightness of the latest frame over that of the first ones, held.
+        blind: Estimates from events alone, without any frame after the reference, scaled.
+        brightness: Ratio of the mean brightness of the latest frame to that of the first frames.
         counts: Events per window.
     """
 
@@ -258,7 +264,7 @@ def judge(model: Model, trial: TrialArrays, scales: Scales) -> Judged:
     Args:
         model: Content of a weight file of FGER-Net.
         trial: A simulated trial.
-        scales: Gains of its sensor.
+        scales: Gains of the sensor.
     """
     kept = model.config['reference_frames']
     run = stream(model, trial)
@@ -283,7 +289,7 @@ def summarise(judged: Sequence[Judged]) -> dict[str, float]:
         `fused_mae`, `frames_only_mae` [N] and their ratio; `events_only_early_mae` and
         `events_only_late_mae` [N], in the first and last quarter of the trials, and
         `events_only_drift` [N/s], the slope of the absolute error; `r2_brightness` and `r2_count`,
-        what a straight line through all trials explains at best.
+        R2 of the best straight line through all trials.
     """
     truth = np.concatenate([each.run.known for each in judged])
     fused = measure(truth, np.concatenate([each.run.force for each in judged])).mae
@@ -321,32 +327,34 @@ def explained(feature: NDArray[np.floating], truth: NDArray[np.floating]) -> flo
 
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
-Model = Annotated[str, typer.Option(help='Weight file, or name of a shipped one.')]
-Preset = Annotated[str, typer.Option(help='easy, paper_like or hard.')]
+Model = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
+Preset = Annotated[
+    str, typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.')
+]
 Devices = Annotated[int, typer.Option(min=1, help='Number of unseen sensors.')]
-Seconds = Annotated[float, typer.Option(min=6, help='Length of a trial.')]
-Seed = Annotated[int, typer.Option(min=3, help='Which fresh sensors and days.')]
+Seconds = Annotated[float, typer.Option(min=6, help='Length of a trial [s].')]
+Seed = Annotated[int, typer.Option(min=3, help='Random seed of sensors and days.')]
 LESSONS = 4
-"""Trials of a sensor that its event integrator is fitted to."""
+"""Trials of a sensor to which its event integrator is fitted."""
 LESSON = 50
-"""Their trial seeds begin so far behind that of the trial that is judged."""
-Json = Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')]
+"""Offset of their trial seeds from that of the test trial."""
+Json = Annotated[OptionalPath, typer.Option(help='Also write the results to this JSON file.')]
 
 
 def difficulty(
-    preset: Preset = 'paper_like',
+    preset: Preset = PRESET,
     model: Model = DEFAULT_MODEL,
     devices: Devices = 4,
     seconds: Seconds = 20.0,
     seed: Seed = 3,
     json: Json = None,
 ) -> None:
-    """Show what frames alone, events alone, brightness and event counts tell of the force."""
+    """Show what frames alone, events alone, brightness and event counts reveal of the force."""
     specs, presses = _plans(preset, devices, seconds, seed)
     with Progress(transient=True) as progress:
         total = len(specs) * (2 + LESSONS) + len(presses)
-        bar = progress.add_task('judging', total=total)
-        loaded = _load(model)
+        bar = progress.add_task('testing', total=total)
+        loaded = read_model(find_model(model))
         figures = _judge_all(loaded, specs, presses, lambda: progress.advance(bar))
         kept = loaded.config['reference_frames']
         figures |= _integrate_all(kept, specs, lambda: progress.advance(bar))
@@ -356,11 +364,12 @@ def difficulty(
     for name, value in figures.items():
         table.add_row(name.replace('_', ' '), f'{value:.4g}')
     Console().print(table)
-    _write(json, {'preset': preset, 'model': str(find_model(model)), **figures})
+    if json is not None:
+        write_json(json, {'preset': preset, 'model': str(find_model(model)), **figures})
 
 
 def ablation(
-    preset: Preset = 'paper_like',
+    preset: Preset = PRESET,
     model: Model = DEFAULT_MODEL,
     devices: Devices = 4,
     seconds: Seconds = 12.0,
@@ -368,14 +377,12 @@ def ablation(
     json: Json = None,
 ) -> None:
     """Show how the error changes when one effect of the simulated sensor is switched off."""
-    from mixtac_sim.world.effects import EFFECTS
-
     specs, presses = _plans(preset, devices, seconds, seed)
     names = ['', *EFFECTS]
     rows = {}
     with Progress(transient=True) as progress:
-        bar = progress.add_task('judging', total=(len(specs) + len(presses)) * len(names))
-        loaded = _load(model)
+        bar = progress.add_task('testing', total=(len(specs) + len(presses)) * len(names))
+        loaded = read_model(find_model(model))
         for name in names:
             dynamic, press = (
                 [replace(spec, without=name) for spec in part] for part in (specs, presses)
@@ -393,7 +400,8 @@ def ablation(
             name, f'{row["fused_mae"]:.4f}', f'{share:+.1%}', f'{row["frames_only_mae"]:.4f}'
         )
     Console().print(table)
-    _write(json, {'preset': preset, 'model': str(find_model(model)), 'rows': rows})
+    if json is not None:
+        write_json(json, {'preset': preset, 'model': str(find_model(model)), 'rows': rows})
 
 
 def _plans(
@@ -402,12 +410,6 @@ def _plans(
     seeds = unseen_devices(devices, seed)
     specs = evaluation_plan(seeds, seconds, seed, ('dynamic',), preset)
     return specs, calibration_plan(seeds, 8.0, seed, preset)
-
-
-def _load(model: str) -> Model:
-    from mixtac_fger.weights import read_model
-
-    return read_model(find_model(model))
 
 
 def _judge_all(
@@ -445,8 +447,3 @@ def _integrate_all(
         rows.append(quarters)
         fits.append(r2)
     return summarise_integrator(np.concatenate(rows), float(np.mean(fits)))
-
-
-def _write(path: Path | None, content: dict[str, object]) -> None:
-    if path is not None:
-        path.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')

@@ -1,37 +1,45 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of all models, trained with several seeds and judged on the same trials.
+"""Tables of all models, trained with several seeds and evaluated on the same trials.
 
-Beside the networks stand two bounds that need no training: the best constant, and a model that
+Two bounds that need no training are added to the networks: the best constant, and a model that
 knows everything except the stiffness of the gel, which no camera can see. `adaptation` shows what
 adaptation gains on simulated sensors that no training has used.
 """
 
 from __future__ import annotations
 
-import json
-import json as json_module
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, List, Optional  # noqa: UP035
 
 import numpy as np
+import torch
 import typer
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
 from mixtac_fger.config import ConfigError
-from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model
+from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
+from mixtac_lab.experiments.harness import Context
+from mixtac_lab.experiments.report import Value
 from mixtac_lab.experiments.sizes import (
     ALL_ROWS,
     BOUND,
+    CHOICES,
     CONSTANT,
+    DYNAMIC,
+    OURS_MANY,
+    PRESET,
+    ROWS,
     TABLE_FULL,
-    table_run_config,
-    test_specs,
-    unseen_specs,
+    TABLE_SIZES,
+    UNTRAINED,
+    run_config,
 )
+from mixtac_lab.experiments.training import learning_version, train
+from mixtac_lab.store import Piece
 from mixtac_learning.adapt.adaptation import adapt
 from mixtac_learning.adapt.presses import gather_presses
 from mixtac_learning.judge.estimators import (
@@ -42,148 +50,33 @@ from mixtac_learning.judge.estimators import (
     trial_estimator,
 )
 from mixtac_learning.judge.metrics import CalibrationError
-from mixtac_learning.judge.report import by_profile, summarise
+from mixtac_learning.judge.report import by_profile, show_figures, summarise
 from mixtac_learning.network import model_of, network_of
-from mixtac_learning.train.config import OURS
-from mixtac_learning.train.run import Run, save, trained_model, training_sources
+from mixtac_learning.train.config import OURS, DataConfig, SimulatedData
+from mixtac_learning.train.run import training_sources
 from mixtac_learning.trials.changes import MISMATCHES, ChangedSource
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import CachedSource
+from mixtac_node.files import write_json, write_text
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.training_trials import TrialSpec
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from mixtac_lab.experiments.sizes import Suite
+    from mixtac_lab.experiments.sizes import Sizes
     from mixtac_learning.judge.estimators import TrialEstimate, TrialEstimator
-    from mixtac_learning.train.loop import Report
     from mixtac_learning.trials.trial import TrialArrays, TrialSource
 
 
-_FIELDS = tuple(field.name for field in fields(TrialSpec))
-
-
-@dataclass(frozen=True, slots=True)
-class StiffnessBound:
-    """Knows the true force but for the factor by which a simulated gel is stiffer than usual.
-
-    Attributes:
-        known_devices: Seeds of the sensors whose usual stiffness it has learned.
-    """
-
-    known_devices: frozenset[int]
-
-    def __call__(self, trial: TrialArrays) -> TrialEstimate:
-        """Return the force that the picture of a simulated trial means on a usual gel."""
-        spec = TrialSpec(**{name: trial.origin[name] for name in _FIELDS})
-        known = spec.device_seed in self.known_devices
-        factor = generation.stiffness(spec, known_sensor=known)
-        return known_force(trial).scaled(1.0 / factor)
-
-
+# typer evaluates these under Python 3.10.
+OptionalPath = Optional[Path]  # noqa: UP045
+OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
+FIRST_TRIAL = 800_000
+"""First trial seed of the tests; training uses 100,000 to 200,000."""
+FIRST_DEVICE = 810_000
+"""First seed of the sensors that no training uses."""
 UNSEEN, UNSEEN_GAIN = 'unseen_gel', 'unseen_gel_one_gain'
-
-
-@dataclass(frozen=True, slots=True)
-class Job:
-    """One cell column of the table.
-
-    Attributes:
-        suite: Sizes.
-        size: Their name.
-        model: One of `mixtac_lab.experiments.sizes.ROWS`.
-        seed: Of the training.
-        folder: Where samples, checkpoints and results are kept.
-    """
-
-    suite: Suite
-    size: str
-    model: str
-    seed: int
-    folder: Path
-
-    @property
-    def result_path(self) -> Path:
-        """File of the figures; its name holds the simulator's digest: others are stale."""
-        digest = generation.simulator_digest()
-        return self.folder / f'{self.size}_{self.model}_s{self.seed}_{digest}.json'
-
-    def result(self) -> dict[str, Any] | None:
-        """Return the figures of an earlier run, None where there are none."""
-        try:
-            found: dict[str, Any] = json.loads(self.result_path.read_text(encoding='utf-8'))
-        except (OSError, ValueError):
-            return None
-        return found
-
-    def carry_out(self, jobs: int, report: Report, say: Callable[[str], None]) -> dict[str, Any]:
-        """Train and judge; a training that was cut off goes on.
-
-        Args:
-            jobs: Processes that simulate.
-            report: Called after each epoch.
-            say: Called with what is done now.
-        """
-        config = table_run_config(self.suite, self.model, self.seed, str(self.folder / 'samples'))
-        training: dict[str, Any] = {}
-        estimator: TrialEstimator
-        if self.model == CONSTANT:
-            say('constant: looking at the training forces')
-            estimator = constant_estimator(_median_force(training_sources(config.data)))
-        elif self.model == BOUND:
-            sources = training_sources(config.data)
-            estimator = StiffnessBound(frozenset(s.origin['device_seed'] for s in sources))
-        else:
-            say(f'{self.model}, seed {self.seed}: training')
-            name = f'{self.size}_{self.model}_s{self.seed}'
-            trained = Run(config, self.folder / name, jobs, report).carry_out()
-            save(self.folder / name / 'model.safetensors', trained, {})
-            training, estimator = trained.card.training, trial_estimator(trained_model(trained))
-        say(f'{self.model}, seed {self.seed}: judging')
-        figures = judge_all(estimator, self.suite, self.folder / 'trials')
-        found = {'model': self.model, 'seed': self.seed, 'size': self.size, 'figures': figures}
-        found['training'] = training
-        self.folder.mkdir(parents=True, exist_ok=True)
-        partial = self.result_path.with_suffix('.partial')
-        partial.write_text(json.dumps(found, indent=1) + '\n', encoding='utf-8')
-        partial.replace(self.result_path)
-        return found
-
-
-def judge_all(estimator: TrialEstimator, suite: Suite, cache: Path) -> dict[str, Any]:
-    """Return the figures of a model in every column of the table.
-
-    Args:
-        estimator: The model.
-        suite: Sizes.
-        cache: Where test trials are kept for the next model.
-    """
-
-    def cached(specs: list[TrialSpec]) -> list[TrialSource]:
-        return [CachedSource(SimulatedSource(spec), cache) for spec in specs]
-
-    config = table_run_config(suite, OURS, 0, '')
-    device = training_sources(config.data)[0].origin['device_seed']
-    seen = cached(test_specs(suite, device))
-    figures = by_profile(judge_sources(estimator, seen).estimates)
-    trials, presses = map(cached, unseen_specs(suite))
-    unseen = judge_sources(estimator, trials).estimates
-    figures[UNSEEN] = summarise(unseen)
-    scales = sensor_scales(estimator, presses, fallback=1.0)
-    figures[UNSEEN_GAIN] = summarise([each.scaled(scales[each.device]) for each in unseen])
-    dynamic = [source for source in seen if source.origin['profile'] == 'dynamic']
-    for name, change in MISMATCHES.items():
-        changed = [ChangedSource(source, name, change) for source in dynamic]
-        figures[name] = summarise(judge_sources(estimator, changed).estimates)
-    return figures
-
-
-def _median_force(sources: list[TrialSource]) -> float:
-    labels = [source.load().label() for source in sources]
-    return float(np.median(np.concatenate([label.force for label in labels])))
-
-
 FIGURES = (
     'mae',
     'rmse',
@@ -195,60 +88,135 @@ FIGURES = (
     'coverage_68',
     'coverage_95',
 )
+_FIELDS = tuple(field.name for field in fields(TrialSpec))
 
 
-def aggregate(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return, per model and column, mean and standard deviation over the seeds.
+@dataclass(frozen=True, slots=True)
+class StiffnessBound:
+    """Knows the true force except for the factor by which a simulated gel is stiffer than usual.
+
+    Attributes:
+        known_devices: Seeds of the sensors whose usual stiffness is known.
+    """
+
+    known_devices: frozenset[int]
+
+    def __call__(self, trial: TrialArrays) -> TrialEstimate:
+        """Return the force that the image of a simulated trial implies for a usual gel."""
+        spec = TrialSpec(**{name: trial.origin[name] for name in _FIELDS})
+        known = spec.device_seed in self.known_devices
+        factor = generation.stiffness(spec, known_sensor=known)
+        return known_force(trial).scaled(1.0 / factor)
+
+
+def table_data(sizes: Sizes, model: str) -> DataConfig:
+    """Return the training trials of a model; they are the same for every seed.
+
+    Our network keeps trials for calibrating its uncertainty: every seventh of one sensor's trials,
+    every ninth of many sensors'. Profiles take turns of eight, so all kinds of trials are kept.
+    """
+    many = model == OURS_MANY
+    count = sizes.sensors if many else sizes.trials
+    data = SimulatedData(PRESET, count if many else 1, count, sizes.seconds, sizes.mix)
+    ours = run_config(sizes, model, 0, DataConfig(simulated=data)).model == OURS
+    checked = (1 / 9 if many else 1 / 7) if ours else 0.0
+    return DataConfig(simulated=data, checked=checked)
+
+
+def test_specs(sizes: Sizes, device: int) -> list[TrialSpec]:
+    """Return the test trials on the training sensor: other days, whole trials."""
+    return [
+        TrialSpec(device, FIRST_TRIAL + 100 * row + column, profile, seconds, PRESET)
+        for column, (profile, (count, seconds)) in enumerate(sizes.tests.items())
+        for row in range(count)
+    ]
+
+
+def unseen_specs(sizes: Sizes) -> tuple[list[TrialSpec], list[TrialSpec]]:
+    """Return dynamic trials of sensors that no training used, and one press of each."""
+    devices = range(FIRST_DEVICE, FIRST_DEVICE + sizes.unseen)
+    seconds = sizes.tests[DYNAMIC][1]
+    return (
+        [TrialSpec(d, d + 10_000, DYNAMIC, seconds, PRESET) for d in devices],
+        [TrialSpec(d, d + 20_000, 'press', 8.0, PRESET) for d in devices],
+    )
+
+
+def model_figures(base: Path, sizes: Sizes, model: str, weights: str) -> dict[str, Any]:
+    """Return the figures of a model in every column of the table; a piece of work.
 
     Args:
-        results: Of `Job.carry_out`.
+        base: Path of the result; test trials are stored beside its folder for the next model.
+        sizes: Numbers and lengths of the trials.
+        model: One of `ALL_ROWS`.
+        weights: Stem of the weight file in the folder of the result; empty without training.
+    """
+    torch.set_num_threads(1)
+    trials = base.parent.parent / 'trials'
+
+    def cached(specs: Iterable[TrialSpec]) -> list[TrialSource]:
+        return [CachedSource(SimulatedSource(spec), trials) for spec in specs]
+
+    sources = training_sources(table_data(sizes, model))
+    if model == CONSTANT:
+        forces = np.concatenate([source.load().label().force for source in sources])
+        estimator: TrialEstimator = constant_estimator(float(np.median(forces)))
+    elif model == BOUND:
+        estimator = StiffnessBound(frozenset(s.origin['device_seed'] for s in sources))
+    else:
+        estimator = trial_estimator(read_model(base.with_name(f'{weights}.safetensors')))
+    (first, *_) = training_sources(table_data(sizes, OURS))
+    seen = cached(test_specs(sizes, first.origin['device_seed']))
+    figures = by_profile(judge_sources(estimator, seen).estimates)
+    tests, presses = map(cached, unseen_specs(sizes))
+    unseen = judge_sources(estimator, tests).estimates
+    figures[UNSEEN] = summarise(unseen)
+    scales = sensor_scales(estimator, presses, fallback=1.0)
+    figures[UNSEEN_GAIN] = summarise([each.scaled(scales[each.device]) for each in unseen])
+    dynamic = [source for source in seen if source.origin['profile'] == DYNAMIC]
+    for name, change in MISMATCHES.items():
+        changed = [ChangedSource(source, name, change) for source in dynamic]
+        figures[name] = summarise(judge_sources(estimator, changed).estimates)
+    return figures
+
+
+def aggregate(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+    """Return mean and standard deviation over the seeds.
+
+    Args:
+        found: Figures of each seed (`model_figures`) by model.
 
     Returns:
         model -> column -> figure -> `mean`, `spread`, `seeds`; the spread of one seed is 0.
     """
     table: dict[str, Any] = {}
-    for model in ALL_ROWS:
-        found = [each['figures'] for each in results if each['model'] == model]
-        if not found:
-            continue
-        columns = list(dict.fromkeys(name for figures in found for name in figures))
-        table[model] = {
-            column: {
-                figure: _spread([f[column][figure] for f in found if figure in f.get(column, {})])
-                for figure in FIGURES
-                if any(figure in f.get(column, {}) for f in found)
-            }
-            for column in columns
-        }
+    for model, runs in found.items():
+        table[model] = {column: {} for run in runs for column in run}
+        for column, cell in table[model].items():
+            for figure in FIGURES:
+                each = [r[column][figure] for r in runs if figure in r.get(column, {})]
+                if each:
+                    value = Value.of(each)
+                    mean, spread = round(value.mean, 4), round(value.spread, 4)
+                    cell[figure] = {'mean': mean, 'spread': spread, 'seeds': len(each)}
     return table
 
 
-def _spread(values: list[float]) -> dict[str, float]:
-    deviation = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
-    mean = float(np.mean(values))
-    return {'mean': round(mean, 4), 'spread': round(deviation, 4), 'seeds': len(values)}
+def cells(table: Mapping[str, Any], figure: str = 'mae') -> dict[str, list[str]]:
+    """Return one figure as text by column of the table, one value per model."""
+    columns = dict.fromkeys(column for row in table.values() for column in row)
+    return {
+        column.replace('_', ' '): [_cell(row.get(column, {}).get(figure)) for row in table.values()]
+        for column in columns
+    }
 
 
-def as_table(aggregated: dict[str, Any], title: str, figure: str = 'mae') -> Table:
-    """Return one figure of all models for the terminal, one column per model."""
-    table = Table(title=title, title_justify='left')
-    table.add_column('judged on')
-    for model in aggregated:
-        table.add_column(model.replace('_', ' '), justify='right')
-    for name in dict.fromkeys(name for row in aggregated.values() for name in row):
-        cells = [_cell(row.get(name, {}).get(figure)) for row in aggregated.values()]
-        table.add_row(name.replace('_', ' '), *cells)
-    return table
-
-
-def as_markdown(aggregated: dict[str, Any], figure: str = 'mae') -> str:
-    """Return the same as Markdown."""
-    columns = list(dict.fromkeys(name for row in aggregated.values() for name in row))
-    head = ' | '.join(['model', *(name.replace('_', ' ') for name in columns)])
-    lines = [f'| {head} |', '|---' + '|---:' * len(columns) + '|']
-    for model, row in aggregated.items():
-        cells = [_cell(row.get(name, {}).get(figure)) for name in columns]
-        lines.append(f'| {" | ".join([model, *cells])} |')
+def as_markdown(table: Mapping[str, Any], figure: str = 'mae') -> str:
+    """Return one figure of all models as a Markdown table, one row per model."""
+    shown = cells(table, figure)
+    lines = [f'| {" | ".join(["model", *shown])} |', '|---' + '|---:' * len(shown) + '|']
+    for model, *row in zip(table, *shown.values(), strict=True):
+        lines.append(f'| {" | ".join([model, *row])} |')
     return '\n'.join(lines) + '\n'
 
 
@@ -259,25 +227,105 @@ def _cell(value: dict[str, float] | None) -> str:
     return f'{value["mean"]:.3f}{spread}'
 
 
+def models(
+    seeds: Annotated[int, typer.Option(min=1, help='Training seeds per model.')] = 3,
+    model: Annotated[
+        OptionalStrings, typer.Option(help='Only this model; may be given more than once.')
+    ] = None,
+    size: Annotated[
+        str,
+        typer.Option(help='full or reduced (CPU, hours), native (GPU) or quick (minutes).'),
+    ] = 'full',
+    choices: Annotated[
+        bool,
+        typer.Option('--choices', help='Our network, and variants with one design choice undone.'),
+    ] = False,
+    quick: Annotated[
+        bool, typer.Option('--quick', help='The same as --size quick --seeds 1.')
+    ] = False,
+    out: Annotated[
+        Path, typer.Option(help='Output folder; an interrupted run continues there.')
+    ] = Path('runs/models'),
+    jobs: Annotated[int, typer.Option(min=1, help='Number of processes.')] = 2,
+    json: Annotated[
+        OptionalPath, typer.Option(help='Also write the table to this JSON file.')
+    ] = None,
+) -> None:
+    """Train all models on one simulated sensor and test them on fresh trials: one table."""
+    if quick:
+        size, seeds = 'quick', 1
+    chosen = list(model or ((OURS, *CHOICES) if choices else ROWS))
+    for name, known, kind in (
+        *((each, ALL_ROWS, 'model') for each in chosen),
+        (size, TABLE_SIZES, 'size'),
+    ):
+        if name not in known:
+            raise ConfigError(f'unknown {kind} {name!r}', remedy=f'choose from {", ".join(known)}')
+    console = Console()
+    with Progress(console=console, transient=True) as progress:
+        context = Context(TABLE_SIZES[size], out, seeds, jobs, None, progress)
+        found = train_and_test(context, [name for name in ALL_ROWS if name in chosen])
+    table = aggregate(found)
+    shown = Table(
+        title=f'MAE [N], simulated, {PRESET}, {size}, {seeds} seeds', title_justify='left'
+    )
+    shown.add_column('tested on')
+    for name in table:
+        shown.add_column(name.replace('_', ' '), justify='right')
+    for column, row in cells(table).items():
+        shown.add_row(column, *row)
+    console.print(shown)
+    file = f'table_{size}_choices.md' if choices else f'table_{size}.md'
+    write_text(out / file, as_markdown(table))
+    if json is not None:
+        write_json(json, {'size': size, 'seeds': seeds, 'simulated': True, 'table': table})
+
+
+def train_and_test(context: Context, chosen: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
+    """Return the figures of models, one dictionary per seed; of a model without training one."""
+    sizes = context.sizes
+    configs = {
+        (name, seed): run_config(sizes, name, seed, table_data(sizes, name))
+        for seed in range(context.seeds)
+        for name in chosen
+        if name not in UNTRAINED
+    }
+    weights = train(context, configs) | {(name, 0): '' for name in chosen if name in UNTRAINED}
+    pieces = [
+        Piece(
+            f'table_{sizes.name}_{name}_s{seed}',
+            model_figures,
+            (sizes, name, stem),
+            learning_version(),
+        )
+        for (name, seed), stem in weights.items()
+    ]
+    found: dict[str, list[dict[str, Any]]] = {name: [] for name in chosen}
+    for (name, _), figures in zip(weights, context.run('testing', pieces), strict=True):
+        found[name].append(figures)
+    return found
+
+
 BEFORE, ONE_GAIN, ADAPTED = 'before', 'one_gain', 'adapted'
 PRESSES = 3
-"""Recordings to adapt by, of 8 s each: the press that the one gain comes from, and others."""
+"""Recordings of 8 s for the adaptation: the press that gives the one gain, and others."""
 
 
 def adaptation_study(
-    model: Model, sensors: int, cache: Path, say: Callable[[str], None]
+    model: Model, sensors: int, cache: Path, log: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Judge a model on sensors that no training used, in three states.
+    """Test a model on sensors that no training used, in three states.
 
     Args:
         model: Content of a weight file of FGER-Net.
-        sensors: How many.
-        cache: Where trials are kept.
-        say: Called with what is done now.
+        sensors: Number of sensors.
+        cache: Folder for stored trials.
+        log: Called with each step.
 
     Returns:
-        `before`, `one_gain` (from one press of 8 s) and `adapted` (by `PRESSES` recordings): what
-        `summarise` gives, and `sensor_mae`, one value per sensor; `ways`: what was chosen.
+        `before`, `one_gain` (from one press of 8 s) and `adapted` (by `PRESSES` recordings), each
+        with the figures of `summarise` and `sensor_mae`, one value per sensor; `ways`: the kinds
+        of adaptation chosen.
     """
 
     def cached(spec: TrialSpec) -> TrialSource:
@@ -287,7 +335,7 @@ def adaptation_study(
     found: dict[str, list[Any]] = {name: [] for name in (BEFORE, ONE_GAIN, ADAPTED)}
     ways: list[str] = []
     for test, press in zip(*unseen_specs(chosen), strict=True):
-        say(f'sensor {test.device_seed}')
+        log(f'sensor {test.device_seed}')
         seeds = [press.trial_seed + 10_000 * number for number in range(PRESSES)]
         presses = [cached(replace(press, trial_seed=seed)) for seed in seeds]
         estimator = trial_estimator(model)
@@ -299,15 +347,15 @@ def adaptation_study(
         found[ONE_GAIN] += [each.scaled(scales[each.device]) for each in raw]
         after = trial_estimator(model_of(network, model.card))
         found[ADAPTED] += judge_sources(after, [cached(test)]).estimates
-    rows: dict[str, Any] = {
-        name: summarise(estimates) | {'sensor_mae': _each(estimates)}
-        for name, estimates in found.items()
-    }
+    rows: dict[str, Any] = {}
+    for name, estimates in found.items():
+        each = [round(float(np.mean(np.abs(e.force - e.known))), 4) for e in estimates]
+        rows[name] = summarise(estimates) | {'sensor_mae': each}
     return rows | {'ways': ways}
 
 
 def _adapted(model: Model, presses: list[TrialSource]) -> tuple[Any, str]:
-    """Return the adapted network and what was chosen; the model itself where it is refused."""
+    """Return the adapted network and the kind of adaptation; the model itself if refused."""
     network = network_of(model)
     material = gather_presses(network, (each.load() for each in presses))
     try:
@@ -317,101 +365,22 @@ def _adapted(model: Model, presses: list[TrialSource]) -> tuple[Any, str]:
     return adapted.network, adapted.way
 
 
-def _each(estimates: list[Any]) -> list[float]:
-    return [round(float(np.mean(np.abs(e.force - e.known))), 4) for e in estimates]
-
-
-# typer evaluates these under Python 3.10.
-OptionalPath = Optional[Path]  # noqa: UP045
-OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
-
-
-def models(
-    seeds: Annotated[int, typer.Option(min=1, help='Training seeds per model.')] = 3,
-    model: Annotated[
-        OptionalStrings, typer.Option(help='Only this row; may be given more than once.')
-    ] = None,
-    size: Annotated[
-        str, typer.Option(help='full or reduced (CPU, hours), native (GPU) or quick (minutes).')
-    ] = 'full',
-    choices: Annotated[
-        bool, typer.Option('--choices', help='Ours, and with one choice undone at a time.')
-    ] = False,
-    quick: Annotated[bool, typer.Option('--quick', help='Short for --size quick --seeds 1.')] = (
-        False
-    ),
-    out: Annotated[
-        Path, typer.Option(help='Folder of results; a run that was cut off goes on there.')
-    ] = Path('runs/models'),
-    jobs: Annotated[int, typer.Option(min=1, help='Processes that simulate.')] = 2,
-    json: Annotated[OptionalPath, typer.Option(help='Write the table there as well.')] = None,
-) -> None:
-    """Train all models on one simulated sensor and judge them on fresh trials: one table."""
-    import torch
-
-    from mixtac_lab.experiments.sizes import ALL_ROWS, CHOICES, ROWS, TABLE_SIZES, UNTRAINED
-    from mixtac_learning.train.config import OURS
-
-    if quick:
-        size, seeds = 'quick', 1
-    chosen = list(model or ((OURS, *CHOICES) if choices else ROWS))
-    unknown = [name for name in chosen if name not in ALL_ROWS]
-    if unknown or size not in TABLE_SIZES:
-        raise ConfigError(
-            f'model {unknown or ""} size {size!r}: choose {ALL_ROWS}; {tuple(TABLE_SIZES)}'
-        )
-    torch.set_num_threads(1)
-    console = Console()
-    work = [
-        Job(TABLE_SIZES[size], size, name, seed, out)
-        for seed in range(seeds)
-        for name in chosen
-        if name not in UNTRAINED or seed == 0
-    ]
-    results = []
-    with Progress(console=console, transient=True) as progress:
-        bar = progress.add_task('models', total=len(work))
-
-        def report(stage: str, epoch: int, epochs: int, loss: float, error: float | None) -> None:
-            del error
-            text = f'{stage} {epoch}/{epochs}, loss {loss:.5f} N'
-            progress.update(bar, description=text)
-
-        for job in work:
-            found = job.result()
-            if found is None:
-                found = job.carry_out(jobs, report, console.print)
-            results.append(found)
-            progress.advance(bar)
-    table = aggregate(results)
-    console.print(as_table(table, f'MAE [N], simulated, paper_like, {size}, {seeds} seeds'))
-    name = f'table_{size}_choices.md' if choices else f'table_{size}.md'
-    (out / name).write_text(as_markdown(table), encoding='utf-8')
-    if json is not None:
-        content = {'size': size, 'seeds': seeds, 'simulated': True, 'table': table}
-        json.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')
-
-
 def adaptation(
-    model: Annotated[str, typer.Option(help='Weight file, or name of a shipped one.')] = (
-        DEFAULT_MODEL
-    ),
+    model: Annotated[
+        str, typer.Option(help='Weight file, or name of a shipped model.')
+    ] = DEFAULT_MODEL,
     sensors: Annotated[int, typer.Option(min=1, help='Number of unseen sensors.')] = 6,
-    out: Annotated[Path, typer.Option(help='Folder where trials are kept.')] = Path('runs/models'),
-    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+    out: Annotated[Path, typer.Option(help='Folder for stored trials.')] = Path('runs/models'),
+    json: Annotated[
+        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
+    ] = None,
 ) -> None:
-    """Judge a model on simulated sensors that no training used: as it is, one gain, adapted."""
-    import torch
-
-    from mixtac_fger.weights import read_model
-    from mixtac_learning.judge.report import show_figures
-
+    """Test a model on unseen simulated sensors: unchanged, with one gain, and adapted."""
     torch.set_num_threads(1)
     console = Console()
     found = adaptation_study(read_model(find_model(model)), sensors, out / 'trials', console.print)
     rows = {name: row for name, row in found.items() if isinstance(row, dict)}
     show_figures(console, f'dynamic trials of {sensors} unseen sensors, simulated', rows)
-    console.print(f'chosen: {", ".join(found["ways"])}')
+    console.print(f'adapted by: {", ".join(found["ways"])}')
     if json is not None:
-        content = {'model': model, 'sensors': sensors, 'simulated': True} | found
-        json.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')
+        write_json(json, {'model': model, 'sensors': sensors, 'simulated': True} | found)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The physical floor: the best motion keeps the arm's limits, and arrests are read right."""
+"""The lower bound: the best motion keeps the limits of the arm; when objects come to rest."""
 
 import numpy as np
 import pytest

@@ -23,11 +23,11 @@ def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None
     assert result.rejected == 0
     assert 0.0 < result.detection_ms <= 3.0
     assert result.publish_ms >= result.detection_ms
-    # No controller beats the floor, and the chain's floor lies above it.
+    # No controller beats the lower bound; that of the chain is higher.
     assert result.floor_mm < result.chain_mm
     assert result.floor_mm < result.slip_mm
     assert result.floor_ms < result.arrest_ms
-    # The probe pressed a little and was over when the blow came; what followed is the answer.
+    # The probe pressed a little and ended before the knock; what followed is the answer.
     assert 1e-3 < record.advance_mm[record.t_us < 1e6 * KNOCK_S].max() < 0.051
     assert result.knock_share == pytest.approx(1.0, abs=0.02)
     assert record.advance_mm[-1] > 5e-3
@@ -37,6 +37,6 @@ def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None
 
 def test_enabling_before_the_background_is_known_is_refused() -> None:
     loop = ClosedLoop(replace(PLAN).grasp(camera=True), SlipControlParameters())
-    with pytest.raises(SlipControlError, match='not learned'):
+    with pytest.raises(SlipControlError):
         loop.run(0.2, 0.1)
     assert ENABLE_S > 0.1

@@ -115,5 +115,5 @@ def test_features_are_sums_over_the_events_of_a_window():
 def test_a_trial_that_is_all_reference_is_refused():
     trial = SimpleNamespace(exposure_end_us=np.array([7_000, 20_000]))
     label = ForceLabel(np.array([0.0, 30_000.0]), np.zeros(2))
-    with pytest.raises(DatasetError, match='ends'):
+    with pytest.raises(DatasetError):
         increments(trial, label, 2)

@@ -24,9 +24,6 @@ def recording() -> TrialRecording:
     t = np.arange(0.01, 9.99, 1.0 / 800.0)
     force = sum(np.exp(-0.5 * ((t - at) / 0.006) ** 2) for at in (1.0, 9.0))
     return TrialRecording(
-        sensor=0,
-        profile='press',
-        preset='easy',
         events=CellEvents(
             events.astype(np.int64),
             rng.integers(0, 48, len(events)).astype(np.uint16),

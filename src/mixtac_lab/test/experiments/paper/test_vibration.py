@@ -14,7 +14,6 @@ from mixtac_lab.experiments.paper.vibration import (
     FLOW,
     PRESSED,
     TAPPING,
-    ShakePiece,
     shake,
     spectra,
     spectrum_of,
@@ -49,8 +48,10 @@ def test_tone_in_the_name_of_a_bag(name, hz):
 
 
 def test_a_bag_that_does_not_say_its_tone_is_named():
-    with pytest.raises(RecordingError, match=r'speaker_a .* name it after it'):
+    with pytest.raises(RecordingError) as refused:
         tone_of('speaker_a')
+    assert 'speaker_a' in str(refused.value)
+    assert refused.value.remedy
 
 
 @pytest.fixture(scope='module')
@@ -66,9 +67,3 @@ def test_pressed_in_the_count_repeats_twice_per_period_and_flow_once(pressed):
 def test_lost_contact_leaves_one_burst_per_period():
     found = spectra(shake(TAPPING, 70.0, 0.6, 611))
     assert found[COUNT]['dominant_hz'] == pytest.approx(70.0, abs=1.0)
-
-
-def test_pieces_of_other_vibrations_are_other_pieces():
-    piece = ShakePiece(PRESSED, 70.0, 0.1, 611)
-    assert piece.identity() != ShakePiece(PRESSED, 70.0, 0.1, 612).identity()
-    assert piece.identity() == ShakePiece(PRESSED, 70.0, 0.1, 611).identity()

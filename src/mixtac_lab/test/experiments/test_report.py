@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Rows, and the report that is made of them."""
+"""Rows, and the report of them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_lab.experiments.harness import Outcome, Row, Value
-from mixtac_lab.experiments.report import number, write_html, write_json
+from mixtac_lab.experiments.report import Outcome, Row, Value, number, write
 
 PNG = b'\x89PNG\r\n\x1a\n'
 
@@ -54,9 +53,8 @@ def outcomes(tmp_path):
 
 
 def test_report_holds_figures_numbers_and_deviations_and_loads_nothing(outcomes, tmp_path):
-    path = tmp_path / 'report.html'
-    write_html(path, outcomes, {'seeds': 3})
-    text = path.read_text(encoding='utf-8')
+    write(tmp_path, outcomes, {'seeds': 3})
+    text = (tmp_path / 'report.html').read_text(encoding='utf-8')
     assert 'x &lt; y: MAE' in text
     assert '0.05 ± 0.01 (3 seeds)' in text
     assert 'smaller' in text
@@ -68,7 +66,8 @@ def test_report_holds_figures_numbers_and_deviations_and_loads_nothing(outcomes,
 
 def test_rows_of_all_experiments_are_in_one_list(outcomes, tmp_path):
     path = tmp_path / 'sub' / 'rows.json'
-    write_json(path, outcomes, {'seeds': 3})
+    write(tmp_path, outcomes, {'seeds': 3}, path)
+    assert (tmp_path / 'report.json').read_bytes() == path.read_bytes()
     content = json.loads(path.read_text(encoding='utf-8'))
     first, cited = content['rows']
     assert first['experiment'] == 'inputs'

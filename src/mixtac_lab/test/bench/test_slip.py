@@ -1,13 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What counts as an answer to a knock, on made-up arrivals."""
+"""Which arrivals answer a knock, on made-up arrivals, and the figure of the curves."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
+from matplotlib import image
 
-from mixtac_lab.bench.slip import HORIZON_NS, _match
+from mixtac_lab.bench.slip import HORIZON_NS, draw_curves, match_knocks
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 MS = 1_000_000
 ORIGIN = 5_000_000 * MS
@@ -27,7 +33,7 @@ def match(slips, sent, spans, span=(ORIGIN, ORIGIN + 4 * SECOND)):
         'windows': 4000,
         'stops': 0,
     }
-    return _match(SCENE, noted, ORIGIN, span, 0, {})
+    return match_knocks(SCENE, noted, ORIGIN, span, 0, {})
 
 
 def test_each_knock_is_matched_with_what_follows_it() -> None:
@@ -62,3 +68,15 @@ def test_an_answer_beyond_the_horizon_is_none_and_periods_repeat() -> None:
     assert np.isnan(found.detection_ms[0])
     assert found.detection_ms[3] == pytest.approx(4.0)
     assert found.false_alarms == 1
+
+
+def test_curves_are_drawn_where_a_detector_missed_everything(tmp_path: Path) -> None:
+    curve = {
+        'false_alarms_per_min': [3.0, 1.0, 0.0],
+        'latency_ms': [0.8, 1.2, None],
+        'shipped': {'latency_p50_ms': 1.2, 'false_alarms_per_min': 1.0},
+    }
+    missed = curve | {'shipped': {'latency_p50_ms': None, 'false_alarms_per_min': 0.0}}
+    path = tmp_path / 'curves.png'
+    draw_curves(path, {'10_mm_s': {'flow': curve, 'count': missed}})
+    assert image.imread(path).std() > 0.05

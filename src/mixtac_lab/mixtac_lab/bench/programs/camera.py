@@ -1,19 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A virtual camera that sends knocks, served in its own process; see `pattern_camera`.
+"""A virtual camera that sends a pattern or knocks, served in a process of its own.
 
-The stream is one scene per knock, one after the other, simulated and encoded once. Before each
-knock the object is held as at the start, because skin that a slip has sheared hardly moves in the
-next one. No event and no frame belongs to two scenes. The origin of the clock is reported on the
-monotonic clock of the host, which all processes of a machine share.
+It prints one JSON object per line: `ready` as soon as a host may open it, `origin_ns` (host time
+[ns since the Unix epoch] at which its clock was zero) and `monotonic_ns` (the same on the monotonic
+clock) whenever its clock is reset, and `periods_lost` at the end.
+
+The stream of knocks is one scene per knock, one after the other, simulated and encoded once. Before
+each knock the object is held as at the start, because skin that a slip has sheared hardly moves in
+the next one. No event and no frame belongs to two scenes.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import signal
-import threading
+import ctypes
+import sys
 import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -21,9 +23,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mixtac_events.arrays import Events
+from mixtac_lab.bench.harness import send, stop_event
 from mixtac_lab.bench.pattern import STEP_US as WORD_STEP_US
-from mixtac_lab.bench.pattern import WRAP_US, Pattern, PatternCamera
-from mixtac_lab.bench.programs.pattern_camera import wake_in_time
+from mixtac_lab.bench.pattern import WRAP_US, Pattern, PatternCamera, make_pattern
 from mixtac_sim.grasp.slip_scene import SlipScene
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.usb.registers import HEIGHT, WIDTH
@@ -38,15 +40,15 @@ if TYPE_CHECKING:
 QUIET_S = 2.0
 """Rest at the beginning of each period, for the background to be learned [s]."""
 SPACING_S = 1.3
-"""Length of the scene of one knock [s]: slip control is enabled anew between knocks."""
+"""Length of the scene of one knock [s]: slip control is enabled again between knocks."""
 BEFORE_S = 0.3
 """Rest before a knock in its scene [s], in which frames of the scene arrive."""
 SPREAD_S = 0.25
-"""Knocks come so much later at most [s], so that they fall on no grid."""
+"""Largest random delay of a knock [s], so that knocks are on no grid."""
 SLIP_S = 0.01
-"""How long the object slips after a knock [s]."""
+"""Duration of the slip after a knock [s]."""
 RISE_S = 5e-4
-"""Time in which a knock brings the object to its speed [s]."""
+"""Time in which a knock accelerates the object [s]."""
 FRAME_TIMES = ('frame_start_us', 'exposure_start_us', 'exposure_end_us', 'frame_end_us')
 BLOCK_STEPS = 8
 NEAR_US = 128 * WORD_STEP_US
@@ -60,12 +62,12 @@ SETTINGS = ReadoutSettings(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlipPattern:
-    """The stream and the truth.
+    """A stream of knocks and the truth.
 
     Attributes:
-        pattern: What the camera sends.
-        onsets_us: Begin of each knock from the start of a period [us].
-        speeds_mm_s: Its speed [mm/s].
+        pattern: Stream of the camera.
+        onsets_us: Onset of each knock from the start of a period [us].
+        speeds_mm_s: Speed of each knock [mm/s].
     """
 
     pattern: Pattern
@@ -83,10 +85,10 @@ def make_slip_pattern(
     """Simulate knocks on one sensor and encode what its camera sends.
 
     Args:
-        seconds: Length of a period, rounded to the camera's time wraps [s].
-        seed: Draws the sensor, the day, the times and speeds.
+        seconds: Length of a period, rounded to time wraps of the camera [s].
+        seed: Seed of the sensor, the day, the times and the speeds.
         speeds_mm_s: Range of the speeds.
-        preset_name: How hard the sensor is.
+        preset_name: Difficulty preset of the sensor.
         quiet_s: Rest at the beginning [s].
     """
     wraps = max(round(1e6 * seconds / WRAP_US), 1)
@@ -100,8 +102,11 @@ def make_slip_pattern(
         onset = _on_grid(rest_s + rng.uniform(0.0, SPREAD_S))
         speed = float(rng.uniform(*speeds_mm_s))
         part = _scene(seed, preset_name, starts[k + 1] - starts[k], onset, speed)
-        events.append(_shifted(part[0], starts[k]))
-        frames += [_later(frame, starts[k]) for frame in part[1]]
+        shifted = part[0]
+        events.append(Events(shifted.t + starts[k], shifted.x, shifted.y, shifted.polarity))
+        for frame in part[1]:
+            times = {name: getattr(frame, name) + starts[k] for name in FRAME_TIMES}
+            frames.append(replace(frame, **times))
         onsets.append(starts[k] + onset)
         speeds.append(speed)
     pattern = _encode(Events.concatenate(events), frames, period_us)
@@ -116,7 +121,7 @@ def _on_grid(time_s: float) -> int:
 def _scene(
     seed: int, preset_name: str, length_us: int, onset_us: int, speed_mm_s: float
 ) -> tuple[Events, list[ApsFrame]]:
-    """Return events and whole frames of one knock, from the begin of its scene."""
+    """Return events and whole frames of one knock, from the start of its scene."""
     t_us = (np.arange(length_us // STEP_US) + 1) * STEP_US
     since = 1e-6 * (t_us - onset_us)
     shape = np.minimum(since / RISE_S, (SLIP_S - since) / RISE_S)
@@ -129,17 +134,8 @@ def _scene(
     return events, [frame for frame in frames if frame.frame_end_us < length_us]
 
 
-def _shifted(events: Events, by_us: int) -> Events:
-    return Events(events.t + by_us, events.x, events.y, events.polarity)
-
-
-def _later(frame: ApsFrame, by_us: int) -> ApsFrame:
-    times = {name: getattr(frame, name) + by_us for name in FRAME_TIMES}
-    return replace(frame, **times)
-
-
 def _encode(events: Events, frames: list[ApsFrame], period_us: int) -> Pattern:
-    """Return the words of a period; frames that would not end in it are left out."""
+    """Return the words of a period, without frames that end after it."""
     whole = [f for f in frames if f.frame_end_us < period_us]
     parts = []
     for frame in whole:
@@ -149,13 +145,13 @@ def _encode(events: Events, frames: list[ApsFrame], period_us: int) -> Pattern:
     waiting = Blocks.merge(parts)
     encoder = WordEncoder(inverted=True)
     words = []
-    # Time 0 belongs to the wrap word of the period before.
+    # Time 0 belongs to the wrap word of the previous period.
     kept = events[int(np.searchsorted(events.t, 1)) :]
     near = Blocks.merge([])
     for start in range(0, period_us, WORD_STEP_US):
         until = start + WORD_STEP_US
         if start % NEAR_US == 0:
-            # A split copies what remains: from a few milliseconds it costs little.
+            # A split copies the rest, which is cheap for a few milliseconds.
             near, waiting = waiting.split(start + NEAR_US)
         due, near = near.split(until)
         first, last = np.searchsorted(kept.t, (start, until))
@@ -165,43 +161,56 @@ def _encode(events: Events, frames: list[ApsFrame], period_us: int) -> Pattern:
 
 
 POLL_S = 0.02
-
-
-def _say(**values: object) -> None:
-    print(json.dumps(values), flush=True)
+PR_SET_TIMERSLACK = 29
+TIMER_SLACK_NS = 1000
 
 
 def main() -> None:
-    """Serve until SIGTERM."""
+    """Serve the camera until SIGTERM."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('kind', choices=('pattern', 'knocks'))
     parser.add_argument('--socket', required=True)
-    parser.add_argument('--seconds', type=float, default=12.0, help='length of a period')
-    parser.add_argument('--seed', type=int, default=0)
-    parser.add_argument('--slowest', type=float, default=30.0, help='mm/s')
-    parser.add_argument('--fastest', type=float, default=100.0, help='mm/s')
+    parser.add_argument('--rate', type=float, default=1e6, help='events per second')
+    parser.add_argument('--per-row', type=float, default=1.0, help='events per row')
+    parser.add_argument('--frame-interval', type=int, default=0, help='in us, 0 for none')
+    parser.add_argument('--reading-interval', type=int, default=0, help='in us, 0 for none')
+    parser.add_argument('--seconds', type=float, default=12.0, help='length of a period of knocks')
+    parser.add_argument('--seed', type=int, default=0, help='random seed of the knocks')
+    parser.add_argument('--slowest', type=float, default=30.0, help='in mm/s')
+    parser.add_argument('--fastest', type=float, default=100.0, help='in mm/s')
     options = parser.parse_args()
-    wake_in_time()
-    stopping = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: stopping.set())
-    signal.signal(signal.SIGINT, lambda *_: stopping.set())
-    slips = make_slip_pattern(options.seconds, options.seed, (options.slowest, options.fastest))
-    camera = PatternCamera('SLIP0001', slips.pattern)
-    # The camera counts true time from its construction on the host's monotonic clock, without skew.
-    zero_ns = time.monotonic_ns() - camera.true_time_us() * 1000
+    stopping = stop_event()
+    # By default Linux wakes sleeping threads 50 us late; a camera is never late.
+    if sys.platform == 'linux':
+        ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, TIMER_SLACK_NS, 0, 0, 0)
+    if options.kind == 'pattern':
+        pattern = make_pattern(
+            options.rate,
+            events_per_row=options.per_row,
+            frame_interval_us=options.frame_interval,
+            reading_interval_us=options.reading_interval,
+            wraps=8,
+        )
+        truth: dict[str, object] = {'events': len(pattern.events)}
+    else:
+        speeds = (options.slowest, options.fastest)
+        slips = make_slip_pattern(options.seconds, options.seed, speeds)
+        pattern = slips.pattern
+        truth = {'onsets_us': slips.onsets_us, 'speeds_mm_s': slips.speeds_mm_s}
+    camera = PatternCamera('PATTERN1', pattern)
+    # The camera counts true time from its construction on the monotonic clock, without skew.
+    since_us = camera.true_time_us()
+    zero_ns, monotonic_ns = time.time_ns(), time.monotonic_ns()
     server = UsbServer(camera, options.socket)
-    _say(
-        ready=True,
-        period_us=slips.pattern.period_us,
-        onsets_us=slips.onsets_us,
-        speeds_mm_s=slips.speeds_mm_s,
-    )
+    send(ready=True, period_us=pattern.period_us, **truth)
     origin_us = camera.clock_origin_us
     while not stopping.wait(POLL_S):
         if camera.clock_origin_us != origin_us:
             origin_us = camera.clock_origin_us
-            _say(origin_ns=zero_ns + origin_us * 1000)
+            later_ns = 1000 * (origin_us - since_us)
+            send(origin_ns=zero_ns + later_ns, monotonic_ns=monotonic_ns + later_ns)
     server.close()
-    _say(periods_lost=camera.player.periods_lost)
+    send(periods_lost=camera.player.periods_lost)
 
 
 if __name__ == '__main__':

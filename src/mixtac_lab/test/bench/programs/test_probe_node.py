@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac_lab.bench.programs.force_probe_node import force_figures
+from mixtac_lab.bench.programs.probe_node import force_figures
 
 
 def test_ages_rate_and_missing_windows_of_forces():

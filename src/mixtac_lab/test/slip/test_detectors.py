@@ -1,0 +1,39 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""False alarms are summed over the pieces of a scene, and stored."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from rich.console import Console
+
+from mixtac_lab.slip import detectors
+from mixtac_lab.slip.detectors import flicker_of
+from mixtac_lab.store import Store
+from mixtac_slip_control.parameters import SlipControlParameters
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_pieces_are_summed_and_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detectors, 'PIECE_S', 0.05)
+    monkeypatch.setattr(detectors, 'LEARN_S', 0.02)
+    store, console = Store(tmp_path), Console(quiet=True)
+    arguments = ('flicker', 0.1, SlipControlParameters(), 'easy', store, console)
+    found = detectors.count_alarms(*arguments)
+    assert found.seconds == pytest.approx(0.1)
+    assert found.flow == 0
+    assert found.mean_count > 0.0
+    assert len(list(tmp_path.glob('quiet_flicker_*.json'))) == 2
+    again = detectors.count_alarms(*arguments)
+    assert again == found
+
+
+def test_lamps_ripple_at_twice_the_mains_by_several_depths() -> None:
+    lamps = [flicker_of(seed) for seed in range(6)]
+    assert {lamp.hz for lamp in lamps} == {100.0}
+    assert len({lamp.depth for lamp in lamps}) == 3
+    assert not any(lamp.small for lamp in lamps)

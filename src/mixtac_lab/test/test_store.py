@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Stored results are not computed again; other inputs and other code are."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mixtac_events.errors import MixtacError
+from mixtac_lab.slip.trials import TrialPlan, trial_piece
+from mixtac_lab.store import Piece, Store, code_version, files_version
+from mixtac_slip_control.parameters import SlipControlParameters
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def square(base: Path, value: int, log: Path) -> dict[str, int]:
+    assert base.parent.is_dir()
+    with log.open('a') as file:
+        file.write(f'{value}\n')
+    if value < 0:
+        raise ValueError(value)
+    base.with_name(f'{base.name}.txt').write_text(str(value))
+    return {'square': value**2}
+
+
+@pytest.fixture
+def log(tmp_path):
+    return tmp_path / 'log'
+
+
+def piece_of(value: int, log: Path, version: str = '0') -> Piece:
+    return Piece(f'squared_{value}', square, (value, log), version)
+
+
+@pytest.mark.parametrize('jobs', [1, 2])
+def test_results_come_in_order_and_only_missing_ones_are_computed(tmp_path, log, jobs):
+    store = Store(tmp_path / 'pieces')
+    pieces = [piece_of(k, log) for k in range(4)]
+    advanced = []
+    store.run(pieces[1:3])
+    results = store.run(pieces, jobs, lambda: advanced.append(1))
+    assert [each['square'] for each in results] == [0, 1, 4, 9]
+    assert len(advanced) == 4
+    assert sorted(log.read_text().split()) == ['0', '1', '2', '3']
+    assert store.path(pieces[3], '.txt').read_text() == '3'
+
+
+def test_an_interrupted_run_continues_and_a_damaged_result_is_computed_again(tmp_path, log):
+    store = Store(tmp_path / 'pieces')
+    with pytest.raises(ValueError, match='-1'):
+        store.run([piece_of(2, log), piece_of(-1, log), piece_of(3, log)])
+    store.path(piece_of(3, log)).write_text('{"squ')
+    results = store.run([piece_of(2, log), piece_of(3, log)])
+    assert [each['square'] for each in results] == [4, 9]
+    assert log.read_text().split() == ['2', '-1', '3']
+
+
+def test_another_version_is_another_piece(tmp_path, log):
+    store = Store(tmp_path / 'pieces')
+    store.run([piece_of(2, log), piece_of(2, log, version='1')])
+    assert log.read_text().split() == ['2', '2']
+
+
+def test_without_a_folder_results_go_with_the_store(log):
+    store = Store()
+    store.run([piece_of(2, log)])
+    folder = store.folder
+    assert folder.is_dir()
+    del store
+    assert not folder.exists()
+
+
+def test_a_file_of_an_older_version_is_refused(tmp_path):
+    old = tmp_path / 'slip_bench.jsonl'
+    old.write_text('{}\n')
+    with pytest.raises(MixtacError) as refused:
+        Store(old)
+    assert str(old) in str(refused.value)
+    assert refused.value.remedy
+
+
+def test_version_of_code_changes_with_any_file_of_the_packages(tmp_path, monkeypatch):
+    package = tmp_path / 'versioned_package'
+    package.mkdir()
+    (package / '__init__.py').write_text('')
+    (package / 'part.py').write_text('A = 1\n')
+    monkeypatch.syspath_prepend(tmp_path)
+    found = []
+    for text in ('A = 1\n', 'A = 2\n'):
+        (package / 'part.py').write_text(text)
+        found += [code_version('versioned_package'), code_version('versioned_package.part')]
+        code_version.cache_clear()
+    assert len(set(found)) == 4
+
+
+def test_version_of_files_changes_with_their_size(tmp_path):
+    path = tmp_path / 'a'
+    path.write_text('a')
+    first = files_version([path])
+    path.write_text('ab')
+    assert files_version([path]) != first
+
+
+def test_other_settings_of_a_trial_are_another_piece():
+    settings = SlipControlParameters()
+    other = dataclasses.replace(settings, arm_lag=5e-3)
+    plans = [TrialPlan(), TrialPlan(preset='easy'), TrialPlan(settings=other)]
+    assert len({trial_piece(plan).stem for plan in plans}) == 3
+    assert trial_piece(TrialPlan()).stem == trial_piece(TrialPlan(settings=settings)).stem
