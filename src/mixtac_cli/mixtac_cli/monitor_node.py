@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import rclpy
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rclpy.topic_endpoint_info import TopicEndpointInfo
     from sensor_msgs.msg import Image, TimeReference
-    from typing_extensions import Self
 
     from mixtac_node.process import ProcessGroup
 
 
+R = TypeVar('R', bound='Receiver')
 SERVICE_TIMEOUT_S = 20.0
 FIRST_FORCE_TIMEOUT_S = 60.0
 
@@ -62,7 +62,7 @@ class Receiver:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._spin, name=name)
 
-    def __enter__(self) -> Self:
+    def __enter__(self: R) -> R:  # noqa: PYI019  (Self needs Python 3.11)
         """Return the receiver."""
         return self
 
