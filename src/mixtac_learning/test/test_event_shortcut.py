@@ -10,7 +10,7 @@ import torch
 
 from mixtac_fger.config import LATER_FIELDS, FgerConfig
 from mixtac_fger.recurrent_network import RecurrentPath
-from mixtac_learning.network import FgerNetwork, FrameSlots
+from mixtac_learning.network import FgerNetwork, FrameSlots, arrays_of
 
 WINDOWS = 60
 
@@ -28,7 +28,7 @@ def test_live_and_batch_agree(shortcut):
             FrameSlots(none, torch.zeros_like(none)),
             network.initial_state(1),
         )
-    path = RecurrentPath(network)
+    path = RecurrentPath(network.config, arrays_of(network))
     live = []
     for window in events[:, 0].numpy():
         path.step(window)
@@ -44,7 +44,7 @@ def test_a_strong_burst_moves_the_force_at_once_only_with_the_shortcut():
         network = FgerNetwork(FgerConfig(event_shortcut=shortcut)).eval()
         sizes = []
         for strength in (1e2, 1e4):
-            path = RecurrentPath(network)
+            path = RecurrentPath(network.config, arrays_of(network))
             path.step(np.full((6, 8, 4), strength, np.float32))
             sizes.append(abs(path.force))
         steps[shortcut] = sizes[1] / sizes[0]
@@ -59,13 +59,13 @@ def test_a_file_from_before_lacks_both_additions():
     network = FgerNetwork(FgerConfig.from_dict(values))
     assert network.deviation is None
     assert network.increment.get_parameter('0.weight').shape[1] == network.config.lstm_size
-    assert RecurrentPath(network).deviation is None
+    assert RecurrentPath(network.config, arrays_of(network)).deviation is None
 
 
 def test_a_path_can_begin_at_a_force():
     torch.manual_seed(4)
     network = FgerNetwork(FgerConfig()).eval()
-    path = RecurrentPath(network)
+    path = RecurrentPath(network.config, arrays_of(network))
     path.step(np.ones((6, 8, 4), np.float32))
     path.start_at(0.7)
     assert path.force == pytest.approx(0.7)

@@ -107,7 +107,7 @@ class LastLayers(SequenceStage):
 
     @property
     def name(self) -> str:
-        """Of the stage."""
+        """Name of the stage."""
         return 'last layers'
 
     def begin(self) -> None:
@@ -132,10 +132,10 @@ def tuned(network: FgerNetwork, data: Sequences, seed: int = 0) -> FgerNetwork:
     Args:
         network: Not changed.
         data: Presses side by side, all of one sensor.
-        seed: Of the borders between updates.
+        seed: Random seed for the borders between updates.
 
     Raises:
-        TrainingError: The loss is no number any more.
+        TrainingError: The loss became NaN.
     """
     model = NetworkWithGains(network.config, 1)
     model.network = copy.deepcopy(network)
@@ -156,7 +156,7 @@ SHORTEST_PRESSED_S = 2.0
 GAINS = (0.2, 5.0)
 """Limits of a gain that a gel can explain (estimate)."""
 LEAST_CORRELATION = 0.7
-"""Of estimate and known force: below it they do not belong together (estimate)."""
+"""Smallest correlation of estimate and known force that belong together (estimate)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,7 +187,7 @@ def adapt(
 
     Args:
         network: Not changed.
-        presses: At least two; forces are nan where they are not known.
+        presses: At least two; forces are NaN where unknown.
         report: Called with what is being done.
 
     Raises:
@@ -215,7 +215,7 @@ def adapt(
 
 
 def choose(mae: dict[str, float]) -> str:
-    """Return the way that wins: each larger change must earn its keep."""
+    """Return the way that wins: each larger change must be clearly better."""
     best = WAYS[0]
     for way in WAYS[1:]:
         if mae[way] < min(LEAST_WIN * mae[best], mae[best] - LEAST_WIN_N):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings of a new sensor cut into presses with known forces.
 
-Each press begins and ends without contact. The force is known from a reference sensor or from
+Each press starts and ends without contact. The force is known from a reference sensor or from
 weights placed on the sensor.
 """
 
@@ -70,7 +70,7 @@ def parse_load(text: str) -> Load:
 
 
 def load_label(loads: Sequence[Load], start_us: int, end_us: int) -> ForceLabel:
-    """Return a curve through the loads, zero elsewhere; `known_windows` tells where it holds.
+    """Return a curve through the loads, zero elsewhere; valid in `known_windows` only.
 
     Args:
         loads: Loads.
@@ -199,7 +199,7 @@ class PressSet:
     """The presses that a model is adapted by.
 
     Attributes:
-        presses: Presses, forces nan where they are not known.
+        presses: Presses, forces are NaN where unknown.
         used_s: Length of the recordings used [s].
         left_out_s: Length beyond the limit [s].
     """
@@ -218,7 +218,7 @@ def gather_presses(
     """Cut recordings of one sensor into presses.
 
     Args:
-        network: The model to adapt; its estimates say where the sensor is released.
+        network: The model to adapt; its estimates show where the sensor is released.
         trials: Recordings, each beginning without contact; with `loads`, one of unknown force.
         loads: Known loads of that recording; empty where the trials know their force.
         longest_s: Later parts are left out [s].

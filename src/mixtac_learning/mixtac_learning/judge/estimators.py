@@ -226,7 +226,7 @@ class Judged:
     """Estimates of trials.
 
     Attributes:
-        estimates: Of those that could be used.
+        estimates: Estimates of those that could be used.
         skipped: Why the others could not, by name.
     """
 

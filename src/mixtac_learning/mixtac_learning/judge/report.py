@@ -27,7 +27,7 @@ INTERVALS = {'coverage_68': 1.0, 'coverage_95': 1.96}
 def coverage_figures(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
     """Return the part of all windows within each of `INTERVALS`, and the mean deviation [N].
 
-    Nothing where a model says nothing of its uncertainty. Zero width covers a zero error.
+    Empty for models without an uncertainty output. Zero width covers a zero error.
 
     Args:
         estimates: Estimates, at least one.
@@ -137,7 +137,7 @@ COLUMNS = (
     'coverage_68',
     'coverage_95',
 )
-"""Of `mixtac_learning.judge.report`, in the order shown; those that no row has are left out."""
+"""Figures in the order shown; those that no row has are left out."""
 _FIGURE = len('-0.000')
 _BORDERS = 4
 """Characters of a table's edges and of the space about its first column."""

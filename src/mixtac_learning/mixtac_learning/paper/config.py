@@ -40,7 +40,7 @@ class PaperConfig:
         increment_size: Hidden width of MLP_df.
         correction_size: Hidden width of MLP_corr, and of the regression heads of the baselines.
         sparse_channels: Channels of the convolutions on event frames (`fusion`).
-        correction: Of inference; training corrects once per cycle.
+        correction: When inference corrects; training corrects once per cycle.
     """
 
     model: str = 'fger'

@@ -54,7 +54,7 @@ class SegmentBatch:
 
 
 class PaperState(NamedTuple):
-    """What is carried from stretch to stretch.
+    """State that is carried from stretch to stretch.
 
     Attributes:
         hidden: LSTM output [B, lstm_size].
@@ -83,7 +83,7 @@ class ResidualBlock(nn.Module):
     """Two 3 x 3 convolutions with a bypass (He et al. 2016).
 
     Args:
-        channels: Of input and output.
+        channels: Channels of input and output.
     """
 
     def __init__(self, channels: int) -> None:

@@ -40,7 +40,7 @@ def packet_points(
 
     Returns:
         Points float16 [E, 4]: x and y from -1 to 1 across the sensor, time from 0 to 1 within the
-        packet, polarity -1 or 1; and where each packet begins among them, int64 [T + 1].
+        packet, polarity -1 or 1; and where each packet starts among them, int64 [T + 1].
     """
     cuts = np.searchsorted(events.t, [ends[0] - config.window_us, *ends])
     counts = np.diff(cuts)
@@ -88,7 +88,7 @@ def event_counts(
 _SEEN = ('width', 'height', 'scale', 'window_us', 'events_per_packet')
 """Fields of the configuration that change what a sample holds."""
 FULL_SCALE = 1023.0
-"""Of the camera's converter [DN]."""
+"""Largest value of the camera's converter [DN]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +123,7 @@ _ARRAYS = PaperSample.__slots__[:-1]
 
 @dataclass(frozen=True, slots=True)
 class PaperRecipe:
-    """How the paper's networks want their samples.
+    """Recipe of the samples of the paper's networks.
 
     Attributes:
         config: Shapes.

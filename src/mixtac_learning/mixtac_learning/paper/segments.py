@@ -38,12 +38,12 @@ class Segment(NamedTuple):
 def cut_segments(
     samples: Sequence[PaperSample], windows: int, shift: int, trials: Sequence[int] | None = None
 ) -> list[Segment]:
-    """Cut samples into stretches of equal length; rests shorter than that are left out.
+    """Cut samples into stretches of equal length; shorter remainders are dropped.
 
     Args:
         samples: Samples.
         windows: Length of a stretch.
-        shift: Windows before the first stretch of each sample, so that borders move from epoch to
+        shift: Windows before the first stretch of each sample, so that borders differ from epoch to
             epoch.
         trials: Which samples; None for all.
     """
@@ -158,7 +158,7 @@ def run_samples(
 ) -> Iterator[NDArray[np.float32]]:
     """Yield the force [N] at the end of each window of each trial, float32 [T].
 
-    Every trial begins at no force and nothing remembered, and runs to its end without any
+    Every trial starts at zero force with an empty memory and runs to its end without any
     knowledge of the true force. Memory does not grow with its length.
 
     Args:

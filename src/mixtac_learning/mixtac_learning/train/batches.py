@@ -167,7 +167,7 @@ class DiskGroups:
         group_size: Trials per group.
         own: Which of the files this process reads; None for all. Groups of all processes are
             equally long, so that they make the same number of updates.
-        origins: What is known of each file beyond what it says; None for nothing.
+        origins: Further facts about each file; None for none.
     """
 
     def __init__(
@@ -215,6 +215,6 @@ class DiskGroups:
 
 
 def _device_key(path: Path, index: int) -> str:
-    """Return what tells sensors apart; a trial that says nothing is taken for one of its own."""
+    """Return the identifier of a trial's sensor; without one, every trial is its own."""
     origin = sample_origin(path)
     return str(origin.get('device_seed', origin.get('sensor', f'trial {index}')))

@@ -23,7 +23,7 @@ class TrainingSettings:
     """Settings of a training run; with its seed and data they fix the result.
 
     Attributes:
-        seed: Of the initial weights and of the order and mirroring of the data.
+        seed: Random seed for initial weights, order and mirroring of the data.
         frame_epochs: Epochs of the frame network alone.
         recurrent_epochs: Epochs of the recurrent path on the frozen frame network.
         joint_epochs: Epochs of both together.
@@ -34,13 +34,14 @@ class TrainingSettings:
         recurrent_rate: Largest learning rate of the recurrent stage.
         joint_rate: Largest learning rate of the joint stage.
         deviation_rate: Largest learning rate of the uncertainty head.
-        weight_decay: AdamW's.
+        weight_decay: Weight decay of AdamW.
         loss_knee_n: Errors above this count linearly, below it quadratically [N].
         gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see `Trainer`.
         mirror: Show mirror images too.
-        force_weight: How much more an error counts per newton of force [1/N]; impacts are short.
-        blow_every: After so many updates of the recurrent path comes one on blows only, cut out of
-            the trials (`mixtac_learning.train.stages`); 0 for none.
+        force_weight: Additional weight of an error per newton of force [1/N], because impacts are
+            short.
+        blow_every: Number of updates of the recurrent path between updates on impacts only, cut out
+            of the trials (`mixtac_learning.train.stages`); 0 for none.
         group_trials: Trials in memory at a time.
         patience: Epochs without a better validation error after which a stage ends; 0 for never.
     """
@@ -101,7 +102,7 @@ class SimulatedData:
     """Trials that are simulated for the run.
 
     Attributes:
-        preset: How hard.
+        preset: Difficulty.
         sensors: Different sensors.
         trials: Trials, going round the sensors.
         seconds: Length of each.
@@ -123,7 +124,7 @@ class DataConfig:
 
     Attributes:
         simulated: Simulated trials; None for none.
-        bags: Bags, or folders of bags; of those that `dataset.yaml` describes only the training
+        bags: Bags, or folders of bags; of bags that `dataset.yaml` describes only the training
             split is used.
         reference: Topic of the reference force in bags.
         label: Which force to learn: `best`, `true` or `reference`.
@@ -209,7 +210,7 @@ def read_run_config(path: Path) -> RunConfig:
 def with_overrides(
     config: RunConfig, out: Path | None, seed: int | None, data: Path | None
 ) -> RunConfig:
-    """Return a run with what the command line says in place of what the file says."""
+    """Return a run with the values of the command line instead of those of the file."""
     if out is not None:
         config = replace(config, out=str(out))
     if seed is not None:

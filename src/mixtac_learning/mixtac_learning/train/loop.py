@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class TrainingError(MixtacError):
-    """A training run that cannot begin or go on."""
+    """A training run that cannot start or continue."""
 
 
 SCHEDULES = ('cosine', 'constant')
@@ -96,12 +96,12 @@ def save_checkpoint(
 
     Args:
         path: File.
-        module: Its weights.
-        best: Best weights of the present stage, by name; empty for none.
-        optimiser: Its moments.
-        random: Its state.
-        progress: How far the run is.
-        fingerprint: What the run is of; see `load_checkpoint`.
+        module: Module whose weights are kept.
+        best: Best weights of the current stage, by name; empty for none.
+        optimiser: Optimiser whose moments are kept.
+        random: Generator whose state is kept.
+        progress: Progress of the run.
+        fingerprint: Identifies the run; see `load_checkpoint`.
     """
     tensors = {f'model.{name}': value for name, value in module.state_dict().items()}
     tensors |= {f'best.{name}': value for name, value in best.items()}
@@ -120,7 +120,7 @@ class Checkpoint:
     """What `load_checkpoint` found.
 
     Attributes:
-        progress: How far the run is.
+        progress: Progress of the run.
         tensors: By name, as written.
     """
 
@@ -160,7 +160,7 @@ def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
 
     Args:
         path: File.
-        fingerprint: Of the run that wants to go on.
+        fingerprint: Fingerprint of the run to be resumed.
 
     Returns:
         The checkpoint, None where there is none.
@@ -173,8 +173,8 @@ def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
     header, arrays = read_tensors(path, TrainingError, 'remove it to start over')
     if header.get('schema') != SCHEMA or header.get('fingerprint') != fingerprint:
         raise TrainingError(
-            f'{path} belongs to a run with other settings or other data: give another folder with'
-            ' --folder, or remove it to start over'
+            f'{path} belongs to a run with other settings or other data',
+            remedy='give another folder with --folder, or remove it to start over',
         )
     tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
     return Checkpoint(Progress(**json.loads(header['progress'])), tensors)
@@ -189,7 +189,7 @@ class Stage(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the stage."""
+        """Name of the stage."""
 
     @property
     def epochs(self) -> int:
@@ -217,7 +217,7 @@ class Begins(Protocol):
     """A stage that sets weights before its first epoch."""
 
     def begin(self) -> None:
-        """Set them; a run that goes on within the stage does not come here again."""
+        """Set them; not called when a run is resumed within the stage."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,8 +225,8 @@ class LoopSettings:
     """How stages are run.
 
     Attributes:
-        seed: Of the order of the data; initial weights are the caller's.
-        weight_decay: AdamW's.
+        seed: Random seed for the order of the data; initial weights are the caller's.
+        weight_decay: Weight decay of AdamW.
         schedule: `cosine` (up within 5 %, then down) or `constant`.
         gradient_norm: Gradients are scaled down to this norm.
         patience: A stage ends after so many epochs without a better validation error and goes
@@ -248,12 +248,12 @@ class TrainingLoop:
 
     Attributes:
         module: Everything that is trained: what a checkpoint holds.
-        settings: As above.
+        settings: Settings of all stages.
         checkpoint: File of the checkpoint; None for none.
-        fingerprint: What the run is of: a checkpoint of another run is refused.
+        fingerprint: Identifies the run; a checkpoint of another run is refused.
         report: Called after each epoch.
-        processes: Who takes part.
-        progress: How far the run is.
+        processes: Processes that share the training.
+        progress: Progress of the run.
     """
 
     module: nn.Module
@@ -265,10 +265,10 @@ class TrainingLoop:
     progress: Progress = field(default_factory=Progress)
 
     def run(self, stages: Sequence[Stage]) -> None:
-        """Run all stages; those that a checkpoint says are done are passed over.
+        """Run all stages; stages that are done according to the checkpoint are skipped.
 
         Raises:
-            TrainingError: The checkpoint is another run's, or the loss is no number any more.
+            TrainingError: The checkpoint is another run's, or the loss became NaN.
         """
         found = load_checkpoint(self.checkpoint, self.fingerprint) if self.checkpoint else None
         random = torch.Generator().manual_seed(self.settings.seed)
@@ -353,9 +353,9 @@ class TrainingLoop:
         optimiser.step()
 
     def _check(self, stage: Stage, total: float) -> None:
-        if total != total:  # noqa: PLR0124 - the test for no number
+        if total != total:  # noqa: PLR0124 - the test for NaN
             raise TrainingError(
-                f'the loss of stage {stage.name} is no number any more: lower its rate'
+                f'the loss of stage {stage.name} became NaN', remedy='lower its learning rate'
             )
 
     @torch.no_grad()

@@ -27,16 +27,16 @@ if TYPE_CHECKING:
 class PaperTraining:
     """The paper's protocol: 50 epochs, batches of 128, AdamW at 1e-4 (section III-C).
 
-    The paper does not say what a batch holds, how long its sequences are, or how the estimate
+    The paper does not state what a batch holds, how long its sequences are, or how the estimate
     before a stretch is known. Here a batch holds 128 cycles (frame intervals), as stretches of
-    `cycles` for the recurrent networks, that begin at the true force plus an error: the error is
-    what the correction learns to take away. Networks without frames begin at the true force.
+    `cycles` for the recurrent networks, that start at the true force plus an error, which the
+    correction learns to remove. Networks without frames start at the true force.
 
     Attributes:
-        seed: Of weights and order.
-        epochs: Of all trials.
+        seed: Random seed for weights and order.
+        epochs: Passes over all trials.
         batch: Cycles per update.
-        rate: Of AdamW, constant.
+        rate: Learning rate of AdamW, constant.
         weight_decay: AdamW's default.
         cycles: Length of a stretch of the recurrent networks [cycles].
         start_error_n: Standard deviation of the error of the estimate before a stretch [N].
@@ -79,13 +79,13 @@ class PaperStage:
     """The only stage of the training of one network.
 
     Attributes:
-        network: It.
+        network: The network.
         samples: Trials to train on; of these, `own` are this process's.
         settings: The protocol.
-        processes: Who takes part.
+        processes: Processes that share the training.
         own: Indices of this process's trials.
         checked: Trials to validate on.
-        name: Of the stage.
+        name: Name of the stage.
     """
 
     network: PaperNetwork

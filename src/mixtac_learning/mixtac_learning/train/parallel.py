@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Processes:
-    """Which of how many processes this is.
+    """The place of this process among those that share the training.
 
     Attributes:
-        rank: 0 to `world` - 1; only 0 writes and speaks.
+        rank: 0 to `world` - 1; only 0 writes files and prints.
         world: Number of processes.
     """
 
@@ -35,7 +35,7 @@ class Processes:
 
     @staticmethod
     def join() -> Processes:
-        """Join the processes that `torchrun` started; alone without it."""
+        """Join the processes that `torchrun` started; without it there is only this one."""
         world = int(os.environ.get('WORLD_SIZE', '1'))
         if world <= 1:
             return Processes()
@@ -44,7 +44,7 @@ class Processes:
         return Processes(dist.get_rank(), world)
 
     def leave(self) -> None:
-        """Part from the others."""
+        """Leave the group."""
         if self.world > 1 and dist.is_initialized():
             dist.destroy_process_group()
 
@@ -54,7 +54,7 @@ class Processes:
         return self.rank == 0
 
     def share(self, items: Sequence[int]) -> list[int]:
-        """Return this process's part of a sequence, as equal in size as can be."""
+        """Return this process's part of a sequence, of nearly equal size."""
         return list(items[self.rank :: self.world])
 
     def average_gradients(self, parameters: Sequence[nn.Parameter]) -> None:
@@ -97,6 +97,6 @@ class Processes:
                 buffer.copy_(self.mean(buffer))
 
     def wait(self) -> None:
-        """Wait until all processes are here."""
+        """Wait for all processes."""
         if self.world > 1:
             dist.barrier()

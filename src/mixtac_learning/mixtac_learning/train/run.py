@@ -105,7 +105,7 @@ def gather(
 
     Args:
         data: What to train on.
-        recipe: How the network wants its samples.
+        recipe: Recipe of the samples.
         jobs: Processes.
         on_progress: Called with the number of trials done and of all.
 
@@ -129,12 +129,12 @@ def gather(
 
 
 def provenance(config: RunConfig, data: TrainingData, settings: dict[str, Any]) -> dict[str, Any]:
-    """Return what a weight file keeps of its training, JSON-ready.
+    """Return the description of the training for the weight file, JSON-ready.
 
     Args:
         config: The run.
         data: Its samples.
-        settings: Its training settings, complete.
+        settings: All its training settings.
     """
     origins = [source.origin for source in data.sources]
     simulated = all(origin.get('simulated') or 'trial_seed' in origin for origin in origins)
@@ -190,7 +190,7 @@ def draw_curves(path: Path, curves: Sequence[dict[str, Any]]) -> None:
         known = [(row['epoch'], row['validation']) for row in rows if row['validation'] is not None]
         if known:
             panel.plot(*zip(*known, strict=True), label='validation MAE')
-        # The logarithm of a likelihood may be negative, and is no force.
+        # The logarithm of a likelihood may be negative and is not a force.
         forces = all(row['loss'] > 0.0 for row in rows)
         scale, unit = ('log', 'N') if forces else ('linear', 'log likelihood, negative')
         panel.set(title=stage, xlabel='epoch', ylabel=unit, yscale=scale)
@@ -203,11 +203,11 @@ CHECKPOINT = 'checkpoint.safetensors'
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trained:
-    """What a run gave.
+    """The result of a run.
 
     Attributes:
         network: In evaluation mode, on the CPU.
-        card: What its weight file says.
+        card: Card of its weight file.
         curves: One row per epoch.
         skipped: Trials that were left out, with the reason.
     """
@@ -223,12 +223,12 @@ class Run:
     """A training run.
 
     Attributes:
-        config: What to train on what.
-        folder: Checkpoint and curves; None keeps nothing, so that a killed run starts over.
+        config: The run.
+        folder: Checkpoint and curves; None keeps nothing, so that an interrupted run starts over.
         jobs: Processes that prepare samples.
         report: Called after each epoch.
         on_progress: Called while samples are prepared, with the number done and of all.
-        processes: Who takes part.
+        processes: Processes that share the training.
     """
 
     config: RunConfig
@@ -258,7 +258,7 @@ class Run:
         return Trained(network, ModelCard(training), curves, data.skipped)
 
     def _gather(self, recipe: FgerRecipe | PaperRecipe) -> TrainingData:
-        # One process prepares, the others find the files.
+        # One process prepares; the others then find the files.
         if self.processes.leads:
             gather(self.config.data, recipe, self.jobs, self.on_progress)
         self.processes.wait()
@@ -363,7 +363,7 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
     Args:
         config: The run.
         folder: Checkpoint and curves; None for one below `runs` that is named after the settings,
-            so that the same command goes on where it was cut off.
+            so that the same command resumes an interrupted run.
         jobs: Processes that prepare samples.
         json: Write the figures there as well; None for nowhere.
 

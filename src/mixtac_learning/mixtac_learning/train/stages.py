@@ -110,9 +110,9 @@ class FrameStage:
         model: Network and gains.
         groups: Trials to train on.
         settings: Epochs, batch, rate.
-        processes: Who takes part.
-        checked: Trials to validate on; None for none.
-        name: Of the stage.
+        processes: Processes that share the training.
+        checked: Validation trials; None for none.
+        name: Name of the stage.
     """
 
     model: NetworkWithGains
@@ -202,30 +202,31 @@ def follow_frames(network: FgerNetwork) -> None:
     output.get_parameter('weight')[0, :2] = torch.tensor([FOLLOWED, -FOLLOWED])
 
 
-BLOW_N = 3.0
-"""A force beyond this is a blow [N]; presses stay below."""
-BEFORE = 30
-"""Windows before the blow: without contact, so that a stretch begins as a trial does."""
-AFTER = 70
-"""Windows from the blow on: three frames or so follow."""
+IMPACT_N = 3.0
+"""A larger force is an impact [N]; presses stay below."""
+WINDOWS_BEFORE = 30
+"""Windows before the impact, without contact, so that a stretch starts as a trial does."""
+WINDOWS_AFTER = 70
+"""Windows from the impact on; about three frames follow."""
 RELEASED_N = 0.05
 """Largest force in the windows before [N]."""
 
 
-def blows(sequences: Sequences) -> Sequences | None:
-    """Return a stretch around each blow that comes out of no contact, side by side.
+def impacts(sequences: Sequences) -> Sequences | None:
+    """Return a stretch around each impact that starts without contact, side by side.
 
     Args:
         sequences: Trials.
 
     Returns:
-        `BEFORE` + `AFTER` windows of each blow; frames are those of `sequences`. None without any.
+        `WINDOWS_BEFORE` + `WINDOWS_AFTER` windows of each impact; frames are those of `sequences`.
+        None without any.
     """
     starts = _starts(sequences.force, sequences.valid)
     if not len(starts):
         return None
     first, trial = starts.unbind(1)
-    rows = first[None] + torch.arange(BEFORE + AFTER, device=first.device)[:, None]
+    rows = first[None] + torch.arange(WINDOWS_BEFORE + WINDOWS_AFTER, device=first.device)[:, None]
     return replace(
         sequences,
         event_features=sequences.event_features[rows, trial],
@@ -238,15 +239,15 @@ def blows(sequences: Sequences) -> Sequences | None:
 
 def _starts(force: Tensor, valid: Tensor) -> Tensor:
     """Return first window and trial of each stretch, int64 [N, 2]."""
-    strong = (force > BLOW_N) & valid
+    strong = (force > IMPACT_N) & valid
     rising = strong.clone()
     rising[1:] &= ~strong[:-1]
     found = []
     for window, trial in torch.nonzero(rising).tolist():
-        start = window - BEFORE
-        if start < 0 or window + AFTER > len(force):
+        start = window - WINDOWS_BEFORE
+        if start < 0 or window + WINDOWS_AFTER > len(force):
             continue
-        # The first windows of the blow itself rise from nothing.
+        # The first windows of the impact itself rise from zero.
         before = force[start : window - 2, trial]
         if float(before.abs().max()) < RELEASED_N:
             found.append((start, trial))
@@ -262,7 +263,7 @@ class SequenceStage:
         groups: Trials to train on.
         settings: Epochs, stretches, rates.
         joint: Whether the frame network learns as well.
-        checked: Trials to validate on; None for none.
+        checked: Validation trials; None for none.
     """
 
     model: NetworkWithGains
@@ -275,7 +276,7 @@ class SequenceStage:
 
     @property
     def name(self) -> str:
-        """Of the stage."""
+        """Name of the stage."""
         return 'joint' if self.joint else 'recurrent'
 
     @property
@@ -289,7 +290,7 @@ class SequenceStage:
         return self.settings.joint_rate if self.joint else self.settings.recurrent_rate
 
     def begin(self) -> None:
-        """Let the recurrent path begin as what follows the frames."""
+        """Initialise the recurrent path so that it follows the frames."""
         if not self.joint:
             follow_frames(self.model.network)
 
@@ -315,10 +316,10 @@ class SequenceStage:
             flip = self.settings.flips(random)
             frozen = None if self.joint else self._features(group, sequences, flip)
             state = self.model.network.initial_state(sequences.force.shape[1])
-            cut_out = self._blows(group, sequences)
+            cut_out = self._impacts(group, sequences)
             for number, (start, stop) in enumerate(self._chunks(len(sequences.force), random)):
                 if cut_out is not None and number % self.settings.blow_every == 0:
-                    yield self._blow_loss(cut_out, frozen, flip)
+                    yield self._impact_loss(cut_out, frozen, flip)
                 slots = FrameSlots(*(part[start:stop] for part in sequences.slots))
                 features, local = (
                     self._encode_now(sequences, flip, slots) if frozen is None else (frozen, slots)
@@ -328,18 +329,18 @@ class SequenceStage:
                 state = state.detached()
                 yield self._loss(force, sequences, slice(start, stop))
 
-    def _blows(self, group: int, sequences: Sequences) -> Sequences | None:
-        """Return the blows of a group; kept where there is one group only."""
+    def _impacts(self, group: int, sequences: Sequences) -> Sequences | None:
+        """Return the impacts of a group; cached if there is only one group."""
         if not self.settings.blow_every:
             return None
         if len(self.groups) > 1:
-            return blows(sequences)
+            return impacts(sequences)
         if group not in self._cut_out:
-            self._cut_out[group] = blows(sequences)
+            self._cut_out[group] = impacts(sequences)
         return self._cut_out[group]
 
-    def _blow_loss(self, cut_out: Sequences, frozen: Tensor | None, flip: Flip) -> Tensor:
-        """Return the loss of the blows, from no contact on."""
+    def _impact_loss(self, cut_out: Sequences, frozen: Tensor | None, flip: Flip) -> Tensor:
+        """Return the loss of the impacts, each from no contact on."""
         features, slots = (
             self._encode_now(cut_out, flip, cut_out.slots)
             if frozen is None
@@ -363,7 +364,7 @@ class SequenceStage:
         return total / count
 
     def _features(self, group: int, sequences: Sequences, flip: Flip) -> Tensor:
-        """Return the features of all frames; kept where there is one group only."""
+        """Return the features of all frames; cached if there is only one group."""
         if len(self.groups) > 1:
             return self.model.encode(sequences, *flip)
         if (group, flip) not in self._encoded:
@@ -440,8 +441,8 @@ class DeviationStage:
         model: Network and gains.
         groups: Trials to train on.
         settings: Epochs and rate.
-        checked: Trials to validate on; None for none.
-        name: Of the stage.
+        checked: Validation trials; None for none.
+        name: Name of the stage.
     """
 
     model: NetworkWithGains

@@ -39,10 +39,10 @@ class Trainer:
         config: Network configuration.
         settings: Stages and rates.
         report: Called after each epoch; see `mixtac_learning.train.loop.Report`.
-        processes: Who takes part.
-        device: Where to compute.
-        checkpoint: File to go on from; None for none.
-        fingerprint: What the run is of, kept in the checkpoint.
+        processes: Processes that share the training.
+        device: Device to compute on.
+        checkpoint: File to resume from; None for none.
+        fingerprint: Identifies the run; kept in the checkpoint.
 
     Attributes:
         curves: One row per epoch, after `run`.

@@ -116,7 +116,7 @@ def label_on_camera_clock(t_us: NDArray[np.float64], force: list[float], what: s
     if len(values) < 2:
         raise DatasetError(f'{what} holds {len(values)} samples: record the force sensor as well')
     if not np.isfinite(values).all():
-        raise DatasetError(f'{what} holds values that are no numbers: check the force sensor')
+        raise DatasetError(f'{what} holds values that are not finite: check the force sensor')
     order = np.argsort(t_us, kind='stable')
     return ForceLabel(np.asarray(t_us, np.float64)[order], values[order])
 
@@ -252,7 +252,7 @@ def _ns(stamp: Any) -> int:  # noqa: ANN401
 
 _BLOCK = 1 << 20
 _SETTLE_US = 900
-"""From the end of a frame's readout to its arrival, where the bag does not tell (estimate)."""
+"""From the end of a frame's readout to its arrival, if the bag does not contain it (estimate)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +262,7 @@ class BagSource:
     Attributes:
         path: Its folder.
         reference: Topic of the reference force.
-        described: What a description beside the bag says of it: profile, device_seed and so on.
+        described: Facts from a description of the bag: profile, device_seed and so on.
     """
 
     path: Path
@@ -383,7 +383,7 @@ def bag_sources(folder: Path, reference: str = '/ft_sensor/wrench') -> list[BagS
 
 
 def _described(bag: Path) -> tuple[tuple[str, Any], ...]:
-    """Return what `dataset.yaml` beside a bag, or a simulated bag itself, says of it."""
+    """Return the description of a bag in `dataset.yaml` beside it, or in a simulated bag itself."""
     return _described_beside(bag) or _described_inside(bag)
 
 
@@ -395,7 +395,7 @@ def _described_inside(bag: Path) -> tuple[tuple[str, Any], ...]:
         custom = metadata['rosbag2_bagfile_information']['custom_data']
         fields: dict[str, Any] = json.loads(custom['mixtac.trial'])
     except (OSError, yaml.YAMLError, ValueError, KeyError, TypeError):
-        # Bags of others say nothing of the kind; a damaged one is named when it is loaded.
+        # Other bags have no such entry; a damaged bag is reported when it is loaded.
         return ()
     return tuple(sorted(fields.items()))
 
@@ -410,5 +410,7 @@ def _described_beside(bag: Path) -> tuple[tuple[str, Any], ...]:
     except FileNotFoundError:
         return ()
     except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
-        raise DatasetError(f'{path} cannot be read ({error}): make the data set anew') from error
+        raise DatasetError(
+            f'{path} cannot be read ({error})', remedy='generate the data set again'
+        ) from error
     return tuple((key, json.loads(json.dumps(value))) for key, value in sorted(fields.items()))

@@ -28,7 +28,7 @@ class ChangedSource:
 
     Attributes:
         source: Where the trial comes from.
-        label: What to call the change.
+        label: Name of the change.
         change: Makes the change.
     """
 
@@ -83,8 +83,8 @@ def shaded(trial: TrialArrays) -> TrialArrays:
     return replace(trial, frames=frames)
 
 
-def misdated(trial: TrialArrays) -> TrialArrays:
-    """Return a trial whose frames are said to be exposed `LATE_US` later than they were."""
+def shifted_exposure(trial: TrialArrays) -> TrialArrays:
+    """Return a trial whose exposure times are `LATE_US` too late."""
     return replace(
         trial,
         exposure_start_us=trial.exposure_start_us + LATE_US,
@@ -92,7 +92,7 @@ def misdated(trial: TrialArrays) -> TrialArrays:
     )
 
 
-def holed(trial: TrialArrays) -> TrialArrays:
+def dead_pixels(trial: TrialArrays) -> TrialArrays:
     """Return a trial with `DEAD` of the pixels dead, the same ones in events and frames."""
     rows, columns = trial.frames.shape[1:]
     dead = np.random.default_rng(0).random((rows, columns)) < DEAD
@@ -104,8 +104,8 @@ def holed(trial: TrialArrays) -> TrialArrays:
 MISMATCHES: dict[str, Callable[[TrialArrays], TrialArrays]] = {
     'blur': blurred,
     'shading': shaded,
-    'exposure_3ms': misdated,
-    'dead_pixels': holed,
+    'exposure_3ms': shifted_exposure,
+    'dead_pixels': dead_pixels,
 }
 """Changes by name."""
 
@@ -119,7 +119,7 @@ class Losses:
         packet_part: Part of the packets that is lost, at random.
         gaps_us: Beginnings of gaps in which everything is lost, camera clock [us].
         gap_us: Length of each gap [us].
-        seed: Of the random losses.
+        seed: Random seed for the losses.
     """
 
     frame_part: float = 0.0

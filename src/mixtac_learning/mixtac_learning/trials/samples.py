@@ -76,7 +76,7 @@ def make_sample(
         contact_n: A larger force during the reference frames is a contact [N].
 
     Raises:
-        DatasetError: The trial has too few frames, ends before they have arrived, or begins in
+        DatasetError: The trial has too few frames, ends before they have arrived, or starts in
             contact.
     """
     kept = config.reference_frames
@@ -89,7 +89,7 @@ def make_sample(
     forces = label.mean(trial.exposure_start_us, trial.exposure_end_us)
     if np.abs(forces[:kept]).max() > contact_n:
         raise DatasetError(
-            f'trial {origin} begins with {np.abs(forces[:kept]).max():.2f} N: its first {kept}'
+            f'trial {origin} starts with {np.abs(forces[:kept]).max():.2f} N: its first {kept}'
             ' frames must be without contact'
         )
     ends = window_ends(trial, label, width, int(trial.arrival_us[kept - 1]))
@@ -191,7 +191,7 @@ def load_sample(path: Path, config: FgerConfig) -> Sample:
         if header['config'].get(name) != wanted[name]:
             raise DatasetError(
                 f'sample {path} was prepared with {name} = {header["config"].get(name)}, but'
-                f' {wanted[name]} is needed: generate it anew'
+                f' {wanted[name]} is needed: remove it'
             )
     return Sample(**arrays, origin=header['origin'])
 
@@ -219,7 +219,9 @@ def _read_part(path: Path, part: Callable[[Any], Any]) -> Any:  # noqa: ANN401
         with np.load(path, allow_pickle=False) as file:
             return part(file)
     except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise DatasetError(f'sample {path} cannot be read ({error}): generate it anew') from error
+        raise DatasetError(
+            f'sample {path} cannot be read ({error})', remedy='remove it; it is then prepared again'
+        ) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +238,7 @@ class FgerRecipe:
 
     @property
     def suffix(self) -> str:
-        """Of the files."""
+        """Suffix of the files."""
         return '.npz'
 
     def fingerprint(self) -> dict[str, Any]:

@@ -36,7 +36,7 @@ class CachedSource:
 
     Attributes:
         source: Where the trial comes from.
-        folder: Where it is kept, in a folder of its own.
+        folder: Parent of the trial's own folder.
     """
 
     source: TrialSource
@@ -86,7 +86,9 @@ def _write(trial: TrialArrays, path: Path) -> None:
         (partial / 'trial.json').write_text(json.dumps(content), encoding='utf-8')
         partial.replace(path)
     except OSError as error:
-        raise DatasetError(f'{path} cannot be written ({error}): free some space') from error
+        raise DatasetError(
+            f'{path} cannot be written ({error})', remedy='free some disk space'
+        ) from error
 
 
 def _read(path: Path) -> TrialArrays:
@@ -100,12 +102,14 @@ def _read(path: Path) -> TrialArrays:
             kept = path / f'{name}.npy'
             fields[name] = ForceLabel(*np.load(kept)) if kept.exists() else None
     except (OSError, ValueError) as error:
-        raise DatasetError(f'{path} cannot be read ({error}): remove it') from error
+        raise DatasetError(
+            f'{path} cannot be read ({error})', remedy='remove it; it is then loaded again'
+        ) from error
     return TrialArrays(events=events, **fields, **content)
 
 
 class Recipe(Protocol):
-    """How a network wants its samples; must survive being sent to another process."""
+    """Recipe of a network's samples; must be picklable, to be sent to other processes."""
 
     @property
     def suffix(self) -> str:
@@ -124,7 +128,7 @@ class Recipe(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """Samples on disk, and the trials that gave none.
+    """Samples on disk, and the trials that could not be used.
 
     Attributes:
         paths: Files, in the order of their sources.
@@ -138,7 +142,7 @@ class Prepared:
 
 
 def sample_path(source: TrialSource, recipe: Recipe, folder: Path) -> Path:
-    """Return where the sample of a source lies: its name and a digest of content and recipe."""
+    """Return the file of a source's sample: its name and a digest of content and recipe."""
     described = json.dumps([source.content_key(), recipe.fingerprint()], sort_keys=True)
     digest = hashlib.blake2b(described.encode(), digest_size=8).hexdigest()
     return folder / f'{source.name}-{digest}{recipe.suffix}'
@@ -154,12 +158,12 @@ def prepare(
     """Make sure that the samples of all sources are on disk.
 
     One trial per process is in memory at a time. A trial that cannot be used is left out and
-    named; the others go on.
+    reported; the others are used.
 
     Args:
         sources: Trials.
-        recipe: How to prepare them.
-        folder: Where samples are kept.
+        recipe: Recipe of the samples.
+        folder: Folder of the samples.
         jobs: Processes.
         on_progress: Called with the number of trials done.
 

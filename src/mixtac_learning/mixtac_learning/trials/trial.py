@@ -74,7 +74,7 @@ LABELS = ('best', 'true', 'reference')
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialArrays:
-    """What a camera and a force sensor gave in one trial; camera clock [us].
+    """Data of a camera and a force sensor in one trial; camera clock [us].
 
     Attributes:
         events: Events, sorted.
@@ -82,7 +82,7 @@ class TrialArrays:
         exposure_start_us: When each exposure began, int64 [N].
         exposure_end_us: When it ended, int64 [N].
         arrival_us: When the host had the frame, int64 [N].
-        truth: True normal force; None where nobody knows it.
+        truth: True normal force; None if unknown.
         reference: Normal force that the reference sensor measured; None without one.
         origin: Where it came from: seeds, profile, file.
         missing_packets: Event packets that the recorder did not get.
@@ -100,7 +100,7 @@ class TrialArrays:
 
     @property
     def profile(self) -> str:
-        """Force profile, `unknown` for recordings that do not say."""
+        """Force profile, `unknown` if a recording does not state it."""
         return str(self.origin.get('profile', 'unknown'))
 
     def label(self, kind: str = 'best') -> ForceLabel:
@@ -132,11 +132,11 @@ class TrialSource(Protocol):
 
     @property
     def name(self) -> str:
-        """What to call it in messages; part of file names."""
+        """Name for messages and file names."""
 
     @property
     def origin(self) -> dict[str, Any]:
-        """What is known before loading: device, profile, path."""
+        """Facts known before loading: device, profile, path."""
 
     def content_key(self) -> str:
         """Return a text that changes when the content of the trial does.
@@ -149,7 +149,7 @@ class TrialSource(Protocol):
         """Return the trial.
 
         Raises:
-            MixtacError: It cannot be used; the text says why.
+            MixtacError: It cannot be used; the text gives the reason.
         """
 
 

@@ -35,11 +35,11 @@ def test_operations_counted_by_hand_are_those_of_the_counter(model):
 
 
 def test_impossible_configurations_are_refused():
-    with pytest.raises(ConfigError, match='choose one of'):
+    with pytest.raises(ConfigError):
         PaperConfig(model='snn')
-    with pytest.raises(ConfigError, match='positive'):
+    with pytest.raises(ConfigError):
         PaperConfig(event_widths=(64, 0))
-    with pytest.raises(ConfigError, match='no fields'):
+    with pytest.raises(ConfigError):
         PaperConfig.from_dict({'depth': 3})
     config = PaperConfig(model='fusion', scale=2)
     assert PaperConfig.from_dict(config.to_dict()) == config

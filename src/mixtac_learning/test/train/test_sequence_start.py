@@ -11,7 +11,13 @@ import torch
 
 from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.batches import stack
-from mixtac_learning.train.stages import AFTER, BEFORE, FOLLOWED, blows, follow_frames
+from mixtac_learning.train.stages import (
+    FOLLOWED,
+    WINDOWS_AFTER,
+    WINDOWS_BEFORE,
+    follow_frames,
+    impacts,
+)
 from mixtac_learning.trials.samples import make_sample
 
 
@@ -42,12 +48,12 @@ def sequences(config, trial):
 
 
 def test_blows_out_of_nothing_are_cut_out(sequences):
-    found = blows(sequences)
+    found = impacts(sequences)
     assert found is not None
     # Not the one at 20, which the trial begins too late for, nor the one on top of a press.
-    assert found.force.shape == (BEFORE + AFTER, 3)
+    assert found.force.shape == (WINDOWS_BEFORE + WINDOWS_AFTER, 3)
     for column, (start, trial) in enumerate(((70, 0), (170, 1), (270, 0))):
-        rows = slice(start, start + BEFORE + AFTER)
+        rows = slice(start, start + WINDOWS_BEFORE + WINDOWS_AFTER)
         assert torch.equal(found.force[:, column], sequences.force[rows, trial])
         assert torch.equal(found.event_features[:, column], sequences.event_features[rows, trial])
         assert torch.equal(found.slots.frame[:, column], sequences.slots.frame[rows, trial])
@@ -55,4 +61,4 @@ def test_blows_out_of_nothing_are_cut_out(sequences):
 
 
 def test_trials_without_blows_give_none(sequences):
-    assert blows(replace(sequences, force=torch.ones_like(sequences.force))) is None
+    assert impacts(replace(sequences, force=torch.ones_like(sequences.force))) is None
