@@ -7,9 +7,12 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from mixtac_events.errors import MixtacError
+from mixtac_node.files import FileError, structure
+
+T = TypeVar('T')
 
 
 class ModelError(MixtacError):
@@ -18,6 +21,23 @@ class ModelError(MixtacError):
 
 class ConfigError(MixtacError):
     """A network configuration with impossible values."""
+
+
+def from_mapping(cls: type[T], values: object, where: str) -> T:
+    """Return a configuration from plain values, checked; absent fields keep their defaults.
+
+    Args:
+        cls: A dataclass.
+        values: As YAML and JSON give them.
+        where: Section, for the message.
+
+    Raises:
+        ConfigError: A field is unknown, or a value has another type or is impossible.
+    """
+    try:
+        return structure(values, cls, where)
+    except FileError as error:
+        raise ConfigError(error.message, remedy=error.remedy) from error
 
 
 ARCHITECTURE = 'fger_small'
@@ -184,11 +204,7 @@ class FgerConfig:
             raise ConfigError(
                 f'FgerConfig fields {odd} are missing or unknown', remedy='retrain the model'
             )
-        fields: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in values.items()
-        }
-        return cls(**fields)
+        return from_mapping(cls, values, 'FgerConfig')
 
 
 STATISTICS = ('frame.mean', 'frame.scale', 'event.scale', 'deviation.scale')

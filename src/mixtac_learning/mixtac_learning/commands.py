@@ -18,6 +18,7 @@ from mixtac_learning.train.config import (
     read_run_config,
     with_overrides,
 )
+from mixtac_node.topics import REFERENCE
 from mixtac_sim.world.training_trials import TRAINING_PRESET
 
 # typer evaluates these under Python 3.10.
@@ -111,7 +112,7 @@ def evaluate(
     ] = TRAINING_PRESET,
     reference: Annotated[
         str, typer.Option(help='Topic of the reference force in bags.')
-    ] = '/ft_sensor/wrench',
+    ] = REFERENCE,
     figures: Annotated[
         OptionalPath, typer.Option(help='Image file for plots of the trials.')
     ] = None,
@@ -161,7 +162,7 @@ def adapt(
     ] = None,
     reference: Annotated[
         str, typer.Option(help='Topic of the reference force in the bags.')
-    ] = '/ft_sensor/wrench',
+    ] = REFERENCE,
     serial: Annotated[
         str,
         typer.Option(

@@ -8,7 +8,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from mixtac_fger.config import ConfigError
+from mixtac_fger.config import ConfigError, from_mapping
 
 MODELS = ('fger', 'frames', 'events', 'fusion')
 """FGER-Net; frames only; events only; feature level deep fusion."""
@@ -94,10 +94,4 @@ class PaperConfig:
         Raises:
             ConfigError: A field is unknown or impossible.
         """
-        known = {field.name for field in dataclasses.fields(cls)}
-        if odd := sorted(set(values) - known):
-            raise ConfigError(f'PaperConfig has no fields {odd}; it has {sorted(known)}')
-        fields: dict[str, Any] = {
-            k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
-        }
-        return cls(**fields)
+        return from_mapping(cls, values, 'network')

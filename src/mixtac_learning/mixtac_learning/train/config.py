@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mixtac_fger.config import ConfigError
+from mixtac_fger.config import ConfigError, from_mapping
 from mixtac_learning.paper.config import MODELS as PAPER_MODELS
+from mixtac_node.files import FileError, read_dataclass
+from mixtac_node.topics import REFERENCE
 from mixtac_sim.world.training_trials import TRAINING_PRESET
 
 if TYPE_CHECKING:
@@ -82,10 +84,7 @@ class TrainingSettings:
         Raises:
             ConfigError: A field is unknown.
         """
-        known = {field.name for field in fields(cls)}
-        if odd := sorted(set(values) - known):
-            raise ConfigError(f'training has no settings {odd}; it has {sorted(known)}')
-        return cls(**values)
+        return from_mapping(cls, values, 'training')
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON-ready values."""
@@ -134,7 +133,7 @@ class DataConfig:
 
     simulated: SimulatedData | None = None
     bags: tuple[str, ...] = ()
-    reference: str = '/ft_sensor/wrench'
+    reference: str = REFERENCE
     label: str = 'best'
     cache: str = 'runs/fger_data'
     checked: float = 0.1
@@ -172,7 +171,9 @@ class RunConfig:
         if self.model not in MODELS:
             raise ConfigError(f'model {self.model!r} is unknown: choose one of {", ".join(MODELS)}')
         if self.data.simulated is None and not self.data.bags:
-            raise ConfigError(f'nothing to train on: give data.simulated or data.bags; {_REMEDY}')
+            raise ConfigError(
+                'nothing to train on: neither data.simulated nor data.bags is given', remedy=_REMEDY
+            )
 
     def fingerprint(self) -> str:
         """Return a text of all that changes the result; not where it is written or computed."""
@@ -189,22 +190,10 @@ def read_run_config(path: Path) -> RunConfig:
     Raises:
         ConfigError: The file is missing or no YAML, or a field is unknown or of another type.
     """
-    import yaml
-
     try:
-        values = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (OSError, yaml.YAMLError) as error:
-        text = ' '.join(str(error).split())
-        raise ConfigError(f'{path} cannot be read ({text}): {_REMEDY}') from error
-    if not isinstance(values, dict):
-        raise ConfigError(f'{path} is no map of settings: {_REMEDY}')
-    values = dict(values)
-    data = dict(values.pop('data', None) or {})
-    simulated = data.pop('simulated', None)
-    if simulated is not None:
-        data['simulated'] = _filled(SimulatedData, simulated, path)
-    run: RunConfig = _filled(RunConfig, values | {'data': _filled(DataConfig, data, path)}, path)
-    return run
+        return read_dataclass(path, RunConfig)
+    except FileError as error:
+        raise ConfigError(error.message, remedy=_REMEDY) from error
 
 
 def with_overrides(
@@ -236,19 +225,3 @@ def shipped_runs() -> Path:
     from ament_index_python.packages import get_package_share_directory
 
     return Path(get_package_share_directory('mixtac_bringup')) / 'config' / 'train'
-
-
-def _filled(kind: type[Any], values: dict[str, Any], path: Path) -> Any:  # noqa: ANN401
-    fields = {item.name: item for item in dataclasses.fields(kind)}
-    if odd := sorted(set(values) - set(fields)):
-        raise ConfigError(f'{path} has unknown fields {odd}; known are {sorted(fields)}')
-    checked = {}
-    for name, value in values.items():
-        checked[name] = tuple(value) if isinstance(value, list) else value
-        default = getattr(kind(), name) if kind is not RunConfig else None
-        if isinstance(default, bool) or default is None:
-            continue
-        wanted = (int, float) if isinstance(default, float) else type(default)
-        if not isinstance(checked[name], wanted):
-            raise ConfigError(f'{path}: {name} = {value!r} is no {type(default).__name__}')
-    return kind(**checked)

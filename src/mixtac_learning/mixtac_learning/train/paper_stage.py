@@ -4,14 +4,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
-from mixtac_fger.config import ConfigError
+from mixtac_fger.config import from_mapping
 from mixtac_learning.paper.networks import FrameBackbone, FrameModel
 from mixtac_learning.paper.segments import assemble, cut_segments, run_samples
 
@@ -68,10 +68,7 @@ class PaperTraining:
         Raises:
             ConfigError: A field is unknown.
         """
-        known = {field.name for field in fields(cls)}
-        if odd := sorted(set(values) - known):
-            raise ConfigError(f'training has no settings {odd}; it has {sorted(known)}')
-        return cls(**values)
+        return from_mapping(cls, values, 'training')
 
 
 @dataclass(eq=False)

@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
-import json as json_module
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -36,6 +34,7 @@ from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import prepare
+from mixtac_node.files import write_json
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.training_trials import (
     TRAINING_PROFILES,
@@ -168,9 +167,7 @@ def write_curves(folder: Path, curves: Sequence[dict[str, Any]]) -> None:
         folder: Made if need be.
         curves: One row per epoch: stage, epoch, loss, validation, seconds.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({'epochs': list(curves)}, indent=1)
-    (folder / 'curves.json').write_text(text + '\n', encoding='utf-8')
+    write_json(folder / 'curves.json', {'epochs': list(curves)})
     draw_curves(folder / 'curves.png', curves)
 
 
@@ -425,7 +422,7 @@ def _finish(console: Console, config: RunConfig, trained: Trained, json: Path | 
             'training': trained.card.training,
             'metrics': metrics,
         }
-        json.write_text(json_module.dumps(content, indent=2) + '\n', encoding='utf-8')
+        write_json(json, content)
 
 
 def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from mixtac_events.arrays import Events
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
+from mixtac_node.topics import REFERENCE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -266,7 +267,7 @@ class BagSource:
     """
 
     path: Path
-    reference: str = '/ft_sensor/wrench'
+    reference: str = REFERENCE
     described: tuple[tuple[str, Any], ...] = ()
 
     @property
@@ -360,7 +361,7 @@ def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]], int]:
     return events, frames, missing
 
 
-def bag_sources(folder: Path, reference: str = '/ft_sensor/wrench') -> list[BagSource]:
+def bag_sources(folder: Path, reference: str = REFERENCE) -> list[BagSource]:
     """Return the bags of a folder, or the folder itself where it is a bag.
 
     Args:

@@ -13,6 +13,7 @@ import numpy as np
 
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
 from mixtac_learning.trials.trial import DatasetError, frame_arrivals, window_ends
+from mixtac_node.files import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -143,12 +144,10 @@ def _features(
 
 def save_sample(path: Path, sample: Sample, config: FgerConfig) -> None:
     """Write a sample as .npz (no pickles) with its configuration."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     header = json.dumps({'config': config.to_dict(), 'origin': sample.origin})
     arrays = {name: getattr(sample, name) for name in _ARRAYS}
-    partial = path.with_suffix('.partial.npz')
-    np.savez(partial, header=np.array(header), **arrays)
-    partial.replace(path)
+    with replacing(path) as scratch:
+        np.savez(scratch, header=np.array(header), **arrays)
 
 
 _ARRAYS = (

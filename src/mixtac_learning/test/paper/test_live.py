@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's networks in the estimator node, from a weight file that a training run wrote."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mixtac_events.arrays import Events
+from mixtac_fger.estimator import open_estimator
+from mixtac_fger.features import ImageError
+from mixtac_fger.reference import TareError
+from mixtac_fger.streaming import ForceEstimator, warm_up
+from mixtac_fger.weights import read_model
+from mixtac_learning.paper.config import MODELS
+from mixtac_learning.train.config import DataConfig, RunConfig, SimulatedData
+from mixtac_learning.train.run import Run, save
+from mixtac_learning.trials.simulated import SimulatedSource
+
+
+@pytest.fixture(scope='module', params=MODELS)
+def weights(request, tmp_path_factory, trial):
+    """Train a tiny network on toy trials for one epoch and return its weight file."""
+    folder = tmp_path_factory.mktemp(request.param)
+    data = DataConfig(SimulatedData('easy', 1, 2, 4.0), cache=str(folder), checked=0.0)
+    network = {'scale': 8, 'events_per_packet': 16, 'channels': 8, 'lstm_size': 8}
+    training = {'epochs': 1, 'batch': 8, 'cycles': 2}
+    config = RunConfig(model=request.param, network=network, training=training, data=data)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SimulatedSource, 'load', lambda self: replace(trial, origin=self.origin))
+        trained = Run(config).carry_out()
+    save(folder / 'paper.safetensors', trained, {})
+    return folder / 'paper.safetensors'
+
+
+def test_a_weight_file_becomes_an_estimator_by_its_architecture(weights):
+    model = read_model(weights)
+    assert model.architecture == 'fger_paper'
+    estimator = open_estimator(model)
+    assert estimator.parameters > 0
+    assert warm_up(estimator)
+    with pytest.raises(ImageError):
+        open_estimator(model).encode(np.zeros((5, 5), np.uint8), 0)
+
+
+def test_forces_come_per_window_and_there_is_nothing_to_tare(weights, trial):
+    estimator = ForceEstimator(open_estimator(read_model(weights)), background_frames=True)
+    image = np.minimum(trial.frames[0], 1023).astype(np.uint16) * np.uint16(64)
+    assert estimator.push_events(Events.empty(), 100_000) == []
+    estimator.push_frame(image, 95_000)
+    estimator.drain()
+    found = estimator.push_events(trial.events.between(100_000, 120_000), 120_000)
+    with pytest.raises(TareError):
+        estimator.tare()
+    estimator.close()
+    assert [each.end_us for each in found] == list(range(102_000, 120_001, 2000))
+    assert np.isfinite([each.force for each in found]).all()
+    assert {each.deviation for each in found} == {None}
+
+
+@pytest.mark.dds
+def test_the_node_runs_the_papers_network(weights, ros_domain):
+    rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
+    from mixtac_node.lifecycle_node import LifecycleClient
+
+    command = [sys.executable, '-m', 'mixtac_fger.fger_node', '--ros-args']
+    process = subprocess.Popen([*command, '-p', f'model:={weights}'], env=ros_domain)
+    rclpy.init()
+    node = rclpy.create_node('paper_test')
+    try:
+        LifecycleClient(node, '/mixtac/fger', lambda: None).bring_up()
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+        process.terminate()
+        assert process.wait(30) == 0
