@@ -3,13 +3,13 @@
 """One manufactured sensor, and one day in the laboratory, each drawn from its own seed.
 
 A device holds everything that a rebuild would change; conditions hold what differs from trial to
-trial on the same device. `describe_*` returns what was drawn as plain numbers for a record.
+trial on the same device.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from mixtac_sim.mechanics.elastomer import ForceLaw
     from mixtac_sim.mechanics.indenters import Indenter
     from mixtac_sim.world.effects import LightEffects, OpticsEffects, Preset
-    from mixtac_sim.world.instruments import ReferenceSensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,58 +291,3 @@ def _draw_prony(rng: Generator, seed: int, preset: Preset) -> PronySeries:
         weights.append(extra.uniform(*creep.long))
         times = np.append(times, extra.uniform(*creep.long_s))
     return PronySeries(tuple(map(float, weights)), tuple(map(float, times)))
-
-
-def describe_device(device: DeviceModel) -> dict[str, Any]:
-    """Return the constants of a sensor, JSON-ready; beads and pixels only by their number."""
-    return _record(
-        {
-            'seed': device.seed,
-            'layer': asdict(device.layer),
-            'mesh_n_per_mm': device.mesh_n_per_mm,
-            'stiffening': device.stiffening,
-            'prony': asdict(device.prony),
-            'friction': device.friction,
-            'beads': len(device.markers.x_mm),
-            'lens': asdict(device.lens),
-            'lighting': asdict(device.lighting),
-            'threshold_factor': device.threshold_factor,
-            'noise_factor': device.noise_factor,
-            'speed_factor': device.speed_factor,
-            'hot_pixels': len(device.spread.hot_pixel),
-            'frame_burst': device.frame_burst,
-            'dn_per_lux_ms': device.dn_per_lux_ms,
-        }
-    )
-
-
-def describe_conditions(conditions: Conditions) -> dict[str, Any]:
-    """Return the conditions of a trial, JSON-ready."""
-    return _record(asdict(conditions))
-
-
-def describe_reference(reference: ReferenceSensor) -> dict[str, Any]:
-    """Return clock, delay and mount of the reference sensor, JSON-ready."""
-    return _record(
-        {
-            'offset_s': reference.offset_s,
-            'drift_ppm': reference.drift_ppm,
-            'delay_s': reference.delay_s,
-            'resonance_hz': reference.mount.resonance_hz,
-            'resonance_damping': reference.mount.damping,
-        }
-    )
-
-
-def _record(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values without numpy's types and tuples."""
-    return {key: _plain(each) for key, each in values.items()}
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401
-    """Return a value without them."""
-    if isinstance(value, dict):
-        return _record(value)
-    if isinstance(value, tuple | list):
-        return [_plain(each) for each in value]
-    return value.item() if isinstance(value, np.generic) else value
