@@ -3,9 +3,9 @@
 """Models of the arm behind its controller: a lag of each joint, or MuJoCo.
 
 `JointLag` and `FingertipAdvance` are a transport delay and a first-order lag. `MujocoArm` is an
-independent plant: the lag of its servos is a setting, as there; inertia, coupling of the joints,
-saturation of the torques and the reaction of the gel are MuJoCo's. The servos of the real control
-unit are not public.
+independent model: the lag of its servos is a setting, too, while inertia, coupling of the joints,
+saturation of the torques and the reaction of the gel are computed by MuJoCo. The servos of the real
+control unit are not public.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Tracking:
         """Refuse a negative lag.
 
         Raises:
-            SimulationError: As above.
+            SimulationError: The lag is negative.
         """
         if self.lag_s < 0.0:
             msg = f'tracking lag of {self.lag_s} s; give 0 or more'
@@ -200,7 +200,7 @@ class MujocoArm:
     def contact_n(self) -> float:
         """Return the normal force between gel and wall [N], at rest that of the spring.
 
-        In motion the mass that MuJoCo needs at the surface of the gel adds shocks of its own.
+        In motion the mass that MuJoCo needs at the surface of the gel adds shocks.
         """
         force = np.zeros(6)
         total = 0.0

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver's messages of a simulated trial, transfer by transfer.
 
-The camera hands over what it has every millisecond, as the driver asks it to; the host receives it
+The camera sends its data every millisecond, as the driver requests; the host receives them
 a little later. Events are cut by the driver's own packetizer, the clock is mapped by the driver's
 own clock map, and inertial samples are rounded to the camera's sixteen bits.
 """

@@ -141,7 +141,7 @@ def is_finished(folder: Path, name: str) -> bool:
 def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int:
     """Write the bag of a trial, unless it is there already.
 
-    The bag grows in a folder of its own and is moved to its place when it is complete.
+    The bag is written to a temporary folder and moved when it is complete.
 
     Args:
         spec: The trial.
@@ -149,7 +149,7 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
         compress: Compress the chunks of the bag (zstd).
 
     Returns:
-        Number of messages written; 0 where the bag was there.
+        Number of messages written; 0 if the bag existed.
 
     Raises:
         SimulationError: The trial cannot be simulated.

@@ -141,7 +141,7 @@ class GraspSetup:
         knock_mm_s: Speed that the impact gives the object [mm/s].
         pulse_s: Duration of the impact [s], a half sine.
         knock_s: Start of the impact [s].
-        stiffness_n_per_mm: Stiffness of the whole contact [N/mm], where it is to be a given one.
+        stiffness_n_per_mm: Stiffness of the whole contact [N/mm]; None if not given.
     """
 
     name: ObjectName
@@ -220,7 +220,7 @@ def draw_setup(
             in 13 ms means a few percent).
         knock_mm_s: Speed after the impact [mm/s], instead of a share.
         knock_s: Start of the impact [s].
-        stiffness_n_per_mm: Stiffness of the whole contact [N/mm], if it is to be a given one.
+        stiffness_n_per_mm: Stiffness of the whole contact [N/mm]; None if not given.
 
     Raises:
         SimulationError: Unknown object.

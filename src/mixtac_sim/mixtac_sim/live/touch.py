@@ -135,12 +135,12 @@ class LiveProfile:
     in advance. A scenario lasts until the next one begins. `play` may be called from any thread.
 
     Args:
-        indenters: Everything that scenarios may use.
+        indenters: Indenters that scenarios may use.
 
     Attributes:
         name: Name of the profile.
         duration_s: Endless.
-        indenters: Everything that scenarios may use.
+        indenters: Indenters that scenarios may use.
     """
 
     name = 'live'

@@ -154,7 +154,7 @@ class SensorState:
 
 
 class VirtualSensor:
-    """Runs the parts in one thread of its own.
+    """Runs the parts in a thread.
 
     Args:
         simulation: The tactile sensor, made with ``profile``.
@@ -289,7 +289,7 @@ class VirtualSensor:
         if wanted == self._aps:
             return
         self._aps = wanted
-        # The camera takes frames as fast as it can when asked for more than that.
+        # The camera takes frames as fast as it can when a shorter interval is set.
         exposure_us = max(wanted[0], 1)
         interval_us = max(wanted[1], exposure_us + READOUT_US + RESET_US)
         first_us = self._simulated_us + RESET_US

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Optics: lens, scene, beads, and the light they throw on the array."""
+"""Optics: lens, scene, beads, and the light on the array."""

@@ -229,7 +229,7 @@ class Flicker:
     """Periodic light, 1 in the mean for a ripple and 1 at most for switched LEDs.
 
     Attributes:
-        depth: Peak of the ripple over the mean, less 1; without meaning for switched LEDs.
+        depth: Peak of the ripple over the mean, less 1, unused for switched LEDs.
         hz: Frequency [Hz]; 0 for steady light.
         phase: Phase at time 0 [turns].
         switched: Whether the LEDs are switched, half of the time on.

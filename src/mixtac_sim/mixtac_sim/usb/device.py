@@ -296,17 +296,17 @@ class VirtualDavis346:
 
     @property
     def exposure_us(self) -> int:
-        """Exposure that the host asked for [us]."""
+        """Exposure set by the host [us]."""
         return self.board.adc_cycles_to_us(self.register(Module.APS, Aps.EXPOSURE))
 
     @property
     def frame_interval_us(self) -> int:
-        """Time between frame starts that the host asked for [us]; 0 as fast as possible."""
+        """Time between frame starts set by the host [us]; 0 as fast as possible."""
         return self.board.adc_cycles_to_us(self.register(Module.APS, Aps.FRAME_INTERVAL))
 
     @property
     def imu_interval_us(self) -> int:
-        """Time between inertial samples that the host asked for [us]; 0 while they are off."""
+        """Time between inertial samples set by the host [us]; 0 while they are off."""
         with self._condition:
             settings = self._stream.imu_settings()
             divider = self._registers.read(Module.IMU, Imu.SAMPLE_RATE_DIVIDER)
@@ -339,7 +339,7 @@ class VirtualDavis346:
     # Internal; the lock is held.
 
     def _before_read(self, endpoint: int, timeout_s: float | None) -> None:
-        """Prepare a read, without the lock; for cameras that make data only when asked for them.
+        """Prepare a read, without the lock; for cameras that produce data on request.
 
         Args:
             endpoint: The endpoint.

@@ -51,7 +51,7 @@ def device_descriptor() -> bytes:
 
 
 def configuration_descriptor() -> bytes:
-    """Return the only configuration with everything that belongs to it."""
+    """Return the only configuration, with its interface and endpoints."""
     body = _INTERFACE.pack(9, 4, 0, 0, 2, 0xFF, 0, 0, 0)
     body += _ENDPOINT.pack(7, 5, DATA_ENDPOINT, 2, 1024, 0) + _COMPANION
     body += _ENDPOINT.pack(7, 5, DEBUG_ENDPOINT, 3, 64, 1) + _COMPANION
@@ -158,7 +158,7 @@ class Presence:
         if self.is_gone:
             raise UsbGone('the virtual camera was unplugged; start the virtual sensor again')
         if plugs is not None and plugs != self.plugs:
-            raise UsbGone('the virtual camera was unplugged meanwhile; open it again')
+            raise UsbGone('the virtual camera was unplugged; open it again')
 
     def claim(self, owner: Hashable) -> None:
         """Give the interface to one session.
@@ -325,7 +325,7 @@ class DataEndpoint:
         self._oldest_s = 0.0
 
     def wait(self, endpoint: int, length: int, timeout_s: float | None) -> int:
-        """Wait until a read is to be answered.
+        """Wait until a read can be answered.
 
         Args:
             endpoint: 0x82 data, 0x81 debug messages, of which there are none.

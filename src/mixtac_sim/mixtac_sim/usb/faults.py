@@ -31,7 +31,7 @@ class UsbStall(VirtualUsbError):  # noqa: N818 - the USB term
 
 
 class UsbTimeout(VirtualUsbError):  # noqa: N818 - the USB term
-    """No data within the time asked for; a host sees ``ETIMEDOUT``."""
+    """No data before the time-out; a host sees ``ETIMEDOUT``."""
 
 
 class UsbGone(VirtualUsbError):  # noqa: N818 - the USB term
@@ -43,7 +43,7 @@ class UsbBusy(VirtualUsbError):  # noqa: N818 - the USB term
 
 
 class UsbOverflow(VirtualUsbError):  # noqa: N818 - the USB term
-    """The device sent more than was asked for (babble); a host sees ``EOVERFLOW``."""
+    """The device sent more than requested (babble); a host sees ``EOVERFLOW``."""
 
 
 class FaultError(VirtualUsbError):
@@ -73,7 +73,7 @@ class FaultKind(str, Enum):
         FREEZE: The data endpoint has nothing to send; with neither ``seconds`` nor ``count`` until
             the host restarts the stream.
         HANG_READS: Reads do not return, not even at their time-out, until the port is reset.
-        BABBLE: Reads fail because more came than was asked for (EOVERFLOW).
+        BABBLE: Reads fail because more data came than requested (EOVERFLOW).
         READ_ERROR: Reads fail on the bus (EIO).
         CLOCK_RESET: The camera's clock restarts, as by the synchronisation cable.
         CLEAR: All faults end.
@@ -201,7 +201,7 @@ class FaultInjector:
         if (request_type, request) == _GET_DESCRIPTOR and value >> 8 in _CACHED_DESCRIPTORS:
             return
         if request_type & 0x60 and self._take(FaultKind.STALL_CONTROL):
-            raise UsbStall('the request was refused, as injected')
+            raise UsbStall('the request was refused (injected fault)')
         delayed = self._take(FaultKind.DELAY_CONTROL)
         if delayed:
             self._sleep(delayed.delay, limit_s)
@@ -224,16 +224,16 @@ class FaultInjector:
 
         Raises:
             UsbStall: The endpoint is halted.
-            UsbOverflow: More came than was asked for.
+            UsbOverflow: More data came than requested.
             VirtualUsbError: The bus failed.
         """
         self._halted = self._halted or self._take(FaultKind.STALL_DATA) is not None
         if self._halted:
-            raise UsbStall('the data endpoint is halted, as injected; clear the halt')
+            raise UsbStall('the data endpoint is halted (injected fault); clear the halt')
         if self._take(FaultKind.BABBLE):
-            raise UsbOverflow('more data came than was asked for, as injected')
+            raise UsbOverflow('more data came than requested (injected fault)')
         if self._take(FaultKind.READ_ERROR):
-            raise VirtualUsbError('the bus failed, as injected')
+            raise VirtualUsbError('the bus failed (injected fault)')
 
     @property
     def is_frozen(self) -> bool:
@@ -252,7 +252,7 @@ class FaultInjector:
         return min(ends, default=math.inf)
 
     def take_dropped(self, available: int) -> int:
-        """Return how many of the bytes that wait are to be lost."""
+        """Return the number of waiting bytes to drop."""
         count = min(self._drop, available)
         self._drop -= count
         return count
@@ -284,4 +284,4 @@ class FaultInjector:
         while faults is self._active and time.monotonic() < deadline:
             self._condition.wait(min(deadline - time.monotonic(), 1.0))
         if faults is self._active and seconds > limit_s:
-            raise UsbTimeout(f'no answer within {limit_s} s, as injected')
+            raise UsbTimeout(f'no answer within {limit_s} s (injected fault)')

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""From what the sensor saw to the bytes that wait in the camera's output buffer.
+"""Stream of the camera: from the data of the sensor to the bytes in the output buffer.
 
-The simulation hands over events, frames and inertial samples ahead of time; each goes out when its
-time on the camera's own clock has come, and only if the register settings of that moment let it:
+The simulation hands over events, frames and inertial samples ahead of time; each is sent when its
+time on the camera's clock has come, and only if the register settings of that moment let it:
 event filters, region of interest, enabled modules. The buffer is a bounded ring of bytes.
 """
 
@@ -202,7 +202,7 @@ class Oscillator:
 
 # Beyond this share of the buffer events are dropped, so that frames and time still pass.
 _EVENT_SHARE: Final = 0.5
-# The simulation may run ahead; more than this waiting means that nobody advances the device.
+# The simulation may run ahead; more waiting data mean that the device is not advanced.
 _MAX_WAITING: Final = 4096
 
 

@@ -88,7 +88,7 @@ def call(
     """Send one request and wait for its reply.
 
     Args:
-        connection: A connected socket that nobody else uses meanwhile.
+        connection: A connected socket that no other thread uses during the call.
         operation: `CONTROL`, `READ`, `CLAIM`, `RELEASE`, `RESET` or `FAULT`.
         kind: ``bmRequestType`` or endpoint address.
         request: ``bRequest``.

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One manufactured sensor, and one day in the laboratory, each drawn from its own seed.
 
-A device holds everything that a rebuild would change; conditions hold what differs from trial to
-trial on the same device.
+A device holds the properties that differ between sensors; conditions hold those that differ
+between trials on the same sensor.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Conditions:
         friction: Friction over the device's.
         camera_shift_px: Shift of the camera, right and down [px].
         camera_roll_rad: Rotation of the camera [rad].
-        exposure: Exposure over 7 ms, where none is asked for.
+        exposure: Exposure over 7 ms, unless one is set.
     """
 
     contact_mm: tuple[float, float]
@@ -205,7 +205,7 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
     lens = _draw_lens(rng, layer.thickness_mm, preset.optics)
     lighting = _draw_lighting(rng, preset.optics.wire)
     common, skew = rng.normal(0.0, pixels.common_log_sd), rng.normal(0.0, pixels.skew_log_sd)
-    # What came with the presets has streams of its own, so that older draws stay what they were.
+    # Draws added with the presets have separate streams, so that older draws do not change.
     speed, more = stream(seed, 'device speed'), stream(seed, 'device stiffening')
     return DeviceModel(
         seed=seed,

@@ -35,7 +35,7 @@ class PixelEffects:
         noise_log: Leak and shot noise of a chip over nominal [log-e].
         noise: Leak and shot noise over their usual rates; 0 for none.
         leak_decades: Spread between pixels of the leak [decades] (v2e: 0.1).
-        threshold: Thresholds over those that are asked for.
+        threshold: Thresholds over the set ones.
     """
 
     common_log_sd: float = 0.12
@@ -167,7 +167,7 @@ class LightEffects:
     Attributes:
         day: Light over the device's on a day.
         drift_per_s: Relative change of the light, from warming LEDs [1/s].
-        exposure: Exposure of a trial over 7 ms, where none is asked for.
+        exposure: Exposure of a trial over 7 ms, unless one is set.
         ripple: Depth of the lamp's ripple: peak over mean, less 1.
         ripple_hz: Frequency of the ripple [Hz]; twice the mains'.
         pwm_hz: Frequency at which the LEDs are switched [Hz]; 0 for constant current.
@@ -233,7 +233,7 @@ class DeviceEffects:
     """Differences between manufactured sensors.
 
     Attributes:
-        vary: Whether devices differ; otherwise every device seed gives one and the same sensor.
+        vary: Whether devices differ; otherwise all device seeds give the same sensor.
     """
 
     vary: bool = True

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 class Mount:
-    """Passes wrenches on, with a resonance of its own.
+    """Transmits wrenches through a resonance.
 
     Args:
         resonance_hz: Resonance [Hz]; 0 for a rigid mount.

@@ -58,7 +58,7 @@ class Segment:
     """One command over a span of time.
 
     Attributes:
-        start_s: Begin [s] since the start of the trial.
+        start_s: Start [s] since the start of the trial.
         end_s: End [s].
         mode: Meaning of the target.
         times_s: Times of the target's knots [s] since the segment's start, increasing.
@@ -79,7 +79,7 @@ class Segment:
         """Refuse segments that end before they start or have unpaired knots.
 
         Raises:
-            SimulationError: As above, or something without a mass is to fall.
+            SimulationError: As above, or the indenter of a drop has no mass.
         """
         if self.end_s <= self.start_s or len(self.times_s) != len(self.values):
             msg = (
@@ -122,7 +122,7 @@ class CommandSource(Protocol):
 
     @property
     def indenters(self) -> tuple[Indenter, ...]:
-        """Return everything that may touch."""
+        """All indenters that may touch."""
 
     def commands(
         self, first: int, count: int
@@ -135,7 +135,7 @@ class CommandSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Commands of a whole trial; where no segment speaks, nothing touches.
+    """Commands of a whole trial; outside its segments nothing touches.
 
     Attributes:
         name: Name of the profile.
@@ -383,7 +383,7 @@ def make_profile(
             hold), ``vibration`` (50 to 250 Hz) or ``demo`` (a bit of everything).
         seed: Fixes every random choice.
         duration_s: Length [s]; at least 10 for ``demo``.
-        sync: Begin and end with a synchronising impulse; by default only ``demo`` does.
+        sync: Start and end with a synchronising impulse; by default only ``demo`` does.
         preset: Difficulty: the indenters, and whether ``static`` has steps.
 
     Raises:

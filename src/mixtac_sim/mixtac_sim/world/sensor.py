@@ -118,7 +118,7 @@ class Touch:
         self._beads = device.beads(layer, conditions.contact_mm, tools, self._laws)
 
     def block(self, index: int) -> ContactBlock:
-        """Return the contact over block ``index``; blocks must be asked for in order."""
+        """Return the contact over block ``index``; call it for the blocks in order."""
         first = index * BLOCK_STEPS
         modes, targets, tools = self._profile.commands(first, BLOCK_STEPS)
         path = self._contact.advance(modes, targets, tools)
