@@ -4,7 +4,7 @@
 
 The number of columns that follow a row is random in a real scene, so a loop that branches on the
 kind of word spends most of its time on mispredicted branches: at two events per row on average it
-takes four times as long as `take_block`, which has no such branches. There, every word of a block
+takes three times as long as `take_block`, which has no such branches. There, every word of a block
 is written as if it were an event, but only an event advances the output, so that the next word
 overwrites anything else.
 """

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from davis_oracle import Oracle
@@ -160,6 +162,24 @@ def test_long_damaged_streams_in_small_pieces(seed):
     assert oracle.dropped_imu > 5
     cuts = np.cumsum(rng.integers(1, 60, len(words) // 10)).tolist()
     assert_same(decode(words, geometry, cuts, capacity=int(rng.integers(1, 500))), oracle)
+
+
+def test_transfers_of_events_allocate_little():
+    rng = np.random.default_rng(1)
+    words = np.where(rng.random(32768) < 0.4, 0x1000, 0x2000) | rng.integers(0, 260, 32768)
+    data = words.astype('<u2').tobytes()
+    decoder = StreamDecoder(Geometry())
+
+    def push_all():
+        return sum(len(batch.events) for _ in range(20) for batch in decoder.push(data))
+
+    push_all()
+    tracemalloc.start()
+    try:
+        assert push_all() > 300_000
+        assert tracemalloc.get_traced_memory()[1] < 20_000
+    finally:
+        tracemalloc.stop()
 
 
 def test_events_after_lost_bytes_wait_for_a_row():
