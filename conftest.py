@@ -28,6 +28,14 @@ DOMAINS = range(1, 100)
 PATIENCE_S = 60.0
 
 
+def pytest_configure() -> None:
+    """Remove compiled kernels older than a module beside them: numba checks their own file only."""
+    for index in (ROOT / 'src').rglob('*.nbi'):
+        sources = index.parent.parent.glob('*.py')
+        if max(path.stat().st_mtime for path in sources) > index.stat().st_mtime:
+            index.unlink(missing_ok=True)
+
+
 @contextlib.contextmanager
 def leased_domain() -> Iterator[dict[str, str]]:
     """Lease a ROS domain id, set it for this process, and yield the environment."""
