@@ -31,8 +31,8 @@ PATIENCE_S = 60.0
 def pytest_configure() -> None:
     """Remove compiled kernels older than a module beside them: numba checks their own file only."""
     for index in (ROOT / 'src').rglob('*.nbi'):
-        sources = index.parent.parent.glob('*.py')
-        if max(path.stat().st_mtime for path in sources) > index.stat().st_mtime:
+        compiled_s = index.stat().st_mtime
+        if any(path.stat().st_mtime > compiled_s for path in index.parent.parent.glob('*.py')):
             index.unlink(missing_ok=True)
 
 
