@@ -95,6 +95,7 @@ class RecordedSource:
     def status(self) -> SourceStatus:
         """Return the state of playback."""
         player, lag_s = self._player, self._pace.lag.now_s
+        damage = self._info.damage if self._info else ''
         return SourceStatus(
             is_open=self._recording is not None,
             identity=replayed_identity(self._info) if self._info else None,
@@ -106,7 +107,7 @@ class RecordedSource:
             },
             figures=self._figures(),
             paused=self._pace.is_paused and not (player and player.ended),
-            trouble=f'playback is {lag_s:.1f} s behind' if lag_s > BEHIND_S else '',
+            trouble=f'playback is {lag_s:.1f} s behind' if lag_s > BEHIND_S else damage,
         )
 
     def _figures(self) -> Mapping[str, object]:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 import threading
 import time
 
@@ -268,3 +269,11 @@ def test_in_real_time_steps_are_short_and_feed_the_clock_map(bag):
     assert np.diff(found.times[:-1]).max() <= 1000
     assert source.status().clock.ready
     assert abs(source.status().clock.estimate().skew_ppm) < 1000
+
+
+def test_an_incomplete_recording_is_reported(bag, tmp_path):
+    shutil.copytree(bag, tmp_path / 'cut')
+    (tmp_path / 'cut' / 'metadata.yaml').unlink()
+    source = source_of(tmp_path / 'cut')
+    assert 'metadata.yaml' in source.status().trouble
+    assert_equal(play(source).events, EVENTS)
