@@ -214,8 +214,11 @@ class AdvancePlanner:
         """
         if self._path is None or self._motion is None or self._epoch_ns is None:
             return None
-        oldest_ns = self._epoch_ns + (self._first + self._overlap) * self._dt_ns
-        now_ns = self._now_ns = max(self._checked_ns(now_s), oldest_ns)
+        now_ns = self._checked_ns(now_s)
+        if now_ns < self._now_ns:
+            oldest_ns = self._epoch_ns + (self._first + self._overlap) * self._dt_ns
+            now_ns = min(max(now_ns, oldest_ns), self._now_ns)
+        self._now_ns = now_ns
         start = self._at(self._branch(now_ns))
         if not (self._rows(self._branch(now_ns), self._first + len(self._states))[:, 1:]).any():
             return None
