@@ -192,7 +192,7 @@ def run_paced(model: Model, scene: Scene) -> PacedRun:
 
 def frame_times_ms(model: Model, scene: Scene) -> list[float]:
     """Return the time of each frame step on one thread, from image to correction [ms]."""
-    estimator = ForceEstimator(model)
+    estimator = ForceEstimator(open_estimator(model))
     times = []
     for frame in scene.frames:
         start_s = time.perf_counter()

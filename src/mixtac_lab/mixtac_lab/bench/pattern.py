@@ -189,7 +189,7 @@ class PatternPlayer:
         """Return the words between the time of the last call and now.
 
         Args:
-            camera_us: Camera clock now [us]; going back starts the pattern anew.
+            camera_us: Camera clock now [us]; going back restarts the pattern.
         """
         step = camera_us // STEP_US
         if step < self._step:
@@ -220,7 +220,7 @@ class PatternCamera(VirtualDavis346):
 
     Nothing runs between two reads. A read that finds no time gone by since the last one waits for
     the early packet delay, as the camera does, and then brings everything up to its own moment;
-    where the pattern has a pause it goes on so until there is something.
+    during a pause of the pattern it waits until there is data.
 
     Args:
         serial: Serial number, at most eight characters.

@@ -318,7 +318,7 @@ def _run_one(name: str, command: Any, context: Context, count: int) -> Outcome: 
 
 
 def _describe(names: Sequence[str], context: Context, seconds: float) -> dict[str, Any]:
-    """Return what a report says of its run."""
+    """Return the description of a run for its report."""
     options = ['--quick'] if context.sizes.name == 'quick' else []
     options += [f'--seeds {context.seeds}', f'--out {context.folder.name}']
     options += [] if context.bags is None else [f'--bags {context.bags.name}']
