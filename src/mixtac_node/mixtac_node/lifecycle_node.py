@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 
-SERVICE_TIMEOUT_S = 20.0
-TRANSITION_TIMEOUT_S = 60.0
+SERVICE_TIMEOUT_S = 60.0
+TRANSITION_TIMEOUT_S = 180.0
+"""A first start compiles, which takes minutes on a busy computer."""
 
 
 class LifecycleClient:

@@ -47,7 +47,17 @@ SETTLE_S = 1.0
 START_UP_S = 60.0
 TAIL_S = 1.0
 DROP_COUNTERS = {
-    'driver': ('usb transfers dropped', 'words dropped', 'frames dropped'),
+    'driver': (
+        'usb transfers dropped',
+        'bytes dropped',
+        'frames dropped',
+        'imu dropped',
+        'external edges dropped',
+        'camera dropped',
+        'camera dvs dropped',
+        'camera external input dropped',
+    ),
+    'fger': ('frames_dropped',),
     'recorder': ('messages dropped',),
 }
 """Diagnostics of each node that count what it received and did not pass on."""
