@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 NAME: Final = 'libcaer'
 MAX_COORDINATE: Final = (1 << 15) - 1
 MAX_STEP_US: Final = (1 << 30) - 1
-"""Longest step between neighbouring events: beyond it a roll-over could not be told apart."""
+"""Longest step between neighbouring events: longer ones would look like a roll-over."""
 _ROLL_OVER: Final = 1 << 31
 _LOW_MASK: Final = _ROLL_OVER - 1
 _UNSORTED: Final = -1

@@ -159,8 +159,8 @@ class ProcessGroup:
             code = member.process.poll()
             if code is not None:
                 member.reader.join(1.0)
-                said = f': {member.last_error}' if member.last_error else ''
-                raise GraphError(f'{name} ended with status {code}{said}')
+                reason = f': {member.last_error}' if member.last_error else ''
+                raise GraphError(f'{name} ended with status {code}{reason}')
 
     def last_error(self, name: str) -> str:
         """Return the last line that a process logged as an error, or an empty string."""

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """AEDAT4 files, as DV and dv-processing write them: packets read and written, files as recordings.
 
-A file is read while it is played. Each stream has packets of its own length, often half a second of
-inertial samples and 10 ms of events: they are cut into short pieces and merged by time. Times [us]
-are those of the file. Field numbers are those of the published schemas of EventPacket, Frame,
+A file is read while it is played. Packets of the streams differ in length, often half a second
+of inertial samples and 10 ms of events: they are cut into short pieces and merged by time. Times
+[us] are those of the file. Field numbers are those of the published schemas of EventPacket, Frame,
 IMUPacket and TriggerPacket.
 """
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Writing MCAP bags with checksums, directly or from a thread of its own."""
+"""Writing MCAP bags with checksums, directly or from a background thread."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ class _FramePairs:
 
 
 OTHER_CLOCK_US = 60_000_000
-"""Event times further than this from the stamp of their packet are on a clock of their own."""
+"""Event times that differ by more than this from the stamp of their packet are on another clock."""
 MARGIN_NS = 2_000_000_000
 
 
@@ -138,7 +138,7 @@ class BagRecording:
         self._bag.close()
 
     def pieces(self, from_us: int) -> Generator[Piece, None, None]:
-        """Yield what was recorded, in the order in which it was received.
+        """Yield the recorded data in the order in which they were received.
 
         Args:
             from_us: Time to begin at [us, recorded camera clock]; earlier pieces may come first.
@@ -229,7 +229,7 @@ class BagRecording:
         )
 
     def _first_info(self) -> tuple[int, int] | None:
-        """Return the size that the camera information gives, and take its region of interest."""
+        """Return the size from the camera information, and note its region of interest."""
         topic = self._beside(topics.CAMERA_INFO.type_name, self._images)
         if topic is None:
             return None
@@ -249,7 +249,7 @@ class BagRecording:
         raise RecordingError(f'{self._path} has no messages on {topic}')
 
     def _received_before(self, from_us: int) -> int | None:
-        """Return a time of receipt before everything later than a camera time; None for all."""
+        """Return a time of reception before all data after a camera time; None for the start."""
         if from_us <= self.info.start_us:
             return None
         margin_ns = MARGIN_NS

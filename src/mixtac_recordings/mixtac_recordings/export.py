@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 class GrowingNpz:
-    """An .npz file whose arrays grow: each is in a file of its own until the end.
+    """An .npz file whose arrays grow: each is in a temporary file until the end.
 
     Args:
         path: The new file.

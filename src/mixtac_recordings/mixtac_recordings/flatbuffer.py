@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Reading and writing FlatBuffers: just what AEDAT4 files need.
+"""Reading and writing FlatBuffers, as far as AEDAT4 files need it.
 
-A table begins with the distance back to its list of fields; that holds its own size, the size of
-the table, and per field its distance from the beginning of the table, 0 where the field is left
-out (https://flatbuffers.dev/internals). Reading takes whole columns of a vector of tables at once
-and checks every offset; writing puts a table before what it refers to, so that every offset is
-positive.
+A table begins with the distance back to its list of fields; the list holds its own size, the size
+of the table, and per field its distance from the beginning of the table, 0 if the field is missing
+(https://flatbuffers.dev/internals). Whole columns of a vector of tables are read at once and every
+offset is checked, which the `flatbuffers` package does not do in Python. Tables are written before
+the objects that they refer to, so that every offset is positive.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ if TYPE_CHECKING:
 
 
 PREFIX = 4
-"""Bytes of the size in front of a buffer."""
+"""Bytes of the size before a buffer."""
 
 
 def check(data: Octets, identifier: str) -> None:
-    """Refuse a size-prefixed buffer that is not whole or holds something else.
+    """Check that a size-prefixed buffer is complete and of the expected type.
 
     Args:
         data: The buffer with its prefix.
         identifier: Four letters that it must carry.
 
     Raises:
-        DamagedRecordingError: As said.
+        DamagedRecordingError: It is not.
     """
     size = int(values(data, np.array([0]), '<u4')[0])
     if size + PREFIX > len(data):
         raise DamagedRecordingError(f'a buffer of {size} bytes has only {len(data) - PREFIX}')
     found = data[8:12].tobytes()
     if found != identifier.encode():
-        raise DamagedRecordingError(f'a buffer holds {found!r} in place of {identifier}')
+        raise DamagedRecordingError(f'a buffer holds {found!r}, not {identifier}')
 
 
 def root(data: Octets) -> Positions:
@@ -64,7 +64,7 @@ def column(
         tables: `int64` [n], positions of the tables.
         index: Number of the field in the schema.
         dtype: Little-endian type of the field.
-        default: Value of those that leave it out.
+        default: Value of tables without the field.
     """
     positions = fields(data, tables, index)
     there = positions > 0
@@ -76,7 +76,7 @@ def column(
 
 
 def fields(data: Octets, tables: Positions, index: int) -> Positions:
-    """Return where a field of many tables is, as `int64` [n]; 0 where it is left out."""
+    """Return the positions of a field of many tables, as `int64` [n]; 0 if it is missing."""
     lists = tables - values(data, tables, '<i4').astype(np.int64)
     size = values(data, lists, '<u2')
     slot = 4 + 2 * index
@@ -168,7 +168,7 @@ class FlatBufferWriter:
         count = max(values) + 1
         entries = [offsets.get(number, 0) for number in range(count)]
         vtable = struct.pack(f'<{2 + count}H', 4 + 2 * count, at, *entries)
-        # Behind its first four bytes a table lies at a multiple of 8: its widest fields do as well.
+        # The fields after the first four bytes begin at a multiple of 8, the widest ones first.
         start = len(self._data) + len(vtable)
         self._data += bytes((4 - start) % 8) + vtable
         position = len(self._data)

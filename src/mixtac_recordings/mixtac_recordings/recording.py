@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What every recording offers, whatever its format: pieces of a camera's stream in recorded order.
+"""The interface of recordings: pieces of a camera's stream in recorded order.
 
 Readers of a format are in `mixtac_recordings.camera_stream` (bags) and `mixtac_recordings.aedat4`.
 """
@@ -29,7 +29,7 @@ class DamagedRecordingError(RecordingError):
 
 
 LATEST_US = (1 << 31) * 1_000_000 - 1
-"""End of what a ROS stamp can hold."""
+"""Latest time of a ROS stamp [us]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +121,7 @@ class Recording(Protocol):
     counters: ReadCounters
 
     def pieces(self, from_us: int) -> Generator[Piece, None, None]:
-        """Yield what was recorded, in order, reading as it goes.
+        """Yield the recorded data in order, reading as they are needed.
 
         Args:
             from_us: Time to begin at [us, recorded camera clock]; earlier pieces may come first.
@@ -135,7 +135,7 @@ class Recording(Protocol):
 
 
 def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
-    """Yield pieces without what lies before a time.
+    """Yield pieces without the data before a time.
 
     Once a recorded clock was reset, everything counts as later.
 
@@ -175,7 +175,7 @@ def _clipped(piece: Piece, from_us: int) -> Piece:
 
 
 NONE = 'none'
-"""Name of a topic that stands for: do not read this kind of data."""
+"""Instead of the name of a topic: do not read this kind of data."""
 
 
 @dataclass(frozen=True, slots=True)
