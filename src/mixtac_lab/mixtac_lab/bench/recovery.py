@@ -389,7 +389,7 @@ def fault_names(faults: int, rng: random.Random) -> Iterator[str]:
 def _recover_from(name: str, scene: RecoveryScene, driver: _Driver, rng: random.Random) -> Recovery:
     camera = driver.camera
     exposure_us = rng.randrange(1000, 20_000)
-    camera.apply(dataclasses.replace(driver.parameters, aps_exposure_us=exposure_us))
+    camera.apply(dataclasses.replace(driver.parameters, aps_exposure=exposure_us))
     driver.expect(float('inf'))
     driver.expect(OUTAGES[name](scene.device, rng))
     seconds = driver.recovery_s()
