@@ -19,6 +19,7 @@ Words = Any
 Record = Any
 OVEREXPOSED_BELOW = 384
 WHITE = 1023
+CHUNK = 64
 
 
 @njit(nogil=True)
@@ -127,15 +128,13 @@ def _count_samples(words: Words, start: int, limit: int) -> int:
 
 
 @njit(nogil=True, forceinline=True)
-def _store_resets(words: Words, start: int, count: int, place: int, p: Record) -> None:
-    source, target, resets = uint64(start), uint64(place), p.resets
-    for k in range(uint64(count)):
-        resets[target + k] = words[source + k] & uint16(0x3FF)
-
-
-@njit(nogil=True, forceinline=True)
-def _subtract_signals(words: Words, start: int, count: int, place: int, p: Record) -> None:
+def _take(words: Words, start: int, count: int, place: int, s: Record, p: Record) -> None:
+    """Store reset samples, or subtract signal samples from them."""
     source, target, resets, image = uint64(start), uint64(place), p.resets, p.image
+    if s.column_type == RESET_COLUMN:
+        for k in range(uint64(count)):
+            resets[target + k] = words[source + k] & uint16(0x3FF)
+        return
     for k in range(uint64(count)):
         signal = words[source + k] & uint16(0x3FF)
         reset = resets[target + k]
@@ -154,10 +153,12 @@ def frame_samples(words: Words, start: int, s: Record, c: Record, p: Record) -> 
     if s.column_type != NO_COLUMN:
         count = _count_samples(words, i, min(size - i, s.column_size - s.column_fill))
         place = s.columns_done[s.column_type] * s.column_size + s.column_fill
-        if s.column_type == RESET_COLUMN:
-            _store_resets(words, i, count, place, p)
-        else:
-            _subtract_signals(words, i, count, place, p)
+        if count < CHUNK:
+            _take(words, i, count, place, s, p)
+        else:  # in chunks of a fixed size, which suit vector instructions; the last one overlaps
+            for done in range(0, count, CHUNK):
+                k = min(done, count - CHUNK)
+                _take(words, i + k, CHUNK, place + k, s, p)
         s.column_fill += count
         i += count
     stored = i
