@@ -113,6 +113,7 @@ class AdvancePlanner:
         self._path: NormalPath | None = None
         self._motion: MotionLimits | None = None
         self._max_advance = MAX_ADVANCE
+        self._now_ns = 0
         self._clear()
 
     @property
