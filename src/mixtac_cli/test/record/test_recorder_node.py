@@ -15,6 +15,7 @@ import yaml
 
 rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
 
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 
 from mixtac_events.arrays import Events  # noqa: E402
@@ -131,3 +132,16 @@ def test_rosbags_alone_reads_every_packet_and_the_events_are_those_sent(recorded
     assert described['topics']['events']['missing'] == missing
     assert described['topics']['events']['messages'] == len(numbers)
     assert described['not_written'] == 0
+
+
+@pytest.mark.parametrize(('remap', 'namespace'), [((), 'mixtac'), (('__ns:=/left',), 'left')])
+def test_the_recorder_is_in_the_namespace_of_the_sensor(
+    node_under_test, tmp_path, remap, namespace
+):
+    node_under_test.listen(DiagnosticArray, '/diagnostics', 10)
+    command = [str(executable('mixtac_cli', 'recorder_node'))]
+    node_under_test.start(command, f'output:={tmp_path}/bag', remap=remap)
+    node_under_test.spin_until(lambda: node_under_test.diagnostics(f'{namespace}/recorder'))
+    assert node_under_test.diagnostics(f'{namespace}/recorder')['messages dropped'] == '0'
+    status, output = node_under_test.stop()
+    assert status == 0, output
