@@ -10,8 +10,9 @@ import sys
 import time
 
 import rclpy
-from geometry_msgs.msg import WrenchStamped
-from rclpy.qos import qos_profile_sensor_data
+
+from mixtac_node.base_node import qos
+from mixtac_node.topics import DEFAULT_NAMESPACE, FORCE, message_class
 
 WAIT_S = 8.0
 
@@ -20,9 +21,9 @@ def main() -> int:
     """Wait for the force of the namespace in the environment, `mixtac` by default."""
     rclpy.init()
     node = rclpy.create_node('healthcheck')
-    found: list[WrenchStamped] = []
-    topic = f'/{os.environ.get("MIXTAC_NAMESPACE", "mixtac")}/force'
-    node.create_subscription(WrenchStamped, topic, found.append, qos_profile_sensor_data)
+    found: list[object] = []
+    topic = FORCE.resolved(os.environ.get('MIXTAC_NAMESPACE', DEFAULT_NAMESPACE))
+    node.create_subscription(message_class(FORCE.type_name), topic, found.append, qos(FORCE))
     deadline = time.monotonic() + WAIT_S
     while not found and time.monotonic() < deadline:
         rclpy.spin_once(node, timeout_sec=0.2)
