@@ -129,20 +129,16 @@ class Camera:
         end_us, span_ns = start_us + steps * STEP_US, 1000 * steps * STEP_US
         bursts = self._aps.disturbances_us(start_us, end_us)
         frames: list[ApsFrame] = []
+        aps, dvs, cover, dirty = self._aps, self._dvs, self._renderer.cover, self._renderer.dirty
+        light = dvs.light
         first = 0
         for last in cut_block(travel_px, min(longest, self._flicker.longest_step)):
             from_us, to_us = start_us + first * STEP_US, start_us + last * STEP_US
-            self._aps.expose_before(self._dvs.light, from_us, to_us)
+            aps.expose_before(light, from_us, to_us)
             self._show(place(first, last), float(elastic_n[last - 1]))
-            self._dvs.step(
-                self._renderer.cover,
-                self._renderer.dirty,
-                1000 * from_us,
-                1000 * to_us,
-                1000 * start_us,
-            )
-            self._aps.expose_after(self._dvs.light, from_us, to_us)
-            frame = self._aps.finish(to_us, self._brightness(to_us))
+            dvs.step(cover, dirty, 1000 * from_us, 1000 * to_us, 1000 * start_us)
+            aps.expose_after(light, from_us, to_us)
+            frame = aps.finish(to_us, self._brightness(to_us))
             if frame is not None:
                 frames.append(frame)
             first = last
