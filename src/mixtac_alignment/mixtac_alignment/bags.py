@@ -18,11 +18,14 @@ latency is the mean delay of the taps under the refined maps.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.errors import WriterError
 
@@ -33,6 +36,7 @@ from mixtac_alignment.gel_lag import GelLag
 from mixtac_alignment.histories import (
     BIN_US,
     RESTART_US,
+    CellEvents,
     EventCounts,
     EventHistory,
     FrameHistory,
@@ -40,6 +44,7 @@ from mixtac_alignment.histories import (
     reduce_frame,
 )
 from mixtac_alignment.parameters import AlignmentParameters
+from mixtac_alignment.refinement import Refinement
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode
 from mixtac_events.errors import MixtacError
@@ -51,16 +56,6 @@ from mixtac_node.topics import REFERENCE
 from mixtac_recordings.bag import BagFile, typestore
 from mixtac_recordings.bag_writer import McapBag, offered_qos
 from mixtac_recordings.recording import RecordingError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_alignment.histories import CellEvents
-    from mixtac_alignment.refinement import Refinement
-
 
 BATCH: Final = 256
 """Packets that are reduced at once."""

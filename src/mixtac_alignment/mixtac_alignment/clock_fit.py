@@ -17,18 +17,14 @@ differences to them are exact. `paper_offset_s` is the `b` of the paper's relati
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_alignment.errors import AlignmentError, DriftError, NoImpulseError, ShortBaselineError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
 
 MAX_DRIFT: Final = 2e-4
 """Largest believable ``|a - 1|``: two uncompensated crystals differ by up to 1e-4."""

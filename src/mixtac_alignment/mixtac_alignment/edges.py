@@ -9,16 +9,13 @@ unless both recordings hold the same number.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_alignment.clock_fit import MAX_DRIFT, Anchor, ClockFit, fit_clock
 from mixtac_alignment.errors import AmbiguousImpulsesError, NoImpulseError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 EDGE_STD_S: Final = 2e-6
 """Both stamps are counts of a microsecond, with as much jitter."""

@@ -14,13 +14,10 @@ uncertainty is part of the result.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+from numpy.typing import NDArray
 
 TIMES_S: Final = (0.7e-3, 4.1e-3, 0.055, 1.05, 20.0)
 """Retardation times T_i [s] of a soft silicone with relaxation times of 0.5 and 3 ms, 0.05, 1 and

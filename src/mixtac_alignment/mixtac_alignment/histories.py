@@ -13,19 +13,15 @@ from __future__ import annotations
 
 from collections import OrderedDict, deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_alignment.errors import AlignmentError
+from mixtac_events.arrays import Events
 from mixtac_events.windows import counts_per_window
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-
 
 CELL_PX: Final = 10
 """Side of a cell: several beads wide at most, so that motion of a part of a pixel shows."""

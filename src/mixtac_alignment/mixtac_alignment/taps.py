@@ -24,25 +24,20 @@ at later taps half of them are assumed to stand where a load left them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock, with_drift_prior
 from mixtac_alignment.errors import NoImpulseError
 from mixtac_alignment.gel_lag import GelLag, LaggedForce
-from mixtac_alignment.impulses import MIN_SPACING_S, Impulse, strongest
+from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
+from mixtac_alignment.impulses import MIN_SPACING_S, Impulse, ImpulsePair, strongest
 from mixtac_alignment.parameters import AlignmentParameters
 from mixtac_alignment.signals import even_force, gaussian_smooth, pressing_sign, prominent_peaks
 from mixtac_alignment.two_impulse import paired_impulses
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
-    from mixtac_alignment.impulses import ImpulsePair
-
 
 STEP_S: Final = 1e-4
 """Time step of the model [s]."""

@@ -9,10 +9,12 @@ because the clock behind it may be another.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_alignment.clock_fit import Anchor, ClockFit, fit_clock
 from mixtac_alignment.errors import AlignmentError, GapError, NoImpulseError, SaturatedImpulseError
@@ -27,12 +29,6 @@ from mixtac_alignment.impulses import (
     prefer_isolated,
 )
 from mixtac_alignment.parameters import AlignmentParameters
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
 
 EVENT_GAP_S: Final = 0.02
 """Silence of the pixels that noise makes impossible [s]: at rest a sensor gives 20 events/ms."""

@@ -18,13 +18,10 @@ well enough, and returns.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from mixtac_slip_control.errors import SlipControlError
-
-if TYPE_CHECKING:
-    from mixtac_slip_control.parameters import SlipControlParameters
-
+from mixtac_slip_control.parameters import SlipControlParameters
 
 LEAST_FORCE: Final = 1e-4
 """Least standard deviation of the force at rest [N]."""

@@ -12,21 +12,17 @@ makes, and motion away from the centre of the contact, which pressing makes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from mixtac_events.arrays import Events
 from mixtac_events.frames import bin_mean, gradients, log_contrast
 from mixtac_events.windows import WindowSlicer
 from mixtac_slip_control.errors import SlipControlError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_slip_control.parameters import SlipControlParameters
-
+from mixtac_slip_control.parameters import SlipControlParameters
 
 BIN: Final = 2
 """Pixels along a bin of the gradient: bead edges are wider, and noise is halved."""

@@ -10,15 +10,12 @@ protective stop and the emergency stop remain what keeps people safe.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from mixtac_slip_control.errors import SlipControlError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.parameters import SlipControlParameters
 
 
 class InterlockState(IntEnum):

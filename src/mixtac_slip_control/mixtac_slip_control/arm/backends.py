@@ -9,21 +9,16 @@ slip control and the kinematics of the arm, and returns an `ArmBackend`.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
-from mixtac_slip_control.arm.trajectory import ArmState
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.trajectory import ArmState, PlannedTrajectory
 from mixtac_slip_control.errors import BackendError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mixtac_slip_control.arm.kinematics import SerialArm
-    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
-    from mixtac_slip_control.parameters import SlipControlParameters
-
+from mixtac_slip_control.parameters import SlipControlParameters
 
 GROUP: Final = 'mixtac.arm_backends'
 """Entry point group of arm backends from other packages."""

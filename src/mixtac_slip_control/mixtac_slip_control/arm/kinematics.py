@@ -15,21 +15,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from importlib import resources
-from typing import TYPE_CHECKING
+from typing import NoReturn
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_slip_control.errors import ArmError, RobotDescriptionError, UnreachableError
 
-if TYPE_CHECKING:
-    from typing import NoReturn
-
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 
 MOVING = ('revolute', 'continuous', 'prismatic')

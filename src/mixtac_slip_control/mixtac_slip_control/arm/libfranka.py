@@ -14,23 +14,17 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import ModuleType
 
 import numpy as np
 
 import mixtac_events
 import mixtac_slip_control
+from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.libfranka_loop import JOINTS, STATE, STOP, pack
-from mixtac_slip_control.arm.trajectory import ArmState
+from mixtac_slip_control.arm.trajectory import ArmState, PlannedTrajectory
 from mixtac_slip_control.errors import BackendError
-
-if TYPE_CHECKING:
-    from types import ModuleType
-
-    from mixtac_slip_control.arm.kinematics import SerialArm
-    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
-    from mixtac_slip_control.parameters import SlipControlParameters
-
+from mixtac_slip_control.parameters import SlipControlParameters
 
 STOP_S = 5.0
 """Longest wait for the arm to come to rest on request."""

@@ -10,18 +10,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.errors import ArmError
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    Point = tuple[float, float, float]
+Floats = NDArray[np.float64]
+Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,25 +5,19 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import BoxWorkspace, JointLimits, StateChecks
 from mixtac_slip_control.arm.planner import AdvancePlanner
-from mixtac_slip_control.arm.trajectory import settling_trajectory
+from mixtac_slip_control.arm.trajectory import PlannedTrajectory, settling_trajectory
 from mixtac_slip_control.errors import SlipControlError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
-    from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.parameters import SlipControlParameters
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,21 +8,17 @@ The path is a polynomial of the advance; its evaluation is compiled.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 from numpy.polynomial import Chebyshev, Polynomial
+from numpy.typing import NDArray
 
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.errors import ArmError, UnreachableError
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_slip_control.arm.kinematics import SerialArm
-    from mixtac_slip_control.arm.limits import JointLimits
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 @njit(cache=True)

@@ -6,23 +6,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mixtac_slip_control.arm.normal_path import fit_normal_path, joint_states
+from mixtac_slip_control.arm.kinematics import SerialArm
+from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.arm.normal_path import (
+    MotionLimits,
+    NormalPath,
+    fit_normal_path,
+    joint_states,
+)
 from mixtac_slip_control.arm.profile import replan, stopping_distance
 from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.errors import ArmError, UnreachableError
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_slip_control.arm.kinematics import SerialArm
-    from mixtac_slip_control.arm.limits import JointLimits
-    from mixtac_slip_control.arm.normal_path import MotionLimits, NormalPath
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,17 +17,13 @@ this leaves at the end is removed with the smallest jerks, in the least-squares 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_slip_control.arm.normal_path import exceeds, joint_states
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 BISECTIONS = 60

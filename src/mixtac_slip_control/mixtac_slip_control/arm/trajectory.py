@@ -9,18 +9,15 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.errors import ArmError
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_slip_control.arm.kinematics import SerialArm
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
