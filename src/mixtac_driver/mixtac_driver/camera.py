@@ -6,28 +6,29 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from types import TracebackType
+from typing import Any
 
-from mixtac_driver.davis346.control import CameraControl
+from mixtac_driver.clock import ClockEpochs, Origin
+from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.davis346.model import Identity, models_for, read_identity, read_is_master
 from mixtac_driver.decode.decoder import StreamDecoder
+from mixtac_driver.decode.state import DecoderCounters
 from mixtac_driver.device import DATA_ENDPOINT, Connection, attached_cameras
 from mixtac_driver.errors import DriverError, StreamError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.libusb import AsynchronousReader
-from mixtac_driver.usb.transport import BulkReader, DebugMessage, DebugReader, TransportCounters
+from mixtac_driver.usb.transport import (
+    BulkReader,
+    DebugMessage,
+    DebugReader,
+    Transfer,
+    TransportCounters,
+)
 from mixtac_events.clock_map import ClockMap
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from types import TracebackType
-
-    from mixtac_driver.clock import ClockEpochs, Origin
-    from mixtac_driver.davis346.control import PixelFilter
-    from mixtac_driver.decode.state import DecoderCounters
-    from mixtac_driver.usb.transport import Transfer
-    from mixtac_events.readings import DecodedBatch
+from mixtac_events.readings import DecodedBatch
 
 
 @dataclass(frozen=True, slots=True, eq=False)

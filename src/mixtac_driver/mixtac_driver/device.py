@@ -13,8 +13,10 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import threading
+from array import array
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any
+from types import TracebackType
+from typing import Any
 
 import usb.core
 import usb.util
@@ -25,11 +27,6 @@ from mixtac_driver.errors import InUseError, NoCameraError, UnknownDeviceError, 
 from mixtac_driver.usb.libusb import LibusbPort
 from mixtac_driver.usb.protocol import Protocol, usb_failure
 from mixtac_events.errors import MixtacError
-
-if TYPE_CHECKING:
-    from array import array
-    from types import TracebackType
-
 
 GROUP = 'mixtac.usb_backends'
 

@@ -14,21 +14,17 @@ pixels may be adjacent.
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_driver.davis346.registers import PIXEL_FILTERS
 from mixtac_driver.errors import ConfigurationError
 from mixtac_events.arrays import Events
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
 
 IN_CAMERA, ON_HOST = 255, 128
 """Grey values in the image of a mask."""

@@ -4,23 +4,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
-from mixtac_driver.camera import Davis346
+from mixtac_driver.camera import CameraBatch, Davis346, SourceStatus
+from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.device import check_device, is_real
 from mixtac_driver.errors import UnknownDeviceError
+from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.playback.source import RecordedSource
+from mixtac_driver.usb.transport import DebugMessage
 from mixtac_recordings.camera_stream import SUFFIXES
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from mixtac_driver.camera import CameraBatch, SourceStatus
-    from mixtac_driver.davis346.control import CameraControl, PixelFilter
-    from mixtac_driver.parameters import DriverParameters
-    from mixtac_driver.usb.transport import DebugMessage
 
 
 class Source(Protocol):

@@ -4,21 +4,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import astuple, dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_driver.calibration.lens import CalibrationError
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    Finder = Callable[[NDArray[np.uint8], tuple[int, int]], NDArray[np.float64] | None]
+Finder = Callable[[NDArray[np.uint8], tuple[int, int]], NDArray[np.float64] | None]
 
 
 MIN_INNER_CORNERS = 3

@@ -7,18 +7,15 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from mixtac_driver.calibration.lens import MODELS, CalibrationError, CameraCalibration
 from mixtac_node.files import FileError, write_text
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 DEFAULT_URL = 'file://${ROS_HOME}/camera_info/${NAME}.yaml'
 _VARIABLE = re.compile(r'\$\{(\w*)\}')

@@ -6,14 +6,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_driver.errors import DriverError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 class CalibrationError(DriverError):

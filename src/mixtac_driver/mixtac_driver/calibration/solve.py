@@ -4,13 +4,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from mixtac_driver.calibration.board import MIN_DISTANCE, ViewMeasures, coverage, measure
+from mixtac_driver.calibration.board import MIN_DISTANCE, View, ViewMeasures, coverage, measure
 from mixtac_driver.calibration.lens import (
     EQUIDISTANT,
     MAX_ANGLE_RAD,
@@ -22,14 +24,6 @@ from mixtac_driver.calibration.lens import (
     fold_radius,
     undistort,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_driver.calibration.board import View
-
 
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-9)
 # OpenCV 4 keeps this flag in its fisheye module, with another value.

@@ -9,15 +9,12 @@ as in libcaer_driver, one per field of each bias.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from mixtac_driver.errors import ConfigurationError
 from mixtac_node.parameters import parameter
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 def switch(default: bool, description: str) -> bool:

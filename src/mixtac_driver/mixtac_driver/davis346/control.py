@@ -7,12 +7,13 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-from mixtac_driver.clock import ClockEpochs
+from mixtac_driver.clock import ClockEpochs, Origin
+from mixtac_driver.davis346.model import Features, Identity
 from mixtac_driver.davis346.registers import Aps, Dvs, Module, Mux
-from mixtac_driver.davis346.settings import SensorParameters
+from mixtac_driver.davis346.settings import CameraParameters, SensorParameters
 from mixtac_driver.davis346.writes import (
     STOP_WRITES,
     exposure_write,
@@ -23,16 +24,8 @@ from mixtac_driver.davis346.writes import (
     stop_streaming,
 )
 from mixtac_driver.errors import DriverError, UsbError
-from mixtac_driver.usb.protocol import Write
+from mixtac_driver.usb.protocol import Protocol, Write
 from mixtac_node.parameters import specs
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mixtac_driver.clock import Origin
-    from mixtac_driver.davis346.model import Features, Identity
-    from mixtac_driver.davis346.settings import CameraParameters
-    from mixtac_driver.usb.protocol import Protocol
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,18 +8,14 @@ same.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mixtac_driver.davis346.biases import BiasParameters, number, switch
 from mixtac_driver.davis346.model import DAVIS346
 from mixtac_driver.davis346.registers import Chip
 from mixtac_driver.errors import ConfigurationError
 from mixtac_node.parameters import parameter, specs
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
 
 LAST_COLUMN, LAST_ROW = DAVIS346.width - 1, DAVIS346.height - 1
 MAXIMUM_EXPOSURE_US = 4_194_303

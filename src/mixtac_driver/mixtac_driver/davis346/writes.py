@@ -8,10 +8,11 @@ Settings are written in the order of libcaer.
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 from mixtac_driver.clock import Origin
 from mixtac_driver.davis346.biases import biases
+from mixtac_driver.davis346.model import CameraModel, Clocks, Identity
 from mixtac_driver.davis346.registers import (
     PIXEL_FILTERS,
     Aps,
@@ -23,16 +24,9 @@ from mixtac_driver.davis346.registers import (
     Mux,
     Usb,
 )
-from mixtac_driver.davis346.settings import CHIP_REGISTERS
+from mixtac_driver.davis346.settings import CHIP_REGISTERS, CameraParameters
 from mixtac_driver.errors import ConfigurationError
-from mixtac_driver.usb.protocol import Write
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mixtac_driver.davis346.model import CameraModel, Clocks, Identity
-    from mixtac_driver.davis346.settings import CameraParameters
-    from mixtac_driver.usb.protocol import Protocol
+from mixtac_driver.usb.protocol import Protocol, Write
 
 
 def cycles(duration_us: float, clock_mhz: float) -> int:

@@ -12,19 +12,15 @@ import ctypes
 import os
 import platform
 import shutil
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mixtac_driver.davis346.model import DAVIS346, camera_models, check_firmware
 from mixtac_driver.device import open_backend
 from mixtac_driver.errors import UnsupportedCameraError, UsbError
 from mixtac_driver.parameters import DriverParameters
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
 
 Value = str | int | float | bool | None
 

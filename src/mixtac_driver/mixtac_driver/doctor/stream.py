@@ -7,24 +7,20 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mixtac_driver.camera import LOSSES, Davis346
-from mixtac_driver.doctor.computer import Finding, Level, ok
+from mixtac_driver.davis346.model import Identity
+from mixtac_driver.davis346.settings import CameraParameters
+from mixtac_driver.doctor.computer import Finding, Level, Value, ok
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.transport import TransportCounters
+from mixtac_events.clock_map import ClockEstimate
 from mixtac_events.errors import MixtacError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mixtac_driver.davis346.model import Identity
-    from mixtac_driver.davis346.settings import CameraParameters
-    from mixtac_driver.doctor.computer import Value
-    from mixtac_events.clock_map import ClockEstimate
 
 
 @dataclass(slots=True)

@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING
 
 import numpy as np
 from rclpy.node import Node
 
+from mixtac_driver.camera import CameraBatch
+from mixtac_driver.davis346.model import Identity
 from mixtac_driver.node.publishers import (
     ClockPublisher,
     EdgePublisher,
@@ -26,20 +27,15 @@ from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import warm_up as warm_up_mask
 from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import Supervisor
+from mixtac_driver.usb.transport import DebugMessage
 from mixtac_events.arrays import Events
 from mixtac_events.codec import warm_up
 from mixtac_events.errors import MixtacError
+from mixtac_events.readings import Frame, InertialSamples
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher
 from mixtac_recordings import messages
-
-if TYPE_CHECKING:
-    from mixtac_driver.camera import CameraBatch
-    from mixtac_driver.davis346.model import Identity
-    from mixtac_driver.usb.transport import DebugMessage
-    from mixtac_events.readings import Frame, InertialSamples
-
 
 CLOCK_PERIOD_S = 1.0
 

@@ -6,24 +6,17 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
-from typing import TYPE_CHECKING
 
+from mixtac_driver.camera import SourceStatus
+from mixtac_driver.davis346.control import CameraControl, CameraStatistics
 from mixtac_driver.errors import DriverError
-from mixtac_driver.source import SourceKind, source_kind
-from mixtac_driver.supervisor import State
+from mixtac_driver.node.settings import DriverSettings
+from mixtac_driver.source import Source, SourceKind, source_kind
+from mixtac_driver.supervisor import State, Supervisor
+from mixtac_events.clock_map import ClockEstimate
 from mixtac_node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues, Status
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from mixtac_driver.camera import SourceStatus
-    from mixtac_driver.davis346.control import CameraControl, CameraStatistics
-    from mixtac_driver.node.settings import DriverSettings
-    from mixtac_driver.source import Source
-    from mixtac_driver.supervisor import Supervisor
-    from mixtac_events.clock_map import ClockEstimate
-
 
 DROPPED = ('dropped', 'external_input_dropped', 'dvs_dropped')
 """Counters shown as totals; the others are shown as rates."""

@@ -9,27 +9,21 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.clock import Origin
 from mixtac_driver.errors import EndOfStream
+from mixtac_driver.parameters import PlaybackParameters
 from mixtac_events.arrays import Events
 from mixtac_events.clock_map import ClockMap
 from mixtac_events.readings import NO_EDGES, NO_SAMPLES, DecodedBatch
 from mixtac_events.windows import RESTART_US
-from mixtac_recordings.recording import RecordingError, from_time
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
-
-    from mixtac_driver.parameters import PlaybackParameters
-    from mixtac_recordings.recording import Piece, Recording
-
+from mixtac_recordings.recording import Piece, Recording, RecordingError, from_time
 
 GAP_US = 1000
 """Time from the end of one stretch to the start of the next, where recorded time goes back."""

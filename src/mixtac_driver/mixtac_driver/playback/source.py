@@ -5,26 +5,24 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from mixtac_driver.camera import SourceStatus
+from mixtac_driver.camera import CameraBatch, SourceStatus
+from mixtac_driver.davis346.control import PixelFilter
 from mixtac_driver.davis346.model import DAVIS346, Clocks, Features, Geometry, Identity
-from mixtac_driver.parameters import NO_SEEK
+from mixtac_driver.parameters import NO_SEEK, DriverParameters
 from mixtac_driver.playback.player import PlaybackClock, Player
 from mixtac_events.clock_map import ClockMap
 from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.recording import ReadCounters, RecordingError, Selection
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from mixtac_driver.camera import CameraBatch
-    from mixtac_driver.davis346.control import PixelFilter
-    from mixtac_driver.parameters import DriverParameters
-    from mixtac_recordings.recording import Recording, RecordingInfo
-
+from mixtac_recordings.recording import (
+    ReadCounters,
+    Recording,
+    RecordingError,
+    RecordingInfo,
+    Selection,
+)
 
 MICROSECONDS = Clocks(logic=1.0, adc=1.0, usb=1.0)
 """Recorded exposures are in microseconds already."""

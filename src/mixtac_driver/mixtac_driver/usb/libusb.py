@@ -17,20 +17,15 @@ import ctypes
 import errno
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 from usb.backend import libusb1
 from usb.core import USBError
 
 from mixtac_driver.errors import StreamError, UsbError
 from mixtac_driver.usb.protocol import usb_failure
-from mixtac_driver.usb.transport import MOST_STALLS, TransferQueue
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mixtac_driver.usb.transport import Transfer, TransportCounters
-
+from mixtac_driver.usb.transport import MOST_STALLS, Transfer, TransferQueue, TransportCounters
 
 BULK = 2
 COMPLETED, FAILED, TIMED_OUT, CANCELLED, STALLED, NO_DEVICE, OVERFLOW = range(7)

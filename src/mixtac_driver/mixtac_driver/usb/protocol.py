@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import errno
 import struct
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from usb.core import USBError, USBTimeoutError
 
@@ -27,9 +28,6 @@ from mixtac_driver.errors import (
     StallError,
     UsbError,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 class Write(NamedTuple):

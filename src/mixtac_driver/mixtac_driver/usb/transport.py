@@ -24,22 +24,19 @@ import threading
 import time
 from array import array
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from usb.core import USBError, USBTimeoutError
 
 from mixtac_driver.errors import UsbError
 from mixtac_driver.usb.protocol import usb_failure
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    Octets = bytes | bytearray | memoryview | array[int] | NDArray[Any]
+Octets = bytes | bytearray | memoryview | NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
