@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -16,14 +16,11 @@ from mixtac_fger.config import (
     HIGHEST_LOG_DEVIATION,
     LOWEST_LOG_DEVIATION,
     VERSION,
+    FgerConfig,
     ModelError,
 )
 from mixtac_fger.fger_net import checked_config
-from mixtac_fger.weights import Model
-
-if TYPE_CHECKING:
-    from mixtac_fger.config import FgerConfig
-    from mixtac_fger.weights import ModelCard, Tensors
+from mixtac_fger.weights import Model, ModelCard, Tensors
 
 
 class DeviationHead(nn.Module):

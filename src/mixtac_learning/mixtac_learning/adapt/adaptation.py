@@ -9,24 +9,28 @@ and a larger change has to win by a margin. The winner is then fitted to all pre
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from rich.console import Console
 from torch import Tensor, nn
 
 from mixtac_fger.estimator import SERIAL_KEY
 from mixtac_fger.weights import ModelCard, read_model, write_model
-from mixtac_learning.adapt.presses import folds, gather_presses, parse_load
+from mixtac_learning.adapt.presses import PressSet, folds, gather_presses, parse_load
 from mixtac_learning.judge.metrics import SMALLEST_FORCE_N, CalibrationError, fit_scale
 from mixtac_learning.model_card import write_model_card
-from mixtac_learning.network import model_of, network_of
-from mixtac_learning.train.batches import MemoryGroups, stack
+from mixtac_learning.network import FgerNetwork, model_of, network_of
+from mixtac_learning.train.batches import MemoryGroups, Sequences, stack
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import LoopSettings, TrainingLoop
 from mixtac_learning.train.stages import (
+    Errors,
     NetworkWithGains,
     SequenceStage,
     calibrate_deviation,
@@ -34,24 +38,12 @@ from mixtac_learning.train.stages import (
     joined,
 )
 from mixtac_learning.train.trainer import estimate
-from mixtac_learning.trials.bags import bag_sources
+from mixtac_learning.trials.bags import BagSource, bag_sources
+from mixtac_learning.trials.samples import Sample
 from mixtac_node.files import write_json
 from mixtac_node.topics import REFERENCE
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_learning.adapt.presses import PressSet
-    from mixtac_learning.network import FgerNetwork
-    from mixtac_learning.train.batches import Sequences
-    from mixtac_learning.train.stages import Errors
-    from mixtac_learning.trials.bags import BagSource
-    from mixtac_learning.trials.samples import Sample
-
-    Report = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 @torch.no_grad()

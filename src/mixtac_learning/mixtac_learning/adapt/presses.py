@@ -9,27 +9,19 @@ weights placed on the sensor.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_learning.judge.metrics import CalibrationError
+from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.batches import stack
 from mixtac_learning.train.trainer import estimate
-from mixtac_learning.trials.samples import CONTACT_N, MEASURED_CONTACT_N, make_sample
-from mixtac_learning.trials.trial import ForceLabel, camera_end_us
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_learning.network import FgerNetwork
-    from mixtac_learning.trials.samples import Sample
-    from mixtac_learning.trials.trial import TrialArrays
-
+from mixtac_learning.trials.samples import CONTACT_N, MEASURED_CONTACT_N, Sample, make_sample
+from mixtac_learning.trials.trial import ForceLabel, TrialArrays, camera_end_us
 
 _NUMBER = r'(\d+(?:\.\d*)?|\.\d+)'
 _FORM = re.compile(f'{_NUMBER}:{_NUMBER}-{_NUMBER}')

@@ -4,34 +4,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.errors import MixtacError
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.weights import Model
 from mixtac_learning.judge.metrics import CalibrationError, fit_scale
 from mixtac_learning.paper.live import LEFT_ALIGNED
-from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, paper_network_of
+from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, PaperNetwork, paper_network_of
 from mixtac_learning.paper.samples import FULL_SCALE, make_paper_sample
 from mixtac_learning.paper.segments import run_samples
-from mixtac_learning.trials.trial import DatasetError, TrialArrays, camera_end_us, window_ends
+from mixtac_learning.trials.changes import Losses
+from mixtac_learning.trials.trial import (
+    DatasetError,
+    TrialArrays,
+    TrialSource,
+    camera_end_us,
+    window_ends,
+)
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from mixtac_fger.weights import Model
-    from mixtac_learning.paper.networks import PaperNetwork
-    from mixtac_learning.trials.changes import Losses
-    from mixtac_learning.trials.trial import TrialSource
-
-    Advance = Callable[[], object]
+Advance = Callable[[], object]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

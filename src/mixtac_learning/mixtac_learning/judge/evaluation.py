@@ -4,28 +4,33 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import track
 
-from mixtac_fger.weights import read_model
-from mixtac_learning.judge.estimators import judge_sources, sensor_scales, trial_estimator
+from mixtac_fger.weights import Model, read_model
+from mixtac_learning.judge.estimators import (
+    Judged,
+    TrialEstimator,
+    judge_sources,
+    sensor_scales,
+    trial_estimator,
+)
 from mixtac_learning.judge.report import by_profile, draw_trials, show_figures, show_skipped
 from mixtac_learning.judge.robustness import robustness
 from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_learning.trials.trial import TrialSource
 from mixtac_node.files import write_json
-from mixtac_sim.world.training_trials import calibration_plan, evaluation_plan, unseen_devices
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from mixtac_fger.weights import Model
-    from mixtac_learning.judge.estimators import Judged, TrialEstimator
-    from mixtac_learning.trials.trial import TrialSource
-    from mixtac_sim.world.training_trials import TrialSpec
+from mixtac_sim.world.training_trials import (
+    TrialSpec,
+    calibration_plan,
+    evaluation_plan,
+    unseen_devices,
+)
 
 
 def evaluate_bags(

@@ -10,15 +10,12 @@ press with a known force gives the ratio, and nothing else has to be learned aga
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.errors import MixtacError
 from mixtac_learning.trials.trial import DatasetError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 class CalibrationError(MixtacError):

@@ -4,24 +4,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.errors import MixtacError
-from mixtac_learning.judge.estimators import stream
+from mixtac_fger.weights import Model
+from mixtac_learning.judge.estimators import TrialEstimate, stream
 from mixtac_learning.trials.changes import Losses
-from mixtac_learning.trials.trial import DatasetError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from numpy.typing import NDArray
-
-    from mixtac_fger.weights import Model
-    from mixtac_learning.judge.estimators import TrialEstimate
-    from mixtac_learning.trials.trial import TrialArrays, TrialSource
-
+from mixtac_learning.trials.trial import DatasetError, TrialArrays, TrialSource
 
 GAP_EVERY_US = 1_500_000
 """From one gap to the next."""

@@ -9,33 +9,27 @@ windows, and a frame that arrives late belongs to a later window.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
+from mixtac_events.arrays import Events
 from mixtac_events.frames import bin_mean
-from mixtac_fger.estimator import EncodedFrame
+from mixtac_fger.estimator import EncodedFrame, Image
 from mixtac_fger.features import ImageError
+from mixtac_fger.weights import Model
 from mixtac_learning.network import count_parameters
 from mixtac_learning.paper.networks import (
     EventsOnly,
     FeatureFusion,
     FgerPaper,
     FramesOnly,
+    PaperState,
     operations_per_cycle,
     paper_network_of,
 )
 from mixtac_learning.paper.samples import FULL_SCALE, event_counts, packet_points
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-    from torch import Tensor
-
-    from mixtac_events.arrays import Events
-    from mixtac_fger.estimator import Image
-    from mixtac_fger.weights import Model
-    from mixtac_learning.paper.networks import PaperState
 
 LEFT_ALIGNED = 64
 """Value of the converter's lowest bit in a left-aligned image of 16 bits."""

@@ -6,19 +6,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import max_pool2d
 
 from mixtac_fger.config import ConfigError, ModelError
-from mixtac_fger.weights import Model
+from mixtac_fger.weights import Model, ModelCard
 from mixtac_learning.network import arrays_of, load_arrays
 from mixtac_learning.paper.config import PaperConfig
-
-if TYPE_CHECKING:
-    from mixtac_fger.weights import ModelCard
 
 
 @dataclass(frozen=True, slots=True, eq=False)

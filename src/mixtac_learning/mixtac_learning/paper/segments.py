@@ -4,21 +4,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from mixtac_learning.paper.networks import SegmentBatch
+from mixtac_learning.paper.networks import PaperNetwork, SegmentBatch
+from mixtac_learning.paper.samples import PaperSample
 from mixtac_learning.trials.trial import DatasetError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_learning.paper.networks import PaperNetwork
-    from mixtac_learning.paper.samples import PaperSample
 
 
 class Segment(NamedTuple):

@@ -4,23 +4,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from mixtac_fger.config import FgerConfig
 from mixtac_learning.network import FrameSlots
-from mixtac_learning.trials.samples import load_sample, sample_origin, sample_windows
+from mixtac_learning.trials.samples import Sample, load_sample, sample_origin, sample_windows
 from mixtac_learning.trials.trial import DatasetError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from mixtac_fger.config import FgerConfig
-    from mixtac_learning.trials.samples import Sample
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,23 +13,20 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import torch
+from torch import Tensor, nn
 
 from mixtac_events.errors import MixtacError
 from mixtac_fger.weights import read_tensors, write_tensors
 from mixtac_learning.train.parallel import Processes
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from torch import Tensor, nn
-
-    Report = Callable[[str, int, int, float, float | None], None]
-    """Called after each epoch: stage, epochs done, of how many, mean loss, validation error."""
+Report = Callable[[str, int, int, float, float | None], None]
+"""Called after each epoch: stage, epochs done, of how many, mean loss, validation error."""
 
 
 class TrainingError(MixtacError):

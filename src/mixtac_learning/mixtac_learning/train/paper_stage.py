@@ -4,23 +4,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from mixtac_fger.config import from_mapping
-from mixtac_learning.paper.networks import FrameBackbone, FrameModel
+from mixtac_learning.paper.networks import FrameBackbone, FrameModel, PaperNetwork, SegmentBatch
+from mixtac_learning.paper.samples import PaperSample
 from mixtac_learning.paper.segments import assemble, cut_segments, run_samples
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mixtac_learning.paper.networks import PaperNetwork, SegmentBatch
-    from mixtac_learning.paper.samples import PaperSample
-    from mixtac_learning.train.parallel import Processes
+from mixtac_learning.train.parallel import Processes
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,16 +9,12 @@ backend works on CPUs and needs no launcher beyond `torchrun`.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 import torch.distributed as dist
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from torch import Tensor, nn
+from torch import Tensor, nn
 
 
 @dataclass(frozen=True, slots=True)

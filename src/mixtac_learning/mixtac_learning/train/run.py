@@ -6,34 +6,36 @@ from __future__ import annotations
 
 import hashlib
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from rich.console import Console
 from rich.progress import Progress
 
 from mixtac_fger.config import FgerConfig
-from mixtac_fger.weights import ModelCard, write_model
+from mixtac_fger.weights import Model, ModelCard, write_model
 from mixtac_learning.judge.estimators import trial_estimator
 from mixtac_learning.judge.evaluation import judge_devices
 from mixtac_learning.judge.report import show_figures, show_skipped
 from mixtac_learning.model_card import write_model_card
 from mixtac_learning.network import model_of
 from mixtac_learning.paper.config import PaperConfig
-from mixtac_learning.paper.networks import build, paper_model_of
+from mixtac_learning.paper.networks import PaperNetwork, build, paper_model_of
 from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
 from mixtac_learning.train.batches import DiskGroups
-from mixtac_learning.train.config import OURS, TrainingSettings
-from mixtac_learning.train.loop import LoopSettings, TrainingError, TrainingLoop
+from mixtac_learning.train.config import OURS, DataConfig, RunConfig, TrainingSettings
+from mixtac_learning.train.loop import LoopSettings, Report, TrainingError, TrainingLoop
 from mixtac_learning.train.paper_stage import PaperStage, PaperTraining, fit_intensities
 from mixtac_learning.train.parallel import Processes
 from mixtac_learning.train.trainer import Trainer
 from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_learning.trials.store import prepare
+from mixtac_learning.trials.store import Recipe, prepare
+from mixtac_learning.trials.trial import TrialSource
 from mixtac_node.files import write_json
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.training_trials import (
@@ -41,16 +43,6 @@ from mixtac_sim.world.training_trials import (
     training_plan,
     unseen_devices,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mixtac_fger.weights import Model
-    from mixtac_learning.paper.networks import PaperNetwork
-    from mixtac_learning.train.config import DataConfig, RunConfig
-    from mixtac_learning.train.loop import Report
-    from mixtac_learning.trials.store import Recipe
-    from mixtac_learning.trials.trial import TrialSource
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,23 +11,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
+from mixtac_events.readings import Frame
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
 from mixtac_node.topics import REFERENCE
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_events.readings import Frame
-
 
 _US_PER_S = 1_000_000
 _NS_PER_S = 1_000_000_000

@@ -8,18 +8,15 @@ come from the same brightness. The mismatches here break that correspondence.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_learning.trials.trial import TrialArrays, TrialSource
+from mixtac_events.arrays import Events
+from mixtac_learning.trials.trial import TrialArrays, TrialSource
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,24 +6,24 @@ from __future__ import annotations
 
 import json
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
-from mixtac_learning.trials.trial import DatasetError, frame_arrivals, window_ends
+from mixtac_learning.trials.trial import (
+    DatasetError,
+    ForceLabel,
+    TrialArrays,
+    frame_arrivals,
+    window_ends,
+)
 from mixtac_node.files import replacing
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_fger.config import FgerConfig
-    from mixtac_learning.trials.trial import ForceLabel, TrialArrays
-
 
 CONTACT_N = 0.01
 """Largest true force during the reference frames [N]."""

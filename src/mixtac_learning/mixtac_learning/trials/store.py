@@ -8,22 +8,17 @@ import hashlib
 import json
 import multiprocessing
 import shutil
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
-from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-    from pathlib import Path
-
-    from mixtac_learning.trials.trial import TrialSource
-
+from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays, TrialSource
 
 _FRAMES = ('frames', 'exposure_start_us', 'exposure_end_us', 'arrival_us')
 _EVENTS = ('t', 'x', 'y', 'polarity')
