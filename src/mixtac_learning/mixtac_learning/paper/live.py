@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mixtac_events.arrays import Events
 from mixtac_events.frames import bin_mean
-from mixtac_fger.estimator import EncodedFrame, Image
+from mixtac_fger.estimator import EncodedFrame
 from mixtac_fger.features import ImageError
 from mixtac_fger.weights import Model
 from mixtac_learning.network import count_parameters
@@ -88,7 +88,7 @@ class PaperEstimator:
         return operations_per_cycle(self._config)
 
     @torch.inference_mode()
-    def encode(self, image: Image, mid_us: int) -> EncodedFrame:
+    def encode(self, image: NDArray[np.uint8] | NDArray[np.uint16], mid_us: int) -> EncodedFrame:
         """Run the frame network.
 
         Raises:
