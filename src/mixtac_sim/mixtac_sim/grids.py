@@ -12,13 +12,8 @@ depend on how often the simulation is advanced. A block is halved until no bead 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+from numpy.typing import NDArray
 
 WIDTH = 346
 """Columns (user guide)."""

@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -19,10 +19,6 @@ from mixtac_sim.arm.controller import JointTrajectoryController, Release, Trajec
 from mixtac_sim.arm.fr3 import JOINT_NAMES, READY, violations
 from mixtac_sim.arm.plant import JointLag, MujocoArm, Tracking
 from mixtac_sim.parameters import VirtualArmParameters
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 BEFORE_S = 100.0
 """The controller's time at the start [s]: a stamp of zero would mean something else."""

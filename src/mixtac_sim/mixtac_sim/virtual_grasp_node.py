@@ -14,7 +14,6 @@ import struct
 import sys
 import time
 from threading import Event, Thread
-from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import PointStamped
@@ -31,17 +30,13 @@ from mixtac_sim import SimulationError
 from mixtac_sim.arm.fr3 import JOINT_NAMES, flange_place
 from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock, PacedSimulation
 from mixtac_sim.grasp.objects import OBJECTS, ObjectName, draw_setup
-from mixtac_sim.live.virtual_sensor import make_virtual_sensor
+from mixtac_sim.live.virtual_sensor import VirtualSensor, WrenchBatch, make_virtual_sensor
 from mixtac_sim.parameters import VirtualGraspParameters
 from mixtac_sim.random_streams import stream
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
 from mixtac_sim.virtual_sensor_node import publish_wrenches
 from mixtac_sim.world.effects import preset
-
-if TYPE_CHECKING:
-    from mixtac_sim.live.virtual_sensor import VirtualSensor, WrenchBatch
-
 
 PUBLISH_PERIOD_S = 2e-3
 SLIP_AHEAD_US = 4_000

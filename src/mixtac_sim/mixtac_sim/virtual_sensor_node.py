@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from collections.abc import Callable
 from functools import partial
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
@@ -19,19 +20,12 @@ from mixtac_node import topics
 from mixtac_node.base_node import QOS_FORCE, BaseNode, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp
-from mixtac_sim.live.virtual_sensor import TouchControl, make_virtual_sensor
-from mixtac_sim.parameters import VirtualSensorParameters
+from mixtac_sim.live.virtual_sensor import TouchControl, WrenchBatch, make_virtual_sensor
+from mixtac_sim.parameters import TouchParameters, VirtualSensorParameters
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
 from mixtac_sim.world.effects import preset
 from mixtac_sim.world.profiles import make_profile
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mixtac_sim.live.virtual_sensor import WrenchBatch
-    from mixtac_sim.parameters import TouchParameters
-
 
 # Samples go out in small batches, as real force sensors' drivers do: it saves wake-ups.
 PUBLISH_PERIOD_S: Final = 0.004

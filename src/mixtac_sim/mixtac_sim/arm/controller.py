@@ -11,15 +11,13 @@ velocity by cubics, else by lines; after the last point that point is held.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_sim import SimulationError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 @njit(cache=True, nogil=True)

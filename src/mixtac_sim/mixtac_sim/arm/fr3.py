@@ -12,16 +12,12 @@ published; armature and joint damping are estimates.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
+from numpy.typing import NDArray
 
 JOINT_NAMES = tuple(f'fr3_joint{k}' for k in range(1, 8))
 A_M = (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088)

@@ -12,17 +12,15 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_sim import SimulationError
 from mixtac_sim.arm.fr3 import STEP_S, TORQUE_MAX_NM, GelContact, Servo, flange_place, fr3_mjcf
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,21 +8,16 @@ import contextlib
 import fcntl
 import os
 import shutil
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
 
 import joblib
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from mixtac_recordings.dataset import FILE_NAME, DatasetDescription
+from mixtac_recordings.dataset import FILE_NAME, DatasetDescription, TrialSpec
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.trial_bag import UNFINISHED, is_finished, write_trial
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from mixtac_recordings.dataset import TrialSpec
-
 
 BACKENDS: Final = ('loky', 'dask')
 

@@ -10,31 +10,23 @@ force that does so, times a margin.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from mixtac_events.arrays import Events
 from mixtac_sim import SimulationError
-from mixtac_sim.grasp.objects import OBJECTS
+from mixtac_sim.grasp.objects import OBJECTS, GraspSetup
 from mixtac_sim.grasp.skin import Skin, SkinCamera, slide
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Contact, Mode
 from mixtac_sim.mechanics.elastomer import ForceLaw, Layer, force_law
+from mixtac_sim.mechanics.indenters import Indenter
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.random_streams import stream
-from mixtac_sim.world.device import draw_conditions, draw_device
-from mixtac_sim.world.effects import PAPER_LIKE
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_sim.grasp.objects import GraspSetup
-    from mixtac_sim.mechanics.indenters import Indenter
-    from mixtac_sim.pixels.aps import ApsFrame
-    from mixtac_sim.world.device import DeviceModel
-    from mixtac_sim.world.effects import Preset
-
+from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device
+from mixtac_sim.world.effects import PAPER_LIKE, Preset
 
 SETTLE_S = 3.0
 """Time for which the force is held before anything happens [s]."""

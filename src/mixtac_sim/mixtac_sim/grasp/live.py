@@ -11,29 +11,21 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Sequence
 from threading import Lock
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
-from mixtac_sim.grasp.grasp import Grasp
+from mixtac_sim.grasp.grasp import Grasp, GraspBlock
+from mixtac_sim.grasp.objects import GraspSetup
 from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US
-from mixtac_sim.live.virtual_sensor import SimulationClock
+from mixtac_sim.live.virtual_sensor import Simulation, SimulationClock
+from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
+from mixtac_sim.pixels.biases import PixelSettings
+from mixtac_sim.world.effects import Preset
 from mixtac_sim.world.sensor import SensorOutput, truth_rows
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_sim.grasp.grasp import GraspBlock
-    from mixtac_sim.grasp.objects import GraspSetup
-    from mixtac_sim.live.virtual_sensor import Simulation
-    from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
-    from mixtac_sim.pixels.biases import PixelSettings
-    from mixtac_sim.world.effects import Preset
-
 
 RESTART_US = 500_000
 """Step of the camera clock against simulated time that counts as a new origin [us]."""

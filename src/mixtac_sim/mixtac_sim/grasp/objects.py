@@ -15,9 +15,10 @@ No constants for black Shore A-5 silicone are published; every number here is an
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -25,10 +26,6 @@ from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.contact import GRAVITY
 from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.random_streams import log_uniform
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
 
 REFERENCE_MM_S = 1.0
 """w0, the slip speed at which mu0 holds [mm/s]."""

@@ -11,27 +11,20 @@ against the weakening over the stiffness, patches stick and slip; otherwise they
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from mixtac_sim.grasp.objects import REFERENCE_MM_S
+from mixtac_events.arrays import Events
+from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
 from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
+from mixtac_sim.mechanics.indenters import Indenter
+from mixtac_sim.optics.scene import Flicker, Markers
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.world.camera import Camera
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_sim.grasp.objects import Friction
-    from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
-    from mixtac_sim.mechanics.indenters import Indenter
-    from mixtac_sim.optics.scene import Flicker, Markers
-    from mixtac_sim.pixels.aps import ApsFrame
-    from mixtac_sim.world.device import Conditions, DeviceModel
-    from mixtac_sim.world.effects import Preset
-
+from mixtac_sim.world.device import Conditions, DeviceModel
+from mixtac_sim.world.effects import Preset
 
 RINGS = ((0.0, 1), (0.4, 5), (0.8, 10))
 """Radius over the contact's, and number, of the patches of each ring."""

@@ -7,33 +7,25 @@ For the development and measurement of slip detectors: the truth is known to the
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mixtac_events.arrays import Events
 from mixtac_sim import SimulationError
 from mixtac_sim.grasp.grasp import SETTLE_S, Press
-from mixtac_sim.grasp.objects import draw_friction
+from mixtac_sim.grasp.objects import Friction, draw_friction
 from mixtac_sim.grasp.skin import Skin, SkinCamera
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.elastomer import Layer
 from mixtac_sim.mechanics.indenters import Indenter
+from mixtac_sim.optics.scene import Flicker
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.random_streams import stream
 from mixtac_sim.world.device import draw_conditions, draw_device
-from mixtac_sim.world.effects import PAPER_LIKE
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_sim.grasp.objects import Friction
-    from mixtac_sim.optics.scene import Flicker
-    from mixtac_sim.pixels.aps import ApsFrame
-    from mixtac_sim.world.effects import Preset
-
+from mixtac_sim.world.effects import PAPER_LIKE, Preset
 
 FACE = Indenter('flat', 6.0)
 """Face of the object where none is given: 12 mm wide (choice)."""

@@ -10,21 +10,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from threading import Lock
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY, Mode
-from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G
+from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G, Indenter
 from mixtac_sim.world.profiles import Profile, Segment, Tone
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_sim.mechanics.indenters import Indenter
-
 
 RAMP_S: Final = 0.2
 """Time in which an object approaches or leaves [s]."""

@@ -5,19 +5,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from mixtac_sim import SimulationError
+from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.mechanics.layer import ALPHA, punch_factor, solve_contact, solve_edge
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_sim.mechanics.indenters import Indenter
-
 
 DEPTHS = 2049
 """Rows of the depth table: the step is below 2 um, where the force is below 0.1 mN."""

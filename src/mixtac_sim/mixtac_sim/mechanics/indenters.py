@@ -8,15 +8,12 @@ fit a ROS parameter.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 from mixtac_sim import SimulationError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
 
 IndenterName = Literal['hemisphere', 'small sphere', 'flat', 'edge']
 

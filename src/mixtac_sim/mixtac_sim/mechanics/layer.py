@@ -26,9 +26,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.fft import irfft2, rfft2
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
@@ -36,12 +37,7 @@ from scipy.special import j0, j1
 from threadpoolctl import threadpool_limits
 
 from mixtac_sim import SimulationError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_sim.mechanics.indenters import Indenter
-
+from mixtac_sim.mechanics.indenters import Indenter
 
 ALPHA = np.concatenate([np.linspace(0.02, 0.3, 15), np.linspace(0.35, 2.5, 44)])
 """Grid of contact radius / layer thickness."""

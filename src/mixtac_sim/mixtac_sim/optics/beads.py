@@ -8,25 +8,18 @@ elastic force, in which it is nearly quadratic; a step then costs one interpolat
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_sim.grids import PITCH_MM
+from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
+from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.mechanics.layer import displacement_field, solve_edge
-from mixtac_sim.optics.scene import DIAMETER_MM
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
-    from mixtac_sim.mechanics.indenters import Indenter
-    from mixtac_sim.optics.lens import Lens
-    from mixtac_sim.optics.scene import Markers
-
+from mixtac_sim.optics.lens import Lens
+from mixtac_sim.optics.scene import DIAMETER_MM, Markers
 
 ROWS = 193
 """Rows of the displacement tables."""

@@ -5,15 +5,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_sim.grids import HEIGHT, PITCH_MM, WIDTH
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 SILICONE_INDEX = 1.41
 """Refractive index of the layer: it looks shallower by this factor."""

@@ -12,21 +12,14 @@ less than their blur from one table to the next.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_sim.grids import HEIGHT, PADDED, TILE, TILES, WIDTH
 from mixtac_sim.optics.beads import SAG_MM
-from mixtac_sim.optics.scene import build_sagging
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_sim.optics.lens import Lens
-    from mixtac_sim.optics.scene import Lighting
-
+from mixtac_sim.optics.lens import Lens
+from mixtac_sim.optics.scene import Lighting, build_sagging
 
 ONE = 65536
 """Fixed-point one of the sum."""

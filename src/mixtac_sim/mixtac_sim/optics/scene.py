@@ -5,18 +5,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_sim.grids import BLOCK_STEPS, HEIGHT, PADDED, PIXELS, STEP_US, WIDTH
+from mixtac_sim.optics.lens import Lens
 from mixtac_sim.random_streams import stream
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_sim.optics.lens import Lens
-
 
 DIAMETER_MM = 0.8
 """Diameter of the beads [mm] (paper, section 3.1)."""

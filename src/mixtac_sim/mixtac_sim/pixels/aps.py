@@ -5,18 +5,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import HEIGHT, PIXELS, TILE, WIDTH
 from mixtac_sim.random_streams import BlockStreams, stream
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 READOUT_US = 6_000
 """Time from the end of the exposure to the last pixel [us] (estimate, 40 frames/s at most)."""

@@ -10,21 +10,17 @@ effect of a change of a bias better than the absolute value.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import PADDED, PIXELS
 from mixtac_sim.random_streams import stream
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
 
 DIFF, ON, OFF, PHOTORECEPTOR, FOLLOWER, REFRACTORY = 10, 11, 12, 14, 15, 16
 """Addresses of the biases in the register file."""

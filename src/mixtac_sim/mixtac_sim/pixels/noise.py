@@ -9,22 +9,16 @@ most, so bursts come late and in rows; a pixel that waits to be read cannot fire
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_sim.grids import PADDED, PIXELS, WIDTH
+from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
 from mixtac_sim.random_streams import BlockStreams
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
-
 
 SERVICE_NS = 80
 """Time to read one event [ns]: 12 Mev/s (user guide; readout-delay article, 357)."""

@@ -14,12 +14,10 @@ import random
 import time
 from dataclasses import asdict, dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Final
+from threading import Condition
+from typing import Final
 
 from mixtac_events.errors import MixtacError
-
-if TYPE_CHECKING:
-    from threading import Condition
 
 
 class VirtualUsbError(MixtacError):

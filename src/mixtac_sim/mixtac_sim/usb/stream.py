@@ -10,13 +10,26 @@ event filters, region of interest, enabled modules. The buffer is a bounded ring
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
-from mixtac_sim.usb.registers import HEIGHT, WIDTH, Aps, Dvs, Imu, Module, Mux, Usb
+from mixtac_sim.usb.registers import (
+    HEIGHT,
+    WIDTH,
+    Aps,
+    Board,
+    Dvs,
+    Imu,
+    Module,
+    Mux,
+    RegisterFile,
+    Usb,
+)
 from mixtac_sim.usb.words import (
     TIMESTAMP_RESET_WORD,
     ApsReadout,
@@ -28,13 +41,6 @@ from mixtac_sim.usb.words import (
     frame_blocks,
     imu_blocks,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from mixtac_sim.usb.registers import Board, RegisterFile
 
 
 class ByteFifo:

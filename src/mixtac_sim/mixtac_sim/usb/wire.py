@@ -17,13 +17,10 @@ injects a fault into the virtual camera.
 from __future__ import annotations
 
 import os
+import socket
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    import socket
-
+from typing import Final
 
 REQUEST: Final = struct.Struct('<BBBxHHIIQ')
 REPLY: Final = struct.Struct('<iI')

@@ -10,16 +10,13 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 TIMESTAMP_RESET_WORD: Final = 0x0001
 _WRAP_US: Final = 0x8000

@@ -9,17 +9,12 @@ are those of the preset `easy`; `OFF` holds what an effect becomes when it is sw
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from mixtac_sim import SimulationError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from mixtac_sim.mechanics.indenters import IndenterName
-
+from mixtac_sim.mechanics.indenters import IndenterName
 
 Range = tuple[float, float]
 

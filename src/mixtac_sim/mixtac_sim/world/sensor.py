@@ -5,29 +5,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US, STEP_US
 from mixtac_sim.mechanics.contact import Contact
 from mixtac_sim.mechanics.elastomer import Layer, Shear, force_law
+from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
+from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.world.camera import Camera
 from mixtac_sim.world.device import Conditions, DeviceModel, draw_conditions, draw_device
-from mixtac_sim.world.effects import EASY
+from mixtac_sim.world.effects import EASY, Preset
+from mixtac_sim.world.profiles import CommandSource
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
-    from mixtac_sim.pixels.biases import PixelSettings
-    from mixtac_sim.world.effects import Preset
-    from mixtac_sim.world.profiles import CommandSource
-
-    _Contact = tuple[NDArray[np.void], NDArray[np.int64], NDArray[np.float64]]
-    _Taken = tuple[Events, list[ApsFrame], NDArray[np.void], NDArray[np.int64], NDArray[np.float64]]
+_Contact = tuple[NDArray[np.void], NDArray[np.int64], NDArray[np.float64]]
+_Taken = tuple[Events, list[ApsFrame], NDArray[np.void], NDArray[np.int64], NDArray[np.float64]]
 
 
 TRUTH_DTYPE = np.dtype(
