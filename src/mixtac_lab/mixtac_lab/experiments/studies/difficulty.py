@@ -327,7 +327,7 @@ def explained(feature: NDArray[np.floating], truth: NDArray[np.floating]) -> flo
 
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
-Model = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
+ModelName = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
 Preset = Annotated[
     str, typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.')
 ]
@@ -343,7 +343,7 @@ Json = Annotated[OptionalPath, typer.Option(help='Also write the results to this
 
 def difficulty(
     preset: Preset = PRESET,
-    model: Model = DEFAULT_MODEL,
+    model: ModelName = DEFAULT_MODEL,
     devices: Devices = 4,
     seconds: Seconds = 20.0,
     seed: Seed = 3,
@@ -370,7 +370,7 @@ def difficulty(
 
 def ablation(
     preset: Preset = PRESET,
-    model: Model = DEFAULT_MODEL,
+    model: ModelName = DEFAULT_MODEL,
     devices: Devices = 4,
     seconds: Seconds = 12.0,
     seed: Seed = 3,
