@@ -7,20 +7,17 @@ Packets are independent of each other, so that a lost packet costs its own event
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Protocol
+from array import array
+from typing import Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events import libcaer, libcaer_cmp
 from mixtac_events.arrays import Events
 from mixtac_events.packets import CodecError, DecodedPacket, EncodedPacket
 
-if TYPE_CHECKING:
-    from array import array
-
-    from numpy.typing import NDArray
-
-    Payload = bytes | bytearray | memoryview | array[int] | NDArray[np.uint8]
+Payload = bytes | bytearray | memoryview | array[int] | NDArray[np.uint8]
 
 
 class Codec(Protocol):

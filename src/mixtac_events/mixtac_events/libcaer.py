@@ -11,20 +11,18 @@ later events lie 2^31 us later.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.packets import CodecError, DecodedPacket, EncodedPacket
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Times = NDArray[np.int64]
-    Words = NDArray[np.uint16]
-    Flags = NDArray[np.bool_]
+Times = NDArray[np.int64]
+Words = NDArray[np.uint16]
+Flags = NDArray[np.bool_]
 
 
 NAME: Final = 'libcaer'

@@ -11,15 +11,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
-
-if TYPE_CHECKING:
-    from mixtac_events.packets import EncodedPacket
+from mixtac_events.packets import EncodedPacket
 
 
 class _Pending:

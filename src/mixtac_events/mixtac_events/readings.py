@@ -6,15 +6,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-
+from mixtac_events.arrays import Events
 
 STANDARD_GRAVITY = 9.80665
 """[m/s^2]"""

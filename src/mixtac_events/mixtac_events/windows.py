@@ -9,16 +9,14 @@ is its end.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 
 class WindowError(MixtacError):

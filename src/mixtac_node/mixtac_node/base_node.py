@@ -8,7 +8,8 @@ import copy
 import dataclasses
 import signal
 import sys
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 import rclpy
 from rcl_interfaces.msg import (
@@ -27,13 +28,7 @@ from rclpy.signals import SignalHandlerOptions
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
-from mixtac_node.topics import DEFAULT_NAMESPACE, message_class
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from mixtac_node.topics import Topic
-
+from mixtac_node.topics import DEFAULT_NAMESPACE, Topic, message_class
 
 T = TypeVar('T')
 

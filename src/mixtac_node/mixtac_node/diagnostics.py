@@ -7,14 +7,12 @@ Like diagnostic_updater, which has no Python interface for lifecycle nodes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 class RateMeter:

@@ -15,8 +15,9 @@ import json
 import os
 import re
 import secrets
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import cattrs
 import yaml
@@ -24,9 +25,6 @@ from cattrs.errors import ForbiddenExtraKeysError
 from cattrs.gen import make_dict_structure_fn
 
 from mixtac_events.errors import MixtacError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 T = TypeVar('T')
 

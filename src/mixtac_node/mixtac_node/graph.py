@@ -7,9 +7,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ament_index_python.packages import (
     PackageNotFoundError,
@@ -19,9 +19,6 @@ from ament_index_python.packages import (
 
 from mixtac_node.process import GraphError
 from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,14 +12,11 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from mixtac_events.errors import MixtacError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
 
 Value = bool | int | float | str
 T = TypeVar('T')

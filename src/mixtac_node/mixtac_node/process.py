@@ -14,17 +14,15 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from types import FrameType, TracebackType
+from typing import IO, Any
 
 from ament_index_python.packages import get_package_share_directory
 
 from mixtac_events.errors import MixtacError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from types import FrameType, TracebackType
 
 
 class GraphError(MixtacError):

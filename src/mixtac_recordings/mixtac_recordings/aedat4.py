@@ -11,15 +11,18 @@ IMUPacket and TriggerPacket.
 from __future__ import annotations
 
 import heapq
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.readings import STANDARD_GRAVITY, EdgeKind, Edges, Frame, InertialSamples
 from mixtac_recordings import flatbuffer
 from mixtac_recordings.aedat4_file import EVENT, Aedat4File, StreamInfo
-from mixtac_recordings.flatbuffer import FlatBufferWriter
+from mixtac_recordings.flatbuffer import FlatBufferWriter, Octets
 from mixtac_recordings.messages import BIT_SHIFT, left_aligned
 from mixtac_recordings.recording import (
     DamagedRecordingError,
@@ -30,15 +33,6 @@ from mixtac_recordings.recording import (
     Selection,
     choose,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_recordings.flatbuffer import Octets
-
 
 SLICE_US = 1000
 """Longest piece [us]: data of other streams are delayed by at most this much."""

@@ -13,24 +13,18 @@ from __future__ import annotations
 import struct
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 from xml.sax.saxutils import escape
 
 import lz4.frame
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_recordings import flatbuffer
-from mixtac_recordings.flatbuffer import FlatBufferWriter
+from mixtac_recordings.flatbuffer import FlatBufferWriter, Octets
 from mixtac_recordings.recording import DamagedRecordingError, RecordingError
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_recordings.flatbuffer import Octets
-
 
 if sys.version_info >= (3, 14):
     from compression import zstd

@@ -8,10 +8,11 @@ import queue
 import struct
 import threading
 import zlib
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from rosbags.interfaces import (
+    Connection,
     Qos,
     QosDurability,
     QosHistory,
@@ -25,12 +26,6 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from mixtac_recordings.bag import typestore
 from mixtac_recordings.recording import RecordingError
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from rosbags.interfaces import Connection
-
 
 QUEUE_SIZE = 20_000
 _CHECKSUM_AT = 1 + 8 + 3 * 8

@@ -9,8 +9,10 @@ first event packet and its events, which is correct to within the transport dela
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from mixtac_events.codec import ENCODINGS, decode_message
 from mixtac_events.packets import CodecError
@@ -25,18 +27,12 @@ from mixtac_recordings.bag import BagFile
 from mixtac_recordings.recording import (
     Piece,
     ReadCounters,
+    Recording,
     RecordingError,
     RecordingInfo,
     Selection,
     choose,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
-    from pathlib import Path
-
-    from mixtac_recordings.recording import Recording
-
 
 PATIENCE = 20
 """Messages to wait for the exposure of a frame: 20 ms of packets."""

@@ -8,15 +8,18 @@ import contextlib
 import shutil
 import tempfile
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Protocol
+from typing import IO, Any, Protocol
 
 import cv2
 import numpy as np
 from numpy.lib import format as npy
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
+from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node.stamps import stamp_to_ns
 from mixtac_node.topics import REFERENCE_WRENCH
 from mixtac_recordings import aedat4
@@ -24,15 +27,7 @@ from mixtac_recordings.aedat4_file import Aedat4Writer
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.messages import left_aligned
-from mixtac_recordings.recording import RecordingError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mixtac_events.readings import Edges, Frame, InertialSamples
-    from mixtac_recordings.recording import Piece, Recording, RecordingInfo
+from mixtac_recordings.recording import Piece, Recording, RecordingError, RecordingInfo
 
 
 class GrowingNpz:

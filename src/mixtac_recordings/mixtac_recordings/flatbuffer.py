@@ -12,19 +12,16 @@ the objects that they refer to, so that every offset is positive.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from mixtac_recordings.recording import DamagedRecordingError
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import DTypeLike, NDArray
-
-    Octets = NDArray[np.uint8]
-    Positions = NDArray[np.int64]
+Octets = NDArray[np.uint8]
+Positions = NDArray[np.int64]
 
 
 PREFIX = 4

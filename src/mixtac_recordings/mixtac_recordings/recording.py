@@ -7,17 +7,15 @@ Readers of a format are in `mixtac_recordings.camera_stream` (bags) and `mixtac_
 
 from __future__ import annotations
 
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from pathlib import Path
+from typing import Protocol
 
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.readings import NO_EDGES, NO_SAMPLES, Edges, Frame, InertialSamples
 from mixtac_events.windows import RESTART_US
-
-if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator, Sequence
-    from pathlib import Path
 
 
 class RecordingError(MixtacError):

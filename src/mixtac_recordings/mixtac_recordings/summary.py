@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
+from mixtac_events.arrays import Events
 from mixtac_events.codec import decode_message
 from mixtac_events.packets import CodecError
 from mixtac_events.sequence import SequenceCounter
@@ -18,12 +20,6 @@ from mixtac_recordings import aedat4
 from mixtac_recordings.aedat4 import Aedat4Recording
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.recording import DamagedRecordingError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from mixtac_events.arrays import Events
 
 
 @dataclass(frozen=True)
