@@ -8,7 +8,7 @@ Packets are independent of each other, so that a lost packet costs its own event
 from __future__ import annotations
 
 from array import array
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ from mixtac_events import libcaer, libcaer_cmp
 from mixtac_events.arrays import Events
 from mixtac_events.packets import CodecError, DecodedPacket, EncodedPacket
 
-Payload = bytes | bytearray | memoryview | array[int] | NDArray[np.uint8]
+# In quotes: Python 3.11 cannot subscript array.
+Payload: TypeAlias = 'bytes | bytearray | memoryview | array[int] | NDArray[np.uint8]'
 
 
 class Codec(Protocol):
