@@ -8,10 +8,11 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -33,9 +34,6 @@ from mixtac_driver.doctor.computer import (
 from mixtac_driver.doctor.stream import check_running
 from mixtac_events.errors import MixtacError
 from mixtac_node.files import write_json
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 VIRTUAL = 'virtual'
 DISTRIBUTIONS = {'3': 'Humble', '7': 'Jazzy', '9': 'Kilted'}

@@ -4,14 +4,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from mixtac_node.files import FileError, replacing
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FORCE, REFERENCE, EVENTS, MARK = '#e07b00', '#1f4e8c', '#5a5a5a', '#c0392b'
 """Colours of the estimated force, the reference force, events, and marked moments or outliers."""

@@ -13,17 +13,14 @@ from __future__ import annotations
 import ast
 import importlib.util
 import sys
-from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from mixtac_events.errors import MixtacError
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 GROUP = 'mixtac.commands'
 INTERRUPTED = 130

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import Annotated, Optional
 
 import typer
 from rich.console import Console
@@ -31,9 +32,6 @@ from mixtac_node.graph import (
 )
 from mixtac_node.process import ProcessGroup
 from mixtac_node.topics import DEFAULT_NAMESPACE
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 POLL_S = 0.2
 SLIP_STOP_ORDER = ('supervisor', 'slip_control', 'driver')

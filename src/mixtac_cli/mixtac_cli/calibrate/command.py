@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Annotated, Any
+from types import TracebackType
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console, Group
@@ -20,17 +21,12 @@ from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_cli.up import start_nodes
 from mixtac_driver.calibration.board import Board, Verdict, coverage_counts
 from mixtac_driver.calibration.camera_info import resolve, write_camera_info
+from mixtac_driver.calibration.solve import Solution, check_model
 from mixtac_driver.calibration.solve import calibrate as solve
-from mixtac_driver.calibration.solve import check_model
 from mixtac_node.files import write_json
 from mixtac_node.graph import sensor_graph
 from mixtac_node.process import GraphError, ProcessGroup
 from mixtac_node.topics import DEFAULT_NAMESPACE, IMAGE_RAW
-
-if TYPE_CHECKING:
-    from types import TracebackType
-
-    from mixtac_driver.calibration.solve import Solution
 
 IMAGE_TIMEOUT_S = 20.0
 START_TIMEOUT_S = 60.0

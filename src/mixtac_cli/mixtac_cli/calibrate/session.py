@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_driver.calibration.board import (
     WANTED_COVERAGE,
@@ -30,13 +33,7 @@ from mixtac_node.topics import IMAGE_RAW
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.recording import RecordingError
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    Grey = NDArray[np.uint8 | np.uint16]
+Grey = NDArray[np.uint8 | np.uint16]
 
 
 def grey_image(message: Any) -> Grey:  # noqa: ANN401

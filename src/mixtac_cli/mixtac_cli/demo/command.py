@@ -8,12 +8,14 @@ import datetime as dt
 import os
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -37,11 +39,6 @@ from mixtac_node.files import FileError, write_json
 from mixtac_node.graph import recorder, sensor_graph
 from mixtac_node.process import GraphError, ProcessGroup
 from mixtac_node.topics import DEFAULT_NAMESPACE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 SETTLE_S = 1.0
 START_UP_S = 60.0

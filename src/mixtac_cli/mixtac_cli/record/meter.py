@@ -4,17 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mixtac_events.packets import header_stamp_ns, read_packet
 from mixtac_events.sequence import SequenceCounter
 from mixtac_node import topics
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mixtac_node.topics import Topic
+from mixtac_node.topics import Topic
 
 EVEN = {each.name for each in (topics.IMAGE_RAW, topics.FORCE, topics.IMU, topics.TRUTH_WRENCH)}
 """Topics whose stamps are evenly spaced; the reference force is another one."""

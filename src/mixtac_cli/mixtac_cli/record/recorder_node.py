@@ -10,10 +10,10 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -21,6 +21,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
+from rosbags.interfaces import Connection
 
 from mixtac_cli.parameters import RecorderParameters
 from mixtac_cli.record.meter import EVEN, RecordingSummary, TopicMeter
@@ -31,12 +32,6 @@ from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS
 from mixtac_recordings.bag_writer import BagWriter
 from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_recordings.recording import RecordingError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from rosbags.interfaces import Connection
-
 
 CAMERA_CLOCK = ('image_raw', 'imu', 'force')
 """Topics whose stamps are on the camera clock, which is checked by them."""

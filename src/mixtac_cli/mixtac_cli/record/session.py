@@ -7,16 +7,19 @@ from __future__ import annotations
 import contextlib
 import signal
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.live import Live
+from rich.table import Table
 
 from mixtac_cli.options import JsonFile, Namespace
 from mixtac_cli.record.checks import (
     ERROR,
+    Finding,
     check_clocks,
     check_disk,
     check_topics,
@@ -24,20 +27,12 @@ from mixtac_cli.record.checks import (
     free_bytes,
     progress_table,
 )
-from mixtac_cli.record.recorder_node import running_listener
+from mixtac_cli.record.meter import RecordingSummary
+from mixtac_cli.record.recorder_node import Listener, running_listener
 from mixtac_node.files import write_json
 from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE
 from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_recordings.recording import RecordingError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from rich.table import Table
-
-    from mixtac_cli.record.checks import Finding
-    from mixtac_cli.record.meter import RecordingSummary
-    from mixtac_cli.record.recorder_node import Listener
 
 DISCOVERY_S = 1.5
 """Best-effort messages in the first half second after a match are often lost."""

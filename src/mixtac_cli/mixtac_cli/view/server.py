@@ -11,13 +11,10 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import TracebackType
 from urllib.parse import quote
 
 from mixtac_events.errors import MixtacError
-
-if TYPE_CHECKING:
-    from types import TracebackType
 
 
 class ViewError(MixtacError):
