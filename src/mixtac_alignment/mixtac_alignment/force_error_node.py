@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 from std_msgs.msg import Float64
@@ -15,9 +14,6 @@ from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import stamp_to_ns
-
-if TYPE_CHECKING:
-    from geometry_msgs.msg import WrenchStamped
 
 
 class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
@@ -35,11 +31,11 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
         self.create_timer(0.1, self._publish)
         self._diagnostics = DiagnosticsPublisher(self, 'force error', self._status)
 
-    def _on_force(self, message: WrenchStamped) -> None:
-        self._pairing.push_estimate(stamp_to_ns(message.header.stamp), message.wrench.force.z)
+    def _on_force(self, message: topics.ForceMessage) -> None:
+        self._pairing.push_estimate(stamp_to_ns(message.header.stamp), topics.normal_force(message))
 
-    def _on_reference(self, message: WrenchStamped) -> None:
-        force = self._sign * message.wrench.force.z
+    def _on_reference(self, message: topics.ForceMessage) -> None:
+        force = self._sign * topics.normal_force(message)
         self._pairing.push_reference(stamp_to_ns(message.header.stamp), force)
 
     def _publish(self) -> None:

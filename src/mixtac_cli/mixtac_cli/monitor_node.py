@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from diagnostic_msgs.msg import DiagnosticArray
-    from geometry_msgs.msg import WrenchStamped
     from numpy.typing import NDArray
     from rclpy.topic_endpoint_info import TopicEndpointInfo
     from sensor_msgs.msg import Image, TimeReference
@@ -198,18 +197,18 @@ class Monitor(Receiver):
         """Return type and QoS of all publishers of an absolute topic."""
         return list(self._node.get_publishers_info_by_topic(topic))
 
-    def _on_force(self, message: WrenchStamped) -> None:
+    def _on_force(self, message: topics.ForceMessage) -> None:
         arrival = time.time_ns()
         i = self._count
         if i == len(self._force):
             return
         self._arrival_ns[i] = arrival
         self._stamp_ns[i] = stamp_to_ns(message.header.stamp)
-        self._force[i] = message.wrench.force.z
+        self._force[i] = topics.normal_force(message)
         self._count = i + 1
 
-    def _on_reference(self, message: WrenchStamped) -> None:
-        self.reference_n = message.wrench.force.z
+    def _on_reference(self, message: topics.ForceMessage) -> None:
+        self.reference_n = topics.normal_force(message)
         self.reference_count += 1
 
     def _on_clock(self, message: TimeReference) -> None:

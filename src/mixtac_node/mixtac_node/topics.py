@@ -6,7 +6,10 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+if TYPE_CHECKING:
+    from geometry_msgs.msg import WrenchStamped
 
 DEFAULT_NAMESPACE = 'mixtac'
 """Namespace of all nodes unless the user gives another one (`__ns`)."""
@@ -154,6 +157,15 @@ FORCE_QUALITY = Topic(
     description='For each `force`, with the same stamp: its standard deviation [N], the age of '
     'the latest frame, and whether all events of the window arrived.',
 )
+ForceMessage: TypeAlias = 'WrenchStamped'
+"""Message of `FORCE` and of the reference force sensors."""
+
+
+def normal_force(message: ForceMessage) -> float:
+    """Return the normal force [N] of a message of `FORCE` or of a reference force sensor."""
+    return float(message.wrench.force.z)
+
+
 REFERENCE_WRENCH = Topic(
     REFERENCE,
     'geometry_msgs/msg/WrenchStamped',

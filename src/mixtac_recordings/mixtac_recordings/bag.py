@@ -197,7 +197,7 @@ class BagFile:
         stamps, forces = [], []
         for _, _, message in self.messages(topic):
             stamps.append(stamp_to_ns(message.header.stamp))
-            forces.append(message.wrench.force.z)
+            forces.append(topics.normal_force(message))
         return np.array(stamps, np.int64), np.array(forces, np.float64)
 
     def _connections(self) -> list[Connection]:

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from event_camera_msgs.msg import EventPacket
-    from geometry_msgs.msg import WrenchStamped
     from sensor_msgs.msg import Image
 
     from mixtac_slip_control.arm.backends import ArmBackend
@@ -147,9 +146,9 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         except MixtacError as error:
             self._refuse(str(error))
 
-    def _on_force(self, message: WrenchStamped) -> None:
+    def _on_force(self, message: topics.ForceMessage) -> None:
         stamp_us = stamp_to_us(message.header.stamp)
-        self._controller.on_force(message.wrench.force.z, stamp_us, self._now_s())
+        self._controller.on_force(topics.normal_force(message), stamp_us, self._now_s())
         self._brake()
 
     def _on_heartbeat(self, _message: Empty) -> None:

@@ -22,8 +22,6 @@ from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 
 if TYPE_CHECKING:
-    from geometry_msgs.msg import WrenchStamped
-
     from mixtac_cli.view.drawing import Curve
     from mixtac_cli.view.page import Page
 
@@ -87,8 +85,8 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         self.subscribe_topic(topics.DIAGNOSTICS, received.on_diagnostics)
 
     @staticmethod
-    def _plot(curve: Curve, message: WrenchStamped) -> None:
-        curve.add(time.time_ns(), message.wrench.force.z)
+    def _plot(curve: Curve, message: topics.ForceMessage) -> None:
+        curve.add(time.time_ns(), topics.normal_force(message))
 
     def _draw(self) -> None:
         period = 1.0 / self._settings.rate
