@@ -15,7 +15,6 @@ import importlib.util
 import threading
 from array import array
 from importlib.metadata import entry_points
-from types import TracebackType
 from typing import Any
 
 import usb.core
@@ -205,42 +204,6 @@ def _serial_of(camera: Any) -> str:  # noqa: ANN401
         return ''
 
 
-class _ReadsInProgress:
-    """Context manager that counts the reads under way, so that no handle in use is closed."""
-
-    def __init__(self) -> None:
-        self._count = 0
-        self._ended = threading.Condition()
-
-    def __enter__(self) -> None:
-        """Note that a read starts."""
-        with self._ended:
-            self._count += 1
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Note that it ended."""
-        with self._ended:
-            self._count -= 1
-            self._ended.notify_all()
-
-    def wait(self, seconds: float) -> bool:
-        """Wait until there are none.
-
-        Args:
-            seconds: Longest time to wait [s].
-
-        Returns:
-            Whether there are none.
-        """
-        with self._ended:
-            return self._ended.wait_for(lambda: not self._count, seconds)
-
-
 DATA_ENDPOINT = 0x82
 DEBUG_ENDPOINT = 0x81
 CONFIGURATION = 1
@@ -282,7 +245,7 @@ class Connection:
     ) -> None:
         self._backend = open_backend(device) if backend is None else backend
         self._device, self.serial = find_camera(self._backend, device, serial, preferred)
-        self._reads = _ReadsInProgress()
+        self._reads, self._read_ended = 0, threading.Condition()
         self.protocol = Protocol(self._device)
         try:
             self._claim()
@@ -331,8 +294,7 @@ class Connection:
         Raises:
             usb.core.USBError: As pyusb raises it; a time-out is a USBTimeoutError.
         """
-        with self._reads:
-            return int(self._device.read(DATA_ENDPOINT, buffer, timeout_ms))
+        return self._read(DATA_ENDPOINT, buffer, timeout_ms)
 
     def read_debug(self, buffer: array[int], timeout_ms: int) -> int:
         """Read from the debug endpoint into a buffer; return the number of bytes.
@@ -341,8 +303,7 @@ class Connection:
             usb.core.USBError: As pyusb raises it; a time-out is a USBTimeoutError.
             ValueError: The camera has no such endpoint.
         """
-        with self._reads:
-            return int(self._device.read(DEBUG_ENDPOINT, buffer, timeout_ms))
+        return self._read(DEBUG_ENDPOINT, buffer, timeout_ms)
 
     def close(self) -> None:
         """Close the camera; harmless when it is gone.
@@ -350,18 +311,34 @@ class Connection:
         A read that does not return is ended by a reset of the port. Where not even that ends it,
         the camera stays claimed until the process ends, because its handle is in use.
         """
-        if not self._reads.wait(LAST_READ_S) and not self._end_reads():
+        if not self._wait_for_reads(LAST_READ_S) and not self._end_reads():
             _abandoned.append(self._device)
             return
         with contextlib.suppress(USBError):
             usb.util.dispose_resources(self._device)
+
+    def _read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
+        # Counted, so that `close` closes no handle that a read uses.
+        with self._read_ended:
+            self._reads += 1
+        try:
+            return int(self._device.read(endpoint, buffer, timeout_ms))
+        finally:
+            with self._read_ended:
+                self._reads -= 1
+                self._read_ended.notify_all()
+
+    def _wait_for_reads(self, seconds: float) -> bool:
+        """Wait for the reads in progress; return whether all ended in time."""
+        with self._read_ended:
+            return self._read_ended.wait_for(lambda: not self._reads, seconds)
 
     def _end_reads(self) -> bool:
         with contextlib.suppress(USBError, NotImplementedError):
             # Not Device.reset: it closes the handle, which the read still uses.
             context = self._device._ctx  # noqa: SLF001
             context.backend.reset_device(context.handle)
-        return self._reads.wait(STUCK_READ_S)
+        return self._wait_for_reads(STUCK_READ_S)
 
     def _claim(self) -> None:
         if self._active_configuration() != CONFIGURATION:

@@ -176,6 +176,8 @@ class FakeBackend(usb.backend.IBackend):
 
     def release_interface(self, handle, intf):
         handle.claimed = False
+        if handle.error:
+            raise handle.error
 
     def clear_halt(self, handle, ep):
         handle.log.append(('clear_halt', ep))

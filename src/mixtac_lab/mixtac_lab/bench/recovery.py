@@ -203,6 +203,7 @@ STEADY_S = 0.7
 GAP_S = 0.2
 """Pause between data that ends a stream [s]; the camera sends its time every 33 ms."""
 LONGEST_RECOVERY_S = 20.0
+LONGEST_ENDING_S = 10.0
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 
 
@@ -351,7 +352,7 @@ def run_recovery_benchmark(
             for name in fault_names(faults, rng):
                 recoveries.append(_recover_from(name, scene, driver, rng))
                 on_fault(recoveries[-1])
-            after = _resources()
+            after = _resources(before)
             driver.supervisor.stop()
     return RecoveryReport(
         seed, tuple(recoveries), driver.went_back, driver.supervisor.reconnects, before, after
@@ -407,13 +408,27 @@ def _nothing(*_: object) -> None:
     pass
 
 
-def _resources() -> Resources:
+def _resources(before: Resources | None = None) -> Resources:
+    """Return the resources in use, once what was closed has ended.
+
+    The other end of a socket notices only later that it was closed: a thread of the virtual camera
+    and its descriptor last until then. A leak lasts.
+
+    Args:
+        before: Resources to go back to, or None.
+    """
     gc.collect()
-    # The other end of the socket may need a moment to close.
-    time.sleep(1.0)
     process = psutil.Process()
-    memory = process.memory_info().rss / (1 << 20)
-    return Resources(process.num_threads(), process.num_fds(), round(memory, 1))
+    deadline_s = time.monotonic() + LONGEST_ENDING_S
+    time.sleep(1.0)
+    while True:
+        memory = process.memory_info().rss / (1 << 20)
+        now = Resources(process.num_threads(), process.num_fds(), round(memory, 1))
+        if before is None or time.monotonic() >= deadline_s:
+            return now
+        if now.threads <= before.threads and now.descriptors <= before.descriptors:
+            return now
+        time.sleep(0.1)
 
 
 def _quantiles(recoveries: Sequence[Recovery]) -> dict[str, float]:
