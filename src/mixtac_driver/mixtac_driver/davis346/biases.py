@@ -12,9 +12,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import TypeVar
 
 from mixtac_driver.errors import ConfigurationError
 from mixtac_node.parameters import parameter
+
+T = TypeVar('T')
 
 
 def switch(default: bool, description: str) -> bool:
@@ -35,10 +38,6 @@ def number(
     return parameter(
         default, description, unit=unit, minimum=minimum, maximum=maximum, read_only=read_only
     )
-
-
-COARSE_CURRENT_PA = (11, 94, 756, 6054, 48437, 387500, 3100000, 24800000)
-"""Full-scale current [pA] of each coarse step."""
 
 
 def _field(name: str, value: int, maximum: int) -> int:
@@ -66,11 +65,6 @@ class VoltageBias:
             ConfigurationError: A field is out of range.
         """
         return _field('voltage', self.voltage, 63) | _field('current', self.current, 7) << 6
-
-    @classmethod
-    def decode(cls, value: int) -> VoltageBias:
-        """Return the bias that a register value stands for."""
-        return cls(value & 63, value >> 6 & 7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,22 +96,6 @@ class CurrentBias:
         flags = self.enabled | self.n_type << 1 | self.normal << 2 | self.normal_level << 3
         return flags | _field('fine', self.fine, 255) << 4 | _field('coarse', self.coarse, 7) << 12
 
-    @classmethod
-    def decode(cls, value: int) -> CurrentBias:
-        """Return the bias that a register value stands for."""
-        return cls(
-            coarse=value >> 12 & 7,
-            fine=value >> 4 & 255,
-            n_type=bool(value & 2),
-            enabled=bool(value & 1),
-            normal=bool(value & 4),
-            normal_level=bool(value & 8),
-        )
-
-    def current_pa(self) -> float:
-        """Return the approximate current [pA]."""
-        return COARSE_CURRENT_PA[self.coarse] * self.fine / 255 if self.enabled else 0.0
-
 
 @dataclass(frozen=True, slots=True)
 class ShiftedSourceBias:
@@ -147,11 +125,6 @@ class ShiftedSourceBias:
             | _field('reference', self.reference, 63) << 4
             | _field('regulator', self.regulator, 63) << 10
         )
-
-    @classmethod
-    def decode(cls, value: int) -> ShiftedSourceBias:
-        """Return the bias that a register value stands for."""
-        return cls(value >> 4 & 63, value >> 10 & 63, value & 3, value >> 2 & 3)
 
 
 Bias = VoltageBias | CurrentBias | ShiftedSourceBias
@@ -236,154 +209,52 @@ DESCRIPTIONS = {
     'SSP': 'Shifted source of the P biases',
     'SSN': 'Shifted source of the N biases',
 }
+_PARTS: Mapping[type, tuple[tuple[str, str, str, int], ...]] = {
+    VoltageBias: (
+        ('voltage', 'voltage', 'voltage step', 63),
+        ('current', 'current', 'output current step', 7),
+    ),
+    CurrentBias: (
+        ('coarse', 'coarse', 'coarse step', 7),
+        ('fine', 'fine', 'fine step', 255),
+        ('enabled', 'enabled', 'enable the current', 1),
+    ),
+    ShiftedSourceBias: (
+        ('ref', 'reference', 'reference step', 63),
+        ('reg', 'regulator', 'regulator step', 63),
+        ('mode', 'mode', 'mode: 0 shifted source, 1 high impedance, 2 tied to the rail', 2),
+        ('level', 'level', 'level: 0 split gate, 1 single diode, 2 double diode', 2),
+    ),
+}
+"""Parameters of each kind of bias: suffix of the name, field, description and maximum."""
 
 
-def _number(name: str, part: str, description: str, maximum: int) -> int:
-    default: int = getattr(DEFAULT_BIASES[name][1], part)
-    return number(default, f'{DESCRIPTIONS[name]}, {description}', maximum)
-
-
-def _voltage(name: str) -> int:
-    return _number(name, 'voltage', 'voltage step', 63)
-
-
-def _current(name: str) -> int:
-    return _number(name, 'current', 'output current step', 7)
-
-
-def _coarse(name: str) -> int:
-    return _number(name, 'coarse', 'coarse step', 7)
-
-
-def _fine(name: str) -> int:
-    return _number(name, 'fine', 'fine step', 255)
-
-
-def _enabled(name: str) -> bool:
-    bias = DEFAULT_BIASES[name][1]
-    default = isinstance(bias, CurrentBias) and bias.enabled
-    return switch(default, f'{DESCRIPTIONS[name]}, enable the current')
-
-
-def _reference(name: str) -> int:
-    return _number(name, 'reference', 'reference step', 63)
-
-
-def _regulator(name: str) -> int:
-    return _number(name, 'regulator', 'regulator step', 63)
-
-
-def _mode(name: str) -> int:
-    text = 'mode: 0 shifted source, 1 high impedance, 2 tied to the rail'
-    return _number(name, 'mode', text, 2)
-
-
-def _level(name: str) -> int:
-    text = 'level: 0 split gate, 1 single diode, 2 double diode'
-    return _number(name, 'level', text, 2)
+def _declare(schema: type[T]) -> type[T]:
+    """Add the parameters of all biases to a class that becomes a dataclass."""
+    for name, (_, bias) in DEFAULT_BIASES.items():
+        for suffix, part, description, maximum in _PARTS[type(bias)]:
+            default, text = getattr(bias, part), f'{DESCRIPTIONS[name]}, {description}'
+            flag = isinstance(default, bool)
+            field = switch(default, text) if flag else number(default, text, maximum)
+            parameter_name = f'{PARAMETER_NAMES.get(name, name)}_{suffix}'
+            schema.__annotations__[parameter_name] = type(default).__name__
+            setattr(schema, parameter_name, field)
+    return schema
 
 
 @dataclass(frozen=True)
+@_declare
 class BiasParameters:
-    """Biases; every field may change while the node runs."""
-
-    ApsOverflowLevel_voltage: int = _voltage('ApsOverflowLevel')
-    ApsOverflowLevel_current: int = _current('ApsOverflowLevel')
-    ApsCas_voltage: int = _voltage('ApsCas')
-    ApsCas_current: int = _current('ApsCas')
-    ADC_RefHigh_voltage: int = _voltage('AdcRefHigh')
-    ADC_RefHigh_current: int = _current('AdcRefHigh')
-    ADC_RefLow_voltage: int = _voltage('AdcRefLow')
-    ADC_RefLow_current: int = _current('AdcRefLow')
-    ADC_TestVoltage_voltage: int = _voltage('AdcTestVoltage')
-    ADC_TestVoltage_current: int = _current('AdcTestVoltage')
-    LocalBufBn_coarse: int = _coarse('LocalBufBn')
-    LocalBufBn_fine: int = _fine('LocalBufBn')
-    LocalBufBn_enabled: bool = _enabled('LocalBufBn')
-    PadFollBn_coarse: int = _coarse('PadFollBn')
-    PadFollBn_fine: int = _fine('PadFollBn')
-    PadFollBn_enabled: bool = _enabled('PadFollBn')
-    DiffBn_coarse: int = _coarse('DiffBn')
-    DiffBn_fine: int = _fine('DiffBn')
-    DiffBn_enabled: bool = _enabled('DiffBn')
-    ONBn_coarse: int = _coarse('OnBn')
-    ONBn_fine: int = _fine('OnBn')
-    ONBn_enabled: bool = _enabled('OnBn')
-    OFFBn_coarse: int = _coarse('OffBn')
-    OFFBn_fine: int = _fine('OffBn')
-    OFFBn_enabled: bool = _enabled('OffBn')
-    PixInvBn_coarse: int = _coarse('PixInvBn')
-    PixInvBn_fine: int = _fine('PixInvBn')
-    PixInvBn_enabled: bool = _enabled('PixInvBn')
-    PrBp_coarse: int = _coarse('PrBp')
-    PrBp_fine: int = _fine('PrBp')
-    PrBp_enabled: bool = _enabled('PrBp')
-    PrSFBp_coarse: int = _coarse('PrSFBp')
-    PrSFBp_fine: int = _fine('PrSFBp')
-    PrSFBp_enabled: bool = _enabled('PrSFBp')
-    RefrBp_coarse: int = _coarse('RefrBp')
-    RefrBp_fine: int = _fine('RefrBp')
-    RefrBp_enabled: bool = _enabled('RefrBp')
-    ReadoutBufBp_coarse: int = _coarse('ReadoutBufBp')
-    ReadoutBufBp_fine: int = _fine('ReadoutBufBp')
-    ReadoutBufBp_enabled: bool = _enabled('ReadoutBufBp')
-    ApsROSFBn_coarse: int = _coarse('ApsROSFBn')
-    ApsROSFBn_fine: int = _fine('ApsROSFBn')
-    ApsROSFBn_enabled: bool = _enabled('ApsROSFBn')
-    AdcCompBp_coarse: int = _coarse('AdcCompBp')
-    AdcCompBp_fine: int = _fine('AdcCompBp')
-    AdcCompBp_enabled: bool = _enabled('AdcCompBp')
-    ColSelLowBn_coarse: int = _coarse('ColSelLowBn')
-    ColSelLowBn_fine: int = _fine('ColSelLowBn')
-    ColSelLowBn_enabled: bool = _enabled('ColSelLowBn')
-    DACBufBp_coarse: int = _coarse('DACBufBp')
-    DACBufBp_fine: int = _fine('DACBufBp')
-    DACBufBp_enabled: bool = _enabled('DACBufBp')
-    LcolTimeoutBn_coarse: int = _coarse('LcolTimeoutBn')
-    LcolTimeoutBn_fine: int = _fine('LcolTimeoutBn')
-    LcolTimeoutBn_enabled: bool = _enabled('LcolTimeoutBn')
-    AEPdBn_coarse: int = _coarse('AEPdBn')
-    AEPdBn_fine: int = _fine('AEPdBn')
-    AEPdBn_enabled: bool = _enabled('AEPdBn')
-    AEPuXBp_coarse: int = _coarse('AEPuXBp')
-    AEPuXBp_fine: int = _fine('AEPuXBp')
-    AEPuXBp_enabled: bool = _enabled('AEPuXBp')
-    AEPuYBp_coarse: int = _coarse('AEPuYBp')
-    AEPuYBp_fine: int = _fine('AEPuYBp')
-    AEPuYBp_enabled: bool = _enabled('AEPuYBp')
-    IFRefrBn_coarse: int = _coarse('IFRefrBn')
-    IFRefrBn_fine: int = _fine('IFRefrBn')
-    IFRefrBn_enabled: bool = _enabled('IFRefrBn')
-    IFThrBn_coarse: int = _coarse('IFThrBn')
-    IFThrBn_fine: int = _fine('IFThrBn')
-    IFThrBn_enabled: bool = _enabled('IFThrBn')
-    BiasBuffer_coarse: int = _coarse('BiasBuffer')
-    BiasBuffer_fine: int = _fine('BiasBuffer')
-    BiasBuffer_enabled: bool = _enabled('BiasBuffer')
-    SSP_ref: int = _reference('SSP')
-    SSP_reg: int = _regulator('SSP')
-    SSP_mode: int = _mode('SSP')
-    SSP_level: int = _level('SSP')
-    SSN_ref: int = _reference('SSN')
-    SSN_reg: int = _regulator('SSN')
-    SSN_mode: int = _mode('SSN')
-    SSN_level: int = _level('SSN')
+    """Biases, for example `ONBn_coarse`; every field may change while the node runs."""
 
 
 def biases(p: BiasParameters) -> dict[str, Bias]:
     """Return the biases that parameters stand for, under the names of DEFAULT_BIASES."""
-    return {name: _bias(p, name, default) for name, (_, default) in DEFAULT_BIASES.items()}
-
-
-def _bias(p: BiasParameters, name: str, default: Bias) -> Bias:
-    prefix = PARAMETER_NAMES.get(name, name)
-
-    def value(part: str) -> int:
-        return int(getattr(p, f'{prefix}_{part}'))
-
-    if isinstance(default, VoltageBias):
-        return VoltageBias(value('voltage'), value('current'))
-    if isinstance(default, CurrentBias):
-        enabled = bool(value('enabled'))
-        return replace(default, coarse=value('coarse'), fine=value('fine'), enabled=enabled)
-    return ShiftedSourceBias(value('ref'), value('reg'), value('mode'), value('level'))
+    wanted: dict[str, Bias] = {}
+    for name, (_, default) in DEFAULT_BIASES.items():
+        prefix = PARAMETER_NAMES.get(name, name)
+        values = {
+            part: getattr(p, f'{prefix}_{suffix}') for suffix, part, *_ in _PARTS[type(default)]
+        }
+        wanted[name] = replace(default, **values)
+    return wanted

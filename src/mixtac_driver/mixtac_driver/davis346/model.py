@@ -126,7 +126,7 @@ DAVIS346 = CameraModel(
             Chip.RESET_CALIBRATION_NEURON: 1,
             Chip.TYPE_N_CALIBRATION_NEURON: 0,
             Chip.RESET_TEST_PIXEL: 1,
-            Chip.AER_NAROW: 0,
+            Chip.AER_NA_ROW: 0,
             Chip.USE_A_OUT: 0,
             Chip.SELECT_GRAY_COUNTER: 1,
             Chip.TEST_ADC: 0,

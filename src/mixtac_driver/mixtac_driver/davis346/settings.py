@@ -8,12 +8,10 @@ same.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mixtac_driver.davis346.biases import BiasParameters, number, switch
 from mixtac_driver.davis346.model import DAVIS346
-from mixtac_driver.davis346.registers import Chip
 from mixtac_driver.errors import ConfigurationError
 from mixtac_node.parameters import parameter, specs
 
@@ -66,26 +64,6 @@ class Region:
         )
         region.check(name)
         return region
-
-
-CHIP_REGISTERS: Mapping[str, Chip] = {
-    'chip_digital_mux_0': Chip.DIGITAL_MUX_0,
-    'chip_digital_mux_1': Chip.DIGITAL_MUX_1,
-    'chip_digital_mux_2': Chip.DIGITAL_MUX_2,
-    'chip_digital_mux_3': Chip.DIGITAL_MUX_3,
-    'chip_analog_mux_0': Chip.ANALOG_MUX_0,
-    'chip_analog_mux_1': Chip.ANALOG_MUX_1,
-    'chip_analog_mux_2': Chip.ANALOG_MUX_2,
-    'chip_bias_mux_0': Chip.BIAS_MUX_0,
-    'chip_reset_calibration_neuron': Chip.RESET_CALIBRATION_NEURON,
-    'chip_type_n_calibration_neuron': Chip.TYPE_N_CALIBRATION_NEURON,
-    'chip_reset_test_pixel': Chip.RESET_TEST_PIXEL,
-    'chip_aer_na_row': Chip.AER_NAROW,
-    'chip_use_a_out': Chip.USE_A_OUT,
-    'chip_select_gray_counter': Chip.SELECT_GRAY_COUNTER,
-    'chip_test_adc': Chip.TEST_ADC,
-}
-"""Parameters that set a chip register; Chip.GLOBAL_SHUTTER follows aps_global_shutter."""
 
 
 @dataclass(frozen=True)
@@ -247,7 +225,7 @@ class SensorParameters:
         minimum=125,
     )
 
-    # Meant for measurements of the chip itself.
+    # Meant for measurements of the chip itself; named as the registers (`registers.Chip`).
     chip_digital_mux_0: int = number(0, 'Signal on the digital test pin 0', 15)
     chip_digital_mux_1: int = number(0, 'Signal on the digital test pin 1', 15)
     chip_digital_mux_2: int = number(0, 'Signal on the digital test pin 2', 15)

@@ -24,7 +24,7 @@ from mixtac_driver.davis346.registers import (
     Mux,
     Usb,
 )
-from mixtac_driver.davis346.settings import CHIP_REGISTERS, CameraParameters
+from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.errors import ConfigurationError
 from mixtac_driver.usb.protocol import Protocol, Write
 
@@ -52,13 +52,12 @@ def register_writes(
     p.check()
     model = identity.model
     wanted = biases(p)
-    chip = {register: int(getattr(p, name)) for name, register in CHIP_REGISTERS.items()}
     writes = [
         Write(Module.CHIP, address, wanted.get(name, default).encode())
         for name, (address, default) in model.biases.items()
     ]
     writes += [
-        Write(Module.CHIP, register, chip.get(register, default))
+        Write(Module.CHIP, register, int(getattr(p, f'chip_{register.name.lower()}', default)))
         for register, default in model.chip_registers.items()
     ]
     writes += [

@@ -13,6 +13,10 @@
 | 7 | wrap of the time stamp |
 
 Event words and frame samples, nearly all of a busy stream, are taken many at a time where possible.
+
+Inertial samples come as a start word, an info byte, up to 14 bytes of payload and an end word. The
+info byte says which groups follow: acceleration (bytes 0 .. 5), temperature (6, 7) and rotation
+(8 .. 13). Groups that are not sent are skipped in the payload and stay zero.
 """
 
 from __future__ import annotations
@@ -33,8 +37,12 @@ from mixtac_driver.decode.frames import (
     frame_samples,
     frame_start,
 )
-from mixtac_driver.decode.imu import imu_byte, imu_drop, imu_end, imu_info, imu_start
-from mixtac_driver.decode.state import READINGS_CAPACITY
+from mixtac_driver.decode.state import (
+    IMU_AWAITS_INFO,
+    IMU_BYTES,
+    IMU_OUTSIDE,
+    READINGS_CAPACITY,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,6 +53,76 @@ if TYPE_CHECKING:
 DONE, FULL, FRAME, RESET = range(4)
 """Reasons why `decode_words` returns: end of the words, no room, frame complete, clock reset."""
 Record = Any
+HAS_ACCELERATION, HAS_ROTATION, HAS_TEMPERATURE = 0x80, 0x40, 0x20
+
+
+@njit(nogil=True)
+def _imu_drop(s: Record, c: Record) -> None:
+    """Drop the sample in progress, if any."""
+    if s.imu_index != IMU_OUTSIDE:
+        c.imu_dropped += 1
+        s.imu_index = IMU_OUTSIDE
+
+
+@njit(nogil=True)
+def _imu_start(s: Record, c: Record) -> None:
+    """Start a sample."""
+    _imu_drop(s, c)
+    s.imu_index = IMU_AWAITS_INFO
+
+
+@njit(nogil=True)
+def _next_byte(index: int, info: int) -> int:
+    """Return the index of the next byte that is sent, at or after this one."""
+    if index == 0 and not info & HAS_ACCELERATION:
+        index = 6
+    if index == 6 and not info & HAS_TEMPERATURE:
+        index = 8
+    if index == 8 and not info & HAS_ROTATION:
+        index = IMU_BYTES
+    return index
+
+
+@njit(nogil=True)
+def _imu_info(data: int, s: Record, c: Record, r: Record) -> None:
+    """Take the info byte."""
+    if s.imu_index != IMU_AWAITS_INFO:
+        c.imu_unexpected += 1
+        _imu_drop(s, c)
+        return
+    s.imu_info = data
+    s.imu_index = _next_byte(0, data)
+    if s.imu_index == IMU_BYTES:
+        _imu_drop(s, c)
+        return
+    for k in range(IMU_BYTES):
+        r.imu_raw[r.imu_count, k] = 0
+    r.imu_raw[r.imu_count, IMU_BYTES] = data
+
+
+@njit(nogil=True)
+def _imu_byte(data: int, s: Record, c: Record, r: Record) -> None:
+    """Take one byte of the payload."""
+    if s.imu_index < 0 or s.imu_index >= IMU_BYTES:
+        c.imu_unexpected += 1
+        return
+    r.imu_raw[r.imu_count, s.imu_index] = data
+    s.imu_index = _next_byte(s.imu_index + 1, s.imu_info)
+
+
+@njit(nogil=True)
+def _imu_end(s: Record, c: Record, r: Record) -> None:
+    """Finish the sample; its time is that of the end word."""
+    if s.imu_index == IMU_OUTSIDE:
+        c.imu_unexpected += 1
+        return
+    if s.imu_index != IMU_BYTES:
+        _imu_drop(s, c)
+        return
+    r.imu_t[r.imu_count] = s.time
+    r.imu_count += 1
+    s.imu_index = IMU_OUTSIDE
+    c.imu += 1
 
 
 @njit(nogil=True)
@@ -60,7 +138,7 @@ def _take_wrap(count: int, s: Record, c: Record) -> None:
 @njit(nogil=True)
 def _take_reset(s: Record, c: Record) -> None:
     frame_drop(s, c)
-    imu_drop(s, c)
+    _imu_drop(s, c)
     s.time_before_reset = s.time
     s.time = 0
     s.wrap_base = 0
@@ -85,9 +163,9 @@ def _take_special(code: int, s: Record, c: Record, r: Record) -> int:
     if 2 <= code <= 4 or 16 <= code <= 17:
         _take_edge(code, s, c, r)
     elif code == 5:
-        imu_start(s, c)
+        _imu_start(s, c)
     elif code == 7:
-        imu_end(s, c, r)
+        _imu_end(s, c, r)
     elif 8 <= code <= 9:
         frame_start(code == 8, s, c)
     elif code == 10:
@@ -110,9 +188,9 @@ def _take_data(word: int, s: Record, c: Record, r: Record) -> None:
     """Take a data word of a frame or an inertial sample."""
     code = word >> 8
     if code == 0x50:
-        imu_byte(word & 0xFF, s, c, r)
+        _imu_byte(word & 0xFF, s, c, r)
     elif code == 0x53:
-        imu_info(word & 0xFF, s, c, r)
+        _imu_info(word & 0xFF, s, c, r)
     elif 0x51 <= code <= 0x52:
         frame_region(code == 0x51, word & 0xFF, s, c)
     elif 0x60 <= code <= 0x63:
@@ -173,4 +251,4 @@ def decode_words(words: NDArray[np.uint16], i: int, n: int, b: Buffers) -> tuple
 def drop_items(b: Buffers) -> None:
     """Drop the frame and the inertial sample in progress."""
     frame_drop(b.state[0], b.counters[0])
-    imu_drop(b.state[0], b.counters[0])
+    _imu_drop(b.state[0], b.counters[0])
