@@ -45,7 +45,12 @@ PACKET_US = 1000
 QOS = QoSProfile(depth=2000)
 RELIABLE = {
     f'qos_overrides./mixtac/{topic}.reliability': 'reliable'
-    for topic in ('events.subscription', 'force.publisher', 'force_quality.publisher')
+    for topic in (
+        'events.subscription',
+        'image_raw.subscription',
+        'force.publisher',
+        'force_quality.publisher',
+    )
 }
 """Best effort would lose messages on a machine that is busy with other things."""
 
@@ -146,24 +151,33 @@ def image(trial, index: int) -> Image:
 
 
 def play(harness: Harness, trial) -> tuple[list[WrenchStamped], list[ForceQuality]]:
-    """Publish the trial in real time and return the forces that came back, and their quality."""
+    """Publish the trial and return the forces that came back, and their quality.
+
+    The trial waits for a slow node: its length in time does not matter to the camera clock.
+    """
     node, received, quality = harness.node, [], []
     node.create_subscription(ForceQuality, 'force_quality', quality.append, QOS)
     events = node.create_publisher(EventPacket, 'events', QOS)
-    images = node.create_publisher(Image, 'image_raw', QOS_SENSOR)
+    images = node.create_publisher(Image, 'image_raw', QOS)
     node.create_subscription(WrenchStamped, 'force', received.append, QOS)
     deadline = time.monotonic() + 10
     while not (events.get_subscription_count() and images.get_subscription_count()):
         rclpy.spin_once(node, timeout_sec=0.05)
         assert time.monotonic() < deadline
-    started, frame = time.monotonic(), 0
+    frame = 0
+
+    def behind_us(until: int) -> int:
+        return ORIGIN_US + until - stamp_to_us(received[-1].header.stamp) if received else 0
+
     for until, message in packets(trial):
         while frame < len(trial.frames) and trial.arrival_us[frame] <= until:
             images.publish(image(trial, frame))
             frame += 1
         events.publish(message)
         rclpy.spin_once(node, timeout_sec=0)
-        time.sleep(max(0.0, started + until * 1e-6 - time.monotonic()))
+        # Without a force so far, the node is still reading the first frames.
+        time.sleep(PACKET_US * (1e-6 if received else 5e-6))
+        harness.until(lambda until=until: behind_us(until) < 100_000)
     last_us = ORIGIN_US + int(trial.t_us[-1]) - 2000
     harness.until(lambda: stamp_to_us(received[-1].header.stamp) >= last_us if received else False)
     harness.until(lambda: len(quality) >= len(received))
@@ -203,7 +217,7 @@ def tare_with_still_frames(harness, trial) -> None:
     assert 'reference.npz' in replies[-1].message
 
 
-def test_forces_come_at_500_hz_on_the_camera_clock(harness, trial, tmp_path, config):
+def test_forces_come_every_2_ms_of_the_camera_clock(harness, trial, tmp_path, config):
     refused = harness.call(harness.tare, Trigger.Request())
     assert not refused.success
     assert 'not active' in refused.message
@@ -224,7 +238,8 @@ def test_forces_come_at_500_hz_on_the_camera_clock(harness, trial, tmp_path, con
         State.PRIMARY_STATE_ACTIVE,
     )
     assert stamps[-1] - ORIGIN_US == trial.t_us[-1] - 2000
-    assert len(stamps) > 400
+    # The first frames are the reference: more than half of the windows come after them.
+    assert len(stamps) * 2000 > trial.t_us[-1] / 2
     check_quality(received, quality)
     assert any(report.message for report in reports)
     tare_with_still_frames(harness, trial)
