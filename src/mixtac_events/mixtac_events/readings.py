@@ -38,6 +38,10 @@ class Edges:
     t: NDArray[np.int64]
     kind: NDArray[np.uint8]
 
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Edges:
+        """Return some of the edges."""
+        return Edges(self.t[rows], self.kind[rows])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
@@ -86,6 +90,15 @@ class InertialSamples:
     acceleration: NDArray[np.float64]
     angular_velocity: NDArray[np.float64]
     temperature: NDArray[np.float64]
+
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> InertialSamples:
+        """Return some of the samples."""
+        return InertialSamples(
+            self.t[rows],
+            self.acceleration[rows],
+            self.angular_velocity[rows],
+            self.temperature[rows],
+        )
 
 
 def inertial_samples(

@@ -58,8 +58,8 @@ def read_events(data: Octets) -> Iterator[Events]:
     flatbuffer.check(data, 'EVTS')
     packed = flatbuffer.structs(data, flatbuffer.root(data), 0, EVENT)
     every = Events(*(packed[name].copy() for name in ('t', 'x', 'y', 'polarity')))
-    for start, end in _slices(every.t):
-        yield every[start:end]
+    for part in _slices(every.t):
+        yield every[part]
 
 
 def read_frame(data: Octets) -> Frame:
@@ -107,9 +107,9 @@ def read_samples(data: Octets) -> Iterator[InertialSamples]:
         temperature, ax, ay, az, wx, wy, wz = np.array(columns).astype(np.float64)
     acceleration = np.stack((ax, ay, az), 1) * STANDARD_GRAVITY
     rotation = np.deg2rad(np.stack((wx, wy, wz), 1))
-    for start, end in _slices(t):
-        part = slice(start, end)
-        yield InertialSamples(t[part], acceleration[part], rotation[part], temperature[part])
+    every = InertialSamples(t, acceleration, rotation, temperature)
+    for part in _slices(t):
+        yield every[part]
 
 
 def read_edges(data: Octets) -> Iterator[Edges]:
@@ -123,9 +123,9 @@ def read_edges(data: Octets) -> Iterator[Edges]:
     t = flatbuffer.column(data, rows, 0, '<i8', 0).astype(np.int64)
     recorded = flatbuffer.column(data, rows, 1, 'i1', 0)
     known = np.isin(recorded, list(_EDGES))
-    t, kinds = t[known], np.array([_EDGES[int(each)] for each in recorded[known]], np.uint8)
-    for start, end in _slices(t):
-        yield Edges(t[start:end], kinds[start:end])
+    every = Edges(t[known], np.array([_EDGES[int(each)] for each in recorded[known]], np.uint8))
+    for part in _slices(every.t):
+        yield every[part]
 
 
 def _pixels(data: Octets, number: int, width: int, height: int) -> NDArray[np.uint16]:
@@ -143,12 +143,10 @@ def _pixels(data: Octets, number: int, width: int, height: int) -> NDArray[np.ui
     return wide << np.uint16(2) if dtype.itemsize == 1 else wide >> np.uint16(BIT_SHIFT)
 
 
-def _slices(t: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
-    if not len(t):
-        return
-    cells = t // SLICE_US
-    cuts = np.flatnonzero(np.diff(cells)) + 1
-    yield from zip([0, *cuts.tolist()], [*cuts.tolist(), len(t)], strict=True)
+def _slices(t: NDArray[np.int64]) -> Iterator[slice]:
+    if len(t):
+        cuts = (np.flatnonzero(np.diff(t // SLICE_US)) + 1).tolist()
+        yield from map(slice, [0, *cuts], [*cuts, len(t)])
 
 
 _FROM_SENSOR = 1
@@ -157,13 +155,12 @@ _FROM_SENSOR = 1
 def events_packet(events: Events) -> bytes:
     """Return the buffer of events."""
     rows = np.zeros(len(events), EVENT)
-    rows['t'], rows['x'], rows['y'], rows['polarity'] = (
-        events.t,
-        events.x,
-        events.y,
-        events.polarity,
-    )
-    return _with_vector('EVTS', len(rows), rows.tobytes())
+    for name in EVENT.names or ():
+        rows[name] = getattr(events, name)
+    buffer = FlatBufferWriter('EVTS')
+    table, fields = buffer.table({0: ('O', 0)})
+    buffer.refer(fields[0], buffer.vector(len(rows), rows.tobytes()))
+    return buffer.finish(table)
 
 
 def frame_packet(frame: Frame) -> bytes:
@@ -205,32 +202,16 @@ def samples_packet(samples: InertialSamples) -> bytes:
         row: dict[int, tuple[str, float]] = {0: ('q', t_us)}
         row |= {1 + number: ('f', value) for number, value in enumerate(values)}
         rows.append(row)
-    return _with_tables('IMUS', rows)
+    return flatbuffer.tables_buffer('IMUS', rows)
 
 
 def edges_packet(edges: Edges) -> bytes:
     """Return the buffer of edges at the synchronisation connector."""
     kinds = [_TRIGGERS[EdgeKind(int(kind))] for kind in edges.kind]
     rows = zip(edges.t.tolist(), kinds, strict=True)
-    return _with_tables('TRIG', [{0: ('q', t_us), 1: ('b', kind)} for t_us, kind in rows])
-
-
-def _with_vector(identifier: str, count: int, octets: bytes) -> bytes:
-    buffer = FlatBufferWriter(identifier)
-    table, fields = buffer.table({0: ('O', 0)})
-    buffer.refer(fields[0], buffer.vector(count, octets))
-    return buffer.finish(table)
-
-
-def _with_tables(identifier: str, rows: list[dict[int, tuple[str, float]]]) -> bytes:
-    buffer = FlatBufferWriter(identifier)
-    table, fields = buffer.table({0: ('O', 0)})
-    vector, places = buffer.references(len(rows))
-    buffer.refer(fields[0], vector)
-    for place, row in zip(places, rows, strict=True):
-        position, _ = buffer.table(row)
-        buffer.refer(place, position)
-    return buffer.finish(table)
+    return flatbuffer.tables_buffer(
+        'TRIG', [{0: ('q', t_us), 1: ('b', kind)} for t_us, kind in rows]
+    )
 
 
 SUFFIX = '.aedat4'

@@ -271,7 +271,7 @@ class Aedat4Writer:
             self._file = path.open('xb')
         except OSError as error:
             raise RecordingError(f'cannot write {path}: {error.strerror}') from error
-        self._table: list[tuple[int, int, int, int, int, int]] = []
+        self._table: list[dict[int, tuple[str, float]]] = []
         buffer = FlatBufferWriter('IOHE')
         root, fields = buffer.table({0: ('i', _LZ4), 1: ('q', -1), 2: ('O', 0)})
         text = _description(size, camera).encode()
@@ -292,36 +292,18 @@ class Aedat4Writer:
         packed = lz4.frame.compress(data)
         number = list(STREAMS).index(stream)
         self._file.write(struct.pack('<ii', number, len(packed)))
-        self._table.append((number, len(packed), self._file.tell(), count, start_us, end_us))
+        header = len(packed) << 32 | number
+        row = (self._file.tell(), header, count, start_us, end_us)
+        self._table.append({index: ('q', value) for index, value in enumerate(row)})
         self._file.write(packed)
 
     def close(self) -> None:
         """Write the table of packets and close the file."""
         at = self._file.tell()
-        self._file.write(lz4.frame.compress(self._table_buffer()))
+        self._file.write(lz4.frame.compress(flatbuffer.tables_buffer('FTAB', self._table)))
         self._file.seek(self._table_at)
         self._file.write(struct.pack('<q', at))
         self._file.close()
-
-    def _table_buffer(self) -> bytes:
-        buffer = FlatBufferWriter('FTAB')
-        root, fields = buffer.table({0: ('O', 0)})
-        vector, places = buffer.references(len(self._table))
-        buffer.refer(fields[0], vector)
-        for place, row in zip(places, self._table, strict=True):
-            number, size, offset, count, start_us, end_us = row
-            header = size << 32 | number
-            table, _ = buffer.table(
-                {
-                    0: ('q', offset),
-                    1: ('q', header),
-                    2: ('q', count),
-                    3: ('q', start_us),
-                    4: ('q', end_us),
-                }
-            )
-            buffer.refer(place, table)
-        return buffer.finish(root)
 
 
 def _description(size: tuple[int, int], camera: str) -> str:

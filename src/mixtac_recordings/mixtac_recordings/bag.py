@@ -9,15 +9,15 @@ last complete record (https://mcap.dev/spec).
 from __future__ import annotations
 
 import functools
-import io
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -124,7 +124,7 @@ class BagFile:
         self.duration_ns = max((each.end_time for each in filled), default=0) - self.start_ns
         self.counts: dict[str, int] = {}
         self.types: dict[str, str] = {}
-        for connection in self._connections():
+        for connection in [each for reader in self._readers for each in reader.connections]:
             topic = connection.topic
             self.counts[topic] = self.counts.get(topic, 0) + connection.msgcount
             self.types[topic] = connection.msgtype
@@ -200,9 +200,6 @@ class BagFile:
             forces.append(topics.normal_force(message))
         return np.array(stamps, np.int64), np.array(forces, np.float64)
 
-    def _connections(self) -> list[Connection]:
-        return [connection for reader in self._readers for connection in reader.connections]
-
     def _rescued(self, error: Exception) -> list[Reader]:
         """Open the files of the bag one by one and note in `damage` what is missing."""
         found = [p for p in self.path.glob('*') if p.suffix in SUFFIXES]
@@ -253,9 +250,27 @@ def _opened_incomplete(path: Path) -> Reader:
 class _IncompleteMcap(McapReader):
     """An MCAP file without its end, read up to the last complete record."""
 
+    _MAGIC = b'\x89MCAP0\r\n'
+    _END_OF_DATA = (0x00, 0x02, 0x0F)
+
     def open(self) -> None:
-        self.bio = io.BufferedReader(_ClosedMcap(Path(str(self.path))))
-        self._open()
+        self.bio = bio = Path(str(self.path)).open('rb')  # noqa: SIM115  (closed by `close`)
+        if bio.read(len(self._MAGIC)) != self._MAGIC:
+            raise ReaderError('it does not begin as an MCAP file')
+        self.data_start, self.data_end = len(self._MAGIC), self._complete(bio)
+        self.meta_scan()
+        found = self.statistics
+        assert found is not None  # noqa: S101  (set by meta_scan)
+        counts = found.channel_message_counts
+        self.connections = [
+            each._replace(msgcount=counts.get(each.id, 0)) for each in self.connections
+        ]
+        self.metadata = self.metadata._replace(
+            duration=found.end_time - found.start_time + 1,
+            start_time=found.start_time,
+            end_time=found.end_time + 1,
+            message_count=found.message_count,
+        )
 
     def messages(
         self, connections: Collection[Connection], start: int | None = None, stop: int | None = None
@@ -263,53 +278,13 @@ class _IncompleteMcap(McapReader):
         # The base class refuses unsorted messages without an index.
         return self.messages_scan(connections, start, stop)
 
-
-class _ClosedMcap(io.RawIOBase):
-    """The complete records of an MCAP file, followed by a footer."""
-
-    _FOOTER = struct.pack('<BQQQI', 2, 20, 0, 0, 0) + b'\x89MCAP0\r\n'
-    _END_OF_DATA = (0x02, 0x0F)
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open('rb')
-        self._size = path.stat().st_size
-        self._end, self._at = self._complete(), 0
-
-    def close(self) -> None:
-        self._file.close()
-        super().close()
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def tell(self) -> int:
-        return self._at
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        starts = {0: 0, 1: self._at, 2: self._end + len(self._FOOTER)}
-        self._at = starts[whence] + offset
-        return self._at
-
-    def readinto(self, buffer: Any) -> int:  # noqa: ANN401
-        if self._at < self._end:
-            self._file.seek(self._at)
-            data = self._file.read(min(len(buffer), self._end - self._at))
-        else:
-            data = self._FOOTER[self._at - self._end :][: len(buffer)]
-        buffer[: len(data)] = data
-        self._at += len(data)
-        return len(data)
-
-    def _complete(self) -> int:
+    def _complete(self, bio: BinaryIO) -> int:
         """Return where the last complete record ends."""
-        at = 8
-        while at + 9 <= self._size:
-            self._file.seek(at)
-            code, length = struct.unpack('<BQ', self._file.read(9))
-            if not code or code in self._END_OF_DATA or at + 9 + length > self._size:
+        at, size = bio.tell(), self.path.stat().st_size
+        while at + 9 <= size:
+            bio.seek(at)
+            code, length = struct.unpack('<BQ', bio.read(9))
+            if code in self._END_OF_DATA or at + 9 + length > size:
                 break
             at += 9 + length
         return at

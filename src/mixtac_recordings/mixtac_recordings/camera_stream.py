@@ -9,7 +9,7 @@ first event packet and its events, which is correct to within the transport dela
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,63 +36,6 @@ from mixtac_recordings.recording import (
 
 PATIENCE = 20
 """Messages to wait for the exposure of a frame: 20 ms of packets."""
-
-
-class _FramePairs:
-    """Delays each frame until its exposure message arrives, at most PATIENCE messages.
-
-    Args:
-        waits: False if exposures were not recorded.
-    """
-
-    def __init__(self, *, waits: bool) -> None:
-        self._waits = waits
-        self._held: Piece | None = None
-        self._passed = 0
-        self._ready: list[Piece] = []
-
-    def add_frame(self, piece: Piece) -> None:
-        """Take a piece of one frame."""
-        self._release()
-        self._held, self._passed = piece, 0
-        if not self._waits:
-            self._release()
-
-    def add_exposure(self, message: Any, offset_us: int) -> None:  # noqa: ANN401
-        """Take a FrameExposure message; one of another frame is ignored.
-
-        Args:
-            message: The message.
-            offset_us: Subtracted from its times to get the recorded camera clock.
-        """
-        if self._held is None:
-            return
-        (frame,) = self._held.frames
-        if stamp_to_us(message.header.stamp) - offset_us == frame.middle_us:
-            exposed = convert.exposed_frame(frame, message, offset_us=offset_us)
-            self._held = replace(self._held, frames=(exposed,))
-            self._release()
-
-    def pass_by(self) -> None:
-        """Count another message."""
-        self._passed += 1
-        if self._passed >= PATIENCE:
-            self._release()
-
-    def ready(self) -> Iterator[Piece]:
-        """Yield the frames that are complete."""
-        while self._ready:
-            yield self._ready.pop(0)
-
-    def rest(self) -> Iterator[Piece]:
-        """Yield the last frame, at the end of the recording."""
-        self._release()
-        yield from self.ready()
-
-    def _release(self) -> None:
-        if self._held is not None:
-            self._ready.append(self._held)
-            self._held = None
 
 
 OTHER_CLOCK_US = 60_000_000
@@ -146,19 +89,38 @@ class BagRecording:
         named = (self._events, self._images, self._imu, self._exposures, self._edges)
         chosen = [topic for topic in named if topic]
         start_ns = self._received_before(from_us)
-        frames = _FramePairs(waits=self._exposures is not None)
+        # A frame waits for the message with its exposure, at most PATIENCE messages.
+        held: Piece | None = None
+        passed = 0
         for topic, _, message in self._bag.messages(*chosen, start_ns=start_ns):
             if topic == self._exposures:
-                frames.add_exposure(message, self._offset_us)
-            elif topic == self._images:
-                frames.add_frame(self._piece(topic, message))
-            else:
-                frames.pass_by()
-                yield self._piece(topic, message)
-            yield from frames.ready()
+                if held is not None and (exposed := self._exposed(held, message)):
+                    yield exposed
+                    held = None
+                continue
+            piece = self._piece(topic, message)
+            if topic == self._images and self._exposures:
+                if held is not None:
+                    yield held
+                held, passed = piece, 0
+                continue
+            yield piece
+            passed += 1
+            if held is not None and passed >= PATIENCE:
+                yield held
+                held = None
             if topic == self._events:
                 self.counters.packets_missing += counter.update(message.seq)
-        yield from frames.rest()
+        if held is not None:
+            yield held
+
+    def _exposed(self, piece: Piece, message: Any) -> Piece | None:  # noqa: ANN401
+        """Return the piece of a frame with the times of its exposure; None for another frame's."""
+        (frame,) = piece.frames
+        if stamp_to_us(message.header.stamp) - self._offset_us != frame.middle_us:
+            return None
+        exposed = convert.exposed_frame(frame, message, offset_us=self._offset_us)
+        return replace(piece, frames=(exposed,))
 
     def _choose(self, selection: Selection) -> None:
         path = self._path

@@ -110,12 +110,11 @@ class DatasetDescription:
         Raises:
             FileError: It cannot be written.
         """
-        document: dict[str, Any] = {'schema': SCHEMA, 'schema_version': SCHEMA_VERSION}
-        document['simulated'] = True
         fields = asdict(self)
         # The trials last: they fill most of the file.
-        document |= {key: fields[key] for key in fields if key != 'trials'}
-        document['trials'] = list(fields['trials'])
+        trials = list(fields.pop('trials'))
+        document = {'schema': SCHEMA, 'schema_version': SCHEMA_VERSION, 'simulated': True}
+        document |= {**fields, 'trials': trials}
         write_text(folder / FILE_NAME, yaml.safe_dump(document, sort_keys=False))
 
     @staticmethod

@@ -12,7 +12,7 @@ the objects that they refer to, so that every offset is positive.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -182,11 +182,6 @@ class FlatBufferWriter:
         self._data += struct.pack('<I', count) + octets
         return position
 
-    def references(self, count: int) -> tuple[int, list[int]]:
-        """Append a vector of offsets; return its position and those of its elements."""
-        position = self.vector(count, bytes(4 * count))
-        return position, [position + 4 + 4 * index for index in range(count)]
-
     def refer(self, at: int, target: int) -> None:
         """Set an offset at a position to a later position."""
         struct.pack_into('<I', self._data, at, target - at)
@@ -197,3 +192,19 @@ class FlatBufferWriter:
         self.refer(PREFIX, root)
         struct.pack_into('<I', self._data, 0, len(self._data) - PREFIX)
         return bytes(self._data)
+
+
+def tables_buffer(identifier: str, rows: Sequence[Mapping[int, tuple[str, float]]]) -> bytes:
+    """Return a buffer whose root table holds one vector of tables.
+
+    Args:
+        identifier: Four letters that it carries.
+        rows: The tables, as for `FlatBufferWriter.table`.
+    """
+    buffer = FlatBufferWriter(identifier)
+    root, fields = buffer.table({0: ('O', 0)})
+    vector = buffer.vector(len(rows), bytes(4 * len(rows)))
+    buffer.refer(fields[0], vector)
+    for index, row in enumerate(rows, 1):
+        buffer.refer(vector + 4 * index, buffer.table(row)[0])
+    return buffer.finish(root)

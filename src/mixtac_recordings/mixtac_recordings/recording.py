@@ -8,7 +8,7 @@ Readers of a format are in `mixtac_recordings.camera_stream` (bags) and `mixtac_
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -149,27 +149,14 @@ def from_time(pieces: Iterable[Piece], from_us: int) -> Iterator[Piece]:
         if not skipping or piece.start_us >= from_us:
             yield piece
         elif piece.until_us >= from_us:
-            yield _clipped(piece, from_us)
-
-
-def _clipped(piece: Piece, from_us: int) -> Piece:
-    keep = piece.imu.t >= from_us
-    imu = InertialSamples(
-        piece.imu.t[keep],
-        piece.imu.acceleration[keep],
-        piece.imu.angular_velocity[keep],
-        piece.imu.temperature[keep],
-    )
-    late = piece.edges.t >= from_us
-    return Piece(
-        start_us=from_us,
-        until_us=piece.until_us,
-        advances=piece.advances,
-        events=piece.events[piece.events.t >= from_us],
-        frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
-        imu=imu,
-        edges=Edges(piece.edges.t[late], piece.edges.kind[late]),
-    )
+            yield replace(
+                piece,
+                start_us=from_us,
+                events=piece.events[piece.events.t >= from_us],
+                frames=tuple(frame for frame in piece.frames if frame.middle_us >= from_us),
+                imu=piece.imu[piece.imu.t >= from_us],
+                edges=piece.edges[piece.edges.t >= from_us],
+            )
 
 
 NONE = 'none'
