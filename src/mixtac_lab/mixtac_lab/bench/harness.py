@@ -169,6 +169,11 @@ class Arrivals:
         self._last_us = 0
         self._backwards = 0
 
+    @property
+    def packets(self) -> int:
+        """Number of packets received so far."""
+        return self._packets.received
+
     def add(self, seq: int, events: Events, arrival_ns: int) -> None:
         """Take a packet.
 

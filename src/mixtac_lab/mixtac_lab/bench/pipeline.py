@@ -176,6 +176,7 @@ def run_pipeline(
         run.measure(SETTLE_S)
         pattern = pattern_of(run, sent, origin)
         probe.send(probe='events', namespace=f'/{NAMESPACE}', pattern=pattern)
+        probe.expect('measuring', START_TIMEOUT_S)
         elapsed_s, cpu = run.measure(seconds, progress)
         probe.stop()
         figures = probe.expect('events_lost', START_TIMEOUT_S)

@@ -58,14 +58,17 @@ class Probe(Node):  # type: ignore[misc]
 
     def __init__(self, name: str, namespace: str) -> None:
         super().__init__(name, namespace=namespace)
-        self.executor_ = EventsExecutor()
-        self.executor_.add_node(self)
+        self._events_executor: EventsExecutor | None = None
 
     def spin(self, seconds: float) -> None:
         """Run callbacks for some time [s]."""
+        # Not before: `LifecycleClient` spins the node in an executor of its own and removes it.
+        if self._events_executor is None:
+            self._events_executor = EventsExecutor()
+            self._events_executor.add_node(self)
         end_s = time.monotonic() + seconds
         while (left_s := end_s - time.monotonic()) > 0:
-            self.executor_.spin_once(timeout_sec=min(left_s, 0.1))
+            self._events_executor.spin_once(timeout_sec=min(left_s, 0.1))
 
     def prepare(self) -> None:
         """Do what comes before the measurement."""
@@ -76,7 +79,7 @@ class Probe(Node):  # type: ignore[misc]
 
 
 class EventProbe(Probe):
-    """Measures the age of events of a pattern.
+    """Measures the age of events of a pattern; reports `measuring` at the first packet.
 
     Args:
         namespace: Namespace of the sensor.
@@ -93,6 +96,12 @@ class EventProbe(Probe):
     def _on_packet(self, message: EventPacket) -> None:
         arrival_ns = time.time_ns()
         self.arrivals.add(message.seq, decode_message(message).events, arrival_ns)
+
+    def prepare(self) -> None:
+        """Wait for the first packet."""
+        while not self.arrivals.packets:
+            self.spin(0.1)
+        send(measuring=True)
 
     def figures(self) -> dict[str, Any]:
         """Return the summary of the arrivals."""
