@@ -18,7 +18,6 @@ from launch.actions import (
     EmitEvent,
     ExecuteProcess,
     IncludeLaunchDescription,
-    LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
     TimerAction,
@@ -31,6 +30,7 @@ from launch_ros.substitutions import FindPackageShare
 
 from mixtac_node.graph import executable, recorder, rosbag2_qos
 from mixtac_node.launch_actions import BOOLEAN, environment, node_actions, shared_arguments, value
+from mixtac_node.process import GraphError
 from mixtac_node.topics import REFERENCE
 
 FORWARDED = (
@@ -42,8 +42,8 @@ FORWARDED = (
     'reference_topic',
     'log_level',
 )
-START_AFTER_S = 15.0
-"""Time for a sensor that is started here to publish: compiled code is loaded first."""
+WAIT_S = 180.0
+"""Longest time until a sensor that is started here publishes: a first start compiles."""
 ARGUMENTS = [
     DeclareLaunchArgument('output', description='Folder of the new bag'),
     DeclareLaunchArgument(
@@ -77,8 +77,8 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'start_after',
         default_value='',
-        description=f'Seconds until the checks start; empty is {START_AFTER_S:g} with device, '
-        'otherwise 0',
+        description='Seconds until the checks start; empty waits for the first event packet of '
+        'device',
     ),
     *shared_arguments('namespace', 'params_file', 'log_level'),
 ]
@@ -113,6 +113,8 @@ def _check(context):
     command = [str(executable('mixtac_cli', 'mixtac')), 'record', value(context, 'output')]
     command += ['--check', '--namespace', value(context, 'namespace')]
     command += ['--reference-topic', value(context, 'reference_topic')]
+    if value(context, 'device') and not value(context, 'start_after'):
+        command += ['--wait', f'{WAIT_S:g}']
     return ExecuteProcess(cmd=command, output='screen')
 
 
@@ -130,12 +132,12 @@ def _recording(context):
     check = _check(context)
 
     def after_check(event, _context):
-        if event.returncode == 0:
-            return [writer]
-        return [
-            LogInfo(msg='not recorded (see the error above); check:=false records anyway'),
-            EmitEvent(event=Shutdown(reason='the checks found an error')),
-        ]
+        if event.returncode:
+            # An exception, unlike the event Shutdown, gives `ros2 launch` a status other than 0.
+            raise GraphError(
+                'not recorded (see the error above)', remedy='check:=false records anyway'
+            )
+        return [writer]
 
     passed = RegisterEventHandler(OnProcessExit(target_action=check, on_exit=after_check))
     return [ended, passed, check]
@@ -154,11 +156,10 @@ def _sensor():
 
 def _actions(context):
     """Return the actions for the given arguments."""
-    own = bool(value(context, 'device'))
-    delay_s = float(value(context, 'start_after') or (START_AFTER_S if own else 0))
+    delay_s = float(value(context, 'start_after') or 0)
     recording = _recording(context)
     later = [TimerAction(period=delay_s, actions=recording)] if delay_s else recording
-    return [*([_sensor()] if own else []), *later]
+    return [*([_sensor()] if value(context, 'device') else []), *later]
 
 
 def generate_launch_description():

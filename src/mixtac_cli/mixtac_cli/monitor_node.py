@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from typing import TYPE_CHECKING, TypeVar
@@ -39,7 +40,8 @@ if TYPE_CHECKING:
 
 R = TypeVar('R', bound='Receiver')
 SERVICE_TIMEOUT_S = 20.0
-FIRST_FORCE_TIMEOUT_S = 60.0
+FIRST_FORCE_TIMEOUT_S = 180.0
+"""The driver compiles, too, before its first packet."""
 
 
 class _ReceiverNode(BaseNode, Node):  # type: ignore[misc]
@@ -114,6 +116,8 @@ class Monitor(Receiver):
     def bring_up(self, name: str, processes: ProcessGroup) -> None:
         """Configure and activate a lifecycle node of these processes; before `listen`.
 
+        Waits as long as the processes run: a first start compiles.
+
         Raises:
             GraphError: That failed.
         """
@@ -122,6 +126,7 @@ class Monitor(Receiver):
             f'{self._namespace}/{name}',
             processes.check,
             lambda: processes.last_error(name),
+            timeout_s=math.inf,
         ).bring_up()
 
     def listen(self) -> None:

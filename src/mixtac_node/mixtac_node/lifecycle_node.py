@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 
-SERVICE_TIMEOUT_S = 60.0
-TRANSITION_TIMEOUT_S = 180.0
+TIMEOUT_S = 180.0
 """A first start compiles, which takes minutes on a busy computer."""
+REPORT_PERIOD_S = 15.0
 
 
 class LifecycleClient:
@@ -32,6 +32,7 @@ class LifecycleClient:
         target: Fully qualified name of the lifecycle node.
         alive: Called while waiting; raises when the process behind the node has ended.
         reason: Returns the last error that the node logged, empty if unknown.
+        timeout_s: Longest time to wait for the node to appear and for each answer [s].
     """
 
     def __init__(
@@ -40,11 +41,13 @@ class LifecycleClient:
         target: str,
         alive: Callable[[], None],
         reason: Callable[[], str] = str,
+        timeout_s: float = TIMEOUT_S,
     ) -> None:
         self._node = node
         self._target = target
         self._alive = alive
         self._reason = reason
+        self._timeout_s = timeout_s
         self._change = node.create_client(ChangeState, f'{target}/change_state')
         self._get = node.create_client(GetState, f'{target}/get_state')
 
@@ -54,20 +57,31 @@ class LifecycleClient:
         Raises:
             GraphError: It does not appear, refuses a transition, or takes too long.
         """
-        self._wait_for_service()
+        self._wait(
+            lambda: self._change.wait_for_service(timeout_sec=0.2),
+            'did not appear',
+            'check that it is installed, and on the same ROS_DOMAIN_ID',
+        )
         self._transition(
             Transition.TRANSITION_CONFIGURE, 'configured', State.PRIMARY_STATE_INACTIVE
         )
         self._transition(Transition.TRANSITION_ACTIVATE, 'activated', State.PRIMARY_STATE_ACTIVE)
 
-    def _wait_for_service(self) -> None:
-        deadline = time.monotonic() + SERVICE_TIMEOUT_S
-        while not self._change.wait_for_service(timeout_sec=0.2):
+    def _wait(self, done: Callable[[], bool], failure: str, remedy: str) -> None:
+        """Wait until `done` returns True, and report periodically that it takes long."""
+        began_s = reported_s = time.monotonic()
+        while not done():
             self._alive()
-            if time.monotonic() > deadline:
+            now_s = time.monotonic()
+            if now_s - began_s > self._timeout_s:
                 raise GraphError(
-                    f'{self._target} did not appear within {SERVICE_TIMEOUT_S:.0f} s: is it '
-                    'installed, and on the same ROS_DOMAIN_ID?'
+                    f'{self._target} {failure} within {self._timeout_s:.0f} s', remedy=remedy
+                )
+            if now_s - reported_s > REPORT_PERIOD_S:
+                reported_s = now_s
+                self._node.get_logger().info(
+                    f'waiting for {self._target} for {now_s - began_s:.0f} s; a first start '
+                    'compiles, which takes minutes on a busy computer'
                 )
 
     def _transition(self, transition: int, done: str, goal: int) -> None:
@@ -81,10 +95,10 @@ class LifecycleClient:
 
     def _call(self, client: Any, request: Any) -> Any:  # noqa: ANN401
         future = client.call_async(request)
-        deadline = time.monotonic() + TRANSITION_TIMEOUT_S
-        while not future.done():
+
+        def answered() -> bool:
             rclpy.spin_once(self._node, timeout_sec=0.1)
-            self._alive()
-            if time.monotonic() > deadline:
-                raise GraphError(f'{self._target} did not answer in {TRANSITION_TIMEOUT_S:.0f} s')
+            return bool(future.done())
+
+        self._wait(answered, 'did not answer', 'see its log')
         return future.result()

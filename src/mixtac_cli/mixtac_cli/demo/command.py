@@ -21,6 +21,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from mixtac_alignment.errors import AlignmentError
 from mixtac_cli.demo.evaluation import (
     compare,
     draw_run,
@@ -71,7 +72,8 @@ class DemoReport:
         force_hz: Rate of `/mixtac/force` at a subscriber in another process.
         lost: Force samples missing at that subscriber, by their stamps.
         latency_ms: From the end of a window to its force at the subscriber, p50 and p99.
-        mae_n: Mean absolute error against the reference, aligned by the two impulses.
+        mae_n: Mean absolute error against the reference, aligned by the two impulses; None, as
+            `rmse_n`, `constant_mae_n` and `clock_drift_ppm`, if the alignment was refused.
         rmse_n: Root mean square error against the same.
         constant_mae_n: Error of the best constant guess on the same samples.
         truth_mae_n: Mean absolute error against the simulated force itself.
@@ -81,6 +83,7 @@ class DemoReport:
         lost_packets: Event packets missing in the recording.
         dropped: Transfers, words, frames and messages dropped inside nodes (`DROP_COUNTERS`).
         clock_drift_ppm: Drift of the reference clock found by the alignment.
+        refused: Why the alignment was refused, or empty.
     """
 
     seconds: float
@@ -89,16 +92,17 @@ class DemoReport:
     force_hz: float
     lost: int
     latency_ms: dict[str, float]
-    mae_n: float
-    rmse_n: float
-    constant_mae_n: float
+    mae_n: float | None
+    rmse_n: float | None
+    constant_mae_n: float | None
     truth_mae_n: float
     event_rate_mev_s: float
     peak_event_rate_mev_s: float
     packet_hz: float
     lost_packets: int
     dropped: int
-    clock_drift_ppm: float
+    clock_drift_ppm: float | None
+    refused: str
 
 
 @dataclass(frozen=True)
@@ -150,13 +154,15 @@ def demo(
         raise FileError(
             f'cannot create folder {folder}: {error.strerror}', remedy='name a new folder in --out'
         ) from error
-    run = _run_graph(console, folder, seconds, seed, device_seed, model)
+    run, failed = _run_graph(console, folder, seconds, seed, device_seed, model)
     console.print('aligning and comparing')
     report = _evaluate(folder, run, seconds, seed, device_seed)
     for path in (folder / 'demo.json', json):
         if path is not None:
             write_json(path, asdict(report))
     _print_summary(console, report, folder)
+    if failed:
+        raise GraphError(f'nodes did not end cleanly: {failed}', remedy=f'see {folder / "log"}')
 
 
 def _private_domain(console: Console) -> None:
@@ -168,8 +174,12 @@ def _private_domain(console: Console) -> None:
 
 def _run_graph(
     console: Console, out: Path, seconds: float, seed: int, device_seed: int, model: Path | None
-) -> Run:
-    """Run the graph through the scenario, recorded to the folder `bag`."""
+) -> tuple[Run, dict[str, int]]:
+    """Run the graph through the scenario, recorded to the folder `bag`.
+
+    Returns:
+        What was measured, and the exit status of nodes that did not end cleanly.
+    """
     virtual_sensor = {
         'seed': seed,
         'device_seed': device_seed,
@@ -201,9 +211,7 @@ def _run_graph(
         run = Run(_dropped(monitor), monitor.clock_pairs(), arrival[first:], stamp[first:])
         processes.stop('recorder')
         failed = {name: code for name, code in processes.stop().items() if code}
-    if failed:
-        raise GraphError(f'nodes did not end cleanly: {failed}; see {out / "log"}')
-    return run
+    return run, failed
 
 
 def _dropped(monitor: Monitor) -> int:
@@ -217,7 +225,11 @@ def _dropped(monitor: Monitor) -> int:
 def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -> DemoReport:
     """Compare the recorded force with the aligned reference, and draw the run."""
     streams = read_streams(out / 'bag', DEFAULT_NAMESPACE)
-    comparison = compare(streams)
+    comparison, refused = None, ''
+    try:
+        comparison = compare(streams)
+    except AlignmentError as error:
+        refused = str(error)
     latency = latency_ms(run.arrival_ns, run.stamp_ns, run.clock_pairs)
     rate = event_rate(streams, comparison)
     report = DemoReport(
@@ -230,22 +242,24 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
             'p50': float(np.quantile(latency, 0.5)),
             'p99': float(np.quantile(latency, 0.99)),
         },
-        mae_n=comparison.mae_n,
-        rmse_n=comparison.rmse_n,
-        constant_mae_n=comparison.constant_mae_n,
+        mae_n=comparison and comparison.mae_n,
+        rmse_n=comparison and comparison.rmse_n,
+        constant_mae_n=comparison and comparison.constant_mae_n,
         truth_mae_n=truth_mae(streams, run.clock_pairs),
         event_rate_mev_s=float(rate[1].mean() / 1e6),
         peak_event_rate_mev_s=float(rate[1].max() / 1e6),
         packet_hz=streams.packets / (np.ptp(streams.force_ns) / 1e9),
         lost_packets=streams.lost_packets,
         dropped=run.dropped,
-        clock_drift_ppm=comparison.fit.drift_ppm,
+        clock_drift_ppm=comparison and comparison.fit.drift_ppm,
+        refused=refused,
     )
-    title = (
-        f'Virtual sensor (simulated), seed {seed}: MAE {report.mae_n:.3f} N against the '
-        f'aligned reference, {report.force_hz:.1f} Hz, {report.lost} lost'
-    )
-    draw_run(out / 'demo.png', comparison, rate, phases(seconds, seed), title)
+    if comparison is not None:
+        title = (
+            f'Virtual sensor (simulated), seed {seed}: MAE {report.mae_n:.3f} N against the '
+            f'aligned reference, {report.force_hz:.1f} Hz, {report.lost} lost'
+        )
+        draw_run(out / 'demo.png', comparison, rate, phases(seconds, seed), title)
     return report
 
 
@@ -257,7 +271,12 @@ def _print_summary(console: Console, report: DemoReport, folder: Path) -> None:
     for name, value in _rows(report):
         table.add_row(name, value)
     console.print(table)
-    console.print(f'figure   {folder / "demo.png"}', soft_wrap=True)
+    if report.refused:
+        console.print(
+            f'no error against the reference and no figure: {report.refused}', soft_wrap=True
+        )
+    else:
+        console.print(f'figure   {folder / "demo.png"}', soft_wrap=True)
     console.print(f'bag      {folder / "bag"}', soft_wrap=True)
     console.print(f'summary  {folder / "demo.json"}', soft_wrap=True)
 
@@ -270,14 +289,21 @@ def _rows(report: DemoReport) -> list[tuple[str, str]]:
         ('event packets', f'{report.packet_hz:.0f} Hz'),
         ('force', f'{report.force_hz:.1f} Hz'),
         ('latency p50 / p99', f'{latency["p50"]:.2f} / {latency["p99"]:.2f} ms'),
-        ('error against the reference, MAE / RMSE', f'{report.mae_n:.3f} / {report.rmse_n:.3f} N'),
-        ('  best constant guess, MAE', f'{report.constant_mae_n:.3f} N'),
+        (
+            'error against the reference, MAE / RMSE',
+            f'{_figure(report.mae_n)} / {_figure(report.rmse_n)} N',
+        ),
+        ('  best constant guess, MAE', f'{_figure(report.constant_mae_n)} N'),
         ('error against the simulated force, MAE', f'{report.truth_mae_n:.3f} N'),
-        ('reference clock drift found', f'{report.clock_drift_ppm:.1f} ppm'),
+        ('reference clock drift found', f'{_figure(report.clock_drift_ppm, 1)} ppm'),
         ('lost: force samples', str(report.lost)),
         ('lost: event packets', str(report.lost_packets)),
         ('dropped inside nodes', str(report.dropped)),
     ]
+
+
+def _figure(value: float | None, digits: int = 3) -> str:
+    return '-' if value is None else f'{value:.{digits}f}'
 
 
 _BLOCKS = ' ▁▂▃▄▅▆▇█'

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 
 WINDOW_NS = 2_000_000
+RATE_WINDOW_US = 10_000
 EDGE_US = 50_000
 """Half a synchronising impulse: the comparison starts and ends with whole impulses."""
 MAX_FORCE_GAP_S = 2.0
@@ -187,13 +188,20 @@ def truth_mae(streams: Streams, clock_pairs: NDArray[np.int64]) -> float:
 
 
 def event_rate(
-    streams: Streams, comparison: Comparison, width_us: int = 10_000
+    streams: Streams, comparison: Comparison | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return window centres [s, as in the comparison] and event rates [1/s]."""
-    end_us = comparison.start_us + int(comparison.time_s[-1] * 1e6)
-    counts = counts_per_window(streams.event_t_us, comparison.start_us, end_us, width_us)
-    centres = (np.arange(len(counts)) + 0.5) * width_us / 1e6
-    return np.asarray(centres, np.float64), np.asarray(counts * (1e6 / width_us), np.float64)
+    """Return window centres [s, as in the comparison] and event rates [1/s].
+
+    Without a comparison the times count from the first force.
+    """
+    if comparison is None:
+        start_us, end_us = int(streams.force_ns[0]) // 1000, int(streams.force_ns[-1]) // 1000
+    else:
+        start_us = comparison.start_us
+        end_us = start_us + int(comparison.time_s[-1] * 1e6)
+    counts = counts_per_window(streams.event_t_us, start_us, end_us, RATE_WINDOW_US)
+    centres = (np.arange(len(counts)) + 0.5) * RATE_WINDOW_US / 1e6
+    return np.asarray(centres, np.float64), np.asarray(counts * (1e6 / RATE_WINDOW_US), np.float64)
 
 
 _PRESS, _OSCILLATION, _IMPACT = 'press and hold', 'oscillation', 'impact of a dropped weight'

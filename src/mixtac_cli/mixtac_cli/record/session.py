@@ -30,7 +30,7 @@ from mixtac_cli.record.checks import (
 from mixtac_cli.record.meter import RecordingSummary
 from mixtac_cli.record.recorder_node import Listener, running_listener
 from mixtac_node.files import write_json
-from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE
+from mixtac_node.topics import DEFAULT_NAMESPACE, EVENTS, REFERENCE
 from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_recordings.recording import RecordingError
 
@@ -59,6 +59,9 @@ def record(
     check_seconds: Annotated[
         float, typer.Option(min=0.5, help='How long the checks listen (s).')
     ] = 2,
+    wait: Annotated[
+        float, typer.Option(min=0, help='Longest time to wait for the first event packet (s).')
+    ] = 0,
     force: Annotated[
         bool, typer.Option('--force', help='Record even if the checks find errors.')
     ] = False,
@@ -73,6 +76,7 @@ def record(
     console = Console()
     with running_listener(namespace) as listener, _noted_signals() as stopping:
         listener.listen(reference_topic)
+        _wait_for_packet(console, listener, wait, stopping)
         findings = _check(console, listener, out, seconds, check_seconds, stopping)
         errors = [each for each in findings if each.level == ERROR]
         if errors and not force:
@@ -99,6 +103,17 @@ def _noted_signals() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in zip(SIGNALS, before, strict=True):
             signal.signal(number, handler)
+
+
+def _wait_for_packet(
+    console: Console, listener: Listener, seconds: float, stopping: Callable[[], bool]
+) -> None:
+    """Wait until an event packet has arrived, for at most some seconds."""
+    events = next(meter for meter in listener.meters if meter.topic.name == EVENTS.name)
+    end_s = time.monotonic() + seconds
+    with console.status('waiting for the first event packet'):
+        while not events.messages and time.monotonic() < end_s and not stopping():
+            listener.spin_for(REFRESH_S, stopping)
 
 
 def _check(
