@@ -163,7 +163,7 @@ def slip(
         nodes = [
             NodeSpec('mixtac_sim', 'virtual_grasp_node', 'virtual_grasp', overrides=grasp),
             NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=arm),
-            *_driver_only(f'virtual:{socket}'),
+            *(node for node in sensor_graph(f'virtual:{socket}') if node.name == 'driver'),
             slip_control({'arm': 'fr3', **normal, **simulated}),
             NodeSpec('mixtac_cli', 'supervisor_node', 'supervisor', overrides=supervisor),
         ]
@@ -173,10 +173,6 @@ def slip(
         finally:
             for name in SLIP_STOP_ORDER:
                 processes.stop(name)
-
-
-def _driver_only(device: str) -> list[NodeSpec]:
-    return [node for node in sensor_graph(device) if node.name == 'driver']
 
 
 def view(

@@ -9,6 +9,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -331,28 +332,26 @@ class LiveView:
     def show(self, seconds: float, check: Callable[[], None]) -> None:
         """Show for some seconds; `check` is called repeatedly and may raise to end it."""
         end = time.monotonic() + seconds
-        if not self._console.is_terminal:
-            self._show_plain(end, check)
-            return
-        with Live(self._table(0.0), console=self._console, refresh_per_second=5) as live:
+        terminal = self._console.is_terminal
+        period_s = _PERIOD_S if terminal else _PLAIN_PERIOD_S
+        due = time.monotonic() + period_s
+        table = Live(self._table(0.0), console=self._console, refresh_per_second=5)
+        with table if terminal else nullcontext():
             while (left := end - time.monotonic()) > 0:
                 time.sleep(min(_PERIOD_S, left))
                 check()
+                if time.monotonic() < due:
+                    continue
+                due += period_s
                 self._sample()
-                live.update(self._table(left))
-
-    def _show_plain(self, end: float, check: Callable[[], None]) -> None:
-        next_line = time.monotonic() + _PLAIN_PERIOD_S
-        while (left := end - time.monotonic()) > 0:
-            time.sleep(min(_PERIOD_S, left))
-            check()
-            if time.monotonic() >= next_line:
-                next_line += _PLAIN_PERIOD_S
-                self._sample()
-                self._console.print(
-                    f'{left:5.1f} s left  force {self._estimates[-1]:7.3f} N  reference '
-                    f'{self._references[-1]:7.3f} N  {self._rates[0]:5.0f} Hz  {self._events()}'
-                )
+                if terminal:
+                    table.update(self._table(left))
+                else:
+                    self._console.print(
+                        f'{left:5.1f} s left  force {self._estimates[-1]:7.3f} N  reference '
+                        f'{self._references[-1]:7.3f} N  {self._rates[0]:5.0f} Hz  '
+                        f'{self._events()}'
+                    )
 
     def _sample(self) -> None:
         now, forces, references = (

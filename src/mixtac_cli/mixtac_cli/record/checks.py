@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rich.table import Table
+
+from mixtac_driver.doctor.computer import Finding, Level, ok
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from mixtac_cli.record.meter import TopicMeter
 
 
-OK, WARN, ERROR = 'ok', 'warning', 'error'
 REQUIRED = ('events', 'image_raw')
 LEAST_HZ = {'events': 990.0, 'image_raw': 5.0, 'force': 490.0, 'imu': 50.0}
 """Smallest expected rates [Hz]: packets every 1 ms, windows of 2 ms."""
@@ -26,21 +26,6 @@ SHORT_BYTES = 10 << 30
 EARLIEST_NS = 1_577_836_800_000_000_000
 """2020: an earlier host clock was never set."""
 MOST_CLOCK_OFFSET_S = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One check.
-
-    Attributes:
-        level: `ok`, `warning` or `error`.
-        name: Subject of the check.
-        text: What was found, and the remedy.
-    """
-
-    level: str
-    name: str
-    text: str
 
 
 def check_disk(free_bytes: int, bytes_per_s: float, seconds: float) -> Finding:
@@ -54,14 +39,11 @@ def check_disk(free_bytes: int, bytes_per_s: float, seconds: float) -> Finding:
     left_s = max(0.0, free_bytes - RESERVE_BYTES) / bytes_per_s if bytes_per_s else float('inf')
     room = f'{free_bytes / 1e9:.1f} GB free, {bytes_per_s / 1e6:.1f} MB/s'
     if free_bytes <= RESERVE_BYTES or left_s < seconds:
-        return Finding(
-            ERROR,
-            'disk',
-            f'{room}: full in {left_s:.0f} s; free space or choose another disk',
-        )
+        found = f'{room}: full in {left_s:.0f} s'
+        return Finding('disk', Level.ERROR, found, 'free space or choose another disk')
     if not seconds and free_bytes < SHORT_BYTES:
-        return Finding(WARN, 'disk', f'{room}: enough for {left_s:.0f} s')
-    return Finding(OK, 'disk', room)
+        return Finding('disk', Level.WARN, f'{room}: enough for {left_s:.0f} s')
+    return ok('disk', room)
 
 
 def free_bytes(path: Path) -> int:
@@ -91,22 +73,22 @@ def _check_topic(meter: TopicMeter, publishers: int, seconds: float) -> Finding 
     name, required = meter.topic.name, meter.topic.name in REQUIRED
     if publishers == 0:
         text = 'no publisher: start the sensor, or give its --namespace'
-        return Finding(ERROR, name, text) if required else None
+        return Finding(name, Level.ERROR, text) if required else None
     if publishers > 1 and name != '/diagnostics':
         text = f'{publishers} publishers: two sensors share a namespace; stop one of them'
-        return Finding(ERROR, name, text)
+        return Finding(name, Level.ERROR, text)
     if meter.messages == 0:
         text = 'published, but nothing arrived'
         least = LEAST_HZ.get(name)
-        return Finding(ERROR if required else WARN, name, text) if least else None
+        return Finding(name, Level.ERROR if required else Level.WARN, text) if least else None
     rate_hz = meter.messages / seconds
     if rate_hz < LEAST_HZ.get(name, 0.0):
         text = f'{rate_hz:.0f} Hz, at least {LEAST_HZ[name]:.0f} Hz expected; see /diagnostics'
-        return Finding(WARN, name, text)
+        return Finding(name, Level.WARN, text)
     if meter.missing:
         text = f'{rate_hz:.0f} Hz, {meter.missing} messages lost: this computer is too busy'
-        return Finding(WARN, name, text)
-    return Finding(OK, name, f'{rate_hz:.1f} Hz')
+        return Finding(name, Level.WARN, text)
+    return ok(name, f'{rate_hz:.1f} Hz')
 
 
 def check_clocks(
@@ -121,10 +103,10 @@ def check_clocks(
     """
     findings = []
     if now_ns < EARLIEST_NS:
-        findings.append(Finding(ERROR, 'host clock', 'never set: set it, or run NTP'))
+        findings.append(Finding('host clock', Level.ERROR, 'never set: set it, or run NTP'))
     if simulated_time:
         text = '/clock is published: the stamps are those of a recording or simulator'
-        findings.append(Finding(WARN, 'host clock', text))
+        findings.append(Finding('host clock', Level.WARN, text))
     offsets_s = {name: (now_ns - stamp) / 1e9 for name, stamp in stamps_ns.items() if stamp}
     if not offsets_s:
         return findings
@@ -133,17 +115,23 @@ def check_clocks(
         early = max(offsets_s, key=lambda name: offsets_s[name])
         late = min(offsets_s, key=lambda name: offsets_s[name])
         text = f'{early} lies {apart_s:.1f} s behind {late}: they are not from one camera'
-        findings.append(Finding(ERROR, 'camera clock', text))
+        findings.append(Finding('camera clock', Level.ERROR, text))
     worst_s = max(offsets_s.values(), key=abs)
     if abs(worst_s) > MOST_CLOCK_OFFSET_S and not simulated_time:
         text = f'stamps are {worst_s:+.1f} s from the host: a recording, or a changed host clock'
-        findings.append(Finding(WARN, 'camera clock', text))
+        findings.append(Finding('camera clock', Level.WARN, text))
     elif apart_s <= MOST_CLOCK_OFFSET_S:
-        findings.append(Finding(OK, 'camera clock', f'{1e3 * worst_s:+.0f} ms from the host'))
+        findings.append(ok('camera clock', f'{1e3 * worst_s:+.0f} ms from the host'))
     return findings
 
 
-_COLOUR = {WARN: 'yellow', ERROR: 'red'}
+_NAMES = ('ok', 'warning', 'error')
+_COLOUR = {Level.WARN: 'yellow', Level.ERROR: 'red'}
+
+
+def worded(finding: Finding) -> str:
+    """Return what was found and the remedy, if there is one."""
+    return '; '.join(filter(None, (finding.found, finding.remedy)))
 
 
 def findings_table(findings: Sequence[Finding]) -> Table:
@@ -152,7 +140,8 @@ def findings_table(findings: Sequence[Finding]) -> Table:
     for heading in ('', 'check', 'finding'):
         table.add_column(heading)
     for each in findings:
-        table.add_row(each.level, each.name, each.text, style=_COLOUR.get(each.level))
+        level = _NAMES[each.level]
+        table.add_row(level, each.name, worded(each), style=_COLOUR.get(each.level))
     return table
 
 

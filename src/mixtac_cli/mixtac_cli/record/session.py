@@ -18,17 +18,17 @@ from rich.table import Table
 
 from mixtac_cli.options import JsonFile, Namespace
 from mixtac_cli.record.checks import (
-    ERROR,
-    Finding,
     check_clocks,
     check_disk,
     check_topics,
     findings_table,
     free_bytes,
     progress_table,
+    worded,
 )
 from mixtac_cli.record.meter import RecordingSummary
 from mixtac_cli.record.recorder_node import Listener, running_listener
+from mixtac_driver.doctor.computer import Finding, Level
 from mixtac_node.files import write_json
 from mixtac_node.topics import DEFAULT_NAMESPACE, EVENTS, REFERENCE
 from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
@@ -78,10 +78,10 @@ def record(
         listener.listen(reference_topic)
         _wait_for_packet(console, listener, wait, stopping)
         findings = _check(console, listener, out, seconds, check_seconds, stopping)
-        errors = [each for each in findings if each.level == ERROR]
+        errors = [each for each in findings if each.level is Level.ERROR]
         if errors and not force:
             raise RecordingError(
-                f'not recorded: {errors[0].name}: {errors[0].text}; --force records anyway'
+                f'not recorded: {errors[0].name}: {worded(errors[0])}; --force records anyway'
             )
         if check or stopping():
             return

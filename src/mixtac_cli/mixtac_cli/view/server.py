@@ -15,6 +15,7 @@ from types import TracebackType
 from urllib.parse import quote
 
 from mixtac_events.errors import MixtacError
+from mixtac_node.process import GraphError, ProcessGroup
 
 
 class ViewError(MixtacError):
@@ -23,7 +24,6 @@ class ViewError(MixtacError):
 
 HOST = '127.0.0.1'
 _START_S = 20.0
-_STOP_S = 5.0
 
 
 def require_rerun() -> Path:
@@ -67,14 +67,8 @@ class ViewerServer:
         subprocess.run(
             [program, 'analytics', 'disable'], env=environment, capture_output=True, check=False
         )
-        self._log = Path(self._home.name) / 'server.log'
-        with self._log.open('wb') as log:
-            self._process = subprocess.Popen(
-                _command(program, port, data_port, memory_mb),
-                env=environment,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-            )
+        self._processes = ProcessGroup(Path(self._home.name), environment)
+        self._processes.start('server', _command(program, port, data_port, memory_mb))
         try:
             self._wait_for(port)
             self._wait_for(data_port)
@@ -97,18 +91,14 @@ class ViewerServer:
 
     def check(self) -> None:
         """Raise a ViewError if the server has ended by itself."""
-        if self._process.poll() is not None:
-            raise ViewError(f'the server of the live view has ended: {self._last_line()}')
+        try:
+            self._processes.check()
+        except GraphError as error:
+            raise ViewError(f'live view: {error}; {self._last_line()}') from error
 
     def close(self) -> None:
         """End the server and remove its files."""
-        if self._process.poll() is None:
-            self._process.terminate()
-            try:
-                self._process.wait(_STOP_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        self._processes.stop()
         self._home.cleanup()
 
     def _wait_for(self, port: int) -> None:
@@ -128,7 +118,8 @@ class ViewerServer:
                 return
 
     def _last_line(self) -> str:
-        lines = self._log.read_text(errors='replace').strip().splitlines()
+        log = Path(self._home.name) / 'server.log'
+        lines = log.read_text(errors='replace').strip().splitlines()
         return lines[-1] if lines else 'no output'
 
 

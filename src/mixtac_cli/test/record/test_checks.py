@@ -7,20 +7,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mixtac_cli.record.checks import (
-    ERROR,
-    OK,
-    WARN,
     check_clocks,
     check_disk,
     check_topics,
     free_bytes,
 )
 from mixtac_cli.record.meter import TopicMeter
+from mixtac_driver.doctor.computer import Level
 from mixtac_node.topics import TOPICS
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+OK, WARN, ERROR = Level
 NOW_NS = 1_790_000_000_000_000_000
 GIB = 1 << 30
 

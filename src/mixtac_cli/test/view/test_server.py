@@ -42,7 +42,7 @@ def test_a_port_in_use_is_named():
 @needs_rerun
 def test_the_page_is_served_on_this_machine_only_and_ends_with_its_owner():
     with ViewerServer(0, 0, 50) as server:
-        child = psutil.Process(server._process.pid)
+        (child,) = psutil.Process().children()
         listening = [c.laddr for c in child.net_connections('inet') if c.status == 'LISTEN']
         assert len(listening) == 2
         assert {each.ip for each in listening} == {HOST}
@@ -64,8 +64,9 @@ def test_usage_data_are_off_and_the_users_own_settings_untouched(tmp_path, monke
 @needs_rerun
 def test_a_server_that_ended_is_reported():
     server = ViewerServer(0, 0, 50)
-    server._process.kill()
-    server._process.wait()
+    (child,) = psutil.Process().children()
+    child.kill()
+    child.wait()
     with pytest.raises(ViewError):
         server.check()
     server.close()
