@@ -16,7 +16,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from mixtac_cli.parameters import SupervisorParameters
 from mixtac_msgs.msg import SlipState
-from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR, BaseNode, declare, run
+from mixtac_node import topics
+from mixtac_node.base_node import QOS_SENSOR, BaseNode, declare, run
 
 HEARTBEAT_PERIOD_S = 0.1
 REQUEST_PERIOD_S = 1.0
@@ -44,8 +45,8 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self._reset = self.create_client(Trigger, 'slip_control/reset')
         self._knock = self.create_client(Trigger, 'virtual_grasp/knock')
         self._put_back = self.create_client(Trigger, 'virtual_grasp/put_back')
-        self.create_subscription(SlipState, 'slip', self._on_slip, QOS_FORCE)
-        self.create_subscription(PointStamped, 'truth/object', self._on_place, QOS_FORCE)
+        self.subscribe_topic(topics.SLIP, self._on_slip)
+        self.subscribe_topic(topics.TRUTH_OBJECT, self._on_place)
         self.create_timer(HEARTBEAT_PERIOD_S, self._beat)
 
     def _apply(self, settings: SupervisorParameters) -> None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -15,6 +16,7 @@ DEFAULT_NAMESPACE = 'mixtac'
 """Namespace of all nodes unless the user gives another one (`__ns`)."""
 
 
+@functools.cache
 def message_class(type_name: str) -> Any:  # noqa: ANN401
     """Return the class of, for example, `sensor_msgs/msg/Image`."""
     package, kind, name = type_name.split('/')
@@ -28,18 +30,18 @@ class Topic:
     Attributes:
         name: Relative to the namespace, or absolute.
         type_name: For example `sensor_msgs/msg/Image`.
+        description: What it carries, on which clock.
         reliable: Reliability its publisher offers.
         depth: Queue depth its publisher offers.
         latched: True for transient local.
-        description: What it carries, on which clock.
         condition: Parameter that must be set for it to be published, empty for none.
     """
 
     name: str
     type_name: str
-    reliable: bool
-    depth: int
     description: str
+    reliable: bool = False
+    depth: int = 10
     latched: bool = False
     condition: str = ''
 
@@ -65,7 +67,6 @@ REFERENCE = '/ft_sensor/wrench'
 EVENTS = Topic(
     'events',
     'event_camera_msgs/msg/EventPacket',
-    reliable=False,
     depth=1000,
     description='Events, encoding `libcaer_cmp`, a packet every 1 ms or less; `time_base` on '
     'the camera clock [ns], `header.stamp` the arrival on the host.',
@@ -73,23 +74,17 @@ EVENTS = Topic(
 IMAGE_RAW = Topic(
     'image_raw',
     'sensor_msgs/msg/Image',
-    reliable=False,
-    depth=10,
     description='APS frame, `mono16`, 10 bit left-aligned; stamp is mid-exposure on the camera '
     'clock.',
 )
 CAMERA_INFO = Topic(
     'camera_info',
     'sensor_msgs/msg/CameraInfo',
-    reliable=False,
-    depth=10,
     description='Calibration of the lens, with the stamp of its frame.',
 )
 IMAGE_RECT = Topic(
     'image_rect',
     'sensor_msgs/msg/Image',
-    reliable=False,
-    depth=10,
     condition='undistort_frames',
     description='With `undistort_frames`: the frame without the distortion of the lens, '
     'pixels by P of `camera_info`.',
@@ -97,7 +92,6 @@ IMAGE_RECT = Topic(
 EVENTS_RECT = Topic(
     'events_rect',
     'event_camera_msgs/msg/EventPacket',
-    reliable=False,
     depth=1000,
     condition='undistort_events',
     description='With `undistort_events`: events at the pixels of `image_rect`; events outside '
@@ -106,23 +100,17 @@ EVENTS_RECT = Topic(
 IMAGE_EXPOSURE = Topic(
     'image_exposure',
     'mixtac_msgs/msg/FrameExposure',
-    reliable=False,
-    depth=10,
     description='With the header of its frame: start and end of its exposure and of its '
     'read-out on the camera clock.',
 )
 IMU = Topic(
     'imu',
     'sensor_msgs/msg/Imu',
-    reliable=False,
-    depth=10,
     description='Acceleration [m/s^2] and angular velocity [rad/s]; stamp on the camera clock.',
 )
 TEMPERATURE = Topic(
     'temperature',
     'sensor_msgs/msg/Temperature',
-    reliable=False,
-    depth=10,
     description='Temperature of the inertial unit in the camera, 10 Hz; stamp on the camera clock.',
 )
 EXTERNAL_EDGES = Topic(
@@ -144,7 +132,6 @@ CAMERA_CLOCK = Topic(
 FORCE = Topic(
     'force',
     'geometry_msgs/msg/WrenchStamped',
-    reliable=False,
     depth=100,
     description='Estimated force at 500 Hz, `force.z` the normal force [N]; stamp is the end '
     'of the event window on the camera clock, frame `mixtac_contact`.',
@@ -152,7 +139,6 @@ FORCE = Topic(
 FORCE_QUALITY = Topic(
     'force_quality',
     'mixtac_msgs/msg/ForceQuality',
-    reliable=False,
     depth=100,
     description='For each `force`, with the same stamp: its standard deviation [N], the age of '
     'the latest frame, and whether all events of the window arrived.',
@@ -169,14 +155,12 @@ def normal_force(message: ForceMessage) -> float:
 REFERENCE_WRENCH = Topic(
     REFERENCE,
     'geometry_msgs/msg/WrenchStamped',
-    reliable=False,
     depth=100,
     description='Reference force sensor (real or virtual), 800 Hz, on its own clock.',
 )
 TRUTH_WRENCH = Topic(
     'truth/wrench',
     'geometry_msgs/msg/WrenchStamped',
-    reliable=False,
     depth=100,
     description='Virtual sensor only: the simulated force itself, 1 kHz, on the host clock.',
 )
@@ -184,7 +168,6 @@ DIAGNOSTICS = Topic(
     '/diagnostics',
     'diagnostic_msgs/msg/DiagnosticArray',
     reliable=True,
-    depth=10,
     description='State of every node once a second.',
 )
 CLOCK_FIT = Topic(
@@ -198,7 +181,6 @@ CLOCK_FIT = Topic(
 ALIGNMENT_REFERENCE = Topic(
     'alignment/reference',
     'geometry_msgs/msg/WrenchStamped',
-    reliable=False,
     depth=100,
     description='The reference force, stamps on the camera clock, once there is a fit '
     '(alignment node).',
@@ -206,7 +188,6 @@ ALIGNMENT_REFERENCE = Topic(
 FORCE_ERROR_MAE = Topic(
     'force_error/mae',
     'std_msgs/msg/Float64',
-    reliable=False,
     depth=100,
     description='Running mean absolute error of `force` against the aligned reference [N] '
     '(force error node).',
@@ -214,7 +195,6 @@ FORCE_ERROR_MAE = Topic(
 FORCE_ERROR_RMSE = Topic(
     'force_error/rmse',
     'std_msgs/msg/Float64',
-    reliable=False,
     depth=100,
     description='Running root mean square error of `force` against the aligned reference [N] '
     '(force error node).',
@@ -222,7 +202,6 @@ FORCE_ERROR_RMSE = Topic(
 SLIP = Topic(
     'slip',
     'mixtac_msgs/msg/SlipState',
-    reliable=False,
     depth=100,
     description='Slip detection per 1 ms window (slip control node).',
 )
@@ -231,7 +210,6 @@ SLIP = Topic(
 TRUTH_CONTACT = Topic(
     'truth/contact',
     'geometry_msgs/msg/PointStamped',
-    reliable=False,
     depth=100,
     description='Where the indenter meets the skin (x, y from the optical axis) and depth of the '
     'dent (z) [m], 1 kHz, on the host clock.',
@@ -247,7 +225,6 @@ TRUTH_CLOCK_FIT = Topic(
 TRUTH_OBJECT = Topic(
     'truth/object',
     'geometry_msgs/msg/PointStamped',
-    reliable=False,
     depth=100,
     description='Position of the simulated grasped object, z upwards [m].',
 )
@@ -283,87 +260,59 @@ class Service:
 
     Attributes:
         name: Relative to the namespace.
-        type_name: For example `std_srvs/srv/Trigger`.
         description: What it does.
+        type_name: For example `std_srvs/srv/Trigger`.
     """
 
     name: str
-    type_name: str
     description: str
+    type_name: str = 'std_srvs/srv/Trigger'
 
 
 SERVICES = (
     Service(
         'driver/snapshot',
-        'std_srvs/srv/Trigger',
         'Takes one frame if `aps_enabled` is off, waits for the next one if it is on. The response '
         'holds its stamp.',
     ),
     Service(
-        'driver/reset_timestamps',
-        'std_srvs/srv/Trigger',
-        "Sets the camera's own clock to zero; published time continues.",
+        'driver/reset_timestamps', "Sets the camera's own clock to zero; published time continues."
     ),
     Service(
         'driver/set_camera_info',
-        'sensor_msgs/srv/SetCameraInfo',
         'Checks a calibration, writes it to `camerainfo_url` and uses it.',
+        'sensor_msgs/srv/SetCameraInfo',
     ),
     Service(
         'driver/find_hot_pixels',
-        'std_srvs/srv/Trigger',
         'Counts events for `hot_pixels_duration` and masks hot pixels: the eight noisiest '
         'in the camera, the others in the driver. Keep the scene still.',
     ),
     Service(
         'virtual_sensor/play',
-        'std_srvs/srv/Trigger',
         'Virtual sensor only: plays the scenario that the parameters describe.',
     ),
     Service(
         'virtual_sensor/press',
-        'std_srvs/srv/Trigger',
         'Virtual sensor only: presses `object` on the skin with `press_force` for `hold_seconds`.',
     ),
     Service(
         'virtual_sensor/load',
-        'std_srvs/srv/Trigger',
         'Virtual sensor only: places `object` on the skin for `hold_seconds`.',
     ),
-    Service(
-        'virtual_sensor/drop',
-        'std_srvs/srv/Trigger',
-        'Virtual sensor only: drops `object` from `drop_height`.',
-    ),
+    Service('virtual_sensor/drop', 'Virtual sensor only: drops `object` from `drop_height`.'),
     Service(
         'virtual_sensor/vibrate',
-        'std_srvs/srv/Trigger',
         'Virtual sensor only: vibrates `object` on the skin, by the `vibration_` parameters.',
     ),
-    Service(
-        'virtual_sensor/release',
-        'std_srvs/srv/Trigger',
-        'Virtual sensor only: removes the object from the skin.',
-    ),
-    Service(
-        'fger/tare', 'std_srvs/srv/Trigger', 'Sets the zero of the force to the current value.'
-    ),
-    Service(
-        'alignment/fit', 'std_srvs/srv/Trigger', 'Fits the clocks to the data received so far.'
-    ),
+    Service('virtual_sensor/release', 'Virtual sensor only: removes the object from the skin.'),
+    Service('fger/tare', 'Sets the zero of the force to the current value.'),
+    Service('alignment/fit', 'Fits the clocks to the data received so far.'),
     Service(
         'slip_control/enable',
-        'std_srvs/srv/SetBool',
         'Enables or disables motion of the arm on slip.',
+        'std_srvs/srv/SetBool',
     ),
-    Service(
-        'slip_control/tare',
-        'std_srvs/srv/Trigger',
-        'Learns the background event rate again; keep the object still.',
-    ),
-    Service(
-        'slip_control/reset',
-        'std_srvs/srv/Trigger',
-        'Clears a latched stop; refused while its cause persists.',
-    ),
+    Service('slip_control/tare', 'Learns the background event rate again; keep the object still.'),
+    Service('slip_control/reset', 'Clears a latched stop; refused while its cause persists.'),
 )

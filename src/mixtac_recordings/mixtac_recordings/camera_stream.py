@@ -127,7 +127,7 @@ class BagRecording:
         events = self._readable(topics.EVENTS.type_name, selection.events, _check_packet)
         self._events = choose(events, selection.events, kind='events', path=path)
         beside = self._events or ''
-        images = self._readable(topics.IMAGE_RAW.type_name, selection.image, _check_image)
+        images = self._readable(topics.IMAGE_RAW.type_name, selection.image, convert.check_image)
         self._images = choose(images, selection.image, kind='image', path=path, beside=beside)
         samples = self._bag.topics(topics.IMU.type_name)
         self._imu = choose(samples, selection.imu, kind='imu', path=path, beside=beside)
@@ -217,16 +217,12 @@ class BagRecording:
             if start_ns <= self._bag.start_ns:
                 return None
             for _, _, message in self._bag.messages(self._leader or '', start_ns=start_ns):
-                piece = self._piece(self._leader or '', message)
-                if self._is_before(piece, from_us):
+                found_us = self._piece(self._leader or '', message).start_us
+                if self.info.start_us - RESTART_US <= found_us <= from_us:
                     return start_ns
                 break
             # The clocks drifted apart, or there was a long pause: begin earlier.
             margin_ns *= 4
-
-    def _is_before(self, piece: Piece, from_us: int) -> bool:
-        earliest_us = self.info.start_us - RESTART_US
-        return earliest_us <= piece.start_us <= from_us
 
     def _piece(self, topic: str, message: Any) -> Piece:  # noqa: ANN401
         try:
@@ -260,10 +256,6 @@ def _check_packet(message: Any) -> None:  # noqa: ANN401
         raise RecordingError(
             f'encoding {message.encoding!r} cannot be decoded, only {", ".join(ENCODINGS)}'
         )
-
-
-def _check_image(message: Any) -> None:  # noqa: ANN401
-    convert.check_encoding(message.encoding)
 
 
 SUFFIXES = (aedat4.SUFFIX, *bag.SUFFIXES)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import shutil
 import tempfile
 import zipfile
@@ -27,7 +28,7 @@ from mixtac_recordings.aedat4_file import Aedat4Writer
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.messages import left_aligned
-from mixtac_recordings.recording import Piece, Recording, RecordingError, RecordingInfo
+from mixtac_recordings.recording import Recording, RecordingError, RecordingInfo
 
 
 class GrowingNpz:
@@ -123,23 +124,19 @@ class Aedat4Sink:
 
     def events(self, events: Events) -> None:
         """Write events."""
-        span = (int(events.t[0]), int(events.t[-1]))
-        self._file.write('EVTS', aedat4.events_packet(events), len(events), *span)
+        self._write('EVTS', aedat4.events_packet(events), events.t)
 
     def frame(self, frame: Frame) -> None:
         """Write a frame."""
-        t_us = frame.exposure_start_us
-        self._file.write('FRME', aedat4.frame_packet(frame), 1, t_us, t_us)
+        self._write('FRME', aedat4.frame_packet(frame), np.array([frame.exposure_start_us]))
 
     def samples(self, samples: InertialSamples) -> None:
         """Write inertial samples."""
-        span = (int(samples.t[0]), int(samples.t[-1]))
-        self._file.write('IMUS', aedat4.samples_packet(samples), len(samples.t), *span)
+        self._write('IMUS', aedat4.samples_packet(samples), samples.t)
 
     def edges(self, edges: Edges) -> None:
         """Write edges."""
-        span = (int(edges.t[0]), int(edges.t[-1]))
-        self._file.write('TRIG', aedat4.edges_packet(edges), len(edges.t), *span)
+        self._write('TRIG', aedat4.edges_packet(edges), edges.t)
 
     def wrenches(self, topic: str, rows: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """Ignore wrenches."""
@@ -148,21 +145,11 @@ class Aedat4Sink:
         """Finish the file."""
         self._file.close()
 
+    def _write(self, stream: str, packet: bytes, t: NDArray[np.int64]) -> None:
+        self._file.write(stream, packet, len(t), int(t[0]), int(t[-1]))
+
 
 CAMERA = 'us, camera clock'
-IMU_COLUMNS = (
-    f't [{CAMERA}]',
-    *(f'acceleration_{axis} [m/s^2]' for axis in 'xyz'),
-    *(f'angular_velocity_{axis} [rad/s]' for axis in 'xyz'),
-    'temperature [degC]',
-)
-FRAME_COLUMNS = (
-    'file',
-    f'exposure_start [{CAMERA}]',
-    f'exposure_end [{CAMERA}]',
-    'x [px]',
-    'y [px]',
-)
 WRENCH_COLUMNS = (
     't [ns, clock of the topic]',
     *(f'force_{axis} [N]' for axis in 'xyz'),
@@ -170,8 +157,19 @@ WRENCH_COLUMNS = (
 )
 HEADINGS = {
     'events': (f't [{CAMERA}]', 'x [px]', 'y [px]', 'polarity [1 = brighter]'),
-    'frames': FRAME_COLUMNS,
-    'imu': IMU_COLUMNS,
+    'frames': (
+        'file',
+        f'exposure_start [{CAMERA}]',
+        f'exposure_end [{CAMERA}]',
+        'x [px]',
+        'y [px]',
+    ),
+    'imu': (
+        f't [{CAMERA}]',
+        *(f'acceleration_{axis} [m/s^2]' for axis in 'xyz'),
+        *(f'angular_velocity_{axis} [rad/s]' for axis in 'xyz'),
+        'temperature [degC]',
+    ),
     'edges': (f't [{CAMERA}]', 'kind [2 falling, 3 rising, 4 pulse, 16 and 17 generator]'),
 }
 
@@ -372,75 +370,46 @@ def _sink(kind: str, out: Path, recording: Recording) -> Sink:
     return CsvSink(out) if kind == 'csv' else NpzSink(out)
 
 
-class _EventPackets:
-    """Collects events into packets of PACKET_US."""
-
-    def __init__(self, sink: Sink) -> None:
-        self._sink = sink
-        self._held: list[Events] = []
-
-    def add(self, events: Events) -> None:
-        if self._held and int(events.t[-1]) - int(self._held[0].t[0]) > PACKET_US:
-            self.flush()
-        self._held.append(events)
-
-    def flush(self) -> None:
-        if self._held:
-            self._sink.events(Events.concatenate(self._held))
-            self._held.clear()
-
-
 def _export_camera(
     recording: Recording, sink: Sink, counts: Counts, progress: Callable[[float], None]
 ) -> None:
-    info, packets, reported = recording.info, _EventPackets(sink), 0.0
+    info, reported = recording.info, 0.0
+    packet: list[Events] = []
     for piece in recording.pieces(0):
-        _export_piece(piece, packets, sink, counts)
+        if len(piece.events):
+            if packet and int(piece.events.t[-1]) - int(packet[0].t[0]) > PACKET_US:
+                sink.events(Events.concatenate(packet))
+                packet.clear()
+            packet.append(piece.events)
+            counts.events += len(piece.events)
+        for frame in piece.frames:
+            sink.frame(frame)
+            counts.frames += 1
+        if len(piece.imu.t):
+            sink.samples(piece.imu)
+            counts.samples += len(piece.imu.t)
+        if len(piece.edges.t):
+            sink.edges(piece.edges)
+            counts.edges += len(piece.edges.t)
         done = (piece.until_us - info.start_us) / max(info.length_us, 1)
         if done > reported + 0.005:
             reported = done
             progress(min(done, 1.0))
-    packets.flush()
+    if packet:
+        sink.events(Events.concatenate(packet))
     progress(1.0)
-
-
-def _export_piece(piece: Piece, packets: _EventPackets, sink: Sink, counts: Counts) -> None:
-    if len(piece.events):
-        packets.add(piece.events)
-        counts.events += len(piece.events)
-    for frame in piece.frames:
-        sink.frame(frame)
-        counts.frames += 1
-    if len(piece.imu.t):
-        sink.samples(piece.imu)
-        counts.samples += len(piece.imu.t)
-    if len(piece.edges.t):
-        sink.edges(piece.edges)
-        counts.edges += len(piece.edges.t)
 
 
 def _export_wrenches(path: Path, sink: Sink, counts: Counts) -> None:
     with BagFile(path) as bag:
         for topic in bag.topics(REFERENCE_WRENCH.type_name):
-            rows: list[tuple[int, list[float]]] = []
-            for _, _, message in bag.messages(topic):
-                rows.append(_wrench(message))
-                if len(rows) == WRENCHES:
-                    _flush(sink, topic, rows)
-            _flush(sink, topic, rows)
+            messages = (message for _, _, message in bag.messages(topic))
+            while found := list(itertools.islice(messages, WRENCHES)):
+                stamps = np.array([stamp_to_ns(each.header.stamp) for each in found], np.int64)
+                sink.wrenches(topic, stamps, np.array([_six(each.wrench) for each in found]))
             counts.wrenches[topic] = bag.counts[topic]
 
 
-def _wrench(message: Any) -> tuple[int, list[float]]:  # noqa: ANN401
-    force, torque = message.wrench.force, message.wrench.torque
-    return stamp_to_ns(message.header.stamp), [
-        *(force.x, force.y, force.z),
-        *(torque.x, torque.y, torque.z),
-    ]
-
-
-def _flush(sink: Sink, topic: str, rows: list[tuple[int, list[float]]]) -> None:
-    if rows:
-        stamps = np.array([stamp for stamp, _ in rows], np.int64)
-        sink.wrenches(topic, stamps, np.array([values for _, values in rows]))
-        rows.clear()
+def _six(wrench: Any) -> tuple[float, ...]:  # noqa: ANN401
+    force, torque = wrench.force, wrench.torque
+    return force.x, force.y, force.z, torque.x, torque.y, torque.z

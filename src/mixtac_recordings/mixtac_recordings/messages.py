@@ -9,7 +9,6 @@ the camera clock, epoch-based, except the stamp of an event packet: its arrival 
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -41,14 +40,9 @@ GLOBAL_SHUTTER, ROLLING_SHUTTER = 0, 1
 """Values of FrameExposure.shutter."""
 
 
-@functools.cache
-def _message_class(type_name: str) -> Any:  # noqa: ANN401
-    return topics.message_class(type_name)
-
-
 def ros_message(type_name: str) -> Any:  # noqa: ANN401
     """Return an empty message of rclpy, for example of `sensor_msgs/msg/Image`."""
-    return _message_class(type_name)()
+    return topics.message_class(type_name)()
 
 
 def event_packet(
@@ -279,7 +273,7 @@ def read_frame(message: Any, *, offset_us: int, corner: tuple[int, int]) -> Fram
     Raises:
         RecordingError: The encoding has several channels, or the data are too short.
     """
-    check_encoding(message.encoding)
+    check_image(message)
     try:
         found = pixels(message)
     except ImageConversionError as error:
@@ -349,12 +343,13 @@ def read_samples(message: Any, *, offset_us: int) -> InertialSamples:  # noqa: A
     return InertialSamples(t, acceleration, rotation, np.array([np.nan]))
 
 
-def check_encoding(encoding: str) -> None:
-    """Check that images of an encoding have one channel.
+def check_image(message: Any) -> None:  # noqa: ANN401
+    """Check that an Image has one channel.
 
     Raises:
-        RecordingError: They have several, or the encoding is unknown.
+        RecordingError: It has several, or its encoding is unknown.
     """
+    encoding = message.encoding
     if encoding not in {'mono8', '8UC1', 'mono16', '16UC1'} and not encoding.startswith('bayer_'):
         raise RecordingError(
             f'images in {encoding!r} cannot be read, only mono8, mono16 and bayer_*',
