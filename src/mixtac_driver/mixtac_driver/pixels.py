@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import int64, njit
 from numpy.typing import NDArray
 
 from mixtac_driver.davis346.registers import PIXEL_FILTERS
@@ -52,13 +52,14 @@ class PixelMask:
         self.size = size
         self.dropped = 0
         width, height = size
-        self._masked = np.zeros((height, width), np.bool_)
+        rows, columns = np.mgrid[0:height, 0:width]
+        self._places = (rows << 16 | columns).astype(np.int32)
         for column, row in self.pixels:
             if not (0 <= column < width and 0 <= row < height):
                 raise ConfigurationError(
                     f'masked pixel ({column}, {row}) is outside the {width} x {height} pixels'
                 )
-            self._masked[row, column] = True
+            self._places[row, column] = -1
         self._kept: tuple[NDArray[Any], ...] = ()
 
     @property
@@ -91,15 +92,14 @@ class PixelMask:
         if not self.pixels or not len(events) or size != self.size:
             return events
         if not self._kept or len(self._kept[0]) < len(events):
-            self._kept = _buffers(len(events))
-        t, x, y, polarity = self._kept
-        n = _keep(self._masked, events.t, events.x, events.y, events.polarity, t, x, y, polarity)
-        self.dropped += len(events) - n
-        return Events(t[:n], x[:n], y[:n], polarity[:n])
+            self._kept = event_buffers(len(events))
+        kept = move_events(events, self._places, self._kept, keep_outside=True)
+        self.dropped += len(events) - len(kept)
+        return kept
 
     def image(self) -> NDArray[np.uint8]:
         """Return the mask as an image, `uint8` [rows, columns]: IN_CAMERA, ON_HOST, else black."""
-        image = np.where(self._masked, ON_HOST, 0).astype(np.uint8)
+        image = np.where(self._places < 0, ON_HOST, 0).astype(np.uint8)
         for column, row in self.in_camera:
             image[row, column] = IN_CAMERA
         return image
@@ -179,36 +179,48 @@ def warm_up() -> None:
     PixelMask([(0, 0)], (1, 1)).keep(events, (1, 1))
 
 
-def _buffers(n: int) -> tuple[NDArray[Any], ...]:
-    return (
-        np.empty(n, np.int64),
-        np.empty(n, np.uint16),
-        np.empty(n, np.uint16),
-        np.empty(n, np.bool_),
-    )
+def event_buffers(n: int) -> tuple[NDArray[Any], ...]:
+    """Return arrays for n events: times, columns, rows and polarities."""
+    return tuple(np.empty(n, dtype) for dtype in (np.int64, np.uint16, np.uint16, np.bool_))
+
+
+def move_events(
+    events: Events,
+    places: NDArray[np.int32],
+    buffers: tuple[NDArray[Any], ...],
+    *,
+    keep_outside: bool = False,
+) -> Events:
+    """Return events at other pixels, in the same order.
+
+    Args:
+        events: Events with any clock.
+        places: [rows, columns], new place of each pixel as row * 65536 + column; -1 drops it.
+        buffers: `event_buffers` for at least as many events; the result is a view of them.
+        keep_outside: Whether events outside the table stay where they are, or are dropped.
+    """
+    given = (events.t, events.x, events.y, events.polarity)
+    n = _move(places, keep_outside, given, buffers)
+    return Events(*(each[:n] for each in buffers))
 
 
 @njit(cache=True, nogil=True)
-def _keep(
-    masked: NDArray[np.bool_],
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    polarity: NDArray[np.bool_],
-    kept_t: NDArray[np.int64],
-    kept_x: NDArray[np.uint16],
-    kept_y: NDArray[np.uint16],
-    kept_polarity: NDArray[np.bool_],
-) -> int:
-    rows, columns = masked.shape
+def _move(places: Any, keep_outside: bool, given: Any, buffers: Any) -> int:  # noqa: ANN401
+    t, x, y, polarity = given
+    new_t, new_x, new_y, new_polarity = buffers
+    rows, columns = places.shape
     n = 0
     for i in range(len(t)):
+        if y[i] < rows and x[i] < columns:
+            place = int64(places[y[i], x[i]])
+        else:
+            place = int64(y[i]) << 16 | int64(x[i]) if keep_outside else int64(-1)
         # Written always and counted only if kept: no branch that noise could mispredict.
-        kept_t[n] = t[i]
-        kept_x[n] = x[i]
-        kept_y[n] = y[i]
-        kept_polarity[n] = polarity[i]
-        n += not (y[i] < rows and x[i] < columns and masked[y[i], x[i]])
+        new_t[n] = t[i]
+        new_x[n] = place & 0xFFFF
+        new_y[n] = place >> 16
+        new_polarity[n] = polarity[i]
+        n += place >= 0
     return n
 
 

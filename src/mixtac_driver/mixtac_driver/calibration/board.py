@@ -4,18 +4,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import astuple, dataclass
 from enum import Enum
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_driver.calibration.lens import CalibrationError
-
-Finder = Callable[[NDArray[np.uint8], tuple[int, int]], NDArray[np.float64] | None]
-
 
 MIN_INNER_CORNERS = 3
 MIN_SPACING_PX = 4.0
@@ -25,6 +22,13 @@ DARK_QUANTILE, BRIGHT_QUANTILE = 0.5, 99.5
 _MIN_CONTRAST = 8.0
 _SB_FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
 _QUAD_FLAGS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+_SEARCHES: tuple[tuple[int, Any, int], ...] = (
+    (1, cv2.findChessboardCorners, _QUAD_FLAGS),
+    (1, cv2.findChessboardCornersSB, _SB_FLAGS),
+    (2, cv2.findChessboardCorners, _QUAD_FLAGS),
+    (2, cv2.findChessboardCornersSB, _SB_FLAGS),
+)
+"""Enlargement, function and flags; the last one only in a thorough search."""
 _REFINE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
 _WINDOW_SHARE = 0.42
 _MAX_WINDOW = 7
@@ -116,10 +120,11 @@ def find_board(
     grey = stretched(image)
     if grey is None:
         return None
-    for scale, finder in _finders(thorough):
-        corners = finder(_enlarged(grey, scale), (board.columns, board.rows))
-        if corners is None:
+    for scale, find, flags in _SEARCHES if thorough else _SEARCHES[:-1]:
+        found, seen = find(_enlarged(grey, scale), (board.columns, board.rows), flags=flags)
+        if not found:
             continue
+        corners = np.asarray(seen, np.float64).reshape(-1, 2)
         # Pixel centres are whole numbers at every scale.
         refined = _refined(grey, (corners + 0.5) / scale - 0.5, board)
         if refined is not None:
@@ -137,21 +142,6 @@ def stretched(image: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint8] | None:
     scale = 255.0 / (bright - dark)
     spread = np.clip((image.astype(np.float32) - dark) * scale, 0.0, 255.0)
     return np.asarray(spread, np.uint8)
-
-
-def _finders(thorough: bool) -> list[tuple[int, Finder]]:
-    quick: list[tuple[int, Finder]] = [(1, _find_quads), (1, _find_saddles), (2, _find_quads)]
-    return [*quick, (2, _find_saddles)] if thorough else quick
-
-
-def _find_saddles(grey: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64] | None:
-    found, corners = cv2.findChessboardCornersSB(grey, size, flags=_SB_FLAGS)
-    return np.asarray(corners, np.float64).reshape(-1, 2) if found else None
-
-
-def _find_quads(grey: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64] | None:
-    found, corners = cv2.findChessboardCorners(grey, size, flags=_QUAD_FLAGS)
-    return np.asarray(corners, np.float64).reshape(-1, 2) if found else None
 
 
 def _enlarged(grey: NDArray[np.uint8], scale: int) -> NDArray[np.uint8]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import unquote
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mixtac_driver.calibration.lens import MODELS, CalibrationError, CameraCalibration
 from mixtac_node.files import FileError, write_text
 
+T = TypeVar('T')
 DEFAULT_URL = 'file://${ROS_HOME}/camera_info/${NAME}.yaml'
 _VARIABLE = re.compile(r'\$\{(\w*)\}')
 _SCHEME = re.compile(r'^(\w+)://')
@@ -44,7 +45,11 @@ def resolve(url: str, camera_name: str) -> Path:
         return Path(text).expanduser().absolute()
     rest = unquote(text[scheme.end() :])
     if scheme[1] == 'file':
-        return _absolute(rest, url)
+        if not rest.startswith('/'):
+            raise CalibrationError(
+                f'camerainfo_url {url!r}: a file URL has three slashes, file:///absolute/path.yaml'
+            )
+        return Path(rest)
     if scheme[1] == 'package':
         return _in_package(rest, url)
     raise CalibrationError(
@@ -60,14 +65,6 @@ def _value(variable: str, url: str, camera_name: str) -> str:
     raise CalibrationError(
         f'camerainfo_url {url!r}: ${{{variable}}} is unknown; use ${{ROS_HOME}} or ${{NAME}}'
     )
-
-
-def _absolute(path: str, url: str) -> Path:
-    if not path.startswith('/'):
-        raise CalibrationError(
-            f'camerainfo_url {url!r}: a file URL has three slashes, file:///absolute/path.yaml'
-        )
-    return Path(path)
 
 
 def _in_package(rest: str, url: str) -> Path:
@@ -127,19 +124,20 @@ def parse_camera_info(text: str) -> CameraCalibration:
     try:
         document = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise CalibrationError(f'no YAML ({_one_line(error)}); recalibrate') from error
+        cause = ' '.join(str(error).split()) or type(error).__name__
+        raise CalibrationError(f'no YAML ({cause}); recalibrate') from error
     if not isinstance(document, dict):
         raise CalibrationError('no camera_info: it must be a mapping with the key image_width')
     missing = [key for key in _KEYS if key not in document]
     if missing:
         raise CalibrationError(f'key {missing[0]} is missing; recalibrate')
-    model = _string(document, 'distortion_model')
+    model = _typed(document, 'distortion_model', str)
     if model not in MODELS:
         raise CalibrationError(f'distortion_model {model!r} is unknown: use {", ".join(MODELS)}')
     return CameraCalibration(
-        name=_string(document, 'camera_name'),
-        width=_integer(document, 'image_width'),
-        height=_integer(document, 'image_height'),
+        name=_typed(document, 'camera_name', str),
+        width=_typed(document, 'image_width', int),
+        height=_typed(document, 'image_height', int),
         model=model,
         distortion=_matrix(document, 'distortion_coefficients', 1, MODELS[model]).ravel(),
         camera_matrix=_matrix(document, 'camera_matrix', 3, 3),
@@ -156,10 +154,11 @@ def format_camera_info(calibration: CameraCalibration, comment: str = '') -> str
         comment: Lines to put at the top, without `#`.
     """
     lines = [f'# {line}'.rstrip() for line in comment.splitlines()]
+    name = yaml.safe_dump(calibration.name, default_style="'", width=10_000).strip()
     lines += [
         f'image_width: {calibration.width}',
         f'image_height: {calibration.height}',
-        f'camera_name: {_quoted(calibration.name)}',
+        f'camera_name: {name}',
         *_block('camera_matrix', calibration.camera_matrix),
         f'distortion_model: {calibration.model}',
         *_block('distortion_coefficients', calibration.distortion[None, :]),
@@ -197,17 +196,11 @@ def _text(path: Path) -> str:
         raise CalibrationError(f'cannot be read ({error}): check the path') from error
 
 
-def _string(document: dict[Any, Any], key: str) -> str:
+def _typed(document: dict[Any, Any], key: str, kind: type[T]) -> T:
     value = document[key]
-    if not isinstance(value, str):
-        raise CalibrationError(f'{key}: {value!r} is not text')
-    return value
-
-
-def _integer(document: dict[Any, Any], key: str) -> int:
-    value = document[key]
-    if type(value) is not int:
-        raise CalibrationError(f'{key}: {value!r} is not a whole number')
+    if type(value) is not kind:
+        wanted = 'text' if kind is str else 'a whole number'
+        raise CalibrationError(f'{key}: {value!r} is not {wanted}')
     return value
 
 
@@ -247,11 +240,3 @@ def _block(key: str, matrix: NDArray[np.float64]) -> list[str]:
 def _number(value: float) -> str:
     text = repr(value)
     return text.replace('e', '.0e') if 'e' in text and '.' not in text else text
-
-
-def _quoted(name: str) -> str:
-    return yaml.safe_dump(name, default_style="'", width=10_000).strip()
-
-
-def _one_line(error: Exception) -> str:
-    return ' '.join(str(error).split()) or type(error).__name__

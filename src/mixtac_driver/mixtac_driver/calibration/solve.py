@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -77,19 +77,19 @@ def fit_lens(views: Sequence[View], model: str) -> LensFit:
         RefusedError: OpenCV finds no lens (`NO_FIT`).
     """
     try:
-        found = _solve(views, model)
+        (matrix, distortion, turns, places), held = _solve(views, model)
     except cv2.error as error:
+        cause = ' '.join(str(getattr(error, 'err', '') or error).split())[:120]
         raise RefusedError(
             Refusal.NO_FIT,
-            f'no {model} lens fits these {len(views)} views ({_cause(error)})',
+            f'no {model} lens fits these {len(views)} views ({cause})',
             'hold the board flat, and tilt it in different ways',
         ) from error
-    fixed = [_FOCAL_AND_CENTRE + index for index in found.fixed]
+    fixed = [_FOCAL_AND_CENTRE + index for index in held]
     residuals, inner, outer = [], [], []
-    for view, turn, place in zip(views, found.turns, found.places, strict=True):
-        seen, by_lens, by_pose = project(
-            view.board.points(), turn, place, found.matrix, found.coefficients, model
-        )
+    for view, turn, place in zip(views, turns, places, strict=True):
+        points = view.board.points()
+        seen, by_lens, by_pose = project(points, turn, place, matrix, distortion, model)
         residuals.append(view.corners - seen)
         inner.append(np.delete(by_lens, fixed, axis=1))
         outer.append(by_pose)
@@ -101,9 +101,7 @@ def fit_lens(views: Sequence[View], model: str) -> LensFit:
         deviations[free] = _deviations(residuals, inner, outer)
     except np.linalg.LinAlgError as error:
         raise RefusedError(Refusal.NO_FIT, f'the {model} fit diverged', _STEADIER) from error
-    return LensFit(
-        found.matrix, found.coefficients, found.turns, found.places, residuals, deviations
-    )
+    return LensFit(matrix, distortion, turns, places, residuals, deviations)
 
 
 def project(
@@ -143,39 +141,36 @@ def project(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """Result of OpenCV (see LensFit); `fixed` are the coefficients held at zero."""
-
-    rms_px: float
-    matrix: NDArray[np.float64]
-    coefficients: NDArray[np.float64]
-    turns: NDArray[np.float64]
-    places: NDArray[np.float64]
-    fixed: tuple[int, ...] = ()
+_Lens = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+"""Camera matrix, distortion, turns and places, as in `LensFit`."""
 
 
-def _solve(views: Sequence[View], model: str) -> _Found:
+def _solve(views: Sequence[View], model: str) -> tuple[_Lens, tuple[int, ...]]:
+    """Return the lens, and the coefficients that were held at zero."""
     if model == EQUIDISTANT:
-        return _solve_equidistant(views)
-    brown = _solve_brown(views, 'plumb_bob', np.zeros((3, 3)), np.zeros(5), 0)
-    return brown if model == 'plumb_bob' else _solve_rational(views, brown)
-
-
-def _solve_rational(views: Sequence[View], start: _Found) -> _Found:
-    """Fit six coefficients, or all eight if they fit clearly better.
-
-    All eight at once, from nothing, may end far from the lens, and two that are not needed make
-    the model fold back where there are no corners to hold it.
-    """
-    guess = np.append(start.coefficients, (0.0, 0.0, 0.0))
-    eight = _solve_brown(views, _RATIONAL, start.matrix, guess, cv2.CALIB_USE_INTRINSIC_GUESS)
+        _, *found = cv2.fisheye.calibrate(
+            [view.board.points()[None] for view in views],
+            [view.corners[None] for view in views],
+            (views[0].width, views[0].height),
+            np.zeros((3, 3)),
+            np.zeros((4, 1)),
+            flags=_RECOMPUTE | _FIX_SKEW,
+            criteria=_STOP,
+        )
+        return _arrays(found, model), ()
+    _, brown = _solve_brown(views, 'plumb_bob', np.zeros((3, 3)), np.zeros(5), 0)
+    if model == 'plumb_bob':
+        return brown, ()
+    # Six coefficients, or all eight if they fit clearly better. All eight at once, from nothing,
+    # may end far from the lens, and two that are not needed make the model fold back where there
+    # are no corners to hold it.
+    matrix, guess = brown[0], np.append(brown[1], (0.0, 0.0, 0.0))
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS
+    rms_eight, eight = _solve_brown(views, model, matrix, guess, flags)
     guess[[_K3, _K6]] = 0.0
-    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K6
-    six = _solve_brown(views, _RATIONAL, start.matrix, guess, flags)
-    if not six.rms_px <= _CLEARLY_MORE * eight.rms_px:
-        return eight
-    return replace(six, fixed=(_K3, _K6))
+    flags |= cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K6
+    rms_six, six = _solve_brown(views, model, matrix, guess, flags)
+    return (six, (_K3, _K6)) if rms_six <= _CLEARLY_MORE * rms_eight else (eight, ())
 
 
 def _solve_brown(
@@ -184,7 +179,7 @@ def _solve_brown(
     matrix: NDArray[np.float64],
     coefficients: NDArray[np.float64],
     flags: int,
-) -> _Found:
+) -> tuple[float, _Lens]:
     rms, *found = cv2.calibrateCamera(
         [view.board.points().astype(np.float32) for view in views],
         [view.corners.astype(np.float32) for view in views],
@@ -194,32 +189,14 @@ def _solve_brown(
         flags=flags | (cv2.CALIB_RATIONAL_MODEL if model == _RATIONAL else 0),
         criteria=_STOP,
     )
-    return _found(rms, found, MODELS[model])
+    return float(rms), _arrays(found, model)
 
 
-def _solve_equidistant(views: Sequence[View]) -> _Found:
-    rms, *found = cv2.fisheye.calibrate(
-        [view.board.points()[None] for view in views],
-        [view.corners[None] for view in views],
-        (views[0].width, views[0].height),
-        np.zeros((3, 3)),
-        np.zeros((4, 1)),
-        flags=_RECOMPUTE | _FIX_SKEW,
-        criteria=_STOP,
-    )
-    return _found(rms, found, MODELS[EQUIDISTANT])
-
-
-def _found(rms: float, found: Sequence[Any], count: int) -> _Found:
-    matrix, coefficients, turns, places = found
-    return _Found(
-        float(rms),
-        np.asarray(matrix, np.float64),
-        # OpenCV 5 appends zeros for models that were not requested.
-        np.asarray(coefficients, np.float64).ravel()[:count],
-        np.asarray(turns, np.float64).reshape(-1, 3),
-        np.asarray(places, np.float64).reshape(-1, 3),
-    )
+def _arrays(found: Sequence[Any], model: str) -> _Lens:
+    matrix, coefficients, turns, places = (np.asarray(each, np.float64) for each in found)
+    # OpenCV 5 appends zeros for models that were not requested.
+    coefficients = coefficients.ravel()[: MODELS[model]]
+    return matrix, coefficients, turns.reshape(-1, 3), places.reshape(-1, 3)
 
 
 def _deviations(
@@ -241,10 +218,6 @@ def _deviations(
     freedom = max(1, len(errors) - unknowns - _POSE * len(residuals))
     variance = float(errors @ errors) / freedom
     return np.asarray(scale * np.sqrt(np.maximum(inverse.diagonal(), 0.0) * variance))
-
-
-def _cause(error: cv2.error) -> str:
-    return ' '.join(str(getattr(error, 'err', '') or error).split())[:120]
 
 
 _STEP_PX = 4
@@ -293,11 +266,14 @@ def check_views(views: Sequence[View], demands: Demands) -> None:
             f'{len(views)} views show the whole board, {demands.views} are needed',
             'show it longer, or check that --board counts the inner corners',
         )
-    distinct = _distinct(views)
-    if distinct < demands.distinct_views:
+    distinct: list[ViewMeasures] = []
+    for each in map(measure, views):
+        if all(each.distance(other) > MIN_DISTANCE / 2.0 for other in distinct):
+            distinct.append(each)
+    if len(distinct) < demands.distinct_views:
         raise RefusedError(
             Refusal.TOO_ALIKE,
-            f'{distinct} of {len(views)} views differ, {demands.distinct_views} are needed',
+            f'{len(distinct)} of {len(views)} views differ, {demands.distinct_views} are needed',
             'move, tilt and turn the board',
         )
     share = coverage(list(views))
@@ -308,14 +284,6 @@ def check_views(views: Sequence[View], demands: Demands) -> None:
             'needed',
             'hold the board towards every edge',
         )
-
-
-def _distinct(views: Sequence[View]) -> int:
-    found: list[ViewMeasures] = []
-    for each in map(measure, views):
-        if all(each.distance(other) > MIN_DISTANCE / 2.0 for other in found):
-            found.append(each)
-    return len(found)
 
 
 def check_fit(fit: LensFit, views: list[View], model: str, demands: Demands) -> None:
@@ -346,18 +314,14 @@ def check_fit(fit: LensFit, views: list[View], model: str, demands: Demands) -> 
             f'{100 * demands.focal_deviation:g} % is needed',
             'tilt the board more',
         )
-    _check_camera(fit, views[0], demands)
-
-
-def _check_camera(fit: LensFit, view: View, demands: Demands) -> None:
-    fx, fy = fit.camera_matrix[[0, 1], [0, 1]]
+    fx, fy = focal
     if min(fx, fy) <= 0.0 or not 1.0 / (1.0 + demands.aspect) <= fx / fy <= 1.0 + demands.aspect:
         raise RefusedError(
             Refusal.IMPLAUSIBLE,
             f'focal lengths {fx:.1f} and {fy:.1f} px of square pixels',
             'check the board, and tilt it more',
         )
-    size = np.array([view.width, view.height])
+    size = np.array([views[0].width, views[0].height])
     centre = fit.camera_matrix[:2, 2]
     if (np.abs(centre - (size - 1) / 2.0) > demands.centre * size).any():
         raise RefusedError(
@@ -367,23 +331,19 @@ def _check_camera(fit: LensFit, view: View, demands: Demands) -> None:
         )
 
 
-def folded_share(fit: LensFit, view: View, model: str) -> float:
-    """Return the share of the image in which the model shows two directions at one pixel."""
+def _folded_share(fit: LensFit, view: View, model: str, demands: Demands) -> float:
+    """Return the share of the image in which the model shows two directions at one pixel.
+
+    Raises:
+        RefusedError: It is too large.
+    """
     if fold_radius(model, fit.distortion) >= 0.999 * np.tan(MAX_ANGLE_RAD):
         return 0.0
     x, y = np.meshgrid(np.arange(0, view.width, _STEP_PX), np.arange(0, view.height, _STEP_PX))
     pixels = np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float64)
     focal, centre = fit.camera_matrix[[0, 1], [0, 1]], fit.camera_matrix[:2, 2]
     ideal = undistort(model, fit.distortion, (pixels - centre) / focal)
-    return float(np.isnan(ideal[:, 0]).mean())
-
-
-def check_folded(share: float, model: str, demands: Demands) -> None:
-    """Raise if a model folds back in too much of the image.
-
-    Raises:
-        RefusedError: The share is too large.
-    """
+    share = float(np.isnan(ideal[:, 0]).mean())
     if share > demands.folded:
         raise RefusedError(
             Refusal.IMPLAUSIBLE,
@@ -391,6 +351,7 @@ def check_folded(share: float, model: str, demands: Demands) -> None:
             f'{100 * demands.folded:g} % is allowed',
             f'hold the board into every corner, or use --model {EQUIDISTANT}',
         )
+    return share
 
 
 def rectified_camera(
@@ -417,8 +378,10 @@ def rectified_camera(
         RefusedError: The model shows nothing along a whole edge of the image.
     """
     focal, centre = camera_matrix[[0, 1], [0, 1]], camera_matrix[:2, 2]
+    pixels = np.stack(np.meshgrid(*(np.arange(n, dtype=np.float64) for n in size)), axis=-1)
     left, right, top, bottom = (
-        undistort(model, coefficients, (edge - centre) / focal) for edge in _edges(*size)
+        undistort(model, coefficients, (edge - centre) / focal)
+        for edge in (pixels[:, 0], pixels[:, -1], pixels[0], pixels[-1])
     )
     if any(np.isnan(each).all() for each in (left, right, top, bottom)):
         raise RefusedError(
@@ -440,17 +403,6 @@ def rectified_camera(
     projection[:2, 2] = last / 2.0 - zoom * middle
     projection[2, 2] = 1.0
     return projection
-
-
-def _edges(width: int, height: int) -> list[NDArray[np.float64]]:
-    """Return the pixels of the left, right, top and bottom edge, each [n, 2]."""
-    x, y = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
-    return [
-        np.stack([np.zeros_like(y), y], axis=1),
-        np.stack([np.full_like(y, width - 1), y], axis=1),
-        np.stack([x, np.zeros_like(x)], axis=1),
-        np.stack([x, np.full_like(x, height - 1)], axis=1),
-    ]
 
 
 DEFAULT_MODEL = EQUIDISTANT
@@ -524,13 +476,19 @@ def calibrate(
         RefusedError: The views or the fit cannot be trusted; `reason` names the demand.
     """
     demands = demands or Demands()
-    _check_question(views, model, alpha)
+    check_model(model)
+    if not 0.0 <= alpha <= 1.0:
+        raise CalibrationError(f'alpha {alpha}: give a number from 0 to 1')
+    sizes = {(view.width, view.height) for view in views}
+    if len(sizes) > 1:
+        raise CalibrationError(
+            f'views have different sizes {sorted(sizes)}', remedy='use one camera and full frames'
+        )
     check_views(views, demands)
     fit, kept, removed = _without_bad_views(list(views), model, demands)
     check_views(kept, demands)
     check_fit(fit, kept, model, demands)
-    folded = folded_share(fit, kept[0], model)
-    check_folded(folded, model, demands)
+    folded = _folded_share(fit, kept[0], model, demands)
     size = (kept[0].width, kept[0].height)
     calibration = CameraCalibration(
         name=name,
@@ -553,17 +511,6 @@ def check_model(model: str) -> None:
     """
     if model not in MODELS:
         raise CalibrationError(f'model {model!r} is unknown: use {", ".join(MODELS)}')
-
-
-def _check_question(views: Sequence[View], model: str, alpha: float) -> None:
-    check_model(model)
-    if not 0.0 <= alpha <= 1.0:
-        raise CalibrationError(f'alpha {alpha}: give a number from 0 to 1')
-    sizes = {(view.width, view.height) for view in views}
-    if len(sizes) > 1:
-        raise CalibrationError(
-            f'views have different sizes {sorted(sizes)}', remedy='use one camera and full frames'
-        )
 
 
 def _without_bad_views(

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
 
 from mixtac_driver.calibration.camera_info import read_camera_info, resolve, write_camera_info
 from mixtac_driver.calibration.lens import CalibrationError, CameraCalibration
+from mixtac_driver.pixels import event_buffers, move_events
 from mixtac_events.arrays import Events
 
 if TYPE_CHECKING:
@@ -65,46 +65,7 @@ class EventUndistortion:
         Returns:
             Events in new arrays; as many are missing as lie outside.
         """
-        n = len(events)
-        t, x, y, polarity = (
-            np.empty(n, np.int64),
-            np.empty(n, np.uint16),
-            np.empty(n, np.uint16),
-            np.empty(n, np.bool_),
-        )
-        kept = _compact(
-            self.table, events.t, events.x, events.y, events.polarity, t, x, y, polarity
-        )
-        return Events(t[:kept], x[:kept], y[:kept], polarity[:kept])
-
-
-@njit(cache=True, nogil=True)
-def _compact(
-    table: NDArray[np.int32],
-    t: NDArray[np.int64],
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    polarity: NDArray[np.bool_],
-    new_t: NDArray[np.int64],
-    new_x: NDArray[np.uint16],
-    new_y: NDArray[np.uint16],
-    new_polarity: NDArray[np.bool_],
-) -> int:
-    """Write the events that have a place; return how many."""
-    height, width = table.shape
-    kept = 0
-    for i in range(len(t)):
-        if x[i] >= width or y[i] >= height:
-            continue
-        place = table[y[i], x[i]]
-        if place < 0:
-            continue
-        new_t[kept] = t[i]
-        new_x[kept] = place & 0xFFFF
-        new_y[kept] = place >> 16
-        new_polarity[kept] = polarity[i]
-        kept += 1
-    return kept
+        return move_events(events, self.table, event_buffers(len(events)))
 
 
 class ImageUndistortion:

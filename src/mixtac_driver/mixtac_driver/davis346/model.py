@@ -297,7 +297,12 @@ def read_identity(
     chip = protocol.read(Module.SYSTEM_INFO, SystemInfo.CHIP_IDENTIFIER)
     model = _choose_model(models, chip)
     check_firmware(bcd_device, model.minimum_firmware)
-    _check_logic(model, *logic)
+    if logic[0] != model.logic_version or logic[1] < model.minimum_logic_patch:
+        wanted = f'{model.logic_version}.{model.minimum_logic_patch}'
+        raise UnsupportedCameraError(
+            f'camera logic {logic[0]}.{logic[1]} is not {wanted}',
+            remedy=f'update the camera to logic {wanted}',
+        )
     is_master = read_is_master(protocol)
     features = _read_features(protocol)
     geometry = _read_geometry(protocol, model)
@@ -333,15 +338,6 @@ def _choose_model(models: Sequence[CameraModel], chip: int) -> CameraModel:
         f'chip {chip} ({CHIP_NAMES.get(chip, "unknown")}) is not supported here',
         remedy=f'attach a camera with one of the chips {known}, or choose one by its serial number',
     )
-
-
-def _check_logic(model: CameraModel, version: int, patch: int) -> None:
-    if version != model.logic_version or patch < model.minimum_logic_patch:
-        wanted = f'{model.logic_version}.{model.minimum_logic_patch}'
-        raise UnsupportedCameraError(
-            f'camera logic {version}.{patch} is not {wanted}',
-            remedy=f'update the camera to logic {wanted}',
-        )
 
 
 def _read_features(protocol: Protocol) -> Features:

@@ -8,6 +8,7 @@ ABI/testing/sysfs-bus-usb.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import platform
@@ -213,19 +214,15 @@ def check_computer(files: HostFiles, folder: Path) -> list[Finding]:
         files: Files of the operating system.
         folder: Where recordings would go.
     """
-    try:
+    synchronised, error_s = None, 0.0
+    with contextlib.suppress(OSError, AttributeError):
         synchronised, error_s = kernel_clock()
-    except (OSError, AttributeError):
-        return [*_plain_findings(files, folder), check_clock(None, 0.0)]
-    return [*_plain_findings(files, folder), check_clock(synchronised, error_s)]
-
-
-def _plain_findings(files: HostFiles, folder: Path) -> list[Finding]:
     return [
         check_processor(files),
         check_kernel(files),
         check_disk(folder),
         check_receive_buffer(files),
+        check_clock(synchronised, error_s),
     ]
 
 
@@ -376,11 +373,9 @@ def check_release(camera: AttachedCamera) -> Finding:
 def check_power(camera: AttachedCamera) -> Finding:
     """Report whether the kernel may suspend the camera; it does not while a program uses it."""
     name = 'USB power management'
-    if camera.power == 'auto':
-        return ok(name, 'may sleep while no program has it open', control=camera.power)
-    return ok(
-        name, 'never sleeps' if camera.power == 'on' else 'unknown (not reported by the kernel)'
-    )
+    reported = {'auto': 'may sleep while no program has it open', 'on': 'never sleeps'}
+    found = reported.get(camera.power, 'unknown (not reported by the kernel)')
+    return ok(name, found, **({'control': 'auto'} if camera.power == 'auto' else {}))
 
 
 RULE = '65-mixtac.rules'
@@ -431,7 +426,11 @@ def check_permission(files: HostFiles, camera: AttachedCamera) -> Finding:
 def check_holders(files: HostFiles, camera: AttachedCamera) -> Finding:
     """Report which other programs of this user have the camera open."""
     name = 'used by others'
-    holders = _holders(files, camera.node)
+    holders = sorted(
+        (int(folder.name), read_text(folder / 'comm') or 'a program')
+        for folder in files.path('/proc').glob('[0-9]*')
+        if int(folder.name) != os.getpid() and _has_open(folder / 'fd', camera.node)
+    )
     if not holders:
         return ok(name, 'no program of this user has it open')
     listed = ', '.join(f'{program} (process {pid})' for pid, program in holders)
@@ -442,15 +441,6 @@ def check_holders(files: HostFiles, camera: AttachedCamera) -> Finding:
         'end that program first: two programs cannot share a camera',
         {'process': holders[0][0]},
     )
-
-
-def _holders(files: HostFiles, node: str) -> list[tuple[int, str]]:
-    found = []
-    for folder in files.path('/proc').glob('[0-9]*'):
-        pid = int(folder.name)
-        if pid != os.getpid() and _has_open(folder / 'fd', node):
-            found.append((pid, read_text(folder / 'comm') or 'a program'))
-    return sorted(found)
 
 
 def _has_open(descriptors: Path, node: str) -> bool:

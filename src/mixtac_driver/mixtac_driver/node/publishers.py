@@ -160,9 +160,7 @@ class InertialPublisher:
         if self._imu.get_subscription_count():
             for index in range(len(samples.t)):
                 self._imu.publish(messages.imu(samples, index, origin_us, self._frame_id))
-        self._publish_temperature(float(samples.temperature[-1]), int(samples.t[-1]) + origin_us)
-
-    def _publish_temperature(self, celsius: float, time_us: int) -> None:
+        celsius, time_us = float(samples.temperature[-1]), int(samples.t[-1]) + origin_us
         if time_us < self._temperature_due_us or math.isnan(celsius):
             return
         self._temperature_due_us = time_us + TEMPERATURE_PERIOD_US
@@ -203,7 +201,11 @@ class EdgePublisher:
         self._meters.edges.add(count)
         if not count or not self._publisher.get_subscription_count():
             return
-        published = min(count, self._budget())
+        now_s = time.monotonic()
+        gained = (now_s - self._allowed_at_s) * EDGES_PER_SECOND
+        self._allowed_at_s = now_s
+        self._allowed = min(self._allowed + gained, EDGES_BURST)
+        published = min(count, int(self._allowed))
         self._allowed -= published
         self._meters.edges_dropped += count - published
         for index in range(published):
@@ -212,13 +214,6 @@ class EdgePublisher:
             self._publisher.publish(
                 messages.external_edge(kind, time_us, first + index, self._frame_id)
             )
-
-    def _budget(self) -> int:
-        now_s = time.monotonic()
-        gained = (now_s - self._allowed_at_s) * EDGES_PER_SECOND
-        self._allowed_at_s = now_s
-        self._allowed = min(self._allowed + gained, EDGES_BURST)
-        return int(self._allowed)
 
 
 CLOCK_PERIOD_US = 1000

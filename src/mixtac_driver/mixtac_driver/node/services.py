@@ -157,7 +157,12 @@ class DriverServices:
         self._settings.use_mask(mask, self._source.apply)
         if p.hot_pixels_file:
             save_mask(mask, p.hot_pixels_file)
-        return _found(found, mask)
+        listed = ', '.join(str(pixel) for pixel in found[:LISTED_PIXELS])
+        more = ', ...' if len(found) > LISTED_PIXELS else ''
+        return (
+            f'{len(found)} hot pixels{": " if found else ""}{listed}{more}; {len(mask.pixels)} '
+            f'masked, {len(mask.in_camera)} of them by the camera'
+        )
 
     def _control(self, otherwise: str) -> CameraControl:
         control = self._source.control
@@ -183,15 +188,6 @@ class DriverServices:
                     remedy='see /diagnostics for the state of the camera',
                 )
             self._meanwhile()
-
-
-def _found(found: list[tuple[int, int]], mask: PixelMask) -> str:
-    listed = ', '.join(str(pixel) for pixel in found[:LISTED_PIXELS])
-    more = ', ...' if len(found) > LISTED_PIXELS else ''
-    return (
-        f'{len(found)} hot pixels{": " if found else ""}{listed}{more}; {len(mask.pixels)} '
-        f'masked, {len(mask.in_camera)} of them by the camera'
-    )
 
 
 def _answer(action: Callable[[], str]) -> Callable[[Any, Any], Any]:

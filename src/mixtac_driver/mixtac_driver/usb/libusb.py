@@ -25,7 +25,7 @@ from usb.core import USBError
 
 from mixtac_driver.errors import StreamError, UsbError
 from mixtac_driver.usb.protocol import usb_failure
-from mixtac_driver.usb.transport import MOST_STALLS, Transfer, TransferQueue, TransportCounters
+from mixtac_driver.usb.transport import Stalls, Transfer, TransferQueue, TransportCounters
 
 BULK = 2
 COMPLETED, FAILED, TIMED_OUT, CANCELLED, STALLED, NO_DEVICE, OVERFLOW = range(7)
@@ -204,13 +204,13 @@ class AsynchronousReader:
         self._transfers: list[BulkTransfer] = []
         self._waiting: set[BulkTransfer] = set()
         self._failure: USBError | None = None
-        self._stalls = self._stalls_in_a_row = 0
+        self._stalls = Stalls()
         self._looked_s = 0.0
 
     @property
     def counters(self) -> TransportCounters:
         """Counters since construction."""
-        return self._queue.counters(stalls=self._stalls)
+        return self._queue.counters(stalls=self._stalls.total)
 
     def start(self) -> None:
         """Queue the reads at the endpoint.
@@ -227,7 +227,11 @@ class AsynchronousReader:
         except USBError as error:
             self.stop()
             if error.errno == errno.ENOMEM:
-                raise UsbError(self._too_large()) from error
+                raise UsbError(
+                    f'the kernel has no room for {self._count} USB reads of {self._transfer_size} '
+                    'bytes; lower usb_transfers, or raise '
+                    '/sys/module/usbcore/parameters/usbfs_memory_mb'
+                ) from error
             raise usb_failure(error, 'queueing reads') from error
 
     def stop(self) -> None:
@@ -268,12 +272,6 @@ class AsynchronousReader:
             self._recover(self._failure)
         return transfer
 
-    def _too_large(self) -> str:
-        return (
-            f'the kernel has no room for {self._count} USB reads of {self._transfer_size} bytes; '
-            'lower usb_transfers, or raise /sys/module/usbcore/parameters/usbfs_memory_mb'
-        )
-
     def _look(self, timeout_s: float) -> None:
         """Collect finished reads; with a backlog, only make room in the kernel."""
         now_s = time.monotonic()
@@ -296,7 +294,7 @@ class AsynchronousReader:
             self._failure = transfer_error(status)
         # A read that failed or was cancelled may hold data.
         if data:
-            self._stalls_in_a_row = 0
+            self._stalls.in_a_row = 0
             self._queue.put(data, self._now_ns(), short_packet=len(data) < transfer.size)
 
     def _submit_again(self, transfer: BulkTransfer) -> None:
@@ -319,11 +317,7 @@ class AsynchronousReader:
         Raises:
             UsbError: It was another failure, or there were too many consecutive stalls.
         """
-        self._stalls += 1
-        self._stalls_in_a_row += 1
-        stalled = error.errno == transfer_error(STALLED).errno
-        if not stalled or self._stalls_in_a_row > MOST_STALLS:
-            raise usb_failure(error, 'reading data') from error
+        self._stalls.note(error)
         try:
             self._call_back()
             self._clear_halt()

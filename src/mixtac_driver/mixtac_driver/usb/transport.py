@@ -192,6 +192,29 @@ MOST_STALLS = 5
 """Consecutive stalls after which clearing them is given up."""
 
 
+class Stalls:
+    """Counts stalls of the endpoint: a few may be cleared, many in a row are a failure.
+
+    Attributes:
+        total: Stalls since construction.
+        in_a_row: Stalls since the latest data; the reader sets it back.
+    """
+
+    def __init__(self) -> None:
+        self.total = self.in_a_row = 0
+
+    def note(self, error: USBError) -> None:
+        """Count a failed read.
+
+        Raises:
+            UsbError: It was no stall, or there were too many.
+        """
+        self.total += 1
+        self.in_a_row += 1
+        if error.errno != errno.EPIPE or self.in_a_row > MOST_STALLS:
+            raise usb_failure(error, 'reading data') from error
+
+
 class BulkReader:
     """Reads one transfer per call of `get`.
 
@@ -217,12 +240,12 @@ class BulkReader:
         self._queue = TransferQueue(transfer_size)
         self._now_ns = now_ns
         self._stopping = threading.Event()
-        self._timeouts = self._stalls = self._stalls_in_a_row = 0
+        self._timeouts, self._stalls = 0, Stalls()
 
     @property
     def counters(self) -> TransportCounters:
         """Counters since construction."""
-        return self._queue.counters(timeouts=self._timeouts, stalls=self._stalls)
+        return self._queue.counters(timeouts=self._timeouts, stalls=self._stalls.total)
 
     def start(self) -> None:
         """Do nothing: the first `get` starts reading."""
@@ -247,24 +270,18 @@ class BulkReader:
         except USBTimeoutError:
             count = 0
         except USBError as error:
-            self._recover(error)
+            self._stalls.note(error)
+            self._clear_halt()
             return None
         except OSError as error:
             raise UsbError(f'reading data: {error}') from error
         if not count:
             self._timeouts += 1
             return None
-        self._stalls_in_a_row = 0
+        self._stalls.in_a_row = 0
         data = bytes(memoryview(self._buffer)[:count])
         self._queue.put(data, self._now_ns(), short_packet=count < len(self._buffer))
         return self._queue.pop()
-
-    def _recover(self, error: USBError) -> None:
-        self._stalls += 1
-        self._stalls_in_a_row += 1
-        if error.errno != errno.EPIPE or self._stalls_in_a_row > MOST_STALLS:
-            raise usb_failure(error, 'reading data') from error
-        self._clear_halt()
 
 
 MESSAGE_SIZE = 64
