@@ -40,11 +40,6 @@ class Layer:
             msg = f'layer of {self.modulus_kpa} kPa and {self.thickness_mm} mm; both must be > 0'
             raise SimulationError(msg)
 
-    @property
-    def force_scale_n(self) -> float:
-        """Return E h^2 [N], the layer's unit of force."""
-        return 1e-3 * self.modulus_kpa * self.thickness_mm**2
-
 
 @dataclass(frozen=True, slots=True)
 class ForceLaw:

@@ -151,11 +151,6 @@ class NoiseSource:
         """Return the rate of shot-noise events of the whole array [Hz]."""
         return float(self._cumulative[-1])
 
-    @property
-    def hot_total_hz(self) -> float:
-        """Return the rate of all hot pixels together [Hz]."""
-        return float(self._hot[-1])
-
     def block(self, index: int, span_ns: int, bursts_ns: Sequence[int]) -> NDArray[np.int64]:
         """Return the packed noise events of one block.
 

@@ -8,6 +8,7 @@ A `Fault` is handed to `mixtac_sim.usb.device.VirtualDavis346.inject`, or from a
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import random
@@ -50,6 +51,17 @@ class FaultError(VirtualUsbError):
 
 class NoVirtualSensorError(VirtualUsbError):
     """No virtual sensor listens on the socket."""
+
+
+ERRNO: Final = {
+    UsbStall: errno.EPIPE,
+    UsbTimeout: errno.ETIMEDOUT,
+    UsbBusy: errno.EBUSY,
+    UsbGone: errno.ENODEV,
+    UsbOverflow: errno.EOVERFLOW,
+    FaultError: errno.EINVAL,
+}
+"""The errors as a host sees them; all others are ``EIO``."""
 
 
 class FaultKind(str, Enum):

@@ -22,12 +22,10 @@ from usb.core import USBError, USBTimeoutError
 
 from mixtac_sim.usb import endpoints, wire
 from mixtac_sim.usb.faults import (
+    ERRNO,
     FaultError,
     NoVirtualSensorError,
-    UsbBusy,
     UsbGone,
-    UsbOverflow,
-    UsbStall,
     UsbTimeout,
     VirtualUsbError,
 )
@@ -79,6 +77,8 @@ class Link(Protocol):
 
 _GET_DESCRIPTOR: Final = 6
 _SUPER_SPEED: Final = 4
+# Error codes of libusb; -1 for all others.
+_LIBUSB: Final = {errno.ENODEV: -4, errno.EBUSY: -6, errno.EOVERFLOW: -8, errno.EPIPE: -9}
 # libusb and the kernel wait this long for the answers to standard requests.
 _STANDARD_MS: Final = 1000
 
@@ -89,16 +89,11 @@ def _as_usb_errors() -> Iterator[None]:
         yield
     except UsbTimeout as error:
         raise USBTimeoutError(str(error), -7, errno.ETIMEDOUT) from error
-    except UsbStall as error:
-        raise USBError(str(error), -9, errno.EPIPE) from error
-    except (UsbGone, NoVirtualSensorError) as error:
-        raise USBError(str(error), -4, errno.ENODEV) from error
-    except UsbBusy as error:
-        raise USBError(str(error), -6, errno.EBUSY) from error
-    except UsbOverflow as error:
-        raise USBError(str(error), -8, errno.EOVERFLOW) from error
+    except NoVirtualSensorError as error:
+        raise USBError(str(error), _LIBUSB[errno.ENODEV], errno.ENODEV) from error
     except VirtualUsbError as error:
-        raise USBError(str(error), -1, errno.EIO) from error
+        number = ERRNO.get(type(error), errno.EIO)
+        raise USBError(str(error), _LIBUSB.get(number, -1), number) from error
 
 
 class VirtualBackend(IBackend):  # type: ignore[misc]
@@ -321,13 +316,7 @@ _CONTROL_CHANNEL: Final = 0
 _GRACE_S: Final = 5.0
 # Longest wait for requests that the server answers without the camera.
 _QUICK_MS: Final = 100
-_ERRORS: Final = {
-    errno.EPIPE: UsbStall,
-    errno.ETIMEDOUT: UsbTimeout,
-    errno.EBUSY: UsbBusy,
-    errno.ENODEV: UsbGone,
-    errno.EOVERFLOW: UsbOverflow,
-}
+_ERRORS: Final = {number: kind for kind, number in ERRNO.items()}
 
 
 class SocketLink:
@@ -359,16 +348,8 @@ class SocketLink:
     ) -> bytes:
         """Make a control request; a timeout of 0 waits without limit."""
         sent, wanted = (b'', data) if isinstance(data, int) else (data, 0)
-        return self._call(
-            wire.CONTROL,
-            kind=request_type,
-            request=request,
-            value=value,
-            index=index,
-            data=sent,
-            wanted=wanted,
-            timeout_ms=timeout_ms,
-        )
+        setup = (request_type, request, value, index)
+        return self._call(wire.CONTROL, setup, sent, wanted, timeout_ms)
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
         """Read up to a full buffer; a timeout of 0 waits without limit."""
@@ -414,11 +395,7 @@ class SocketLink:
     def _call(
         self,
         operation: int,
-        *,
-        kind: int = 0,
-        request: int = 0,
-        value: int = 0,
-        index: int = 0,
+        setup: tuple[int, int, int, int] = (0, 0, 0, 0),
         data: bytes = b'',
         wanted: int = 0,
         timeout_ms: int = _QUICK_MS,
@@ -426,18 +403,7 @@ class SocketLink:
         connection, lock = self._channel(_CONTROL_CHANNEL)
         with self._errors(), lock:
             _set_patience(connection, timeout_ms)
-            return wire.call(
-                connection,
-                operation,
-                kind=kind,
-                request=request,
-                value=value,
-                index=index,
-                data=data,
-                wanted=wanted,
-                timeout_ms=timeout_ms,
-                session=self._session,
-            )
+            return wire.call(connection, operation, setup, data, wanted, timeout_ms, self._session)
 
     def _channel(self, number: int) -> tuple[socket.socket, threading.Lock]:
         with self._lock:

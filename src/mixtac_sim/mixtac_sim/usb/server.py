@@ -17,16 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from mixtac_sim.usb import wire
-from mixtac_sim.usb.faults import (
-    Fault,
-    FaultError,
-    UsbBusy,
-    UsbGone,
-    UsbOverflow,
-    UsbStall,
-    UsbTimeout,
-    VirtualUsbError,
-)
+from mixtac_sim.usb.faults import ERRNO, Fault, UsbTimeout, VirtualUsbError
 
 if TYPE_CHECKING:
     from mixtac_sim.usb.device import VirtualDavis346
@@ -39,14 +30,6 @@ _RETRY_S: Final = 0.1
 # Connections that may wait to be accepted: without descriptors they wait until some are free.
 _BACKLOG: Final = 64
 _MAX_PATH: Final = 100
-_STATUS: Final = {
-    UsbStall: errno.EPIPE,
-    UsbTimeout: errno.ETIMEDOUT,
-    UsbBusy: errno.EBUSY,
-    UsbGone: errno.ENODEV,
-    UsbOverflow: errno.EOVERFLOW,
-    FaultError: errno.EINVAL,
-}
 
 
 class UsbServer:
@@ -167,7 +150,7 @@ class UsbServer:
                 size = len(answer)
                 reply[start : start + size] = answer
         except VirtualUsbError as error:
-            status = _STATUS.get(type(error), errno.EIO)
+            status = ERRNO.get(type(error), errno.EIO)
         wire.REPLY.pack_into(reply, 0, status, size)
         with memoryview(reply) as view:
             connection.sendall(view[: start + size])

@@ -72,11 +72,7 @@ def receive(connection: socket.socket, count: int) -> bytes:
 def call(
     connection: socket.socket,
     operation: int,
-    *,
-    kind: int = 0,
-    request: int = 0,
-    value: int = 0,
-    index: int = 0,
+    setup: tuple[int, int, int, int] = (0, 0, 0, 0),
     data: bytes = b'',
     wanted: int = 0,
     timeout_ms: int = 0,
@@ -87,10 +83,7 @@ def call(
     Args:
         connection: A connected socket that no other thread uses during the call.
         operation: `CONTROL`, `READ`, `CLAIM`, `RELEASE`, `RESET` or `FAULT`.
-        kind: ``bmRequestType`` or endpoint address.
-        request: ``bRequest``.
-        value: ``wValue``.
-        index: ``wIndex``.
+        setup: ``bmRequestType`` or endpoint address, ``bRequest``, ``wValue`` and ``wIndex``.
         data: Data to the device.
         wanted: Bytes wanted from the device, where none are sent.
         timeout_ms: Longest wait [ms], 0 without limit.
@@ -104,7 +97,7 @@ def call(
         ConnectionError: The server is gone.
     """
     length = len(data) or wanted
-    header = REQUEST.pack(operation, kind, request, value, index, length, timeout_ms, session)
+    header = REQUEST.pack(operation, *setup, length, timeout_ms, session)
     connection.sendall(header + data)
     status, size = REPLY.unpack(receive(connection, REPLY.size))
     answer = receive(connection, size)

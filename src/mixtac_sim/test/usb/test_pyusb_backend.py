@@ -241,7 +241,7 @@ def test_serves_again_after_descriptors_ran_out(server):
     for host in hosts:
         with host:
             host.settimeout(10.0)
-            answer = wire.call(host, wire.CONTROL, kind=0x80, request=6, value=0x0100, wanted=18)
+            answer = wire.call(host, wire.CONTROL, (0x80, 6, 0x0100, 0), wanted=18)
         assert len(answer) == 18
 
 

@@ -87,10 +87,10 @@ class Camera:
     def control(self, setup, data):
         kind, request, value, index, length = struct.unpack('<BBHHH', setup)
         wanted = length if kind & 0x80 else 0
-        fields = {'request': request, 'value': value, 'index': index}
+        fields = (kind, request, value, index)
         sent = b'' if wanted else data[:length]
         return self.call(
-            self.control_channel, self.wire.CONTROL, kind=kind, data=sent, wanted=wanted, **fields
+            self.control_channel, self.wire.CONTROL, setup=fields, data=sent, wanted=wanted
         )
 
 
@@ -152,7 +152,7 @@ class Endpoint:
             status, data = self.camera.call(
                 self.connection,
                 self.camera.wire.READ,
-                kind=self.address,
+                setup=(self.address, 0, 0, 0),
                 wanted=length,
                 timeout_ms=POLL_MS,
             )
