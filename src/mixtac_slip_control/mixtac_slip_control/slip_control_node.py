@@ -29,7 +29,7 @@ from mixtac_node.images import grey
 from mixtac_node.stamps import stamp_to_us, us_to_stamp
 from mixtac_slip_control.arm.backends import TRAJECTORY, TrajectoryBackend, open_backend
 from mixtac_slip_control.arm.model import make_arm
-from mixtac_slip_control.arm.trajectory import TrajectoryMessage
+from mixtac_slip_control.arm.trajectory import TrajectoryMessage, settling_trajectory
 from mixtac_slip_control.controller import FeedCounts, SlipController, SlipStep, node_status
 from mixtac_slip_control.errors import BackendError
 from mixtac_slip_control.parameters import SlipControlParameters
@@ -218,7 +218,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         elif not self._controller.enabled:
             self._controller.enable(now_s, settling_s=settling_s)
             if self._arm is not None:
-                self._send(self._arm.settling(state.q, now_s, settling_s))
+                self._send(settling_trajectory(self._arm.arm, state.q, now_s, settling_s))
         self._moving = True
         return 'slip control enabled'
 

@@ -60,8 +60,6 @@ class TrajectoryBackend:
         self._names = tuple(names)
         self._publish = publish
         self._state: ArmState | None = None
-        self._seen: tuple[str, ...] | None = None
-        self._order: list[int] | None = None
 
     def on_joint_state(
         self, names: Sequence[str], positions: Sequence[float], now_s: float
@@ -76,15 +74,10 @@ class TrajectoryBackend:
         Returns:
             Whether all joints of the arm were among them.
         """
-        key = tuple(names)
-        if key != self._seen:
-            self._seen = key
-            place = {name: k for k, name in enumerate(key)}
-            complete = place.keys() >= set(self._names)
-            self._order = [place[name] for name in self._names] if complete else None
-        if self._order is None or len(positions) < len(key):
+        found = dict(zip(names, positions, strict=False))
+        if not found.keys() >= set(self._names):
             return False
-        q = np.array([positions[k] for k in self._order], np.float64)
+        q = np.array([found[name] for name in self._names], np.float64)
         self._state = ArmState(now_s, q, np.zeros_like(q))
         return True
 

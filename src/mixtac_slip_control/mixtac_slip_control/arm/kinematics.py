@@ -3,8 +3,8 @@
 """Kinematics of a serial arm from its URDF: pose and Jacobian of the tip, and the inverse.
 
 Of the URDF only what kinematics and limits need is read: origins, axes, limits and the order of the
-joints. Meshes and inertias are ignored. Expat is driven directly, so that a document type or an
-entity, which a URDF does not need, ends the reading at once instead of being expanded.
+joints. Meshes and inertias are ignored. A document type, which a URDF does not need and which could
+declare entities, is refused before the text is parsed.
 
 Kinematics are in NumPy: 0.06 ms for a pose and its Jacobian is enough for what is computed once per
 joint state or per reset, and compiling it would take longer than all of that.
@@ -15,9 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from importlib import resources
-from typing import NoReturn
 from xml.etree import ElementTree as ET
-from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +23,6 @@ from numpy.typing import NDArray
 from mixtac_slip_control.errors import ArmError, RobotDescriptionError, UnreachableError
 
 Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 MOVING = ('revolute', 'continuous', 'prismatic')
@@ -47,7 +44,6 @@ class UrdfJoint:
         lower: Smallest position [rad or m]; -inf without a limit.
         upper: Largest position [rad or m].
         velocity: Largest speed [rad/s or m/s]; inf without a limit.
-        effort: Largest torque or force [Nm or N]; inf without a limit.
     """
 
     name: str
@@ -60,36 +56,40 @@ class UrdfJoint:
     lower: float = -math.inf
     upper: float = math.inf
     velocity: float = math.inf
-    effort: float = math.inf
 
 
-def read_chain(text: str, base: str = '', tip: str = '') -> tuple[UrdfJoint, ...]:
-    """Return the joints from the base link to the tip link, fixed ones included.
+def read_chain(text: str) -> tuple[UrdfJoint, ...]:
+    """Return the joints from the root link to the only leaf, fixed ones included.
 
     Args:
         text: The URDF.
-        base: First link; empty: the root of the robot.
-        tip: Last link; empty: the only leaf of the robot.
 
     Raises:
-        RobotDescriptionError: No URDF, no such link, a branching or broken chain, or a joint of a
-            kind that a serial arm has no use for.
+        RobotDescriptionError: No URDF, a branching chain, or a joint of a kind that a serial arm
+            has no use for.
     """
-    root = _parse(text)
+    if '<!DOCTYPE' in text:
+        raise RobotDescriptionError(
+            'the URDF declares a document type: expand xacro first and give plain XML'
+        )
+    try:
+        root = ET.fromstring(text)  # noqa: S314  (no entities without a document type)
+    except (ET.ParseError, ValueError) as error:
+        raise RobotDescriptionError(f'the URDF is no well-formed XML: {error}') from error
     if root.tag != 'robot':
         raise RobotDescriptionError(f'the URDF starts with <{root.tag}>: give one with <robot>')
     joints = [_joint(element) for element in root.findall('joint')]
     by_child = {joint.child: joint for joint in joints}
-    link = tip or _leaf(joints)
+    leaves = by_child.keys() - {joint.parent for joint in joints}
+    if len(leaves) != 1:
+        raise RobotDescriptionError(
+            f'the URDF ends in the links {sorted(leaves)}: give one with a single chain of joints'
+        )
+    (link,) = leaves
     chain: list[UrdfJoint] = []
-    while link != base and link in by_child:
+    while link in by_child:
         chain.append(by_child.pop(link))
         link = chain[-1].parent
-    if (base and link != base) or not chain:
-        raise RobotDescriptionError(
-            f'the URDF has no chain of joints from {base or "its root"!r} to {tip!r}: links with '
-            f'a parent are {sorted(j.child for j in joints)}'
-        )
     chain.reverse()
     for joint in chain:
         if joint.kind not in (*MOVING, 'fixed'):
@@ -97,34 +97,6 @@ def read_chain(text: str, base: str = '', tip: str = '') -> tuple[UrdfJoint, ...
                 f'joint {joint.name!r} is {joint.kind!r}: a serial arm may hold {MOVING} and fixed'
             )
     return tuple(chain)
-
-
-def _parse(text: str) -> ET.Element:
-    builder = ET.TreeBuilder()
-    parser = expat.ParserCreate()
-
-    def refuse(*_arguments: object) -> NoReturn:
-        raise RobotDescriptionError(
-            'the URDF declares a document type or an entity: expand xacro first and give plain XML'
-        )
-
-    parser.StartDoctypeDeclHandler = refuse
-    parser.EntityDeclHandler = refuse
-    parser.StartElementHandler = builder.start
-    parser.EndElementHandler = builder.end
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError as error:
-        raise RobotDescriptionError(f'the URDF is no well-formed XML: {error}') from error
-    return builder.close()
-
-
-def _leaf(joints: list[UrdfJoint]) -> str:
-    parents = {joint.parent for joint in joints}
-    leaves = [joint.child for joint in joints if joint.child not in parents]
-    if len(leaves) != 1:
-        raise RobotDescriptionError(f'the URDF ends in the links {leaves}: name the tip link')
-    return leaves[0]
 
 
 def _joint(element: ET.Element) -> UrdfJoint:
@@ -146,7 +118,6 @@ def _joint(element: ET.Element) -> UrdfJoint:
         lower=_number(limit, 'lower', 0.0 if _bounded(kind, limit) else -math.inf, name),
         upper=_number(limit, 'upper', 0.0 if _bounded(kind, limit) else math.inf, name),
         velocity=_number(limit, 'velocity', math.inf, name),
-        effort=_number(limit, 'effort', math.inf, name),
     )
 
 
@@ -190,6 +161,8 @@ def _unit(axis: Vector, joint: str) -> Vector:
 MAX_INVERSE_STEPS = 100
 DAMPING = 1e-3
 """Damping of the inverse at an error of 1 m or 1 rad; it shrinks with the error."""
+TOLERANCE = 1e-12
+"""Largest error of position [m] and orientation [rad] that the inverse leaves."""
 
 
 def rotations(axes: Floats, angles: Floats) -> Floats:
@@ -199,40 +172,6 @@ def rotations(axes: Floats, angles: Floats) -> Floats:
     cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
     sine, versine = np.sin(angles)[:, None, None], (1.0 - np.cos(angles))[:, None, None]
     return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
-
-
-def pose_and_jacobian(
-    origins: Floats, axes: Floats, prismatic: Flags, tool: Floats, q: Floats
-) -> tuple[Floats, Floats]:
-    """Return the pose of the tip (4, 4) and its Jacobian (6, n), in the base frame.
-
-    Args:
-        origins: Transform from each moving joint to the next (n, 4, 4).
-        axes: Unit axes in the joints' frames (n, 3).
-        prismatic: Whether a joint slides (n,).
-        tool: Transform from the last joint to the tip (4, 4).
-        q: Joint positions (n,) [rad or m].
-    """
-    turns = rotations(axes, np.where(prismatic, 0.0, q))
-    slides = axes * np.where(prismatic, q, 0.0)[:, None]
-    directions = np.empty((q.size, 3))
-    points = np.empty((q.size, 3))
-    R, p = np.eye(3), np.zeros(3)
-    for i in range(q.size):
-        p = p + R @ origins[i, :3, 3]
-        R = R @ origins[i, :3, :3]
-        directions[i] = R @ axes[i]
-        p = p + R @ slides[i]
-        R = R @ turns[i]
-        points[i] = p
-    pose = np.eye(4)
-    pose[:3, 3] = p + R @ tool[:3, 3]
-    pose[:3, :3] = R @ tool[:3, :3]
-    linear = _cross(directions, pose[:3, 3] - points)
-    turning = ~prismatic[:, None]
-    return pose, np.concatenate(
-        [np.where(turning, linear, directions), np.where(turning, directions, 0.0)], axis=1
-    ).T
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
@@ -262,44 +201,6 @@ def damped_inverse(jacobian: Floats, damping: float) -> Floats:
     m = jacobian.shape[0]
     gram = jacobian @ jacobian.T + damping * damping * np.eye(m)
     return np.asarray(np.linalg.solve(gram, jacobian).T)
-
-
-def inverse(
-    origins: Floats,
-    axes: Floats,
-    prismatic: Flags,
-    tool: Floats,
-    target: Floats,
-    start: Floats,
-    tolerance: float,
-) -> tuple[Floats, float]:
-    """Return joint positions (n,) that reach a pose nearest to the start, and the error left.
-
-    Damped least squares; what the pose leaves free is pulled back to the start.
-
-    Args:
-        origins: Transform from each moving joint to the next (n, 4, 4).
-        axes: Unit axes in the joints' frames (n, 3).
-        prismatic: Whether a joint slides (n,).
-        tool: Transform from the last joint to the tip (4, 4).
-        target: Wanted pose (4, 4).
-        start: Joint positions to start from (n,).
-        tolerance: Error at which the pose is reached [m and rad].
-    """
-    q = start.copy()
-    for _ in range(MAX_INVERSE_STEPS):
-        pose, jacobian = pose_and_jacobian(origins, axes, prismatic, tool, q)
-        error = pose_error(target, pose)
-        remaining = float(np.max(np.abs(error)))
-        pinv = damped_inverse(jacobian, DAMPING * min(remaining, 1.0))
-        back = start - q
-        back = back - pinv @ (jacobian @ back)
-        if remaining <= tolerance and np.max(np.abs(back)) <= 100.0 * tolerance:
-            return q, remaining
-        step = pinv @ error + back
-        q = q + step * min(1.0, 0.5 / max(np.max(np.abs(step)), 1e-300))
-    pose, _ = pose_and_jacobian(origins, axes, prismatic, tool, q)
-    return q, float(np.max(np.abs(pose_error(target, pose))))
 
 
 FR3_READY = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)
@@ -344,18 +245,16 @@ class SerialArm:
         self._tool = pending
 
     @classmethod
-    def from_urdf(cls, text: str, base: str = '', tip: str = '') -> SerialArm:
+    def from_urdf(cls, text: str) -> SerialArm:
         """Read an arm from a URDF.
 
         Args:
             text: The URDF, for example from `/robot_description`.
-            base: First link; empty: the root.
-            tip: Last link; empty: the only leaf.
 
         Raises:
             RobotDescriptionError: See `read_chain`.
         """
-        return cls(read_chain(text, base, tip))
+        return cls(read_chain(text))
 
     @classmethod
     def fr3(cls) -> SerialArm:
@@ -371,7 +270,7 @@ class SerialArm:
         Raises:
             ArmError: `q` has another length or is not finite.
         """
-        return self._pose_and_jacobian(q)[0]
+        return self._pose_and_jacobian(self.checked(q))[0]
 
     def jacobian(self, q: Floats) -> Floats:
         """Return the Jacobian of the tip (6, n) at joint positions (n,).
@@ -379,35 +278,44 @@ class SerialArm:
         Raises:
             ArmError: `q` has another length or is not finite.
         """
-        return self._pose_and_jacobian(q)[1]
+        return self._pose_and_jacobian(self.checked(q))[1]
 
-    def solve(self, pose: Floats, q: Floats, tolerance: float = 1e-12) -> Floats:
+    def solve(self, pose: Floats, q: Floats) -> Floats:
         """Return joint positions (n,) that bring the tip to a pose, near the given ones.
 
-        Redundant joints stay as near to `q` as the pose allows. Limits are not looked at.
+        Damped least squares; redundant joints stay as near to `q` as the pose allows. Limits are
+        not looked at.
 
         Args:
             pose: Wanted pose of the tip (4, 4).
             q: Where to start, and the posture to stay near (n,).
-            tolerance: Largest error of position [m] and orientation [rad].
 
         Raises:
             UnreachableError: The pose is out of reach or behind a singularity.
             ArmError: `q` has another length or is not finite.
         """
         start = self.checked(q)
-        target = np.ascontiguousarray(pose, dtype=np.float64)
-        solution, error = inverse(
-            self._origins, self._axes, self._prismatic, self._tool, target, start, tolerance
+        solution = start.copy()
+        for _ in range(MAX_INVERSE_STEPS):
+            tip, jacobian = self._pose_and_jacobian(solution)
+            error = pose_error(pose, tip)
+            remaining = float(np.max(np.abs(error)))
+            pinv = damped_inverse(jacobian, DAMPING * min(remaining, 1.0))
+            back = start - solution
+            back = back - pinv @ (jacobian @ back)
+            if remaining <= TOLERANCE and np.max(np.abs(back)) <= 100.0 * TOLERANCE:
+                return solution
+            step = pinv @ error + back
+            solution = solution + step * min(1.0, 0.5 / max(np.max(np.abs(step)), 1e-300))
+        remaining = float(np.max(np.abs(pose_error(pose, self._pose_and_jacobian(solution)[0]))))
+        if remaining <= TOLERANCE:
+            return solution
+        x, y, z = pose[:3, 3]
+        raise UnreachableError(
+            f'the arm cannot bring its tip to ({x:.4f}, {y:.4f}, {z:.4f}) m from joint positions '
+            f'{np.round(start, 3).tolist()}: error {remaining:.3g} remains; choose a nearer target '
+            'or another posture'
         )
-        if not error <= tolerance:
-            x, y, z = target[:3, 3]
-            raise UnreachableError(
-                f'the arm cannot bring its tip to ({x:.4f}, {y:.4f}, {z:.4f}) m from joint '
-                f'positions {np.round(start, 3).tolist()}: error {error:.3g} remains; choose a '
-                'nearer target or another posture'
-            )
-        return np.asarray(solution)
 
     def checked(self, q: Floats) -> Floats:
         """Return joint positions as a contiguous array (n,).
@@ -424,10 +332,25 @@ class SerialArm:
         return values
 
     def _pose_and_jacobian(self, q: Floats) -> tuple[Floats, Floats]:
-        pose, jacobian = pose_and_jacobian(
-            self._origins, self._axes, self._prismatic, self._tool, self.checked(q)
-        )
-        return pose, jacobian
+        turns = rotations(self._axes, np.where(self._prismatic, 0.0, q))
+        slides = self._axes * np.where(self._prismatic, q, 0.0)[:, None]
+        directions = np.empty((self.dof, 3))
+        points = np.empty((self.dof, 3))
+        R, p = np.eye(3), np.zeros(3)
+        for i in range(self.dof):
+            p = p + R @ self._origins[i, :3, 3]
+            R = R @ self._origins[i, :3, :3]
+            directions[i] = R @ self._axes[i]
+            p = p + R @ slides[i]
+            R = R @ turns[i]
+            points[i] = p
+        pose = np.eye(4)
+        pose[:3, 3] = p + R @ self._tool[:3, 3]
+        pose[:3, :3] = R @ self._tool[:3, :3]
+        linear = _cross(directions, pose[:3, 3] - points)
+        turning = ~self._prismatic[:, None]
+        moves, turned = np.where(turning, linear, directions), np.where(turning, directions, 0.0)
+        return pose, np.concatenate([moves, turned], axis=1).T
 
 
 def fr3_urdf() -> str:

@@ -25,7 +25,6 @@ import os
 import struct
 import sys
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,19 +51,6 @@ MAX_POINTS = 100_000
 STOP = HEADER.pack(0, 0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WireTrajectory:
-    """A trajectory as received.
-
-    Attributes:
-        times_ns: Times of the points (m,) [ns].
-        states: Positions, velocities, accelerations (m, 3, 7).
-    """
-
-    times_ns: NDArray[np.int64]
-    states: Floats
-
-
 def pack(trajectory: PlannedTrajectory) -> bytes:
     """Return the bytes of a trajectory of seven joints with at least one point."""
     states = np.stack([trajectory.q, trajectory.dq, trajectory.ddq], axis=1)
@@ -84,8 +70,12 @@ class Receiver:
         self.stopped = False
         self._pending = bytearray()
 
-    def push(self, data: bytes) -> WireTrajectory | None:
-        """Take in bytes; return the latest complete trajectory among them, if any."""
+    def push(self, data: bytes) -> tuple[Times, Floats] | None:
+        """Take in bytes; return the latest complete trajectory among them, if any.
+
+        Returns:
+            Times of the points (m,) [ns], and positions, velocities, accelerations (m, 3, 7).
+        """
         self._pending += data
         latest = None
         while not self.stopped and len(self._pending) >= HEADER.size:
@@ -96,15 +86,12 @@ class Receiver:
             elif len(self._pending) < end:
                 break
             else:
-                latest = _unpack(bytes(self._pending[HEADER.size : end]), points)
+                body = bytes(self._pending[HEADER.size : end])
+                states = np.frombuffer(body, '<f8', offset=8 * points).reshape(points, 3, JOINTS)
+                times = np.frombuffer(body, '<i8', points)
+                latest = times.astype(np.int64), states.astype(np.float64)
                 del self._pending[:end]
         return latest
-
-
-def _unpack(body: bytes, points: int) -> WireTrajectory:
-    times = np.frombuffer(body, '<i8', points).astype(np.int64)
-    states = np.frombuffer(body, '<f8', offset=8 * points).reshape(points, 3, JOINTS)
-    return WireTrajectory(times, states.astype(np.float64))
 
 
 SAME_POSITION = 1e-7
@@ -344,9 +331,7 @@ class ControlLoop:
         if data is None:
             self._receiver.stopped = True
         trajectory = self._receiver.push(data) if data else None
-        return trajectory is not None and self._plan.replace(
-            now_ns, trajectory.times_ns, trajectory.states
-        )
+        return trajectory is not None and self._plan.replace(now_ns, *trajectory)
 
 
 def _read_input() -> bytes | None:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Limits of the joints of an arm, and checks of a joint state.
 
-Limits of position, velocity, acceleration, jerk and torque of each joint; checks of ranges, speeds,
-workspace and distance to singularities.
+Limits of position, velocity, acceleration and jerk of each joint; checks of ranges, workspace and
+distance to singularities.
 """
 
 from __future__ import annotations
@@ -56,8 +56,6 @@ class JointLimits:
         velocity: Largest speed [rad/s].
         acceleration: Largest acceleration [rad/s2].
         jerk: Largest jerk [rad/s3].
-        torque: Largest torque [Nm]; inf where unknown.
-        torque_rate: Largest change of torque [Nm/s]; inf where unknown.
         envelope: Velocity limits that depend on the position; None without.
         tip: Largest speed [m/s], acceleration [m/s2] and jerk [m/s3] of the tip.
     """
@@ -67,8 +65,6 @@ class JointLimits:
     velocity: Floats
     acceleration: Floats
     jerk: Floats
-    torque: Floats
-    torque_rate: Floats
     envelope: VelocityEnvelope | None = None
     tip: tuple[float, float, float] = (math.inf, math.inf, math.inf)
 
@@ -78,7 +74,7 @@ class JointLimits:
         Raises:
             ArmError: Lengths differ, a range is empty or a limit is not positive.
         """
-        rates = (self.velocity, self.acceleration, self.jerk, self.torque, self.torque_rate)
+        rates = (self.velocity, self.acceleration, self.jerk)
         if any(values.shape != self.lower.shape for values in (self.upper, *rates)):
             raise ArmError('joint limits of different lengths: give one value for each joint')
         if not (self.lower < self.upper).all():
@@ -87,13 +83,13 @@ class JointLimits:
                 'joint no room: give lower < upper'
             )
         if not all((values > 0.0).all() for values in rates):
-            raise ArmError('a joint limit of velocity, acceleration, jerk or torque is not > 0')
+            raise ArmError('a joint limit of velocity, acceleration or jerk is not > 0')
 
     @classmethod
     def fr3(cls) -> JointLimits:
         """Return the limits of the Franka Research 3.
 
-        Positions, speeds and torques: franka_description 1.0; rates and the velocity envelope:
+        Positions and speeds: franka_description 1.0; rates and the velocity envelope:
         libfranka's rate_limiting.h, for system versions from 5.9 on.
         """
         envelope = VelocityEnvelope(
@@ -106,7 +102,6 @@ class JointLimits:
             SerialArm.fr3(),
             acceleration=10.0,
             jerk=5000.0,
-            torque_rate=1000.0,
             envelope=envelope,
             tip=(3.0, 9.0, 4500.0),
         )
@@ -117,7 +112,6 @@ class JointLimits:
         arm: SerialArm,
         acceleration: float,
         jerk: float,
-        torque_rate: float = math.inf,
         envelope: VelocityEnvelope | None = None,
         tip: tuple[float, float, float] = (math.inf, math.inf, math.inf),
     ) -> JointLimits:
@@ -127,7 +121,6 @@ class JointLimits:
             arm: Arm read from a URDF.
             acceleration: Of every joint [rad/s2].
             jerk: Of every joint [rad/s3].
-            torque_rate: Of every joint [Nm/s].
             envelope: Velocity limits that depend on the position.
             tip: Speed [m/s], acceleration [m/s2] and jerk [m/s3] of the tip.
 
@@ -147,8 +140,6 @@ class JointLimits:
             velocity=velocity,
             acceleration=acceleration * same,
             jerk=jerk * same,
-            torque=np.array([joint.effort for joint in arm.joints]),
-            torque_rate=torque_rate * same,
             envelope=envelope,
             tip=tip,
         )
@@ -207,24 +198,25 @@ class BoxWorkspace:
         return None
 
 
+JOINT_MARGIN = 0.02
+"""Distance to the ends of the joints' ranges that positions and paths keep [rad]."""
+RADIAN_M = 0.3
+"""What one radian of the tip's orientation counts as in the distance to singularities [m]."""
 SAME_PLACE_RAD = 1e-4
 """Joint positions nearer than this to good ones are good: small beside every margin here, and an
 arm that rests reports its positions hundreds of times a second."""
 
 
 class StateChecks:
-    """Finds what is wrong with a joint state.
+    """Finds what is wrong with joint positions.
 
     Args:
         arm: The arm.
         limits: Limits of its joints.
         workspace: Where the tip may be; None: anywhere.
-        joint_margin: Distance to the ends of the joints' ranges to keep [rad].
-        speed_share: Share of the velocity limits that a measured speed may reach.
         min_singular: Smallest singular value of the Jacobian allowed, with angles scaled by
-            `length`: below it small motions of the tip need large motions of the joints. The FR3
+            `RADIAN_M`: below it small motions of the tip need large motions of the joints. The FR3
             has 0.18 in its ready pose and 0.04 with the elbow stretched.
-        length: What one radian of the tip's orientation counts as [m].
     """
 
     def __init__(
@@ -232,73 +224,36 @@ class StateChecks:
         arm: SerialArm,
         limits: JointLimits,
         workspace: BoxWorkspace | None = None,
-        joint_margin: float = 0.02,
-        speed_share: float = 1.0,
         min_singular: float = 0.05,
-        length: float = 0.3,
     ) -> None:
         self._arm = arm
         self._limits = limits
         self._workspace = workspace
-        self._joint_margin = joint_margin
-        self._speed_share = speed_share
         self._min_singular = min_singular
-        self._scale = np.array([1.0, 1.0, 1.0, length, length, length])[:, None]
         self._good: Floats | None = None
 
-    def check(self, q: Floats, dq: Floats | None = None) -> str | None:
-        """Return what is wrong, in words, or None.
-
-        Args:
-            q: Joint positions (n,) [rad].
-            dq: Joint velocities (n,) [rad/s]; None: not looked at.
-        """
+    def check(self, q: Floats) -> str | None:
+        """Return what is wrong with joint positions (n,) [rad], in words, or None."""
         try:
             values = self._arm.checked(q)
-            speeds = None if dq is None else self._arm.checked(dq)
         except ArmError as error:
             return str(error)
-        if speeds is None and self._near_good(values):
+        if self._good is not None and np.abs(values - self._good).max() < SAME_PLACE_RAD:
             return None
-        reason = (
-            self._limits.violation(values, self._arm.names, self._joint_margin)
-            or self._too_fast(values, speeds)
-            or self._outside(values)
-            or self._singular(values)
-        )
+        reason = self._limits.violation(values, self._arm.names, JOINT_MARGIN)
+        if reason is None and self._workspace is not None:
+            reason = self._workspace.violation(self._arm.pose(values)[:3, 3])
+        reason = reason or self._singular(values)
         self._good = values.copy() if reason is None else None
         return reason
 
-    def _near_good(self, q: Floats) -> bool:
-        return self._good is not None and bool(np.abs(q - self._good).max() < SAME_PLACE_RAD)
-
-    def _too_fast(self, q: Floats, dq: Floats | None) -> str | None:
-        if dq is None:
-            return None
-        # At the ends of the range, where the envelope closes, a resting joint is not too fast.
-        low, high = (self._speed_share * b for b in self._limits.velocity_bounds(q))
-        excess = np.maximum(dq - high, low - dq)
-        i = int(np.argmax(excess))
-        if not excess[i] > 0.0:
-            return None
-        return (
-            f'{self._arm.names[i]} moves at {dq[i]:.3f} rad/s, limits {low[i]:.3f}, {high[i]:.3f}'
-        )
-
-    def _outside(self, q: Floats) -> str | None:
-        return (
-            None if self._workspace is None else self._workspace.violation(self._arm.pose(q)[:3, 3])
-        )
-
     def _singular(self, q: Floats) -> str | None:
-        value = self.singular_value(q)
+        jacobian = self._arm.jacobian(q)
+        jacobian[3:] *= RADIAN_M
+        value = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
         if value >= self._min_singular:
             return None
         return (
             f'the arm is near a singularity: smallest singular value {value:.4f}, at least '
             f'{self._min_singular:g} wanted; choose another posture'
         )
-
-    def singular_value(self, q: Floats) -> float:
-        """Return the smallest singular value of the scaled Jacobian at joint positions (n,)."""
-        return float(np.linalg.svd(self._scale * self._arm.jacobian(q), compute_uv=False)[-1])

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import BoxWorkspace, JointLimits, StateChecks
 from mixtac_slip_control.arm.planner import AdvancePlanner
-from mixtac_slip_control.arm.trajectory import PlannedTrajectory, settling_trajectory
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.parameters import SlipControlParameters
 
@@ -49,12 +48,6 @@ class ArmParts:
     def check(self, q: Sequence[float]) -> str | None:
         """Return what is wrong with joint positions [rad], or None."""
         return self.checks.check(np.asarray(q, np.float64))
-
-    def settling(
-        self, q: NDArray[np.float64], now_s: float, duration_s: float
-    ) -> PlannedTrajectory:
-        """Return the trajectory from the controller's command to joint positions [rad]."""
-        return settling_trajectory(self.arm, q, now_s, duration_s)
 
     def warm_up(self) -> None:
         """Compile (or load) what runs in real time, so that the first trajectory is not late."""

@@ -15,7 +15,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
 from mixtac_slip_control.arm.kinematics import SerialArm
-from mixtac_slip_control.arm.limits import JointLimits
+from mixtac_slip_control.arm.limits import JOINT_MARGIN, JointLimits
 from mixtac_slip_control.errors import ArmError, UnreachableError
 
 Floats = NDArray[np.float64]
@@ -102,8 +102,6 @@ MAX_CURVE_SHARE = 0.25
 """Share of acceleration and jerk that the curvature of the path may take at full speed."""
 TYPICAL_SPEED = 0.06
 """Peak speed of an advance of 1 mm [m/s], at which the curvature of the path is accounted for."""
-JOINT_MARGIN = 0.02
-"""Distance to the ends of the joints' ranges that a path keeps [rad]."""
 
 
 @dataclass(frozen=True, slots=True)

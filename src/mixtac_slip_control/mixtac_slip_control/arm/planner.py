@@ -232,7 +232,16 @@ class AdvancePlanner:
 
     def advance_at(self, t_s: float) -> float:
         """Return the advance [m] that is commanded at a time [s]."""
-        return self._sample(t_s)[0]
+        if self._epoch_ns is None:
+            return 0.0
+        cells = (t_s - self._epoch_ns * 1e-9) / self._dt - self._first
+        if cells <= 0.0 or cells >= len(self._states) - 1:
+            return float(self._states[0 if cells <= 0.0 else -1, 0])
+        k = int(cells)
+        t = (cells - k) * self._dt
+        s, v, a = self._states[k]
+        j = (self._states[k + 1, 2] - a) / self._dt
+        return float(s + t * (v + t * (0.5 * a + t * j / 6.0)))
 
     def moving(self, now_s: float) -> bool:
         """Return whether the arm is commanded to move, now or later [s]."""
@@ -240,10 +249,6 @@ class AdvancePlanner:
             return False
         start_s = (self._epoch_ns + self._first * self._dt_ns) * 1e-9
         return start_s <= now_s < start_s + (len(self._states) - 1) * self._dt
-
-    def advance_velocity_at(self, t_s: float) -> float:
-        """Return the velocity of the advance [m/s] that is commanded at a time [s]."""
-        return self._sample(t_s)[1]
 
     def _clear(self) -> None:
         self._epoch_ns: int | None = None
@@ -342,20 +347,4 @@ class AdvancePlanner:
             ddq=joints[:, 2],
             names=self._arm.names,
             branch_s=(branch - begin) * self._dt,
-        )
-
-    def _sample(self, t_s: float) -> tuple[float, float]:
-        if self._epoch_ns is None:
-            return 0.0, 0.0
-        cells = (t_s - self._epoch_ns * 1e-9) / self._dt - self._first
-        if cells <= 0.0 or cells >= len(self._states) - 1:
-            s, v, _ = self._states[0 if cells <= 0.0 else -1]
-            return float(s), float(v)
-        k = int(cells)
-        t = (cells - k) * self._dt
-        s, v, a = self._states[k]
-        j = (self._states[k + 1, 2] - a) / self._dt
-        return (
-            float(s + t * (v + t * (0.5 * a + t * j / 6.0))),
-            float(v + t * (a + 0.5 * t * j)),
         )

@@ -32,7 +32,6 @@ def test_the_velocity_envelope_closes_towards_the_ends():
 
 def test_a_good_state_passes():
     checks = StateChecks(ARM, LIMITS, BoxWorkspace((0, -0.5, 0.2), (0.6, 0.5, 0.9)))
-    assert checks.check(READY, REST) is None
     assert checks.check(READY) is None
 
 
@@ -41,7 +40,7 @@ def test_a_joint_near_its_end_trips(joint):
     for end, sign in ((Q_UPPER, -1), (Q_LOWER, 1)):
         q = READY.copy()
         q[joint] = end[joint] + sign * 0.01
-        assert f'fr3_joint{joint + 1}' in StateChecks(ARM, LIMITS, min_singular=0.0).check(q, REST)
+        assert f'fr3_joint{joint + 1}' in StateChecks(ARM, LIMITS, min_singular=0.0).check(q)
 
 
 def test_a_slow_drift_to_an_end_trips():
@@ -56,12 +55,6 @@ def test_a_slow_drift_to_an_end_trips():
     # What is wrong stays wrong, however near to the last good state.
     q[6] += 1e-6
     assert 'fr3_joint7' in checks.check(q)
-
-
-def test_a_fast_joint_trips():
-    speeds = REST.copy()
-    speeds[4] = -5.3
-    assert 'fr3_joint5 moves at -5.300' in StateChecks(ARM, LIMITS).check(READY, speeds)
 
 
 def test_leaving_the_workspace_trips():
@@ -79,7 +72,6 @@ def test_a_singularity_trips():
 def test_what_is_no_state_trips(bad):
     checks = StateChecks(ARM, LIMITS)
     assert '7 finite numbers' in checks.check(bad)
-    assert '7 finite numbers' in checks.check(READY, bad)
 
 
 def test_empty_workspaces_and_limits_are_refused():
