@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from mixtac_alignment.clock_fit import with_drift_prior
 from mixtac_alignment.edges import fit_edges
-from mixtac_alignment.errors import NoImpulseError, RefinementError
+from mixtac_alignment.errors import RefinementError
 from mixtac_alignment.parameters import AlignmentParameters
 from mixtac_alignment.refinement import Refinement, refine
 from mixtac_alignment.taps import FEWEST_FRAMES, fit_taps
@@ -79,7 +79,7 @@ def align(
     """
     chosen = parameters or AlignmentParameters()
     if method == 'edges':
-        return _fit_edges(recording), None
+        return fit_edges(recording.edges_us, recording.reference_edges_s), None
     counts, events, frames = recording.counts, recording.events, recording.frames
     force = (recording.force_t_s, recording.force)
     few = frames is None or len(frames.start_us) < FEWEST_FRAMES
@@ -99,16 +99,3 @@ def align(
     except RefinementError:
         return first, None
     return refined.fit, refined
-
-
-def _fit_edges(recording: Recording) -> ClockFit:
-    for name, edges in (
-        ('external_edges, from the camera', recording.edges_us),
-        ('reference_edges, on the reference clock', recording.reference_edges_s),
-    ):
-        if not len(edges):
-            raise NoImpulseError(
-                f'no {name}',
-                remedy='record both topics with the trigger line connected, or align by taps',
-            )
-    return fit_edges(recording.edges_us, recording.reference_edges_s)

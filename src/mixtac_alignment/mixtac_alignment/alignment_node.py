@@ -129,7 +129,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
     def _on_reference_edge(self, message: TimeReference) -> None:
         self._reference_edges.append(stamp_to_ns(message.time_ref) / 1e9)
 
-    def _make_fit(self) -> ClockFit:
+    def _on_fit(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         p = self._settings
         t_s, force = self._force.snapshot(p.reference_axis)
         recording = Recording(
@@ -142,11 +142,8 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             reference_edges_s=np.array(self._reference_edges),
         )
         method: Method = 'edges' if p.use_edges else 'refined'
-        return align(recording, p, method=method, use_all=p.use_all)[0]
-
-    def _on_fit(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            self._fit = self._make_fit()
+            self._fit = align(recording, p, method=method, use_all=p.use_all)[0]
         except MixtacError as error:
             response.success, response.message = False, str(error)
             return response

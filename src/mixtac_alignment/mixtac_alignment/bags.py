@@ -26,7 +26,6 @@ from typing import Any, Final
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.errors import WriterError
 
 from mixtac_alignment.align import Recording, align
@@ -50,9 +49,9 @@ from mixtac_events.codec import decode
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError, read_packet
 from mixtac_events.sequence import SequenceCounter
+from mixtac_node import topics
 from mixtac_node.files import read_data, write_json
 from mixtac_node.images import ImageConversionError, grey
-from mixtac_node.topics import REFERENCE
 from mixtac_recordings.bag import BagFile, typestore
 from mixtac_recordings.bag_writer import McapBag, offered_qos
 from mixtac_recordings.recording import RecordingError
@@ -155,7 +154,11 @@ _NS: Final = 1_000_000_000
 
 
 def read_recording(
-    path: Path, reference: str = REFERENCE, namespace: str = '/mixtac', *, edges_only: bool = False
+    path: Path,
+    reference: str = topics.REFERENCE,
+    namespace: str = '/mixtac',
+    *,
+    edges_only: bool = False,
 ) -> Recording:
     """Read a bag.
 
@@ -245,12 +248,10 @@ class SensorTiming:
     Attributes:
         lag: Lag of its gel.
         parameters: Parameters with the latency of its events and its remaining uncertainty.
-        recordings: How many recordings it comes from.
     """
 
     lag: GelLag
     parameters: AlignmentParameters
-    recordings: int
 
 
 def pool_lag(refinements: Sequence[Refinement], prior: GelLag | None = None) -> GelLag:
@@ -310,7 +311,7 @@ def pool_sensor(refinements: Sequence[Refinement]) -> SensorTiming:
     Args:
         refinements: Refinements of its recordings, made with the defaults.
     """
-    return SensorTiming(pool_lag(refinements), pool_latency(refinements), len(refinements))
+    return SensorTiming(pool_lag(refinements), pool_latency(refinements))
 
 
 DESCRIPTION: Final = 'dataset.yaml'
@@ -409,52 +410,40 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
         RecordingError: The new bag exists already or cannot be written.
     """
     types, changed = typestore(), 0
+    fit_topic = f'{namespace}/clock_fit'
     try:
-        with (
-            Reader(bag) as reader,
-            McapBag(out) as writer,
-        ):
-            fit_topic = f'{namespace}/clock_fit'
+        with BagFile(bag) as source, McapBag(out) as writer:
+            copied = {c.topic: c for c in source.connections if c.topic != fit_topic}
             handles = {
-                c.id: writer.add_connection(
-                    c.topic,
+                topic: writer.add_connection(
+                    topic,
                     c.msgtype,
                     typestore=types,
                     offered_qos_profiles=c.ext.offered_qos_profiles,  # type: ignore[union-attr]
                 )
-                for c in reader.connections
-                if c.topic != fit_topic
+                for topic, c in copied.items()
             }
             fit_handle = writer.add_connection(
                 fit_topic,
-                'mixtac_msgs/msg/ClockFit',
+                topics.CLOCK_FIT.type_name,
                 typestore=types,
                 offered_qos_profiles=(offered_qos(reliable=True, latched=True),),
             )
-            message = _fit_message(types, fit, reader.start_time)
-            writer.write(fit_handle, reader.start_time, message)
-            for connection, received_ns, data in reader.messages():
-                if connection.id not in handles:
-                    continue
-                copied: Any = data
-                if connection.topic == reference:
-                    copied, changed = (
-                        _on_camera_clock(types, data, connection.msgtype, fit),
-                        changed + 1,
-                    )
-                writer.write(handles[connection.id], received_ns, copied)
+            writer.write(fit_handle, source.start_ns, _fit_message(types, fit, source.start_ns))
+            raw = copied.keys() - {reference}
+            for topic, received_ns, message in source.messages(*copied, raw=raw):
+                data = message
+                if topic == reference:
+                    stamp = message.header.stamp
+                    seconds = stamp.sec - fit.reference_epoch_s + stamp.nanosec * 1e-9
+                    moved_ns = round((seconds - fit.b) / fit.a * 1e9) + 1000 * fit.camera_epoch_us
+                    stamp.sec, stamp.nanosec = divmod(moved_ns, _NS)
+                    data = types.serialize_cdr(message, copied[topic].msgtype)
+                    changed += 1
+                writer.write(handles[topic], received_ns, data)
     except (WriterError, OSError) as error:
         raise RecordingError(f'cannot write {out}: {error}; choose a folder that is new') from error
     return changed
-
-
-def _on_camera_clock(types: Any, data: Any, kind: str, fit: ClockFit) -> Any:  # noqa: ANN401
-    message = types.deserialize_cdr(data, kind)
-    stamp = message.header.stamp
-    seconds = stamp.sec - fit.reference_epoch_s + stamp.nanosec * 1e-9
-    moved_ns = 1000 * fit.camera_epoch_us + round((seconds - fit.b) / fit.a * 1e9)
-    stamp.sec, stamp.nanosec = divmod(moved_ns, _NS)
-    return types.serialize_cdr(message, kind)
 
 
 def _fit_message(types: Any, fit: ClockFit, now_ns: int) -> Any:  # noqa: ANN401
@@ -464,5 +453,5 @@ def _fit_message(types: Any, fit: ClockFit, now_ns: int) -> Any:  # noqa: ANN401
     }
     time = types.types['builtin_interfaces/msg/Time'](*divmod(now_ns, _NS))
     header = types.types['std_msgs/msg/Header'](stamp=time, frame_id='')
-    kind = 'mixtac_msgs/msg/ClockFit'
+    kind = topics.CLOCK_FIT.type_name
     return types.serialize_cdr(types.types[kind](header=header, **fields), kind)

@@ -27,19 +27,12 @@ RIVAL: Final = 0.9
 def fit_edges(
     camera_us: NDArray[np.int64],
     reference_s: NDArray[np.float64],
-    *,
-    std_s: float = EDGE_STD_S,
-    max_drift: float = MAX_DRIFT,
-    min_baseline_s: float = 1.0,
 ) -> ClockFit:
     """Fit the clock map to edges by least squares.
 
     Args:
         camera_us: Edges at the camera's synchronisation input, camera clock [us], ``int64``.
         reference_s: The same edges on the reference clock [s], ``float64``.
-        std_s: Standard deviation of the pairing of one edge [s].
-        max_drift: Largest believable ``|a - 1|``.
-        min_baseline_s: Shortest time between the first and the last edge [s].
 
     Raises:
         NoImpulseError: Fewer than two edges in one recording, or none that meet.
@@ -49,25 +42,22 @@ def fit_edges(
     """
     if min(len(camera_us), len(reference_s)) < 2:
         raise NoImpulseError(
-            f'{len(camera_us)} edges at the camera and {len(reference_s)} at the reference: it '
-            'takes two; check the trigger cable and that the detector is on'
+            f'{len(camera_us)} edges on external_edges, from the camera, and {len(reference_s)} on '
+            'reference_edges: two of each are needed',
+            remedy='record both topics with the trigger line connected, or align by taps',
         )
     camera, reference = np.sort(camera_us), np.sort(reference_s)
     x = (camera - camera[0]).astype(np.float64) * 1e-6
     y = reference - reference[0]
-    pairs = _best_pairs(x, y, max_drift)
-    anchors = [Anchor(int(camera[i]), float(reference[j]), std_s) for i, j in pairs]
-    return fit_clock(
-        anchors, min_baseline_s=min_baseline_s, max_drift=max_drift, method='hardware_edges'
-    )
+    pairs = _best_pairs(x, y)
+    anchors = [Anchor(int(camera[i]), float(reference[j]), EDGE_STD_S) for i, j in pairs]
+    return fit_clock(anchors, method='hardware_edges')
 
 
-def _best_pairs(
-    x: NDArray[np.float64], y: NDArray[np.float64], max_drift: float
-) -> list[tuple[int, int]]:
-    if len(x) == len(y) and len(_pairs(x, y, 0, 0, max_drift)) == len(x):
-        return _pairs(x, y, 0, 0, max_drift)
-    found = [_pairs(x, y, i, j, max_drift) for i in range(len(x)) for j in range(len(y))]
+def _best_pairs(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[tuple[int, int]]:
+    if len(x) == len(y) and len(_pairs(x, y, 0, 0)) == len(x):
+        return _pairs(x, y, 0, 0)
+    found = [_pairs(x, y, i, j) for i in range(len(x)) for j in range(len(y))]
     best = max(found, key=len)
     if len(best) < 2:
         raise NoImpulseError('no two edges have the same time between them in both recordings')
@@ -80,14 +70,12 @@ def _best_pairs(
     return best
 
 
-def _pairs(
-    x: NDArray[np.float64], y: NDArray[np.float64], i: int, j: int, max_drift: float
-) -> list[tuple[int, int]]:
+def _pairs(x: NDArray[np.float64], y: NDArray[np.float64], i: int, j: int) -> list[tuple[int, int]]:
     """Return the pairs that meet when edge i is edge j."""
     expected = x - x[i] + y[j]
     nearest = np.clip(np.searchsorted(y, expected), 1, len(y) - 1)
     nearest -= (expected - y[nearest - 1]) < (y[nearest] - expected)
-    allowed = TOLERANCE_S + max_drift * np.abs(x - x[i])
+    allowed = TOLERANCE_S + MAX_DRIFT * np.abs(x - x[i])
     meets = np.abs(y[nearest] - expected) <= allowed
     pairs = [(int(k), int(nearest[k])) for k in np.flatnonzero(meets)]
     return pairs if len({second for _, second in pairs}) == len(pairs) else []

@@ -237,7 +237,7 @@ def refine(
     estimate = _iterate(lagged, frames.values[inside], start_s, end_s, first, gel)
     _require_same_motion(estimate, float(force.std()))
     _require_no_jump(estimate.jump)
-    return _checked(first, _result(first, estimate, gel))
+    return _result(first, estimate, gel)
 
 
 def _iterate(
@@ -356,19 +356,14 @@ def _result(first: ClockFit, estimate: _Estimate, gel: GelLag) -> Refinement:
     own = np.sqrt(np.diag(estimate.covariance)[2:])
     std = np.minimum(np.array(gel.std), np.maximum(own, LEAST_LAG_STD))
     lag = GelLag(tuple(map(float, estimate.weights)), tuple(map(float, std)))
-    weights = INFLATION**2 * estimate.covariance[2:, 2:]
-    return Refinement(fit, lag, estimate.noise, weights)
-
-
-def _checked(first: ClockFit, refined: Refinement) -> Refinement:
-    if abs(refined.fit.a - 1.0) > MAX_DRIFT:
+    if abs(fit.a - 1.0) > MAX_DRIFT:
         raise DriftError(
-            f'frames and force drift by {refined.fit.drift_ppm:.0f} ppm, working clocks by at most '
+            f'frames and force drift by {fit.drift_ppm:.0f} ppm, working clocks by at most '
             f'{1e6 * MAX_DRIFT:.0f} ppm: a clock jumped or samples were lost; record again'
         )
     camera_us = np.array([anchor.camera_us for anchor in first.anchors])
-    apart = refined.fit.to_reference(camera_us) - first.to_reference(camera_us)
-    allowed = AGREEMENT * np.hypot(first.std_at(camera_us), refined.fit.std_at(camera_us))
+    apart = fit.to_reference(camera_us) - first.to_reference(camera_us)
+    allowed = AGREEMENT * np.hypot(first.std_at(camera_us), fit.std_at(camera_us))
     worst = int(np.argmax(np.abs(apart) - allowed))
     if abs(apart[worst]) > allowed[worst]:
         raise InconsistentFitError(
@@ -376,7 +371,7 @@ def _checked(first: ClockFit, refined: Refinement) -> Refinement:
             f'{1e3 * allowed[worst]:.1f} ms: a clock jumped, samples were lost, or the taps are '
             'not the same ones; record again'
         )
-    return refined
+    return Refinement(fit, lag, estimate.noise, INFLATION**2 * estimate.covariance[2:, 2:])
 
 
 def _require_same_motion(estimate: _Estimate, swing: float) -> None:

@@ -211,7 +211,7 @@ def test_edges_serve_in_place_of_taps(node_under_test: subprocess.Popen[str], pe
     assert node_under_test.poll() is None
     refused, _ = peer.fit()
     assert not refused.success
-    assert 'trigger cable' in refused.message
+    assert 'external_edges' in refused.message
     for at_us in np.cumsum(np.random.default_rng(1).integers(300_000, 900_000, 20)):
         peer.send('external_edges', header__stamp=stamp_of(int(at_us)))
         other = stamp_of(round(float(at_us) * (1.0 + 3e-5)) + 7_000_000)

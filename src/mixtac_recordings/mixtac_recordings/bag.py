@@ -124,7 +124,7 @@ class BagFile:
         self.duration_ns = max((each.end_time for each in filled), default=0) - self.start_ns
         self.counts: dict[str, int] = {}
         self.types: dict[str, str] = {}
-        for connection in [each for reader in self._readers for each in reader.connections]:
+        for connection in self.connections:
             topic = connection.topic
             self.counts[topic] = self.counts.get(topic, 0) + connection.msgcount
             self.types[topic] = connection.msgtype
@@ -147,6 +147,11 @@ class BagFile:
         for reader in self._readers:
             if reader.is_open:
                 reader.close()
+
+    @property
+    def connections(self) -> list[Connection]:
+        """Return the connections of all files of the bag, with type and QoS of each topic."""
+        return [connection for reader in self._readers for connection in reader.connections]
 
     def topics(self, type_name: str) -> list[str]:
         """Return the topics of a message type that hold any messages, sorted."""

@@ -111,10 +111,10 @@ def test_a_trajectory_that_comes_too_late_is_not_followed():
     planner.reset(READY, X)
     receiver = Receiver()
     wire = receiver.push(pack(planner.plan(EPOCH_NS * 1e-9, 1e-3, X)))
-    assert not splice.replace(EPOCH_NS + 15_000_000, wire.times_ns, wire.states)
+    assert not splice.replace(EPOCH_NS + 15_000_000, *wire)
     assert splice.late == 1
     assert splice.still(EPOCH_NS, EPOCH_NS + 40_000_000)
-    assert splice.replace(EPOCH_NS + 3_000_000, wire.times_ns, wire.states)
+    assert splice.replace(EPOCH_NS + 3_000_000, *wire)
     assert splice.still(EPOCH_NS, EPOCH_NS + 5_000_000)
     # At rest before and after, with the whole motion in between.
     assert not splice.still(EPOCH_NS, EPOCH_NS + 1_000_000_000)
@@ -126,9 +126,9 @@ def test_bytes_are_cut_into_trajectories_wherever_they_are_split():
     trajectory = planner.plan(EPOCH_NS * 1e-9, 1e-4, X)
     data, receiver = pack(trajectory), Receiver()
     assert all(receiver.push(data[k : k + 1]) is None for k in range(len(data) - 1))
-    received = receiver.push(data[-1:])
-    assert (received.states[:, 1] == trajectory.dq).all()
-    assert received.times_ns[0] == trajectory.stamp_ns + round(trajectory.times_s[0] * 1e9)
+    times_ns, states = receiver.push(data[-1:])
+    assert (states[:, 1] == trajectory.dq).all()
+    assert times_ns[0] == trajectory.stamp_ns + round(trajectory.times_s[0] * 1e9)
     assert not receiver.stopped
     assert receiver.push(STOP) is None
     assert receiver.stopped
