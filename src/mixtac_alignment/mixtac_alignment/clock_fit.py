@@ -71,7 +71,7 @@ class ClockFit:
 
     def to_reference(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
         """Return camera times [us] on the reference clock [s]."""
-        return self.reference_epoch_s + self._offset_s(t_us)
+        return self.reference_epoch_s + (self.a * self.since_epoch_s(t_us) + self.b)
 
     def to_camera(self, t_s: float | NDArray[np.float64]) -> NDArray[np.int64]:
         """Return reference times [s] on the camera clock [us, rounded]."""
@@ -184,9 +184,6 @@ class ClockFit:
         since = np.asarray(t_us, np.int64) - np.int64(self.camera_epoch_us)
         return since.astype(np.float64) * 1e-6
 
-    def _offset_s(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
-        return self.a * self.since_epoch_s(t_us) + self.b
-
 
 def fit_clock(
     anchors: Sequence[Anchor],
@@ -219,8 +216,15 @@ def fit_clock(
             f'{len(ordered)} anchor for a clock map: it takes two impulses, one at the beginning '
             'and one at the end'
         )
-    _require_baseline(ordered, min_baseline_s)
-    camera_epoch_us, x = _camera_about_epoch(ordered)
+    camera_us = [anchor.camera_us for anchor in ordered]
+    baseline_s = (camera_us[-1] - camera_us[0]) * 1e-6
+    if baseline_s < min_baseline_s or baseline_s <= 0.0:
+        raise ShortBaselineError(
+            f'anchors span {baseline_s:.3f} s, less than {min_baseline_s:g} s: tap once at the '
+            'beginning and once at the end of the recording'
+        )
+    camera_epoch_us = sum(camera_us) // len(camera_us) // 1_000_000 * 1_000_000
+    x = np.array([t - camera_epoch_us for t in camera_us], np.float64) * 1e-6
     reference = np.array([anchor.reference_s for anchor in ordered])
     reference_epoch_s = float(np.floor(reference.mean()))
     y = reference - reference_epoch_s
@@ -240,7 +244,13 @@ def fit_clock(
         residuals_s=residuals,
         method=method or ('two_impulse' if len(ordered) == 2 else 'least_squares'),
     )
-    _require_drift(fit, max_drift)
+    allowed = max_drift + 3.0 * float(np.sqrt(fit.covariance[0, 0]))
+    if not abs(fit.a - 1.0) <= allowed:
+        raise DriftError(
+            f'clock drift of {fit.drift_ppm:.0f} ppm; working clocks stay within '
+            f'{1e6 * allowed:.0f} ppm here: the anchors belong to different impulses, or samples '
+            'were lost; record again with two sharp taps'
+        )
     return fit
 
 
@@ -262,12 +272,6 @@ def with_drift_prior(fit: ClockFit, drift_std: float) -> ClockFit:
     )
 
 
-def _camera_about_epoch(anchors: tuple[Anchor, ...]) -> tuple[int, NDArray[np.float64]]:
-    times = [anchor.camera_us for anchor in anchors]
-    epoch_us = sum(times) // len(times) // 1_000_000 * 1_000_000
-    return epoch_us, np.array([t - epoch_us for t in times], np.float64) * 1e-6
-
-
 def _solve(
     x: NDArray[np.float64], y: NDArray[np.float64], std: NDArray[np.float64]
 ) -> tuple[tuple[float, float], NDArray[np.float64]]:
@@ -282,27 +286,3 @@ def _solve(
     var_mean = 1.0 / float(np.sum(w))
     covariance = np.array([[var_a, -x0 * var_a], [-x0 * var_a, var_mean + x0**2 * var_a]])
     return (a, y0 - a * x0), covariance
-
-
-def _require_baseline(anchors: tuple[Anchor, ...], min_baseline_s: float) -> None:
-    baseline_s = (anchors[-1].camera_us - anchors[0].camera_us) * 1e-6
-    if baseline_s < min_baseline_s or baseline_s <= 0.0:
-        raise ShortBaselineError(
-            f'anchors span {baseline_s:.3f} s, less than {min_baseline_s:g} s: tap once at the '
-            'beginning and once at the end of the recording'
-        )
-
-
-def _require_drift(fit: ClockFit, max_drift: float) -> None:
-    """Refuse a drift beyond the largest believable one and three standard deviations.
-
-    Raises:
-        DriftError: As above.
-    """
-    allowed = max_drift + 3.0 * float(np.sqrt(fit.covariance[0, 0]))
-    if not abs(fit.a - 1.0) <= allowed:
-        raise DriftError(
-            f'clock drift of {fit.drift_ppm:.0f} ppm; working clocks stay within '
-            f'{1e6 * allowed:.0f} ppm here: the anchors belong to different impulses, or samples '
-            'were lost; record again with two sharp taps'
-        )

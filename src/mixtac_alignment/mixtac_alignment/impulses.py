@@ -29,7 +29,7 @@ which most impulses meet wins (`pair_impulses`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -140,33 +140,25 @@ def find_force_impulses(
     least = max(chosen.min_force, NOISE_FACTOR * noise_std(force))
     window = 2 * max(3, round(2.0 * chosen.max_width / period)) + 1
     peaks = prominent_peaks(force, least, window)
-    impulses = [
-        _force_impulse(t_s, force, int(peak), float(height), float(width) * period, period)
-        for peak, height, width in zip(*peaks, strict=True)
-        if width * period <= chosen.max_width
-    ]
+    impulses = []
+    for peak, height, width in zip(*peaks, strict=True):
+        width_s = float(width) * period
+        if width_s > chosen.max_width:
+            continue
+        first, last = _top(force, int(peak), force[peak] - (1.0 - TOP) * height)
+        time_s, std_s = vertex(t_s[first:last], force[first:last])
+        flat_first, flat_last = _top(force, int(peak), force[peak] - 1e-6 * height, least=0)
+        flat = flat_last - flat_first
+        impulses.append(
+            Impulse(
+                time_s=time_s,
+                std_s=float(np.hypot(std_s, period / np.sqrt(12.0))),
+                strength=float(height) / max(width_s, period),
+                width_s=width_s,
+                saturated=bool(flat >= 3 and flat * period > 0.3 * width_s),
+            )
+        )
     return strongest(impulses, MIN_SPACING_S)
-
-
-def _force_impulse(
-    t_s: NDArray[np.float64],
-    force: NDArray[np.float64],
-    peak: int,
-    height: float,
-    width_s: float,
-    period: float,
-) -> Impulse:
-    first, last = _top(force, peak, force[peak] - (1.0 - TOP) * height)
-    time_s, std_s = vertex(t_s[first:last], force[first:last])
-    flat_first, flat_last = _top(force, peak, force[peak] - 1e-6 * height, least=0)
-    flat_s = (flat_last - flat_first) * period
-    return Impulse(
-        time_s=time_s,
-        std_s=float(np.hypot(std_s, period / np.sqrt(12.0))),
-        strength=height / max(width_s, period),
-        width_s=width_s,
-        saturated=flat_last - flat_first >= 3 and flat_s > 0.3 * width_s,
-    )
 
 
 def _top(force: NDArray[np.float64], peak: int, level: float, least: int = 2) -> tuple[int, int]:
@@ -319,35 +311,23 @@ def find_event_impulses(
     rest = float(np.median(smooth))
     window = 2 * max(3, round(2.0 * chosen.max_width / width_s)) + 1
     troughs = prominent_peaks(-smooth, chosen.min_burst_rate, window)
-    impulses = [
-        _event_impulse(
-            stillness(per_second, smooth, int(trough), float(depth), min(rest, smooth[trough])),
-            float(smooth[trough] + depth) > READOUT_RATE,
-            float(depth),
-            float(width) * width_s,
-            width_s,
-        )
-        for trough, depth, width in zip(*troughs, strict=True)
-        if width * width_s <= chosen.max_width
-        and smooth[trough] <= MAX_TROUGH_RATIO * (smooth[trough] + depth)
-        and not counts.lost_near(trough, window)
-    ]
-    certain = [impulse for impulse in impulses if impulse.std_s <= LARGEST_STD_S]
-    return strongest(certain, MIN_SPACING_S)
-
-
-def _event_impulse(
-    at: tuple[float, float], queued: bool, depth: float, width: float, width_s: float
-) -> Impulse:
-    """Return the impulse at a position in bins, with its uncertainty in seconds."""
-    position, std = at
-    variance = (std * width_s) ** 2 + MODEL_STD_S**2 + (QUEUE_STD_S**2 if queued else 0.0)
-    return Impulse(
-        time_s=position * width_s,
-        std_s=float(np.sqrt(variance)),
-        strength=depth,
-        width_s=width,
-    )
+    impulses = []
+    for trough, depth, width in zip(*troughs, strict=True):
+        burst = smooth[trough] + depth
+        if (
+            width * width_s > chosen.max_width
+            or smooth[trough] > MAX_TROUGH_RATIO * burst
+            or counts.lost_near(trough, window)
+        ):
+            continue
+        floor = min(rest, smooth[trough])
+        position, std = stillness(per_second, smooth, int(trough), float(depth), floor)
+        queued_s = QUEUE_STD_S if burst > READOUT_RATE else 0.0
+        std_s = float(np.sqrt((std * width_s) ** 2 + MODEL_STD_S**2 + queued_s**2))
+        if std_s <= LARGEST_STD_S:
+            width_at_half = float(width) * width_s
+            impulses.append(Impulse(position * width_s, std_s, float(depth), width_at_half))
+    return strongest(impulses, MIN_SPACING_S)
 
 
 QUIET_S: Final = 0.3
@@ -436,63 +416,29 @@ def pair_impulses(
         AmbiguousImpulsesError: Two different maps fit about as well.
     """
     events, forces = _leading(camera), _leading(reference)
-    matches = [
-        _match(e, f, events, forces, match_s)
-        for e in combinations(events, 2)
-        for f in combinations(forces, 2)
-        if _agree(e, f, max_drift, match_s)
-    ]
+    times = np.array([impulse.time_s for impulse in forces])
+    matches = []
+    for (e0, e1), (f0, f1) in product(combinations(events, 2), combinations(forces, 2)):
+        span, other = e1.time_s - e0.time_s, f1.time_s - f0.time_s
+        std = np.sqrt(e0.std_s**2 + e1.std_s**2 + f0.std_s**2 + f1.std_s**2)
+        if abs(other - span) > max_drift * span + max(match_s, 3.0 * std):
+            continue
+        pairs = []
+        for impulse in events:
+            at = f0.time_s + other / span * (impulse.time_s - e0.time_s)
+            nearest = int(np.argmin(np.abs(times - at)))
+            if abs(times[nearest] - at) <= match_s:
+                weight = _weight(impulse, events) * _weight(forces[nearest], forces)
+                pairs.append(ImpulsePair(impulse, forces[nearest], float(np.sqrt(weight))))
+        middle = events[len(events) // 2].time_s
+        offset = f0.time_s + other / span * (middle - e0.time_s) - middle
+        matches.append(_Match(offset, sum(pair.weight for pair in pairs), tuple(pairs)))
     if not matches:
         raise NoImpulseError(
             f'{len(camera)} impulses in the events and {len(reference)} in the force, but no two '
             'with the same time between them: record both over the same two taps'
         )
     best = max(matches, key=lambda match: match.score)
-    _require_no_rival(best, matches, match_s)
-    return best.pairs
-
-
-def _leading(impulses: list[Impulse]) -> list[Impulse]:
-    chosen = sorted(impulses, key=lambda i: -i.strength)[:MOST_IMPULSES]
-    return sorted(chosen, key=lambda i: i.time_s)
-
-
-def _agree(
-    e: tuple[Impulse, Impulse], f: tuple[Impulse, Impulse], max_drift: float, match_s: float
-) -> bool:
-    span = e[1].time_s - e[0].time_s
-    std = np.sqrt(sum(impulse.std_s**2 for impulse in (*e, *f)))
-    difference = abs(f[1].time_s - f[0].time_s - span)
-    return bool(difference <= max_drift * span + max(match_s, 3.0 * std))
-
-
-def _match(
-    e: tuple[Impulse, Impulse],
-    f: tuple[Impulse, Impulse],
-    events: list[Impulse],
-    forces: list[Impulse],
-    match_s: float,
-) -> _Match:
-    """Return what the map through two impulses explains."""
-    rate = (f[1].time_s - f[0].time_s) / (e[1].time_s - e[0].time_s)
-    expected = [f[0].time_s + rate * (impulse.time_s - e[0].time_s) for impulse in events]
-    times = np.array([impulse.time_s for impulse in forces])
-    pairs = []
-    for impulse, at in zip(events, expected, strict=True):
-        nearest = int(np.argmin(np.abs(times - at)))
-        if abs(times[nearest] - at) <= match_s:
-            weight = _weight(impulse, events) * _weight(forces[nearest], forces)
-            pairs.append(ImpulsePair(impulse, forces[nearest], float(np.sqrt(weight))))
-    middle = events[len(events) // 2].time_s
-    offset = f[0].time_s + rate * (middle - e[0].time_s) - middle
-    return _Match(offset, sum(pair.weight for pair in pairs), tuple(pairs))
-
-
-def _weight(impulse: Impulse, among: list[Impulse]) -> float:
-    return impulse.strength / max(other.strength for other in among)
-
-
-def _require_no_rival(best: _Match, matches: list[_Match], match_s: float) -> None:
     for match in matches:
         apart = abs(match.offset_s - best.offset_s)
         if apart > 4.0 * match_s and match.score > RIVAL * best.score:
@@ -501,3 +447,13 @@ def _require_no_rival(best: _Match, matches: list[_Match], match_s: float) -> No
                 f'{match.offset_s:.3f} s alike: leave other taps out, or tap twice at one end so '
                 'that the pattern has one fit only'
             )
+    return best.pairs
+
+
+def _leading(impulses: list[Impulse]) -> list[Impulse]:
+    chosen = sorted(impulses, key=lambda i: -i.strength)[:MOST_IMPULSES]
+    return sorted(chosen, key=lambda i: i.time_s)
+
+
+def _weight(impulse: Impulse, among: list[Impulse]) -> float:
+    return impulse.strength / max(other.strength for other in among)

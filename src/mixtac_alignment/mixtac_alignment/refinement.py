@@ -234,24 +234,9 @@ def refine(
     )
     _require_enough(int(inside.sum()), force)
     start_s, end_s = start_s[inside], end_s[inside]
-    estimate = _iterate(lagged, frames.values[inside], start_s, end_s, first, gel)
-    _require_same_motion(estimate, float(force.std()))
-    _require_no_jump(estimate.jump)
-    return _result(first, estimate, gel)
-
-
-def _iterate(
-    lagged: LaggedForce,
-    values: NDArray[np.float32],
-    start_s: NDArray[np.float64],
-    end_s: NDArray[np.float64],
-    first: ClockFit,
-    gel: GelLag,
-) -> _Estimate:
-    """Take Gauss-Newton steps about the middle of the frames; return the result about the epoch."""
     t_s = 0.5 * (start_s + end_s)
     middle = float(t_s.mean())
-    basis, slow = deformation_basis(values, t_s), slow_basis(t_s)
+    basis, slow = deformation_basis(frames.values[inside], t_s), slow_basis(t_s)
     prior = _prior(first, middle, gel)
     estimate = _Estimate(
         offset=first.b + first.a * middle,
@@ -268,7 +253,10 @@ def _iterate(
         )
         last = count == STEPS - 1
         estimate = _step(estimate, mean, slope, basis, slow, t_s - middle, prior, last=last)
-    return estimate.about(middle)
+    estimate = estimate.about(middle)
+    _require_same_motion(estimate, float(force.std()))
+    _require_no_jump(estimate.jump)
+    return _result(first, estimate, gel)
 
 
 def _prior(first: ClockFit, middle_s: float, gel: GelLag) -> _Prior:
@@ -317,36 +305,25 @@ def _step(
     freedom = max(1.0, len(t_s) - basis.shape[1] - 2.0) / len(t_s)
     noise = 1.4826 * float(np.median(np.abs(plain))) / float(np.sqrt(freedom))
     noise = max(1e-5, noise)
+    # Cluster-robust covariance, with blocks of `BLOCK_S` as clusters.
+    block = ((t_s - t_s[0]) / BLOCK_S).astype(np.int64)
+    scores = np.zeros((int(block[-1]) + 1, rows.shape[1]))
+    np.add.at(scores, block, rows * residual[:, None])
+    inverse = np.linalg.inv(normal)
+    spread = scores.T @ scores + estimate.noise**2 * prior_precision
     return _Estimate(
         offset=estimate.offset + _clipped(step[0], LARGEST_OFFSET_STEP_S),
         rate=estimate.rate + _clipped(step[1], LARGEST_RATE_STEP),
         weights=estimate.weights + step[2:],
         trust=1.0 / (1.0 + (plain / (3.0 * noise)) ** 2),
         noise=noise,
-        covariance=_covariance(rows, residual, prior_precision, normal, estimate.noise, t_s),
+        covariance=inverse @ spread @ inverse,
         jump=jump,
     )
 
 
 def _clipped(value: float, largest: float) -> float:
     return float(np.clip(value, -largest, largest))
-
-
-def _covariance(
-    rows: NDArray[np.float64],
-    residual: NDArray[np.float64],
-    prior_precision: NDArray[np.float64],
-    normal: NDArray[np.float64],
-    noise: float,
-    t_s: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return the cluster-robust covariance, with blocks of `BLOCK_S` as clusters."""
-    block = ((t_s - t_s[0]) / BLOCK_S).astype(np.int64)
-    scores = np.zeros((int(block[-1]) + 1, rows.shape[1]))
-    np.add.at(scores, block, rows * residual[:, None])
-    inverse = np.linalg.inv(normal)
-    spread = scores.T @ scores + noise**2 * prior_precision
-    return np.asarray(inverse @ spread @ inverse)
 
 
 def _result(first: ClockFit, estimate: _Estimate, gel: GelLag) -> Refinement:

@@ -313,18 +313,19 @@ def fit_taps(
     force = pressing_sign(force) * force
     force -= np.percentile(force, UNLOADED_PERCENT)
     weight = _weights(pairs, counts.start_us, frames, t_s, force)
-    anchors = [
-        _anchor(
-            pair,
-            counts.start_us,
-            start_s,
-            events,
-            weight,
-            TapModel(t_s, force, pair.reference.time_s, lag, loaded=number > 0),
-            chosen.tap_latency_s,
-        )
-        for number, pair in enumerate(used)
-    ]
+    anchors = []
+    for number, pair in enumerate(used):
+        model = TapModel(t_s, force, pair.reference.time_s, lag, loaded=number > 0)
+        expected_us = counts.start_us + round(1e6 * (pair.camera.time_s - BURST_LATENCY_S))
+        found, std_s = _delay(model, events, expected_us, weight)
+        if found.misfit > LARGEST_MISFIT:
+            raise NoImpulseError(
+                f'the events {pair.camera.time_s:.2f} s into the recording do not follow the force '
+                f'of the tap ({100.0 * found.misfit:.0f} % are left over): tap on the gel once, '
+                'sharply'
+            )
+        at_us = expected_us + round(1e6 * (found.delay_s - chosen.tap_latency_s))
+        anchors.append(Anchor(at_us, start_s + pair.reference.time_s, std_s))
     fit = fit_clock(
         anchors,
         min_baseline_s=chosen.min_baseline,
@@ -380,16 +381,10 @@ def _weights(
     return brightening(frames.values[inside], depth_of(np.interp(at[inside], t_s, force)))
 
 
-def _anchor(
-    pair: ImpulsePair,
-    start_us: int,
-    start_s: float,
-    events: CellEvents,
-    weight: NDArray[np.float64],
-    model: TapModel,
-    latency_s: float,
-) -> Anchor:
-    expected_us = start_us + round(1e6 * (pair.camera.time_s - BURST_LATENCY_S))
+def _delay(
+    model: TapModel, events: CellEvents, expected_us: int, weight: NDArray[np.float64]
+) -> tuple[TapFit, float]:
+    """Return the tap found about an expected moment, and its standard deviation [s]."""
     found, std_s = model.fit(*tap_signal(events, expected_us, weight)), TAP_STD_S
     if found.misfit > DOUBTFUL_MISFIT:
         common = common_course(events, expected_us, len(weight))
@@ -397,10 +392,4 @@ def _anchor(
             other = model.fit(*tap_signal(events, expected_us, own))
             if other.misfit < found.misfit:
                 found, std_s = other, COMMON_STD_S
-    if found.misfit > LARGEST_MISFIT:
-        raise NoImpulseError(
-            f'the events {pair.camera.time_s:.2f} s into the recording do not follow the force of '
-            f'the tap ({100.0 * found.misfit:.0f} % are left over): tap on the gel once, sharply'
-        )
-    at_us = expected_us + round(1e6 * (found.delay_s - latency_s))
-    return Anchor(at_us, start_s + pair.reference.time_s, std_s)
+    return found, std_s
