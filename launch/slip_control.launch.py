@@ -15,6 +15,12 @@ ARGUMENTS = [
         description='Arm to move: none (report slip only), fr3, or the path of a URDF file',
     ),
     DeclareLaunchArgument(
+        'arm_backend',
+        default_value='',
+        description='Backend that drives the arm: trajectory, libfranka, or a plug-in; empty: that of '
+        'params_file',
+    ),
+    DeclareLaunchArgument(
         'detector',
         default_value='flow',
         choices=['flow', 'count'],
@@ -27,6 +33,8 @@ ARGUMENTS = [
 def _nodes(context):
     """Return the actions of slip control."""
     chosen = {name: value(context, name) for name in ('arm', 'detector')}
+    if backend := value(context, 'arm_backend'):
+        chosen['arm_backend'] = backend
     return node_actions(context, slip_control(chosen))
 
 

@@ -89,11 +89,14 @@ class ContactStiffness:
         """Upper bound of the stiffness [N/m]."""
         return max(self.stiffness, 0.0) + SIGMAS * self.deviation
 
+    def force_variance(self, advance: float) -> float:
+        """Return the variance of the force that is expected at an advance [m], in N^2."""
+        return self._ff + advance * (2.0 * self._fk + advance * self._kk)
+
     def restart(self) -> float:
         """Count advances from here on and assume a stiff contact; return the force [N]."""
-        x = self._advance
-        variance = self._ff + x * (2.0 * self._fk + x * self._kk)
-        self.force += self.stiffness * x
+        variance = self.force_variance(self._advance)
+        self.force += self.stiffness * self._advance
         self._advance = 0.0
         self._assume(max(variance, 0.0))
         return self.force

@@ -61,7 +61,7 @@ def test_the_largest_advance_is_where_the_upper_bound_meets_the_force(
     stiffness = fed(x, force + k * x)
     found = stiffness.largest_advance(goal)
     grid = np.linspace(0.0, 2.0 * min(found, 1e-2) + 1e-6, 4001)
-    spread = stiffness._ff + 2.0 * grid * stiffness._fk + grid**2 * stiffness._kk
+    spread = np.array([stiffness.force_variance(at) for at in grid])
     slope = RESERVE * stiffening(stiffness.force, goal) * stiffness.stiffness
     bound = stiffness.force + slope * grid
     bound += SIGMAS * np.sqrt(spread)

@@ -38,7 +38,8 @@ def test_the_node_that_it_starts_exists() -> None:
 
 def test_its_arguments_have_the_defaults_of_the_parameters() -> None:
     arguments = {c.args[0].value: keywords(c) for c in calls('DeclareLaunchArgument')}
-    assert {'arm', 'detector'} == set(arguments)
+    assert {'arm', 'arm_backend', 'detector'} == set(arguments)
+    assert arguments['arm_backend']['default_value'] == ''  # that of the parameter file
     defaults = {spec.name: spec.default for spec in specs(SlipControlParameters)}
     for name in ('arm', 'detector'):
         assert arguments[name]['default_value'] == defaults[name]
