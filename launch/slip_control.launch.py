@@ -17,8 +17,8 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'arm_backend',
         default_value='',
-        description='Backend that drives the arm: trajectory, libfranka, or a plug-in; empty: that of '
-        'params_file',
+        description='Backend that drives the arm: trajectory, libfranka, or a plug-in; empty: '
+        'that of params_file',
     ),
     DeclareLaunchArgument(
         'detector',
