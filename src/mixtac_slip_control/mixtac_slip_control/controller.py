@@ -263,8 +263,14 @@ class SlipController:
         if self.enabled:
             return
         self.interlock.enable(self._reason_not_to_enable(now_s))
+        measured = self.watch.joints
+        assert measured is not None  # noqa: S101  (a fault before the first ones)
+        joints = np.array(measured) if commanded is None else commanded
+        source = self._normal_source
         try:
-            self._start(self._planner, self._advance, commanded)
+            self._normal = np.asarray(source(joints) if callable(source) else source, np.float64)
+            self._planner.reset(joints, self._normal, self._parameters.max_total)
+            self._advance.start()
         except SlipControlError:
             self.interlock.disable()
             raise
@@ -313,17 +319,6 @@ class SlipController:
         if start <= now_s < end or (self._planner is not None and self._planner.moving(now_s)):
             return 'the arm still comes to rest from the last motion: try again in a moment'
         return self.watch.fault(now_s)
-
-    def _start(
-        self, planner: AdvancePlanner, advance: Advance, commanded: NDArray[np.float64] | None
-    ) -> None:
-        measured = self.watch.joints
-        assert measured is not None  # noqa: S101  (a fault before the first ones)
-        joints = np.array(measured) if commanded is None else commanded
-        source = self._normal_source
-        self._normal = np.asarray(source(joints) if callable(source) else source, np.float64)
-        planner.reset(joints, self._normal, self._parameters.max_total)
-        advance.start()
 
     def _may_move(self, now_s: float) -> bool:
         return self.enabled and now_s >= self._settling[1] and self.tick(now_s) is None
@@ -403,8 +398,10 @@ def node_status(
         'clock restarts': slicer.restarts,
         'trajectories': counts.trajectories,
         'advance limit [m]': controller.advance_limit,
-        **{f'{name} age [s]': _age(controller, name, now_s) for name in AGES},
     }
+    for name in AGES:
+        age = controller.watch.age(name, now_s)
+        values[f'{name} age [s]'] = age if math.isfinite(age) else 'never'
     if latest is not None:
         values |= {
             'count threshold [events]': latest.threshold,
@@ -412,11 +409,6 @@ def node_status(
             'total advance [m]': latest.total_advance,
         }
     return *_summary(controller, counts, latest, now_s), values
-
-
-def _age(controller: SlipController, name: str, now_s: float) -> object:
-    age = controller.watch.age(name, now_s)
-    return age if math.isfinite(age) else 'never'
 
 
 def _summary(

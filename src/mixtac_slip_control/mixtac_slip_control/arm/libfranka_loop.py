@@ -31,7 +31,6 @@ import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import ModuleType
 
     from numpy.typing import NDArray
 
@@ -350,14 +349,6 @@ def _write_output(data: bytes) -> None:
         os.write(1, data)
 
 
-def _drive(franka: ModuleType, address: str, *, realtime: bool) -> None:
-    config = franka.RealtimeConfig
-    robot = franka.Robot(address, config.kEnforce if realtime else config.kIgnore)
-    control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
-    ControlLoop(control, franka.JointPositions, _read_input, _write_output).run()
-    robot.stop()
-
-
 def main() -> int:
     """Drive the arm at the address given until standard input ends."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -367,16 +358,21 @@ def main() -> int:
     os.set_blocking(0, False)
     os.set_blocking(1, False)
     try:
-        import pylibfranka
+        import pylibfranka as franka
     except ImportError as error:
         print(f'pylibfranka is missing ({error}): pip install pylibfranka', file=sys.stderr)
         return FAULT_STATUS
-    faults = tuple(getattr(pylibfranka, n) for n in dir(pylibfranka) if n.endswith('Exception'))
+    faults = tuple(getattr(franka, n) for n in dir(franka) if n.endswith('Exception'))
     gc.disable()
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
     try:
-        _drive(pylibfranka, arguments.address, realtime=arguments.realtime)
+        config = franka.RealtimeConfig
+        checked = config.kEnforce if arguments.realtime else config.kIgnore
+        robot = franka.Robot(arguments.address, checked)
+        control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
+        ControlLoop(control, franka.JointPositions, _read_input, _write_output).run()
+        robot.stop()
     except faults as error:
         print(f'{error}', file=sys.stderr)
         return FAULT_STATUS

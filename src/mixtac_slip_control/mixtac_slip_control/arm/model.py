@@ -75,23 +75,19 @@ def make_arm(parameters: SlipControlParameters) -> ArmParts | None:
     length = float(np.linalg.norm(direction))
     if length == 0.0:
         raise SlipControlError('normal_x, normal_y and normal_z are all 0: give a direction')
+    try:
+        x0, x1, y0, y1, z0, z1 = (float(number) for number in parameters.workspace.split())
+    except ValueError as error:
+        raise SlipControlError(
+            f'workspace {parameters.workspace!r}: give six numbers, the limits along x, y and z [m]'
+        ) from error
     arm, limits = _model(parameters)
     planner = AdvancePlanner(arm, limits)
     in_tool = parameters.normal_frame == 'tool'
-    checks = StateChecks(arm, limits, _workspace(parameters.workspace))
+    checks = StateChecks(arm, limits, BoxWorkspace((x0, y0, z0), (x1, y1, z1)))
     parts = ArmParts(arm, limits, planner, checks, in_tool, direction / length)
     parts.warm_up()
     return parts
-
-
-def _workspace(text: str) -> BoxWorkspace:
-    try:
-        x0, x1, y0, y1, z0, z1 = (float(number) for number in text.split())
-    except ValueError as error:
-        raise SlipControlError(
-            f'workspace {text!r}: give six numbers, the limits along x, y and z [m]'
-        ) from error
-    return BoxWorkspace((x0, y0, z0), (x1, y1, z1))
 
 
 def _model(parameters: SlipControlParameters) -> tuple[SerialArm, JointLimits]:

@@ -197,7 +197,10 @@ class AdvancePlanner:
                 f'{self._max_advance * 1e3:g} mm: limit it, or reset the planner for more'
             )
         now_ns = self._advance_clock(now_s)
-        if abs(advance_m - self.target) < self.settings.min_change or not self._due(now_ns):
+        # A caller at exactly this interval must not miss its turn by rounding.
+        interval_ns = round(self.settings.interval_s * 1e9) - 1000
+        early = self._sent_ns is not None and now_ns - self._sent_ns < interval_ns
+        if early or abs(advance_m - self.target) < self.settings.min_change:
             return None
         return self._continue(now_ns, advance_m, path, motion)
 
@@ -293,11 +296,6 @@ class AdvancePlanner:
         if not math.isfinite(now_s):
             raise ArmError(f'time {now_s} s: give a finite number')
         return round(now_s * 1e9)
-
-    def _due(self, now_ns: int) -> bool:
-        interval_ns = round(self.settings.interval_s * 1e9)
-        # A caller at exactly this interval must not miss its turn by rounding.
-        return self._sent_ns is None or now_ns - self._sent_ns >= interval_ns - 1000
 
     def _index(self, t_ns: int) -> int:
         return (t_ns - (self._epoch_ns or 0)) // self._dt_ns
