@@ -47,13 +47,10 @@ class Events:
             raise EventArrayError(msg)
 
     @classmethod
-    def empty(cls) -> Events:
-        """Return no events."""
+    def empty(cls, capacity: int = 0) -> Events:
+        """Return no events, or room for `capacity` events, whose values are not set."""
         return cls(
-            np.empty(0, np.int64),
-            np.empty(0, np.uint16),
-            np.empty(0, np.uint16),
-            np.empty(0, np.bool_),
+            *(np.empty(capacity, kind) for kind in (np.int64, np.uint16, np.uint16, np.bool_))
         )
 
     @classmethod
@@ -63,12 +60,8 @@ class Events:
             return cls.empty()
         if len(parts) == 1:
             return parts[0]
-        return cls(
-            np.concatenate([part.t for part in parts]),
-            np.concatenate([part.x for part in parts]),
-            np.concatenate([part.y for part in parts]),
-            np.concatenate([part.polarity for part in parts]),
-        )
+        names = ('t', 'x', 'y', 'polarity')
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def __len__(self) -> int:
         """Return the number of events."""

@@ -28,7 +28,7 @@ class _Pending:
 
     def __init__(self, capacity: int = 4096) -> None:
         self._count = 0
-        self._allocate(capacity)
+        self._arrays = Events.empty(capacity)
 
     def __len__(self) -> int:
         """Return the number of events."""
@@ -46,7 +46,7 @@ class _Pending:
             return
         if self._count + count > len(self._arrays):
             waiting = self.events
-            self._allocate(2 * (self._count + count))
+            self._arrays = Events.empty(2 * (self._count + count))
             self._copy(waiting, 0)
         start = self._count
         self._copy(events, start)
@@ -58,14 +58,6 @@ class _Pending:
         self._count -= count
         # NumPy handles overlapping copies.
         self._copy(rest, 0)
-
-    def _allocate(self, capacity: int) -> None:
-        self._arrays = Events(
-            np.empty(capacity, np.int64),
-            np.empty(capacity, np.uint16),
-            np.empty(capacity, np.uint16),
-            np.empty(capacity, np.bool_),
-        )
 
     def _copy(self, events: Events, start: int) -> None:
         end = start + len(events)

@@ -4,26 +4,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.frames import bin_mean, displacement, gradients, log_contrast
-from mixtac_fger.config import CELL_FEATURES
+from mixtac_fger.config import CELL_FEATURES, FgerConfig
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_fger.config import FgerConfig
-
-    F32 = NDArray[np.float32]
-    Index = NDArray[np.int64]
+F32 = NDArray[np.float32]
+Index = NDArray[np.int64]
 
 
 class ImageError(MixtacError):

@@ -8,21 +8,22 @@ the reference that this is tested against.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from mixtac_fger.config import CELL_FEATURES, HIGHEST_LOG_DEVIATION, LOWEST_LOG_DEVIATION
+from mixtac_fger.config import (
+    CELL_FEATURES,
+    HIGHEST_LOG_DEVIATION,
+    LOWEST_LOG_DEVIATION,
+    FgerConfig,
+)
 from mixtac_fger.frame_network import copied
+from mixtac_fger.weights import Tensors
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_fger.config import FgerConfig
-    from mixtac_fger.weights import Tensors
-
-    F32 = NDArray[np.float32]
+F32 = NDArray[np.float32]
 
 
 class StepWeights(NamedTuple):

@@ -7,22 +7,17 @@ from __future__ import annotations
 import threading
 import zipfile
 from collections import deque
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.errors import MixtacError
+from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import mean_contrast
 from mixtac_node.files import FileError, replacing
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_fger.config import FgerConfig
-
-    F32 = NDArray[np.float32]
+F32 = NDArray[np.float32]
 
 
 class TareError(MixtacError):

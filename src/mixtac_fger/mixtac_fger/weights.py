@@ -12,17 +12,14 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_events.errors import MixtacError
 from mixtac_fger.config import ModelError
 from mixtac_node.files import replacing
-
-if TYPE_CHECKING:
-    from mixtac_events.errors import MixtacError
-
 
 Tensors = Mapping[str, NDArray[Any]]
 """Arrays by name."""
