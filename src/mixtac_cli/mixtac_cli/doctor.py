@@ -85,7 +85,10 @@ class Report:
                 'level': f.level.name.lower(),
                 'found': f.found,
                 'remedy': f.remedy,
-                'values': {key: _finite(value) for key, value in f.values.items()},
+                'values': {
+                    key: None if isinstance(value, float) and not math.isfinite(value) else value
+                    for key, value in f.values.items()
+                },
             }
             for section, findings in self.sections
             for f in findings
@@ -97,10 +100,6 @@ class Report:
             'verdict': self.verdict,
             'findings': found,
         }
-
-
-def _finite(value: object) -> object:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def doctor(

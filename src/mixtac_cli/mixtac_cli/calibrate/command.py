@@ -99,7 +99,11 @@ def calibrate(
         session.save_pictures(views)
     solution = solve(session.selection.views, model=model, name=name, alpha=alpha)
     print_solution(console, solution)
-    write_camera_info(out, solution.calibration, _comment(solution))
+    comment = (
+        f'mixtac calibrate: {len(solution.views)} views, reprojection error '
+        f'{solution.rms_px:.3f} px, largest {solution.max_px:.2f} px'
+    )
+    write_camera_info(out, solution.calibration, comment)
     console.print(f'written to {out}')
     if figure is not None:
         draw_calibration(figure, solution, session)
@@ -139,7 +143,7 @@ def _collect_live(
                         remedy='run `mixtac up`, give --device, or name the --topic',
                     )
     except KeyboardInterrupt:
-        display.note('calibrating with the views collected so far')
+        display.console.print('calibrating with the views collected so far')
 
 
 _BAR = 24
@@ -152,17 +156,20 @@ class CollectionDisplay:
     Args:
         console: Console to print to.
         session: The session to show.
+
+    Attributes:
+        console: As given.
     """
 
     def __init__(self, console: Console, session: CalibrationSession) -> None:
-        self._console = console
+        self.console = console
         self._session = session
         self._live: Live | None = None
 
     def __enter__(self) -> CollectionDisplay:
         """Start the live panel."""
-        if self._console.is_terminal:
-            self._live = Live(self._panel(), console=self._console, refresh_per_second=5)
+        if self.console.is_terminal:
+            self._live = Live(self._panel(), console=self.console, refresh_per_second=5)
             self._live.start()
         return self
 
@@ -182,11 +189,7 @@ class CollectionDisplay:
         if self._live is not None:
             self._live.update(self._panel())
         elif self._session.last.verdict is Verdict.KEPT:
-            self._console.print(self._line())
-
-    def note(self, text: str) -> None:
-        """Print a line."""
-        self._console.print(text)
+            self.console.print(self._line())
 
     def _line(self) -> str:
         session = self._session
@@ -246,13 +249,6 @@ def _coverage_map(session: CalibrationSession) -> str:
     levels = len(_SHADES) - 1
     return '\n'.join(
         ''.join(_SHADES[-(-int(count) * levels // top)] * 2 for count in row) for row in counts
-    )
-
-
-def _comment(solution: Solution) -> str:
-    return (
-        f'mixtac calibrate: {len(solution.views)} views, reprojection error '
-        f'{solution.rms_px:.3f} px, largest {solution.max_px:.2f} px'
     )
 
 

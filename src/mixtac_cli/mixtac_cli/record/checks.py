@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of disk, topics and clocks before a recording, and tables shown before and during it."""
+"""Checks of disk, topics and clocks before a recording, and the table shown during it."""
 
 from __future__ import annotations
 
@@ -123,26 +123,6 @@ def check_clocks(
     elif apart_s <= MOST_CLOCK_OFFSET_S:
         findings.append(ok('camera clock', f'{1e3 * worst_s:+.0f} ms from the host'))
     return findings
-
-
-_NAMES = ('ok', 'warning', 'error')
-_COLOUR = {Level.WARN: 'yellow', Level.ERROR: 'red'}
-
-
-def worded(finding: Finding) -> str:
-    """Return what was found and the remedy, if there is one."""
-    return '; '.join(filter(None, (finding.found, finding.remedy)))
-
-
-def findings_table(findings: Sequence[Finding]) -> Table:
-    """Return the findings as a table."""
-    table = Table(title='Before recording', title_justify='left')
-    for heading in ('', 'check', 'finding'):
-        table.add_column(heading)
-    for each in findings:
-        level = _NAMES[each.level]
-        table.add_row(level, each.name, worded(each), style=_COLOUR.get(each.level))
-    return table
 
 
 def progress_table(

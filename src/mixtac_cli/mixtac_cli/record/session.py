@@ -16,15 +16,14 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from mixtac_cli.doctor import table
 from mixtac_cli.options import JsonFile, Namespace
 from mixtac_cli.record.checks import (
     check_clocks,
     check_disk,
     check_topics,
-    findings_table,
     free_bytes,
     progress_table,
-    worded,
 )
 from mixtac_cli.record.meter import RecordingSummary
 from mixtac_cli.record.recorder_node import Listener, running_listener
@@ -80,9 +79,8 @@ def record(
         findings = _check(console, listener, out, seconds, check_seconds, stopping)
         errors = [each for each in findings if each.level is Level.ERROR]
         if errors and not force:
-            raise RecordingError(
-                f'not recorded: {errors[0].name}: {worded(errors[0])}; --force records anyway'
-            )
+            first = '; '.join(filter(None, (errors[0].found, errors[0].remedy)))
+            raise RecordingError(f'not recorded: {errors[0].name}: {first}; --force records anyway')
         if check or stopping():
             return
         summary = _record(console, listener, out, seconds, stopping)
@@ -141,7 +139,7 @@ def _check(
         *check_clocks(time.time_ns(), listener.stamps_ns(), simulated_time=simulated),
         *check_topics(listener.meters, listener.publishers(), elapsed_s),
     ]
-    console.print(findings_table(findings))
+    console.print(table('before recording', findings))
     return findings
 
 
