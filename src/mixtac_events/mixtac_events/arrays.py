@@ -50,7 +50,10 @@ class Events:
     def empty(cls, capacity: int = 0) -> Events:
         """Return no events, or room for `capacity` events, whose values are not set."""
         return cls(
-            *(np.empty(capacity, kind) for kind in (np.int64, np.uint16, np.uint16, np.bool_))
+            np.empty(capacity, np.int64),
+            np.empty(capacity, np.uint16),
+            np.empty(capacity, np.uint16),
+            np.empty(capacity, np.bool_),
         )
 
     @classmethod
