@@ -125,22 +125,20 @@ def evaluate(
     json: Annotated[OptionalPath, typer.Option(help='JSON file for the figures.')] = None,
 ) -> None:
     """Evaluate a model on bags, or on simulated sensors that no training has used."""
-    from mixtac_learning.judge.evaluation import evaluate_bags, evaluate_simulated
+    from mixtac_learning.judge.evaluation import run_evaluation
 
-    path = find_model(model)
-    if bags:
-        evaluate_bags(path, bags, reference, figures=figures, json=json, with_losses=robustness)
-    else:
-        evaluate_simulated(
-            path,
-            gels=gels,
-            seconds=seconds,
-            seed=seed,
-            preset=preset,
-            figures=figures,
-            json=json,
-            with_losses=robustness,
-        )
+    run_evaluation(
+        find_model(model),
+        bags or (),
+        reference=reference,
+        gels=gels,
+        seconds=seconds,
+        seed=seed,
+        preset=preset,
+        figures=figures,
+        json=json,
+        with_losses=robustness,
+    )
 
 
 OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045

@@ -4,15 +4,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
+from mixtac_fger.weights import Model, ModelCard, write_model
 from mixtac_node.files import write_text
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mixtac_fger.weights import ModelCard
-
 
 _SIMULATED = (
     '**Trained on simulated data only.** What it is worth on a real sensor is unknown: train on'
@@ -20,15 +16,15 @@ _SIMULATED = (
 )
 
 
-def write_model_card(path: Path, name: str, card: ModelCard) -> None:
-    """Write the card.
+def save_model(path: Path, model: Model) -> None:
+    """Write a weight file and its model card, a text file of the same name.
 
     Args:
-        path: Markdown file.
-        name: Name of the weight file.
-        card: Its content.
+        path: Weight file; its suffix is `.safetensors`.
+        model: Its content.
     """
-    write_text(path, model_card(name, card))
+    write_model(path, model)
+    write_text(path.with_suffix('.md'), model_card(path.name, model.card))
 
 
 def model_card(name: str, card: ModelCard) -> str:
@@ -36,12 +32,7 @@ def model_card(name: str, card: ModelCard) -> str:
     training = dict(card.training)
     settings = training.pop('settings', {})
     simulated = str(training.get('data', '')).startswith('simulated')
-    parts = [f'# Model card: `{name}`', '']
-    if simulated:
-        parts += [
-            _SIMULATED,
-            '',
-        ]
+    parts = [f'# Model card: `{name}`', '', *([_SIMULATED, ''] if simulated else [])]
     parts += ['## Training', '', *_pairs(training), '', '## Settings', '', *_pairs(settings)]
     for title, figures in card.metrics.items():
         parts += ['', f'## Figures: {title.replace("_", " ")}', '', *_table(figures)]

@@ -17,15 +17,15 @@ from mixtac_learning.judge.report import coverage_figures
 from mixtac_learning.network import DeviationHead, FgerNetwork, arrays_of
 from mixtac_learning.train.batches import MemoryGroups
 from mixtac_learning.train.config import TrainingSettings
-from mixtac_learning.train.loop import LoopSettings, TrainingLoop
+from mixtac_learning.train.loop import TrainingLoop
 from mixtac_learning.train.stages import (
     DeviationStage,
     Errors,
     calibrate_deviation,
     collect,
+    estimate,
     head_of,
 )
-from mixtac_learning.train.trainer import estimate
 
 STATE = 8
 
@@ -59,7 +59,7 @@ def trained():
     settings = TrainingSettings(deviation_epochs=40, deviation_rate=1e-2)
     stage = DeviationStage(SimpleNamespace(network=network), None, settings)
     stage._errors.append(windows(8000, 1))
-    TrainingLoop(network.deviation, LoopSettings()).run([stage])
+    TrainingLoop(network.deviation).run([stage])
     calibrate_deviation(network, windows(8000, 2))
     return network.deviation
 

@@ -10,7 +10,7 @@ import torch
 
 from mixtac_learning.judge.estimators import stream
 from mixtac_learning.train.batches import stack
-from mixtac_learning.train.trainer import estimate
+from mixtac_learning.train.stages import estimate
 from mixtac_learning.trials.samples import make_sample
 
 

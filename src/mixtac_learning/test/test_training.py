@@ -5,17 +5,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
 
 import pytest
 import torch
 
 from mixtac_learning.network import FgerNetwork
+from mixtac_learning.train.batches import MemoryGroups, Sequences
 from mixtac_learning.train.config import TrainingSettings
-from mixtac_learning.train.trainer import Trainer, encode, estimate
-
-if TYPE_CHECKING:
-    from mixtac_learning.train.batches import Sequences
+from mixtac_learning.train.loop import TrainingLoop
+from mixtac_learning.train.stages import encode, estimate, train_fger
 
 SHORT = TrainingSettings(
     frame_epochs=12, recurrent_epochs=8, joint_epochs=2, deviation_epochs=4, frame_batch=16
@@ -36,7 +35,8 @@ def errors(network: FgerNetwork, sequences: Sequences) -> tuple[float, float, fl
 def test_training_learns_the_toy_sensor(config, toy_sequences):
     trained, other = toy_sequences
     stages: list = []
-    network = Trainer(config, SHORT, lambda *row: stages.append(row)).run(trained)
+    loop = partial(TrainingLoop, report=lambda *row: stages.append(row))
+    network, _ = train_fger(config, SHORT, MemoryGroups(trained), make_loop=loop)
     assert [row[:3] for row in stages if row[1] == row[2]] == [
         ('frames', 12, 12),
         ('recurrent', 8, 8),
@@ -51,9 +51,10 @@ def test_training_learns_the_toy_sensor(config, toy_sequences):
 
 def test_the_same_seed_gives_the_same_weights(config, toy_sequences):
     brief = replace(SHORT, frame_epochs=1, recurrent_epochs=1, joint_epochs=1)
-    runs = [Trainer(config, brief).run(toy_sequences[1]).state_dict() for _ in range(2)]
+    groups = MemoryGroups(toy_sequences[1])
+    runs = [train_fger(config, brief, groups)[0].state_dict() for _ in range(2)]
     assert all(torch.equal(runs[0][name], runs[1][name]) for name in runs[0])
-    other = Trainer(config, replace(brief, seed=1)).run(toy_sequences[1]).state_dict()
+    other = train_fger(config, replace(brief, seed=1), groups)[0].state_dict()
     assert not torch.equal(runs[0]['event.hidden.weight'], other['event.hidden.weight'])
 
 

@@ -35,10 +35,11 @@ from mixtac_lab.experiments.sizes import (
 )
 from mixtac_lab.store import Piece, code_version, files_version
 from mixtac_learning.judge.estimators import TrialEstimate, trial_estimator
+from mixtac_learning.model_card import save_model
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.samples import PaperRecipe
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, SimulatedData
-from mixtac_learning.train.run import Run, save, training_sources
+from mixtac_learning.train.run import train_model, training_sources
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
@@ -294,9 +295,9 @@ def _train(base: Path, config: RunConfig) -> dict[str, Any]:
     """Train and write the weight file; an interrupted training continues."""
     torch.set_num_threads(1)
     data = replace(config.data, cache=str(_samples(base.parent)))
-    trained = Run(replace(config, data=data), base).carry_out()
-    save(base.with_name(f'{base.name}.safetensors'), trained, {})
-    return {'minutes': trained.card.training['minutes'], 'skipped': trained.skipped}
+    trained = train_model(replace(config, data=data), base)
+    save_model(base.with_name(f'{base.name}.safetensors'), trained.model)
+    return {'minutes': trained.model.card.training['minutes'], 'skipped': trained.skipped}
 
 
 def _samples(store: Path) -> Path:

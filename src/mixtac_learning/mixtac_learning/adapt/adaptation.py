@@ -21,23 +21,23 @@ from rich.console import Console
 from torch import Tensor, nn
 
 from mixtac_fger.estimator import SERIAL_KEY
-from mixtac_fger.weights import ModelCard, read_model, write_model
+from mixtac_fger.weights import ModelCard, read_model
 from mixtac_learning.adapt.presses import PressSet, folds, gather_presses, parse_load
 from mixtac_learning.judge.metrics import SMALLEST_FORCE_N, CalibrationError, fit_scale
-from mixtac_learning.model_card import write_model_card
+from mixtac_learning.model_card import save_model
 from mixtac_learning.network import FgerNetwork, model_of, network_of
 from mixtac_learning.train.batches import MemoryGroups, Sequences, stack
 from mixtac_learning.train.config import TrainingSettings
-from mixtac_learning.train.loop import LoopSettings, TrainingLoop
+from mixtac_learning.train.loop import TrainingLoop
 from mixtac_learning.train.stages import (
     Errors,
     NetworkWithGains,
     SequenceStage,
     calibrate_deviation,
     collect,
+    estimate,
     joined,
 )
-from mixtac_learning.train.trainer import estimate
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.samples import Sample
 from mixtac_node.files import write_json
@@ -95,12 +95,9 @@ class LastLayers(SequenceStage):
 
     def __post_init__(self) -> None:
         """Keep where the weights start."""
+        super().__post_init__()
+        self.name = 'last layers'
         self.start = [parameter.detach().clone() for parameter in self.parameters()]
-
-    @property
-    def name(self) -> str:
-        """Name of the stage."""
-        return 'last layers'
 
     def begin(self) -> None:
         """Begin with the weights as they are."""
@@ -131,7 +128,7 @@ def tuned(network: FgerNetwork, data: Sequences, seed: int = 0) -> FgerNetwork:
     """
     model = NetworkWithGains(network.config, 1)
     model.network = copy.deepcopy(network)
-    loop = TrainingLoop(model, LoopSettings(seed, SETTINGS.weight_decay))
+    loop = TrainingLoop(model, seed=seed, weight_decay=SETTINGS.weight_decay)
     loop.run([LastLayers(model, MemoryGroups(data), SETTINGS)])
     return model.network.eval()
 
@@ -228,7 +225,7 @@ def _fitted(network: FgerNetwork, way: str, presses: Sequence[Sample]) -> tuple[
     if way == 'unchanged':
         return with_gain(network, 1.0), 1.0
     known, seen = _forces(network, presses)
-    gain = fit_scale(seen, known).force_scale
+    gain = fit_scale(seen, known)
     scaled = with_gain(network, gain)
     return (scaled if way == 'gain' else tuned(scaled, side_by_side(presses))), gain
 
@@ -261,7 +258,7 @@ def _check(network: FgerNetwork, presses: Sequence[Sample]) -> float:
             f'known force and estimate have a correlation of {together:.2f}: check the axis and the'
             ' sign of the reference, and its clock with `mixtac align`'
         )
-    gain = fit_scale(seen, known).force_scale
+    gain = fit_scale(seen, known)
     if not GAINS[0] < gain < GAINS[1]:
         raise CalibrationError(
             f'the known forces are {gain:.2f} times the estimates: no gel explains that; check the'
@@ -313,9 +310,7 @@ def run_adaptation(
     }
     if serial:
         training[SERIAL_KEY] = serial
-    card = ModelCard(training, {'adaptation': figures})
-    write_model(out, model_of(adapted.network, card))
-    write_model_card(out.with_suffix('.md'), out.name, card)
+    save_model(out, model_of(adapted.network, ModelCard(training, {'adaptation': figures})))
     _report(console, adapted, presses)
     console.print(f'wrote {out}')
     if json is not None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mixtac_learning.judge.metrics import CalibrationError
 from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.batches import stack
-from mixtac_learning.train.trainer import estimate
+from mixtac_learning.train.stages import estimate
 from mixtac_learning.trials.samples import CONTACT_N, MEASURED_CONTACT_N, Sample, make_sample
 from mixtac_learning.trials.trial import ForceLabel, TrialArrays, camera_end_us
 

@@ -29,8 +29,6 @@ from mixtac_learning.trials.trial import (
     window_ends,
 )
 
-Advance = Callable[[], object]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialEstimate:
@@ -232,17 +230,12 @@ class Judged:
     skipped: dict[str, str] = field(default_factory=dict)
 
 
-def judge_sources(
-    estimator: TrialEstimator,
-    sources: Iterable[TrialSource],
-    advance: Advance = lambda: None,
-) -> Judged:
+def judge_sources(estimator: TrialEstimator, sources: Iterable[TrialSource]) -> Judged:
     """Estimate all trials, one in memory at a time.
 
     Args:
         estimator: The model.
         sources: Trials.
-        advance: Called after each.
 
     Raises:
         DatasetError: No trial can be used.
@@ -253,7 +246,6 @@ def judge_sources(
             judged.estimates.append(estimator(source.load()))
         except MixtacError as error:
             judged.skipped[source.name] = str(error)
-        advance()
     if not judged.estimates:
         first = next(iter(judged.skipped.values()), 'there are none')
         raise DatasetError(f'none of {len(judged.skipped)} trials can be judged: {first}')
@@ -263,7 +255,6 @@ def judge_sources(
 def sensor_scales(
     estimator: TrialEstimator,
     presses: Iterable[TrialSource],
-    advance: Advance = lambda: None,
     fallback: float | None = None,
 ) -> dict[str, float]:
     """Return the scale of each sensor from one press against a known force.
@@ -271,7 +262,6 @@ def sensor_scales(
     Args:
         estimator: The model.
         presses: One trial per sensor that nothing else is judged on.
-        advance: Called after each.
         fallback: Scale of a sensor whose press the model does not see; None to fail.
 
     Raises:
@@ -282,10 +272,9 @@ def sensor_scales(
     for source in presses:
         press = estimator(source.load())
         try:
-            scales[press.device] = fit_scale(press.force, press.known).force_scale
+            scales[press.device] = fit_scale(press.force, press.known)
         except CalibrationError:
             if fallback is None:
                 raise
             scales[press.device] = fallback
-        advance()
     return scales

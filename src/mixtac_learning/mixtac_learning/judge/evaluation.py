@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import track
 
-from mixtac_fger.weights import Model, read_model
+from mixtac_fger.weights import read_model
 from mixtac_learning.judge.estimators import (
     Judged,
     TrialEstimator,
@@ -25,7 +25,9 @@ from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.trial import TrialSource
 from mixtac_node.files import write_json
+from mixtac_node.topics import REFERENCE
 from mixtac_sim.world.training_trials import (
+    TRAINING_PRESET,
     TrialSpec,
     calibration_plan,
     evaluation_plan,
@@ -33,89 +35,78 @@ from mixtac_sim.world.training_trials import (
 )
 
 
-def evaluate_bags(
+def run_evaluation(
     path: Path,
     bags: Sequence[Path],
-    reference: str,
     *,
+    reference: str = REFERENCE,
+    gels: int = 3,
+    seconds: float = 10.0,
+    seed: int = 2,
+    preset: str = TRAINING_PRESET,
     figures: Path | None = None,
     json: Path | None = None,
     with_losses: bool = False,
 ) -> None:
-    """Judge a model on bags against the force that is known of each.
+    """Judge a model on bags against the force that is known of each, or on simulated sensors.
 
     A bag that is named itself is always judged. Of a folder of bags that `dataset.yaml` describes
-    only the test split is.
+    only the test split is. The simulated sensors are ones that no training has used.
 
     Args:
         path: Weight file.
-        bags: Bags, or folders of bags.
-        reference: Topic of the reference force.
+        bags: Bags, or folders of bags; empty for simulated sensors.
+        reference: Topic of the reference force in bags.
+        gels: Number of simulated sensors.
+        seconds: Length of a simulated trial.
+        seed: Random seed for the simulated sensors and trials.
+        preset: How difficult the simulated trials are.
         figures: Picture to draw; None for none.
         json: File for the figures; None for none.
         with_losses: Judge with lost frames and packets as well.
 
     Raises:
         ModelError: The weight file cannot be used.
-        DatasetError: No bag can be judged.
+        DatasetError: No trial can be judged.
         FileError: A file cannot be written.
     """
     model = read_model(path)
     estimator = trial_estimator(model)
-    sources = [
-        source
-        for folder in bags
-        for source in bag_sources(folder, reference)
-        if source.path == folder or source.origin.get('split', 'test') == 'test'
-    ]
-    judged = judge_sources(estimator, track(sources, 'judging', transient=True))
-    rows = by_profile(judged.estimates)
-    _report(f'{path.name} on {len(judged.estimates)} bags', rows, judged, figures)
-    content: dict[str, Any] = {'model': str(path), 'bags': [source.name for source in sources]}
-    content |= {'metrics': {'bags': rows}, 'skipped': judged.skipped}
-    content |= _robustness(model, sources) if with_losses else {}
-    if json is not None:
-        write_json(json, content)
-
-
-def evaluate_simulated(
-    path: Path,
-    *,
-    gels: int,
-    seconds: float,
-    seed: int,
-    preset: str,
-    figures: Path | None = None,
-    json: Path | None = None,
-    with_losses: bool = False,
-) -> None:
-    """Judge a model on simulated sensors that no training has used.
-
-    Args:
-        path: Weight file.
-        gels: Number of sensors.
-        seconds: Length of a trial.
-        seed: Random seed for sensors and trials.
-        preset: How difficult the trials are.
-        figures: Picture to draw; None for none.
-        json: File for the figures; None for none.
-        with_losses: Judge with lost frames and packets as well.
-
-    Raises:
-        ModelError: The weight file cannot be used.
-        FileError: A file cannot be written.
-    """
-    model = read_model(path)
-    devices = unseen_devices(gels, seed)
-    judged, rows = judge_devices(trial_estimator(model), devices, seconds, seed, preset)
-    _report(f'{path.name} on {gels} unseen sensors, simulated', rows, judged, figures)
-    chosen = {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset}
-    content: dict[str, Any] = {'model': str(path), 'simulated': chosen}
-    content |= {'metrics': {'unseen_devices': rows}, 'skipped': judged.skipped}
-    if with_losses:
+    content: dict[str, Any] = {'model': str(path)}
+    sources: Sequence[TrialSource]
+    if bags:
+        sources = [
+            source
+            for folder in bags
+            for source in bag_sources(folder, reference)
+            if source.path == folder or source.origin.get('split', 'test') == 'test'
+        ]
+        judged = judge_sources(estimator, track(sources, 'judging', transient=True))
+        rows = by_profile(judged.estimates)
+        title = f'{path.name} on {len(judged.estimates)} bags'
+        content |= {'bags': [source.name for source in sources], 'metrics': {'bags': rows}}
+    else:
+        devices = unseen_devices(gels, seed)
+        judged, rows = judge_devices(estimator, devices, seconds, seed, preset)
         plan = evaluation_plan(devices, seconds, seed, preset=preset)
-        dynamic = [SimulatedSource(spec) for spec in plan if spec.profile == 'dynamic']
-        content |= _robustness(model, dynamic)
+        sources = [SimulatedSource(spec) for spec in plan if spec.profile == 'dynamic']
+        title = f'{path.name} on {gels} unseen sensors, simulated'
+        chosen = {'gels': gels, 'seconds': seconds, 'seed': seed, 'preset': preset}
+        content |= {'simulated': chosen, 'metrics': {'unseen_devices': rows}}
+    content['skipped'] = judged.skipped
+    console = Console()
+    show_figures(console, title, rows)
+    show_skipped(console, judged.skipped)
+    if figures is not None:
+        draw_trials(figures, title, judged.estimates)
+        console.print(f'drawn: {figures}')
+    if with_losses:
+        content['robustness'] = robustness(
+            model, track(sources, 'judging with losses', transient=True)
+        )
+        for kind, row in content['robustness'].items():
+            text = ', '.join(f'{name.replace("_", " ")} {value}' for name, value in row.items())
+            console.print(f'{kind.replace("_", " ")}: {text}', highlight=False)
     if json is not None:
         write_json(json, content)
 
@@ -145,22 +136,3 @@ def judge_devices(
     trials = sources(evaluation_plan(chosen, seconds, seed, preset=preset), 'judging')
     judged = judge_sources(estimator, trials)
     return judged, by_profile(judged.estimates, scales)
-
-
-def _report(title: str, rows: dict[str, Any], judged: Judged, figures: Path | None) -> None:
-    console = Console()
-    show_figures(console, title, rows)
-    show_skipped(console, judged.skipped)
-    if figures is not None:
-        draw_trials(figures, title, judged.estimates)
-        console.print(f'drawn: {figures}')
-
-
-def _robustness(model: Model, sources: Sequence[TrialSource]) -> dict[str, Any]:
-    """Return the figures with losses, and show them."""
-    rows = robustness(model, track(sources, 'judging with losses', transient=True))
-    console = Console()
-    for kind, row in rows.items():
-        figures = ', '.join(f'{name.replace("_", " ")} {value}' for name, value in row.items())
-        console.print(f'{kind.replace("_", " ")}: {figures}', highlight=False)
-    return {'robustness': rows}

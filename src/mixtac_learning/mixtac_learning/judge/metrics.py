@@ -85,25 +85,10 @@ FEWEST_SAMPLES = 50
 """Samples of such forces that a calibration needs."""
 
 
-@dataclass(frozen=True, slots=True)
-class Calibration:
-    """The scale of a sensor.
+def fit_scale(estimate: NDArray[np.floating], truth: NDArray[np.floating]) -> float:
+    """Fit the scale of a sensor (parameter `force_scale` of the node).
 
-    Attributes:
-        force_scale: True force over estimate: parameter `force_scale` of the node.
-        samples: Samples that it was fitted to.
-        mae_before: Mean absolute error of these samples without it [N].
-        mae_after: The same with it [N].
-    """
-
-    force_scale: float
-    samples: int
-    mae_before: float
-    mae_after: float
-
-
-def fit_scale(estimate: NDArray[np.floating], truth: NDArray[np.floating]) -> Calibration:
-    """Fit the scale of a sensor: the median ratio, weighted with the force.
+    It is the median ratio of true force to estimate, weighted with the force.
 
     Args:
         estimate: Estimates with a scale of 1 [N], 1-d.
@@ -118,13 +103,11 @@ def fit_scale(estimate: NDArray[np.floating], truth: NDArray[np.floating]) -> Ca
         raise CalibrationError(
             f'{count} samples above {SMALLEST_FORCE_N} N: press until there are {FEWEST_SAMPLES}'
         )
-    known, seen = truth[pressed], estimate[pressed]
-    ratios = known / seen
+    seen = estimate[pressed]
+    ratios = truth[pressed] / seen
     order = np.argsort(ratios)
     weight = np.cumsum(seen[order])
-    scale = float(ratios[order][np.searchsorted(weight, 0.5 * weight[-1])])
-    before, after = (float(np.mean(np.abs(g * seen - known))) for g in (1.0, scale))
-    return Calibration(scale, count, before, after)
+    return float(ratios[order][np.searchsorted(weight, 0.5 * weight[-1])])
 
 
 FRAME_LIMIT_S = 0.08
@@ -133,16 +116,6 @@ ROLLING_S = 0.5
 """Window of the rolling error (paper, section IV-B)."""
 PEAK_TOLERANCE_S = 0.01
 """A peak may be estimated this much early or late."""
-
-
-def fast_part(values: NDArray[np.float64], interval_s: float) -> NDArray[np.float64]:
-    """Return values without their moving average over `FRAME_LIMIT_S`.
-
-    Args:
-        values: Evenly sampled, [T].
-        interval_s: Between samples [s].
-    """
-    return values - moving_mean(values, max(round(FRAME_LIMIT_S / interval_s), 1))
 
 
 def moving_mean(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
@@ -157,9 +130,13 @@ def moving_mean(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
 def fast_error(
     known: NDArray[np.float64], estimate: NDArray[np.float64], interval_s: float
 ) -> tuple[float, float]:
-    """Return the mean absolute error of the fast part, and the same of no estimate [N]."""
-    fast = fast_part(known, interval_s)
-    error = fast_part(estimate, interval_s) - fast
+    """Return the mean absolute error of the fast part, and the same of no estimate [N].
+
+    The fast part is what differs from the moving average over `FRAME_LIMIT_S`.
+    """
+    width = max(round(FRAME_LIMIT_S / interval_s), 1)
+    fast = known - moving_mean(known, width)
+    error = estimate - moving_mean(estimate, width) - fast
     return float(np.abs(error).mean()), float(np.abs(fast).mean())
 
 

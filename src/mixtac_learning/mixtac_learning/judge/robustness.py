@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -30,17 +30,12 @@ KINDS = {
 UNDISTURBED, GAP = 'undisturbed', 'gap_200ms'
 
 
-def robustness(
-    model: Model,
-    sources: Iterable[TrialSource],
-    advance: Callable[[], object] = lambda: None,
-) -> dict[str, dict[str, Any]]:
+def robustness(model: Model, sources: Iterable[TrialSource]) -> dict[str, dict[str, Any]]:
     """Return the figures of a model with and without losses; forces in N, times in ms.
 
     Args:
         model: Content of a weight file.
         sources: Trials; those that cannot be used are passed over.
-        advance: Called after each.
 
     Returns:
         `undisturbed`: `mae`, `windows`. `frames_missing_10`, `packets_missing_5`: `mae`, and
@@ -62,7 +57,6 @@ def robustness(
             rows = {}
         for kind, found in rows.items():
             collected.setdefault(kind, []).extend(found)
-        advance()
     if not collected:
         raise DatasetError('no trial can be judged for robustness: give trials of some seconds')
     return {kind: _pooled(kind, rows) for kind, rows in collected.items()}

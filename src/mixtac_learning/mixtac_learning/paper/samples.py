@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -13,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mixtac_events.frames import bin_mean
+from mixtac_learning.trials.store import read_arrays, write_arrays
 from mixtac_learning.trials.trial import DatasetError, frame_arrivals, window_ends
 
 if TYPE_CHECKING:
@@ -119,6 +118,7 @@ class PaperSample:
 
 
 _ARRAYS = PaperSample.__slots__[:-1]
+_ORIGIN = 'origin.json'
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,16 +147,11 @@ class PaperRecipe:
         """Prepare a trial and write it as a folder, whole or not at all.
 
         Raises:
-            DatasetError: As `make_paper_sample`.
+            DatasetError: As `make_paper_sample`, or the disk is full.
         """
         sample = make_paper_sample(self.config, trial, self.label)
-        partial = path.with_name(path.name + '.partial')
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
-        for name in _ARRAYS:
-            np.save(partial / f'{name}.npy', getattr(sample, name), allow_pickle=False)
-        (partial / 'origin.json').write_text(json.dumps(sample.origin), encoding='utf-8')
-        partial.replace(path)
+        arrays = {name: getattr(sample, name) for name in _ARRAYS}
+        write_arrays(path, arrays, sample.origin, _ORIGIN)
 
 
 def load_paper_sample(path: Path) -> PaperSample:
@@ -165,11 +160,7 @@ def load_paper_sample(path: Path) -> PaperSample:
     Raises:
         DatasetError: The folder is missing or damaged.
     """
-    try:
-        arrays = {name: np.load(path / f'{name}.npy', mmap_mode='r') for name in _ARRAYS}
-        origin = json.loads((path / 'origin.json').read_text(encoding='utf-8'))
-    except (OSError, ValueError) as error:
-        raise DatasetError(f'sample {path} cannot be read ({error}): remove it') from error
+    arrays, origin = read_arrays(path, _ORIGIN, _ARRAYS)
     return PaperSample(**arrays, origin=origin)
 
 

@@ -38,7 +38,8 @@ class TrainingSettings:
         deviation_rate: Largest learning rate of the uncertainty head.
         weight_decay: Weight decay of AdamW.
         loss_knee_n: Errors above this count linearly, below it quadratically [N].
-        gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see `Trainer`.
+        gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see
+            `NetworkWithGains`.
         mirror: Show mirror images too.
         force_weight: Additional weight of an error per newton of force [1/N], because impacts are
             short.

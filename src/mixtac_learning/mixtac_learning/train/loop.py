@@ -13,10 +13,11 @@ from __future__ import annotations
 import json
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -33,7 +34,6 @@ class TrainingError(MixtacError):
     """A training run that cannot start or continue."""
 
 
-SCHEDULES = ('cosine', 'constant')
 _WARM = 0.05
 _LAST = 0.02
 
@@ -51,7 +51,7 @@ def schedule_factor(name: str, part: float) -> float:
     if name == 'constant':
         return 1.0
     if name != 'cosine':
-        raise TrainingError(f'schedule {name!r} is unknown: choose one of {", ".join(SCHEDULES)}')
+        raise TrainingError(f'schedule {name!r} is unknown: choose cosine or constant')
     if part < _WARM:
         return _LAST + (1.0 - _LAST) * part / _WARM
     phase = min((part - _WARM) / (1.0 - _WARM), 1.0)
@@ -106,8 +106,11 @@ def save_checkpoint(
     for index, parameter in enumerate(_parameters(optimiser)):
         for name, value in optimiser.state.get(parameter, {}).items():
             tensors[f'optimiser.{index}.{name}'] = torch.as_tensor(value)
-    state = {name: getattr(progress, name) for name in Progress.__slots__}
-    header = {'schema': SCHEMA, 'fingerprint': fingerprint, 'progress': json.dumps(state)}
+    header = {
+        'schema': SCHEMA,
+        'fingerprint': fingerprint,
+        'progress': json.dumps(asdict(progress)),
+    }
     arrays = {name: value.detach().cpu().numpy() for name, value in tensors.items()}
     write_tensors(path, arrays, header)
 
@@ -124,32 +127,20 @@ class Checkpoint:
     progress: Progress
     tensors: dict[str, Tensor]
 
-    def restore_module(self, module: nn.Module) -> None:
-        """Give a module its weights back."""
-        module.load_state_dict(self._part('model.'))
-
-    def best(self) -> dict[str, Tensor]:
-        """Return the best weights of the present stage."""
-        return self._part('best.')
+    def part(self, prefix: str) -> dict[str, Tensor]:
+        """Return the tensors whose names begin with a prefix, without it."""
+        cut = len(prefix)
+        return {k[cut:]: v for k, v in self.tensors.items() if k.startswith(prefix)}
 
     def restore_optimiser(self, optimiser: torch.optim.Optimizer) -> None:
         """Give an optimiser its moments back."""
         for index, parameter in enumerate(_parameters(optimiser)):
-            found = self._part(f'optimiser.{index}.')
+            found = self.part(f'optimiser.{index}.')
             if found:
                 optimiser.state[parameter] = {
                     name: value if name == 'step' else value.to(parameter.device)
                     for name, value in found.items()
                 }
-
-    def restore_random(self, random: torch.Generator) -> None:
-        """Give the random numbers their state back."""
-        random.set_state(self.tensors['random'])
-        torch.set_rng_state(self.tensors['global_random'])
-
-    def _part(self, prefix: str) -> dict[str, Tensor]:
-        cut = len(prefix)
-        return {k[cut:]: v for k, v in self.tensors.items() if k.startswith(prefix)}
 
 
 def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
@@ -181,71 +172,54 @@ def _parameters(optimiser: torch.optim.Optimizer) -> list[nn.Parameter]:
     return [parameter for group in optimiser.param_groups for parameter in group['params']]
 
 
-class Stage(Protocol):
-    """A part of training with an optimiser of its own."""
+class Stage(ABC):
+    """A part of training with an optimiser of its own.
 
-    @property
-    def name(self) -> str:
-        """Name of the stage."""
+    Attributes:
+        name: Name of the stage.
+        epochs: Most epochs of the stage.
+        rate: Largest learning rate.
+    """
 
-    @property
-    def epochs(self) -> int:
-        """Most epochs of the stage."""
+    name: str
+    epochs: int
+    rate: float
 
-    @property
-    def rate(self) -> float:
-        """Largest learning rate."""
+    def begin(self) -> None:  # noqa: B027 - most stages begin with the weights as they are
+        """Set weights before the first epoch; not called when resumed within the stage."""
 
+    @abstractmethod
     def parameters(self) -> list[nn.Parameter]:
         """Return what is trained."""
 
+    @abstractmethod
     def updates(self) -> int:
         """Return the usual number of updates per epoch, for the schedule."""
 
+    @abstractmethod
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch; the update is made before the next is asked for."""
 
     def validate(self) -> float | None:
         """Return the error on trials that are not trained on [N]; None without such trials."""
+        return None
 
 
-@runtime_checkable
-class Begins(Protocol):
-    """A stage that sets weights before its first epoch."""
-
-    def begin(self) -> None:
-        """Set them; not called when a run is resumed within the stage."""
-
-
-@dataclass(frozen=True, slots=True)
-class LoopSettings:
-    """How stages are run.
-
-    Attributes:
-        seed: Random seed for the order of the data; initial weights are the caller's.
-        weight_decay: Weight decay of AdamW.
-        schedule: `cosine` (up within 5 %, then down) or `constant`.
-        gradient_norm: Gradients are scaled down to this norm.
-        patience: A stage ends after so many epochs without a better validation error and goes
-            back to its best weights; 0 for never.
-        autocast: bfloat16 where that is safe; on a GPU only.
-    """
-
-    seed: int = 0
-    weight_decay: float = 1e-3
-    schedule: str = 'cosine'
-    gradient_norm: float = 1.0
-    patience: int = 0
-    autocast: bool = True
+GRADIENT_NORM = 1.0
+"""Gradients are scaled down to this norm."""
 
 
 @dataclass(slots=True, eq=False)
 class TrainingLoop:
-    """Runs stages, one after the other.
+    """Runs stages, one after the other; in bfloat16 where that is safe, on a GPU only.
 
     Attributes:
         module: Everything that is trained: what a checkpoint holds.
-        settings: Settings of all stages.
+        seed: Random seed for the order of the data; initial weights are the caller's.
+        weight_decay: Weight decay of AdamW.
+        schedule: Schedule of the learning rate; see `schedule_factor`.
+        patience: A stage ends after so many epochs without a better validation error and goes
+            back to its best weights; 0 for never.
         checkpoint: File of the checkpoint; None for none.
         fingerprint: Identifies the run; a checkpoint of another run is refused.
         report: Called after each epoch.
@@ -254,7 +228,11 @@ class TrainingLoop:
     """
 
     module: nn.Module
-    settings: LoopSettings
+    _: KW_ONLY
+    seed: int = 0
+    weight_decay: float = 1e-3
+    schedule: str = 'cosine'
+    patience: int = 0
     checkpoint: Path | None = None
     fingerprint: str = ''
     report: Report = lambda *_: None
@@ -268,11 +246,12 @@ class TrainingLoop:
             TrainingError: The checkpoint is another run's, or the loss became NaN.
         """
         found = load_checkpoint(self.checkpoint, self.fingerprint) if self.checkpoint else None
-        random = torch.Generator().manual_seed(self.settings.seed)
+        random = torch.Generator().manual_seed(self.seed)
         if found is not None:
             self.progress = found.progress
-            found.restore_module(self.module)
-            found.restore_random(random)
+            self.module.load_state_dict(found.part('model.'))
+            random.set_state(found.tensors['random'])
+            torch.set_rng_state(found.tensors['global_random'])
         for stage in stages[self.progress.stage :]:
             self._run_stage(stage, random, found)
             found = None
@@ -280,19 +259,21 @@ class TrainingLoop:
             self.progress.epoch, self.progress.best, self.progress.since_best = 0, None, 0
 
     def _run_stage(self, stage: Stage, random: torch.Generator, found: Checkpoint | None) -> None:
-        if self.progress.epoch == 0 and isinstance(stage, Begins):
+        progress = self.progress
+        if progress.epoch == 0:
             stage.begin()
-        parameters = stage.parameters()
-        rate, decay = stage.rate, self.settings.weight_decay
-        optimiser = torch.optim.AdamW(parameters, lr=rate, weight_decay=decay)
+        optimiser = torch.optim.AdamW(
+            stage.parameters(), lr=stage.rate, weight_decay=self.weight_decay
+        )
         best: dict[str, Tensor] = {}
         if found is not None:
             found.restore_optimiser(optimiser)
-            best = found.best()
-        progress = self.progress
-        while progress.epoch < stage.epochs and not self._is_stuck():
+            best = found.part('best.')
+        while progress.epoch < stage.epochs:
+            if self.patience and progress.since_best >= self.patience:
+                break
             started = time.monotonic()
-            loss = self._epoch(stage, optimiser, parameters, random)
+            loss = self._epoch(stage, optimiser, random)
             error = self._validate(stage)
             progress.epoch += 1
             if error is not None:
@@ -300,90 +281,57 @@ class TrainingLoop:
                 if progress.best is None or error < progress.best:
                     progress.best, progress.since_best = error, 0
                     best = {k: v.detach().clone() for k, v in self.module.state_dict().items()}
-            self._note(stage, loss, error, time.monotonic() - started)
-            self._save(best, optimiser, random)
-        if best and self.settings.patience:
+            row = {'stage': stage.name, 'epoch': progress.epoch, 'loss': loss, 'validation': error}
+            progress.curves.append(row | {'seconds': round(time.monotonic() - started, 2)})
+            self.report(stage.name, progress.epoch, stage.epochs, loss, error)
+            if self.checkpoint is not None and self.processes.leads:
+                save_checkpoint(
+                    self.checkpoint,
+                    self.module,
+                    best,
+                    optimiser,
+                    random,
+                    progress,
+                    self.fingerprint,
+                )
+            self.processes.wait()
+        if best and self.patience:
             self.module.load_state_dict(best)
 
-    def _is_stuck(self) -> bool:
-        patience = self.settings.patience
-        return bool(patience) and self.progress.since_best >= patience
-
     def _epoch(
-        self,
-        stage: Stage,
-        optimiser: torch.optim.Optimizer,
-        parameters: list[nn.Parameter],
-        random: torch.Generator,
+        self, stage: Stage, optimiser: torch.optim.Optimizer, random: torch.Generator
     ) -> float:
         """Make the updates of one epoch and return their mean loss."""
         self.module.train()
+        parameters = _parameters(optimiser)
         updates = max(self.processes.smallest(stage.updates()), 1)
         total, count = 0.0, 0
         device = parameters[0].device.type
-        autocast = self.settings.autocast and device == 'cuda'
         losses = stage.losses(random)
         while True:
-            factor = schedule_factor(
-                self.settings.schedule,
-                (self.progress.epoch + min(count / updates, 1.0)) / stage.epochs,
-            )
+            part = (self.progress.epoch + min(count / updates, 1.0)) / stage.epochs
+            factor = schedule_factor(self.schedule, part)
             for group in optimiser.param_groups:
                 group['lr'] = stage.rate * factor
-            with torch.autocast(device, torch.bfloat16, enabled=autocast):
+            with torch.autocast(device, torch.bfloat16, enabled=device == 'cuda'):
                 loss = next(losses, None)
             if loss is None:
                 break
-            self._update(loss, optimiser, parameters)
+            optimiser.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            self.processes.average_gradients(parameters)
+            torch.nn.utils.clip_grad_norm_(parameters, GRADIENT_NORM)
+            optimiser.step()
             total, count = total + float(loss.detach()), count + 1
-            self._check(stage, total)
+            if math.isnan(total):
+                raise TrainingError(
+                    f'the loss of stage {stage.name} became NaN', remedy='lower its learning rate'
+                )
         self.processes.average_buffers(self.module)
         return total / max(count, 1)
-
-    def _update(
-        self, loss: Tensor, optimiser: torch.optim.Optimizer, parameters: list[nn.Parameter]
-    ) -> None:
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        self.processes.average_gradients(parameters)
-        torch.nn.utils.clip_grad_norm_(parameters, self.settings.gradient_norm)
-        optimiser.step()
-
-    def _check(self, stage: Stage, total: float) -> None:
-        if total != total:  # noqa: PLR0124 - the test for NaN
-            raise TrainingError(
-                f'the loss of stage {stage.name} became NaN', remedy='lower its learning rate'
-            )
 
     @torch.no_grad()
     def _validate(self, stage: Stage) -> float | None:
         self.module.eval()
         error = stage.validate()
         return None if error is None else float(self.processes.mean(torch.tensor(error)))
-
-    def _note(self, stage: Stage, loss: float, error: float | None, seconds: float) -> None:
-        progress = self.progress
-        row = {
-            'stage': stage.name,
-            'epoch': progress.epoch,
-            'loss': loss,
-            'validation': error,
-            'seconds': round(seconds, 2),
-        }
-        progress.curves.append(row)
-        self.report(stage.name, progress.epoch, stage.epochs, loss, error)
-
-    def _save(
-        self, best: dict[str, Tensor], optimiser: torch.optim.Optimizer, random: torch.Generator
-    ) -> None:
-        if self.checkpoint is not None and self.processes.leads:
-            save_checkpoint(
-                self.checkpoint,
-                self.module,
-                best,
-                optimiser,
-                random,
-                self.progress,
-                self.fingerprint,
-            )
-        self.processes.wait()

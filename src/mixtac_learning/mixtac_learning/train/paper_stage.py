@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The training stage of the paper's networks."""
+"""Training of the paper's networks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,9 +13,18 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from mixtac_fger.config import from_mapping
-from mixtac_learning.paper.networks import FrameBackbone, FrameModel, PaperNetwork, SegmentBatch
+from mixtac_learning.paper.config import PaperConfig
+from mixtac_learning.paper.networks import (
+    CYCLE_US,
+    FrameBackbone,
+    FrameModel,
+    PaperNetwork,
+    SegmentBatch,
+    build,
+)
 from mixtac_learning.paper.samples import PaperSample
 from mixtac_learning.paper.segments import assemble, cut_segments, run_samples
+from mixtac_learning.train.loop import Stage, TrainingError, TrainingLoop
 from mixtac_learning.train.parallel import Processes
 
 
@@ -68,7 +77,7 @@ class PaperTraining:
 
 
 @dataclass(eq=False)
-class PaperStage:
+class PaperStage(Stage):
     """The only stage of the training of one network.
 
     Attributes:
@@ -78,7 +87,6 @@ class PaperStage:
         processes: Processes that share the training.
         own: Indices of this process's trials.
         checked: Trials to validate on.
-        name: Name of the stage.
     """
 
     network: PaperNetwork
@@ -87,17 +95,11 @@ class PaperStage:
     processes: Processes
     own: Sequence[int]
     checked: Sequence[PaperSample] = ()
-    name: str = 'paper'
 
-    @property
-    def epochs(self) -> int:
-        """Epochs of the stage."""
-        return self.settings.epochs
-
-    @property
-    def rate(self) -> float:
-        """Learning rate."""
-        return self.settings.rate
+    def __post_init__(self) -> None:
+        """Take epochs and rate from the settings."""
+        self.name = 'paper'
+        self.epochs, self.rate = self.settings.epochs, self.settings.rate
 
     def parameters(self) -> list[nn.Parameter]:
         """Return all weights."""
@@ -135,16 +137,19 @@ class PaperStage:
         return total / count
 
     @property
+    def _cycles(self) -> int:
+        """Cycles of a stretch: one for the networks without a memory."""
+        return 1 if isinstance(self.network, FrameModel) else self.settings.cycles
+
+    @property
     def _windows(self) -> int:
-        """Windows of a stretch: cycles of 20 for the recurrent networks, one for the others."""
-        cycles = 1 if isinstance(self.network, FrameModel) else self.settings.cycles
-        return cycles * (CYCLE_WINDOWS_US // self.network.config.window_us)
+        """Windows of a stretch."""
+        return self._cycles * (CYCLE_US // self.network.config.window_us)
 
     @property
     def _segments(self) -> int:
         """Stretches per update."""
-        one = isinstance(self.network, FrameModel)
-        return max(self.settings.batch // (1 if one else self.settings.cycles), 1)
+        return max(self.settings.batch // self._cycles, 1)
 
     def _loss(self, batch: SegmentBatch, random: torch.Generator) -> Tensor:
         knee = self.settings.loss_knee_n
@@ -158,15 +163,50 @@ class PaperStage:
         return smooth_l1_loss(force, batch.force, beta=knee)
 
 
-CYCLE_WINDOWS_US = 40_000
-"""A cycle at the paper's 25 Hz [us]."""
+def train_paper(
+    config: PaperConfig,
+    settings: PaperTraining,
+    samples: Sequence[PaperSample],
+    checked: Sequence[PaperSample],
+    *,
+    device: str,
+    processes: Processes,
+    make_loop: Callable[..., TrainingLoop],
+) -> tuple[PaperNetwork, list[dict[str, Any]]]:
+    """Train one network and return it, on the CPU in evaluation mode, and the curves.
 
+    The mean and spread of the frame network's input are set to those of the training trials.
 
-def fit_intensities(network: PaperNetwork, samples: Sequence[PaperSample]) -> None:
-    """Set the mean and spread of the frame network's input to those of the training trials."""
+    Args:
+        config: Shapes.
+        settings: The protocol.
+        samples: Trials to train on.
+        checked: Trials to validate on.
+        device: Device to compute on.
+        processes: Processes that share the training.
+        make_loop: Makes the loop, with the checkpoint and the report of the run.
+
+    Raises:
+        TrainingError: As `TrainingLoop.run`, or there are fewer trials than processes.
+    """
+    torch.manual_seed(settings.seed)
+    network = build(config)
     backbone = getattr(network, 'frame', None)
-    if not isinstance(backbone, FrameBackbone):
-        return
-    frames = torch.cat([torch.from_numpy(sample.frames[::10].astype('f4')) for sample in samples])
-    backbone.mean.fill_(frames.mean())
-    backbone.deviation.fill_(frames.std().clamp(min=1e-3))
+    if isinstance(backbone, FrameBackbone):
+        frames = torch.cat([torch.from_numpy(each.frames[::10].astype('f4')) for each in samples])
+        backbone.mean.fill_(frames.mean())
+        backbone.deviation.fill_(frames.std().clamp(min=1e-3))
+    network.to(device)
+    own = processes.share(range(len(samples)))
+    if not own:
+        raise TrainingError(f'{len(samples)} trials for {processes.world} processes')
+    loop = make_loop(
+        network,
+        seed=settings.seed,
+        weight_decay=settings.weight_decay,
+        schedule='constant',
+        patience=settings.patience,
+        processes=processes,
+    )
+    loop.run([PaperStage(network, samples, settings, processes, own, checked)])
+    return network.cpu().eval(), loop.progress.curves

@@ -7,30 +7,31 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import Progress, TaskID
 
 from mixtac_fger.config import FgerConfig
-from mixtac_fger.weights import Model, ModelCard, write_model
+from mixtac_fger.weights import Model, ModelCard
 from mixtac_learning.judge.estimators import trial_estimator
 from mixtac_learning.judge.evaluation import judge_devices
 from mixtac_learning.judge.report import show_figures, show_skipped
-from mixtac_learning.model_card import write_model_card
+from mixtac_learning.model_card import save_model
 from mixtac_learning.network import model_of
 from mixtac_learning.paper.config import PaperConfig
-from mixtac_learning.paper.networks import PaperNetwork, build, paper_model_of
+from mixtac_learning.paper.networks import paper_model_of
 from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
 from mixtac_learning.train.batches import DiskGroups
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, TrainingSettings
-from mixtac_learning.train.loop import LoopSettings, Report, TrainingError, TrainingLoop
-from mixtac_learning.train.paper_stage import PaperStage, PaperTraining, fit_intensities
+from mixtac_learning.train.loop import Report, TrainingError, TrainingLoop
+from mixtac_learning.train.paper_stage import PaperTraining, train_paper
 from mixtac_learning.train.parallel import Processes
-from mixtac_learning.train.trainer import Trainer
+from mixtac_learning.train.stages import train_fger
 from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
@@ -153,21 +154,16 @@ def provenance(config: RunConfig, data: TrainingData, settings: dict[str, Any]) 
 
 
 def write_curves(folder: Path, curves: Sequence[dict[str, Any]]) -> None:
-    """Write `curves.json` and `curves.png`.
+    """Write `curves.json` and `curves.png`: loss and validation error [N], a panel per stage.
 
     Args:
         folder: Made if need be.
         curves: One row per epoch: stage, epoch, loss, validation, seconds.
     """
-    write_json(folder / 'curves.json', {'epochs': list(curves)})
-    draw_curves(folder / 'curves.png', curves)
-
-
-def draw_curves(path: Path, curves: Sequence[dict[str, Any]]) -> None:
-    """Draw loss and validation error [N] over the epochs, one panel per stage."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    write_json(folder / 'curves.json', {'epochs': list(curves)})
     stages = list(dict.fromkeys(row['stage'] for row in curves)) or ['none']
     figure = Figure(figsize=(4.0 * len(stages), 3.0), layout='constrained')
     FigureCanvasAgg(figure)
@@ -184,7 +180,7 @@ def draw_curves(path: Path, curves: Sequence[dict[str, Any]]) -> None:
         scale, unit = ('log', 'N') if forces else ('linear', 'log likelihood, negative')
         panel.set(title=stage, xlabel='epoch', ylabel=unit, yscale=scale)
         panel.legend()
-    figure.savefig(path, dpi=110)
+    figure.savefig(folder / 'curves.png', dpi=110)
 
 
 CHECKPOINT = 'checkpoint.safetensors'
@@ -195,138 +191,97 @@ class Trained:
     """The result of a run.
 
     Attributes:
-        network: In evaluation mode, on the CPU.
-        card: Card of its weight file.
+        model: Content of its weight file, without figures.
         curves: One row per epoch.
         skipped: Trials that were left out, with the reason.
     """
 
-    network: Any
-    card: ModelCard
+    model: Model
     curves: list[dict[str, Any]]
     skipped: dict[str, str]
 
 
-@dataclass(slots=True, eq=False)
-class Run:
-    """A training run.
+def train_model(
+    config: RunConfig,
+    folder: Path | None = None,
+    *,
+    jobs: int = 1,
+    report: Report = lambda *_: None,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+    processes: Processes | None = None,
+) -> Trained:
+    """Train as a configuration describes, and write the curves.
 
-    Attributes:
+    Args:
         config: The run.
         folder: Checkpoint and curves; None keeps nothing, so that an interrupted run starts over.
         jobs: Processes that prepare samples.
         report: Called after each epoch.
         on_progress: Called while samples are prepared, with the number done and of all.
-        processes: Processes that share the training.
+        processes: Processes that share the training; None for this one.
+
+    Raises:
+        ConfigError: A setting is unknown or impossible.
+        DatasetError: No trial can be used.
+        TrainingError: The folder is another run's, or training fails.
     """
+    started = time.monotonic()
+    together = processes or Processes()
+    device = chosen_device(config.device)
 
-    config: RunConfig
-    folder: Path | None = None
-    jobs: int = 1
-    report: Report = lambda *_: None
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None
-    processes: Processes = field(default_factory=Processes)
-
-    def carry_out(self) -> Trained:
-        """Train, and write curves; the weight file is the caller's (`save`).
-
-        Raises:
-            ConfigError: A setting is unknown or impossible.
-            DatasetError: No trial can be used.
-            TrainingError: The folder is another run's, or training fails.
-        """
-        started = time.monotonic()
-        run = self._ours if self.config.model == OURS else self._paper
-        network, curves, data, settings = run()
-        training = provenance(self.config, data, settings) | {
-            'minutes': round((time.monotonic() - started) / 60, 1),
-            'processes': self.processes.world,
-        }
-        if self.folder is not None and self.processes.leads:
-            write_curves(self.folder, curves)
-        return Trained(network, ModelCard(training), curves, data.skipped)
-
-    def _gather(self, recipe: FgerRecipe | PaperRecipe) -> TrainingData:
+    def gathered(recipe: Recipe) -> TrainingData:
         # One process prepares; the others then find the files.
-        if self.processes.leads:
-            gather(self.config.data, recipe, self.jobs, self.on_progress)
-        self.processes.wait()
-        return gather(self.config.data, recipe)
+        if together.leads:
+            gather(config.data, recipe, jobs, on_progress)
+        together.wait()
+        return gather(config.data, recipe)
 
-    def _ours(self) -> tuple[Any, list[dict[str, Any]], TrainingData, dict[str, Any]]:
-        config = FgerConfig.from_dict(FgerConfig().to_dict() | self.config.network)
-        settings = TrainingSettings.from_dict(self.config.training)
-        data = self._gather(FgerRecipe(config, self.config.data.label))
-        own = self.processes.share(range(len(data.trained)))
-        groups = DiskGroups(data.trained, config, settings.group_trials, own)
-        held = DiskGroups(data.checked, config, settings.group_trials) if data.checked else None
-        trainer = Trainer(
-            config,
-            settings,
-            self.report,
-            processes=self.processes,
-            device=chosen_device(self.config.device),
-            checkpoint=self._checkpoint(),
-            fingerprint=self._fingerprint(data),
-        )
-        network = trainer.run(groups, held)
-        return network, trainer.curves, data, settings.to_dict()
-
-    def _paper(self) -> tuple[Any, list[dict[str, Any]], TrainingData, dict[str, Any]]:
-        config = PaperConfig.from_dict({'model': self.config.model} | self.config.network)
-        settings = PaperTraining.from_dict(self.config.training)
-        data = self._gather(PaperRecipe(config, self.config.data.label))
-        samples = [load_paper_sample(path) for path in data.trained]
-        checked = [load_paper_sample(path) for path in data.checked]
-        torch.manual_seed(settings.seed)
-        network: PaperNetwork = build(config)
-        fit_intensities(network, samples)
-        network.to(chosen_device(self.config.device))
-        own = self.processes.share(range(len(samples)))
-        if not own:
-            raise TrainingError(f'{len(samples)} trials for {self.processes.world} processes')
-        stage = PaperStage(network, samples, settings, self.processes, own, checked)
-        loop = TrainingLoop(
-            network,
-            LoopSettings(
-                settings.seed, settings.weight_decay, 'constant', patience=settings.patience
-            ),
-            self._checkpoint(),
-            self._fingerprint(data),
-            self.report,
-            self.processes,
-        )
-        loop.run([stage])
-        return network.cpu().eval(), loop.progress.curves, data, settings.to_dict()
-
-    def _checkpoint(self) -> Path | None:
-        return None if self.folder is None else self.folder / CHECKPOINT
-
-    def _fingerprint(self, data: TrainingData) -> str:
-        """Return a digest of settings, data and number of processes."""
+    def make_loop(*arguments: Any, **settings: Any) -> TrainingLoop:  # noqa: ANN401
+        checkpoint = None if folder is None else folder / CHECKPOINT
         names = [path.name for path in (*data.trained, *data.checked)]
-        text = f'{self.config.fingerprint()} {names} {self.processes.world}'
-        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+        text = f'{config.fingerprint()} {names} {together.world}'
+        digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+        return TrainingLoop(
+            *arguments, checkpoint=checkpoint, fingerprint=digest, report=report, **settings
+        )
 
-
-def save(path: Path, trained: Trained, metrics: dict[str, Any]) -> None:
-    """Write the weight file of a run and its model card, a text file of the same name.
-
-    Args:
-        path: File; its suffix is `.safetensors`.
-        trained: The run.
-        metrics: Figures on trials that were not trained on.
-    """
-    model = trained_model(trained, metrics)
-    write_model(path, model)
-    write_model_card(path.with_suffix('.md'), path.name, model.card)
-
-
-def trained_model(trained: Trained, metrics: dict[str, Any] | None = None) -> Model:
-    """Return the content of the weight file of a run."""
-    card = ModelCard(trained.card.training, metrics or {})
-    make = model_of if card.training['model'] == OURS else paper_model_of
-    return make(trained.network, card)
+    with_card: Callable[[ModelCard], Model]
+    settings: TrainingSettings | PaperTraining
+    if config.model == OURS:
+        fger = FgerConfig.from_dict(FgerConfig().to_dict() | config.network)
+        settings = TrainingSettings.from_dict(config.training)
+        data = gathered(FgerRecipe(fger, config.data.label))
+        own = together.share(range(len(data.trained)))
+        groups = DiskGroups(data.trained, fger, settings.group_trials, own)
+        held = DiskGroups(data.checked, fger, settings.group_trials) if data.checked else None
+        fger_network, curves = train_fger(
+            fger, settings, groups, held, device=device, processes=together, make_loop=make_loop
+        )
+        with_card = partial(model_of, fger_network)
+    else:
+        paper = PaperConfig.from_dict({'model': config.model} | config.network)
+        settings = PaperTraining.from_dict(config.training)
+        data = gathered(PaperRecipe(paper, config.data.label))
+        samples, checked = (
+            [load_paper_sample(path) for path in paths] for paths in (data.trained, data.checked)
+        )
+        paper_network, curves = train_paper(
+            paper,
+            settings,
+            samples,
+            checked,
+            device=device,
+            processes=together,
+            make_loop=make_loop,
+        )
+        with_card = partial(paper_model_of, paper_network)
+    training = provenance(config, data, settings.to_dict()) | {
+        'minutes': round((time.monotonic() - started) / 60, 1),
+        'processes': together.world,
+    }
+    if folder is not None and together.leads:
+        write_curves(folder, curves)
+    return Trained(with_card(ModelCard(training)), curves, data.skipped)
 
 
 def chosen_device(name: str) -> str:
@@ -343,7 +298,6 @@ def chosen_device(name: str) -> str:
 
 
 EVALUATION_SECONDS = 10.0
-_PREPARING = 'preparing'
 
 
 def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path | None) -> None:
@@ -357,16 +311,48 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
         json: Write the figures there as well; None for nowhere.
 
     Raises:
-        MixtacError: As `Run.carry_out`.
+        MixtacError: As `train_model`.
     """
     processes = Processes.join()
     console = Console(quiet=not processes.leads)
     # Small networks: more threads wait for each other longer than they help.
     torch.set_num_threads(1)
     try:
-        trained = _train(console, config, folder or default_folder(config), jobs, processes)
-        if processes.leads:
-            _finish(console, config, trained, json)
+        with Progress(console=console) as progress:
+            bars: dict[str, TaskID] = {}
+
+            def show(name: str, done: int, total: int, text: str) -> None:
+                if name not in bars:
+                    bars[name] = progress.add_task(name, total=total)
+                progress.update(bars[name], completed=done, description=text)
+
+            def report(
+                stage: str, epoch: int, epochs: int, loss: float, error: float | None
+            ) -> None:
+                checked = '' if error is None else f', validation {error:.4f} N'
+                show(stage, epoch, epochs, f'{stage}, loss {loss:.5f} N{checked}')
+
+            trained = train_model(
+                config,
+                folder or default_folder(config),
+                jobs=jobs,
+                report=report,
+                on_progress=lambda done, total: show('preparing', done, total, 'preparing'),
+                processes=processes,
+            )
+        if not processes.leads:
+            return
+        show_skipped(console, trained.skipped)
+        metrics = judge_trained(config, trained.model)
+        for title, figures in metrics.items():
+            show_figures(console, title.replace('_', ' '), figures)
+        out = Path(config.out)
+        card = ModelCard(trained.model.card.training, metrics)
+        save_model(out, replace(trained.model, card=card))
+        console.print(f'wrote {out}')
+        if json is not None:
+            content = {'model': str(out), 'run': asdict(config), 'training': card.training}
+            write_json(json, content | {'metrics': metrics})
     finally:
         processes.leave()
 
@@ -377,47 +363,7 @@ def default_folder(config: RunConfig) -> Path:
     return Path('runs') / f'train_{config.model}_{digest}'
 
 
-def _train(
-    console: Console, config: RunConfig, folder: Path, jobs: int, processes: Processes
-) -> Trained:
-    with Progress(console=console) as progress:
-        bars: dict[str, Any] = {}
-
-        def prepared(done: int, total: int) -> None:
-            if _PREPARING not in bars:
-                bars[_PREPARING] = progress.add_task(_PREPARING, total=total)
-            progress.update(bars[_PREPARING], completed=done)
-
-        def report(stage: str, epoch: int, epochs: int, loss: float, error: float | None) -> None:
-            if stage not in bars:
-                bars[stage] = progress.add_task(stage, total=epochs)
-            checked = '' if error is None else f', validation {error:.4f} N'
-            text = f'{stage}, loss {loss:.5f} N{checked}'
-            progress.update(bars[stage], completed=epoch, description=text)
-
-        trained = Run(config, folder, jobs, report, prepared, processes).carry_out()
-    show_skipped(console, trained.skipped)
-    return trained
-
-
-def _finish(console: Console, config: RunConfig, trained: Trained, json: Path | None) -> None:
-    metrics = judge_trained(config, trained)
-    for title, figures in metrics.items():
-        show_figures(console, title.replace('_', ' '), figures)
-    out = Path(config.out)
-    save(out, trained, metrics)
-    console.print(f'wrote {out}')
-    if json is not None:
-        content = {
-            'model': str(out),
-            'run': asdict(config),
-            'training': trained.card.training,
-            'metrics': metrics,
-        }
-        write_json(json, content)
-
-
-def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:
+def judge_trained(config: RunConfig, model: Model) -> dict[str, Any]:
     """Return the figures of a model that was trained on simulated trials.
 
     Returns:
@@ -427,11 +373,11 @@ def judge_trained(config: RunConfig, trained: Trained) -> dict[str, Any]:
     data = config.data.simulated
     if data is None or config.judged < 1:
         return {}
-    first = trained.card.training['device_seeds'][0]
+    first = model.card.training['device_seeds'][0]
     count = min(data.sensors, data.trials)
     most = -(-config.judged // 2)
     seen = list(range(first, first + count, max(count // most, 1)))[:most]
-    estimator = trial_estimator(trained_model(trained))
+    estimator = trial_estimator(model)
     return {
         'seen_devices': judge_devices(estimator, seen, EVALUATION_SECONDS, 0, data.preset)[1],
         'unseen_devices': judge_devices(

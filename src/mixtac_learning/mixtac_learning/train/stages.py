@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -23,15 +23,16 @@ from torch.nn.functional import smooth_l1_loss
 from mixtac_fger.config import ModelError
 from mixtac_learning.network import FgerNetwork, FrameSlots
 from mixtac_learning.train.batches import mirror_events, mirror_frames
+from mixtac_learning.train.loop import Stage, TrainingLoop
+from mixtac_learning.train.parallel import Processes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from mixtac_fger.config import FgerConfig
     from mixtac_learning.network import DeviationHead
     from mixtac_learning.train.batches import SequenceGroups, Sequences
     from mixtac_learning.train.config import TrainingSettings
-    from mixtac_learning.train.parallel import Processes
 
     Flip = tuple[bool, bool]
 
@@ -80,30 +81,54 @@ class NetworkWithGains(nn.Module):
             scale[channel] = frames[:, channel].std()
         network.frame.scale.copy_(scale.clamp(min=1e-3)[:, None, None])
 
-    @torch.no_grad()
-    def encode(self, sequences: Sequences, columns: bool = False, rows: bool = False) -> Tensor:
-        """Return f_frame of all frames, [N, frame_size], optionally of their mirror images."""
-        network = self.network
-        parts = torch.split(sequences.frame_inputs, _ENCODE_BATCH)
-        flipped = (mirror_frames(part.float(), network.config, columns, rows) for part in parts)
-        return torch.cat([network.frame(part) for part in flipped])
 
-    @torch.no_grad()
-    def estimate(self, sequences: Sequences) -> tuple[Tensor, Tensor]:
-        """Run all sequences from their start, with gains of 1.
+@torch.no_grad()
+def encode(
+    network: FgerNetwork, sequences: Sequences, columns: bool = False, rows: bool = False
+) -> Tensor:
+    """Return f_frame of all frames, [N, frame_size], optionally of their mirror images."""
+    parts = torch.split(sequences.frame_inputs, _ENCODE_BATCH)
+    flipped = (mirror_frames(part.float(), network.config, columns, rows) for part in parts)
+    return torch.cat([network.frame(part) for part in flipped])
 
-        Returns:
-            Force at the end of each window [T, B] and frames-only force of each frame [N], in N.
-        """
-        features = self.encode(sequences)
-        state = self.network.initial_state(sequences.force.shape[1])
-        events = sequences.event_features.float()
-        force, _ = self.network(events, features, sequences.slots, state)
-        return force, self.network.frame.force(features)
+
+@torch.no_grad()
+def estimate(network: FgerNetwork, sequences: Sequences) -> tuple[Tensor, Tensor]:
+    """Run all sequences from their start.
+
+    Returns:
+        Force at the end of each window [T, B] and frames-only force of each frame [N], in N.
+    """
+    features = encode(network, sequences)
+    state = network.initial_state(sequences.force.shape[1])
+    events = sequences.event_features.float()
+    force, _ = network(events, features, sequences.slots, state)
+    return force, network.frame.force(features)
+
+
+def mean_error(
+    groups: SequenceGroups | None,
+    device: torch.device,
+    errors: Callable[[Sequences], Tensor],
+) -> float | None:
+    """Return the mean absolute error over groups of trials [N]; None without groups.
+
+    Args:
+        groups: Trials to validate on.
+        device: Where to compute.
+        errors: Returns the errors of one group [N].
+    """
+    if groups is None:
+        return None
+    total, count = 0.0, 0
+    for index in range(len(groups)):
+        error = errors(groups.load(index).to(device))
+        total, count = total + float(error.abs().sum()), count + len(error)
+    return total / count
 
 
 @dataclass(eq=False)
-class FrameStage:
+class FrameStage(Stage):
     """Trains the frame network and the gains of the sensors on single frames.
 
     Attributes:
@@ -112,7 +137,6 @@ class FrameStage:
         settings: Epochs, batch, rate.
         processes: Processes that share the training.
         checked: Validation trials; None for none.
-        name: Name of the stage.
     """
 
     model: NetworkWithGains
@@ -120,17 +144,11 @@ class FrameStage:
     settings: TrainingSettings
     processes: Processes
     checked: SequenceGroups | None = None
-    name: str = 'frames'
 
-    @property
-    def epochs(self) -> int:
-        """Epochs of the stage."""
-        return self.settings.frame_epochs
-
-    @property
-    def rate(self) -> float:
-        """Largest learning rate."""
-        return self.settings.frame_rate
+    def __post_init__(self) -> None:
+        """Take epochs and rate from the settings."""
+        self.name = 'frames'
+        self.epochs, self.rate = self.settings.frame_epochs, self.settings.frame_rate
 
     def parameters(self) -> list[nn.Parameter]:
         """Return the weights of the frame network, and the gains."""
@@ -159,15 +177,12 @@ class FrameStage:
 
     def validate(self) -> float | None:
         """Return the mean absolute error of frames alone on the trials to validate on [N]."""
-        if self.checked is None:
-            return None
-        total, count = 0.0, 0
-        for index in range(len(self.checked)):
-            sequences = self.checked.load(index).to(self.model.device)
-            features = self.model.encode(sequences)
-            error = self.model.network.frame.force(features) - sequences.frame_force
-            total, count = total + float(error.abs().sum()), count + len(error)
-        return total / count
+        network = self.model.network
+        return mean_error(
+            self.checked,
+            self.model.device,
+            lambda held: network.frame.force(encode(network, held)) - held.frame_force,
+        )
 
     def _batches(self, group: int) -> int:
         own = -(-len(self.groups.load(group).frame_force) // self.settings.frame_batch)
@@ -255,7 +270,7 @@ def _starts(force: Tensor, valid: Tensor) -> Tensor:
 
 
 @dataclass(eq=False)
-class SequenceStage:
+class SequenceStage(Stage):
     """Truncated back-propagation through all sequences of a group side by side.
 
     Attributes:
@@ -274,20 +289,12 @@ class SequenceStage:
     _encoded: dict[tuple[int, Flip], Tensor] = field(default_factory=dict)
     _cut_out: dict[int, Sequences | None] = field(default_factory=dict)
 
-    @property
-    def name(self) -> str:
-        """Name of the stage."""
-        return 'joint' if self.joint else 'recurrent'
-
-    @property
-    def epochs(self) -> int:
-        """Epochs of the stage."""
-        return self.settings.joint_epochs if self.joint else self.settings.recurrent_epochs
-
-    @property
-    def rate(self) -> float:
-        """Largest learning rate."""
-        return self.settings.joint_rate if self.joint else self.settings.recurrent_rate
+    def __post_init__(self) -> None:
+        """Take epochs and rate from the settings."""
+        settings = self.settings
+        self.name = 'joint' if self.joint else 'recurrent'
+        self.epochs = settings.joint_epochs if self.joint else settings.recurrent_epochs
+        self.rate = settings.joint_rate if self.joint else settings.recurrent_rate
 
     def begin(self) -> None:
         """Initialise the recurrent path so that it follows the frames."""
@@ -353,22 +360,18 @@ class SequenceStage:
 
     def validate(self) -> float | None:
         """Return the mean absolute error on the trials to validate on [N]."""
-        if self.checked is None:
-            return None
-        total, count = 0.0, 0
-        for index in range(len(self.checked)):
-            sequences = self.checked.load(index).to(self.model.device)
-            force, _ = self.model.estimate(sequences)
-            error = (force - sequences.force)[sequences.valid]
-            total, count = total + float(error.abs().sum()), count + len(error)
-        return total / count
+        return mean_error(
+            self.checked,
+            self.model.device,
+            lambda held: (estimate(self.model.network, held)[0] - held.force)[held.valid],
+        )
 
     def _features(self, group: int, sequences: Sequences, flip: Flip) -> Tensor:
         """Return the features of all frames; cached if there is only one group."""
         if len(self.groups) > 1:
-            return self.model.encode(sequences, *flip)
+            return encode(self.model.network, sequences, *flip)
         if (group, flip) not in self._encoded:
-            self._encoded[group, flip] = self.model.encode(sequences, *flip)
+            self._encoded[group, flip] = encode(self.model.network, sequences, *flip)
         return self._encoded[group, flip]
 
     def _encode_now(
@@ -434,33 +437,24 @@ def joined(parts: Sequence[Errors]) -> Errors:
 
 
 @dataclass(eq=False)
-class DeviationStage:
+class DeviationStage(Stage):
     """Trains the uncertainty head; nothing else changes.
 
     Attributes:
         model: Network and gains.
         groups: Trials to train on.
         settings: Epochs and rate.
-        checked: Validation trials; None for none.
-        name: Name of the stage.
     """
 
     model: NetworkWithGains
     groups: SequenceGroups
     settings: TrainingSettings
-    checked: SequenceGroups | None = None
-    name: str = 'deviation'
     _errors: list[Errors] = field(default_factory=list)
 
-    @property
-    def epochs(self) -> int:
-        """Epochs of the stage."""
-        return self.settings.deviation_epochs
-
-    @property
-    def rate(self) -> float:
-        """Largest learning rate."""
-        return self.settings.deviation_rate
+    def __post_init__(self) -> None:
+        """Take epochs and rate from the settings."""
+        self.name = 'deviation'
+        self.epochs, self.rate = self.settings.deviation_epochs, self.settings.deviation_rate
 
     def parameters(self) -> list[nn.Parameter]:
         """Return the weights of the head."""
@@ -472,26 +466,12 @@ class DeviationStage:
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch in random order."""
-        errors = self._collected()
+        errors, head = self._collected(), head_of(self.model.network)
         order = torch.randperm(len(errors.error), generator=random)
         for chosen in torch.split(order, _BATCH):
-            yield self._loss(
-                replace(
-                    errors,
-                    hidden=errors.hidden[chosen],
-                    force=errors.force[chosen],
-                    error=errors.error[chosen],
-                )
-            )
-
-    def validate(self) -> float | None:
-        """Return nothing: the temperature is fitted to the held-out trials afterwards."""
-        return None
-
-    def _loss(self, errors: Errors) -> Tensor:
-        log_deviation = head_of(self.model.network).log_deviation(errors.hidden, errors.force)
-        ratio = errors.error.abs() * torch.exp(-log_deviation)
-        return torch.Tensor((log_deviation + ratio).mean())
+            log_deviation = head.log_deviation(errors.hidden[chosen], errors.force[chosen])
+            ratio = errors.error[chosen].abs() * torch.exp(-log_deviation)
+            yield torch.Tensor((log_deviation + ratio).mean())
 
     def _collected(self) -> Errors:
         if not self._errors:
@@ -519,8 +499,7 @@ def collect(network: FgerNetwork, groups: SequenceGroups, most: int = _WINDOWS) 
     parts = []
     for index in range(len(groups)):
         sequences = groups.load(index).to(device)
-        frames = torch.split(sequences.frame_inputs, _BATCH)
-        features = torch.cat([network.frame(part.float()) for part in frames])
+        features = encode(network, sequences)
         trials = sequences.force.shape[1]
         state = network.initial_state(trials)
         events = sequences.event_features.float()
@@ -544,3 +523,56 @@ def calibrate_deviation(network: FgerNetwork, errors: Errors) -> float:
     scale = few_trials * float(torch.quantile(ratio, COVERED))
     head.scale.fill_(max(scale, 1e-3))
     return float(head.scale)
+
+
+def train_fger(
+    config: FgerConfig,
+    settings: TrainingSettings,
+    groups: SequenceGroups,
+    checked: SequenceGroups | None = None,
+    *,
+    device: str = 'cpu',
+    processes: Processes | None = None,
+    make_loop: Callable[..., TrainingLoop] = TrainingLoop,
+) -> tuple[FgerNetwork, list[dict[str, Any]]]:
+    """Run all stages and return the network, on the CPU in evaluation mode, and the curves.
+
+    Args:
+        config: Network configuration.
+        settings: Stages and rates.
+        groups: Trials to train on.
+        checked: Trials to validate on; None for none.
+        device: Device to compute on.
+        processes: Processes that share the training; None for this one.
+        make_loop: Makes the loop, with the checkpoint and the report of the run.
+
+    Raises:
+        TrainingError: As `TrainingLoop.run`.
+    """
+    processes = processes or Processes()
+    torch.manual_seed(settings.seed)
+    model = NetworkWithGains(config, groups.devices)
+    model.fit_scales(groups.load(0))
+    processes.average_buffers(model)
+    model.to(device)
+    loop = make_loop(
+        model,
+        seed=settings.seed,
+        weight_decay=settings.weight_decay,
+        patience=settings.patience,
+        processes=processes,
+    )
+    stages: list[Stage] = [
+        FrameStage(model, groups, settings, processes, checked),
+        SequenceStage(model, groups, settings, checked=checked),
+        SequenceStage(model, groups, settings, joint=True, checked=checked),
+    ]
+    if config.deviation_size:
+        stages.append(DeviationStage(model, groups, settings))
+    loop.run(stages)
+    network = model.network.eval()
+    if config.deviation_size:
+        # Errors of trials that were trained on are too small to calibrate by.
+        calibrate_deviation(network, collect(network, checked or groups))
+        processes.average_buffers(network)
+    return network.cpu(), loop.progress.curves

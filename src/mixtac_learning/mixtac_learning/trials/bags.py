@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +26,6 @@ from mixtac_node.topics import REFERENCE
 
 _US_PER_S = 1_000_000
 _NS_PER_S = 1_000_000_000
-
-
-@dataclass(slots=True)
-class WrenchStamps:
-    """Stamps and normal forces of a topic, while they are read."""
-
-    stamps_ns: list[int]
-    force: list[float]
-
-    def add(self, message: Any) -> None:  # noqa: ANN401 - a class made by rosbags
-        """Add a `WrenchStamped`."""
-        stamp = message.header.stamp
-        self.stamps_ns.append(int(stamp.sec) * _NS_PER_S + int(stamp.nanosec))
-        self.force.append(float(message.wrench.force.z))
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +83,9 @@ def clock_map_beside(bag: Path) -> ClockMap | None:
         raise DatasetError(f'{path} cannot be read ({error}): run `mixtac align` again') from error
 
 
-def label_on_camera_clock(t_us: NDArray[np.float64], force: list[float], what: str) -> ForceLabel:
+def label_on_camera_clock(
+    t_us: NDArray[np.float64], force: Sequence[float], what: str
+) -> ForceLabel:
     """Return a force curve in the order of time.
 
     Args:
@@ -149,49 +137,15 @@ _TRUE_FIT = '/truth/clock_fit'
 _CAMERA_CLOCK = '/camera_clock'
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BagForces:
-    """Forces of a bag on the camera clock.
-
-    Attributes:
-        truth: True normal force, None where the bag has none.
-        reference: Measured normal force, None where the bag has none or no clock map to place it.
-    """
-
-    truth: ForceLabel | None
-    reference: ForceLabel | None
-
-
-@dataclass(slots=True)
-class _Found:
-    truth: WrenchStamps = field(default_factory=lambda: WrenchStamps([], []))
-    reference: WrenchStamps = field(default_factory=lambda: WrenchStamps([], []))
-    pairs: list[tuple[int, int]] = field(default_factory=list)
-    fit: ClockMap | None = None
-    true_fit: ClockMap | None = None
-
-    def add(self, topic: str, message: Any, reference: str) -> None:  # noqa: ANN401
-        if topic == reference:
-            self.reference.add(message)
-        elif topic.endswith(_TRUE_FORCE):
-            self.truth.add(message)
-        elif topic.endswith(_CAMERA_CLOCK):
-            self.pairs.append((_ns(message.header.stamp), _ns(message.time_ref)))
-        else:
-            fields = {name: getattr(message, name) for name in _FIELDS}
-            if topic.endswith(_TRUE_FIT):
-                self.true_fit = ClockMap.from_fields(fields)
-            else:
-                self.fit = ClockMap.from_fields(fields)
-
-
 _FIELDS = ('a', 'b', 'camera_epoch', 'reference_epoch')
 
 
-def read_forces(path: Path, reference: str) -> BagForces:
-    """Return the forces of a bag.
+def read_forces(path: Path, reference: str) -> tuple[ForceLabel | None, ForceLabel | None]:
+    """Return the true and the measured normal force of a bag on the camera clock.
 
-    A fit beside the bag is preferred to one inside, and a made one to a simulated bag's true one.
+    The true one is None where the bag has none; the measured one where it has none or no clock map
+    to place it. A fit beside the bag is preferred to one inside, and a made one to a simulated
+    bag's true one.
 
     Args:
         path: The bag.
@@ -201,32 +155,12 @@ def read_forces(path: Path, reference: str) -> BagForces:
         RecordingError: The bag is damaged.
         DatasetError: It has neither a true force nor a reference that can be aligned.
     """
-    found = _read(path, reference)
-    fit = clock_map_beside(path) or found.fit or found.true_fit
-    truth = measured = None
-    if found.truth.force:
-        stamps = np.array(found.truth.stamps_ns, np.int64)
-        t_us = host_to_camera_us(stamps, found.pairs)
-        truth = label_on_camera_clock(t_us, found.truth.force, f'{path} topic ...{_TRUE_FORCE}')
-    if found.reference.force and fit is not None:
-        t_us = fit.to_camera_us(np.array(found.reference.stamps_ns, np.int64))
-        measured = label_on_camera_clock(t_us, found.reference.force, f'{path} topic {reference}')
-    if truth is None and measured is None:
-        raise DatasetError(_nothing(path, reference, recorded=bool(found.reference.force)))
-    return BagForces(truth, measured)
-
-
-def _nothing(path: Path, reference: str, *, recorded: bool) -> str:
-    if recorded:
-        return f'{path} has no clock fit to place {reference} by: run `mixtac align {path}`'
-    return f'{path} has no force: record the reference sensor ({reference}) beside the camera'
-
-
-def _read(path: Path, reference: str) -> _Found:
     from mixtac_recordings.bag import BagFile
     from mixtac_recordings.recording import DamagedRecordingError
 
-    found = _Found()
+    forces: dict[bool, list[tuple[int, float]]] = {False: [], True: []}
+    pairs: list[tuple[int, int]] = []
+    fits: dict[bool, ClockMap] = {}
     with BagFile(path) as bag:
         if bag.damage:
             raise DamagedRecordingError(f'{path}: {bag.damage}', remedy='record it again')
@@ -238,8 +172,31 @@ def _read(path: Path, reference: str) -> _Found:
             or kind == CLOCK_FIT
         ]
         for topic, _, message in bag.messages(*chosen):
-            found.add(topic, message, reference)
-    return found
+            if topic == reference or topic.endswith(_TRUE_FORCE):
+                row = (_ns(message.header.stamp), float(message.wrench.force.z))
+                forces[topic != reference].append(row)
+            elif topic.endswith(_CAMERA_CLOCK):
+                pairs.append((_ns(message.header.stamp), _ns(message.time_ref)))
+            else:
+                fields = {name: getattr(message, name) for name in _FIELDS}
+                fits[topic.endswith(_TRUE_FIT)] = ClockMap.from_fields(fields)
+    fit = clock_map_beside(path) or fits.get(False) or fits.get(True)
+    truth = measured = None
+    if forces[True]:
+        stamps, values = zip(*forces[True], strict=True)
+        t_us = host_to_camera_us(np.array(stamps, np.int64), pairs)
+        truth = label_on_camera_clock(t_us, values, f'{path} topic ...{_TRUE_FORCE}')
+    if forces[False] and fit is not None:
+        stamps, values = zip(*forces[False], strict=True)
+        t_us = fit.to_camera_us(np.array(stamps, np.int64))
+        measured = label_on_camera_clock(t_us, values, f'{path} topic {reference}')
+    if truth is None and measured is None:
+        if forces[False]:
+            raise DatasetError(
+                f'{path} has no clock fit to place {reference}', remedy=f'run `mixtac align {path}`'
+            )
+        raise DatasetError(f'{path} has no force', remedy=f'record {reference} beside the camera')
+    return truth, measured
 
 
 def _ns(stamp: Any) -> int:  # noqa: ANN401
@@ -300,8 +257,8 @@ class BagSource:
             RecordingError: The bag is damaged or holds no events and frames.
             DatasetError: It has no frames, no force, or no clock fit.
         """
-        forces = read_forces(self.path, self.reference)
-        return replace(self.load_camera(), truth=forces.truth, reference=forces.reference)
+        truth, reference = read_forces(self.path, self.reference)
+        return replace(self.load_camera(), truth=truth, reference=reference)
 
     def load_camera(self) -> TrialArrays:
         """Read events and frames only: a trial of which no force is known.
@@ -312,7 +269,7 @@ class BagSource:
         """
         events, frames, missing = _camera(self.path)
         if not frames:
-            raise DatasetError(f'{self.path} holds no frames: record {"image_raw"} as well')
+            raise DatasetError(f'{self.path} holds no frames: record image_raw as well')
         return TrialArrays(
             events=events,
             frames=np.stack([frame.image for frame, _ in frames]),
@@ -366,21 +323,19 @@ def bag_sources(folder: Path, reference: str = REFERENCE) -> list[BagSource]:
     Raises:
         DatasetError: There are none.
     """
-    if (folder / 'metadata.yaml').exists():
-        return [BagSource(folder, reference, _described(folder))]
     bags = sorted(path.parent for path in folder.glob('*/metadata.yaml'))
     # A bag that was cut off has its data but no metadata; it is named when it is loaded.
     bags += sorted(
         {p.parent for p in folder.glob('*/*.mcap') if not p.parent.name.startswith('.')} - {*bags}
     )
+    if (folder / 'metadata.yaml').exists():
+        bags = [folder]
     if not bags:
         raise DatasetError(f'{folder} holds no bags: give a bag or a folder of bags')
-    return [BagSource(path, reference, _described(path)) for path in bags]
-
-
-def _described(bag: Path) -> tuple[tuple[str, Any], ...]:
-    """Return the description of a bag in `dataset.yaml` beside it, or in a simulated bag itself."""
-    return _described_beside(bag) or _described_inside(bag)
+    return [
+        BagSource(path, reference, _described_beside(path) or _described_inside(path))
+        for path in bags
+    ]
 
 
 def _described_inside(bag: Path) -> tuple[tuple[str, Any], ...]:

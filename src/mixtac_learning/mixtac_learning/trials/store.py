@@ -8,21 +8,23 @@ import hashlib
 import json
 import multiprocessing
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays, TrialSource
 
 _FRAMES = ('frames', 'exposure_start_us', 'exposure_end_us', 'arrival_us')
-_EVENTS = ('t', 'x', 'y', 'polarity')
+_EVENTS = ('events_t', 'events_x', 'events_y', 'events_polarity')
 _LABELS = ('truth', 'reference')
+_FACTS = 'trial.json'
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,25 +62,44 @@ class CachedSource:
         digest = hashlib.blake2b(self.content_key().encode(), digest_size=8).hexdigest()
         path = self.folder / f'{self.name}-{digest}'
         if not path.exists():
-            _write(self.source.load(), path)
-        return _read(path)
+            trial = self.source.load()
+            arrays = {name: getattr(trial, name) for name in _FRAMES}
+            arrays |= {name: getattr(trial.events, name[len('events_') :]) for name in _EVENTS}
+            for name in _LABELS:
+                label: ForceLabel | None = getattr(trial, name)
+                if label is not None:
+                    arrays[name] = np.stack([label.t_us, label.force])
+            facts = {'origin': trial.origin, 'missing_packets': trial.missing_packets}
+            write_arrays(path, arrays, facts, _FACTS)
+        kept, facts = read_arrays(path, _FACTS, [*_FRAMES, *_EVENTS])
+        fields: dict[str, Any] = {name: kept[name] for name in _FRAMES}
+        for name in _LABELS:
+            fields[name] = ForceLabel(*np.array(kept[name])) if name in kept else None
+        events = Events(*(np.array(kept[name]) for name in _EVENTS))
+        return TrialArrays(events=events, **fields, **facts)
 
 
-def _write(trial: TrialArrays, path: Path) -> None:
+def write_arrays(
+    path: Path, arrays: Mapping[str, NDArray[np.generic]], facts: object, facts_file: str
+) -> None:
+    """Write a folder of arrays that can be mapped, whole or not at all.
+
+    Args:
+        path: Folder to write.
+        arrays: By name; one file each.
+        facts: What else belongs to them, JSON-ready.
+        facts_file: File of the facts in the folder.
+
+    Raises:
+        DatasetError: It cannot be written.
+    """
     partial = path.with_name(path.name + '.partial')
     shutil.rmtree(partial, ignore_errors=True)
     try:
         partial.mkdir(parents=True)
-        arrays = {name: getattr(trial, name) for name in _FRAMES}
-        arrays |= {f'events_{name}': getattr(trial.events, name) for name in _EVENTS}
-        for name in _LABELS:
-            label: ForceLabel | None = getattr(trial, name)
-            if label is not None:
-                arrays[name] = np.stack([label.t_us, label.force])
         for name, array in arrays.items():
             np.save(partial / f'{name}.npy', array, allow_pickle=False)
-        content = {'origin': trial.origin, 'missing_packets': trial.missing_packets}
-        (partial / 'trial.json').write_text(json.dumps(content), encoding='utf-8')
+        (partial / facts_file).write_text(json.dumps(facts), encoding='utf-8')
         partial.replace(path)
     except OSError as error:
         raise DatasetError(
@@ -86,21 +107,27 @@ def _write(trial: TrialArrays, path: Path) -> None:
         ) from error
 
 
-def _read(path: Path) -> TrialArrays:
+def read_arrays(
+    path: Path, facts_file: str, needed: Iterable[str]
+) -> tuple[dict[str, NDArray[Any]], Any]:
+    """Map the arrays of a folder, and read its facts.
+
+    Args:
+        path: Folder.
+        facts_file: File of the facts in it.
+        needed: Names of the arrays that it must have.
+
+    Raises:
+        DatasetError: The folder is missing or damaged.
+    """
     try:
-        content = json.loads((path / 'trial.json').read_text(encoding='utf-8'))
-        fields: dict[str, Any] = {
-            name: np.load(path / f'{name}.npy', mmap_mode='r') for name in _FRAMES
-        }
-        events = Events(*(np.load(path / f'events_{name}.npy') for name in _EVENTS))
-        for name in _LABELS:
-            kept = path / f'{name}.npy'
-            fields[name] = ForceLabel(*np.load(kept)) if kept.exists() else None
+        facts = json.loads((path / facts_file).read_text(encoding='utf-8'))
+        names = {*needed, *(file.stem for file in path.glob('*.npy'))}
+        return {name: np.load(path / f'{name}.npy', mmap_mode='r') for name in names}, facts
     except (OSError, ValueError) as error:
         raise DatasetError(
-            f'{path} cannot be read ({error})', remedy='remove it; it is then loaded again'
+            f'{path} cannot be read ({error})', remedy='remove it; it is then prepared again'
         ) from error
-    return TrialArrays(events=events, **fields, **content)
 
 
 class Recipe(Protocol):

@@ -28,7 +28,7 @@ from mixtac_learning.adapt.presses import (
 )
 from mixtac_learning.judge.metrics import CalibrationError
 from mixtac_learning.train.batches import stack
-from mixtac_learning.train.trainer import estimate
+from mixtac_learning.train.stages import estimate
 from mixtac_learning.trials.samples import make_sample
 
 

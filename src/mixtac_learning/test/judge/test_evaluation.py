@@ -32,5 +32,6 @@ def test_a_bag_that_is_named_is_judged_whatever_its_split(model, trial, tmp_path
     monkeypatch.setattr(evaluation, 'bag_sources', sources)
     path, out = tmp_path / 'm.safetensors', tmp_path / 'figures.json'
     write_model(path, model)
-    evaluation.evaluate_bags(path, [Path('one.bag'), Path('folder')], '/w', json=out)
+    bags = [Path('one.bag'), Path('folder')]
+    evaluation.run_evaluation(path, bags, reference='/w', json=out)
     assert json.loads(out.read_text())['bags'] == ['one.bag', 'b']

@@ -16,10 +16,10 @@ from mixtac_fger.estimator import open_estimator
 from mixtac_fger.features import ImageError
 from mixtac_fger.reference import TareError
 from mixtac_fger.streaming import ForceEstimator, warm_up
-from mixtac_fger.weights import read_model
+from mixtac_fger.weights import read_model, write_model
 from mixtac_learning.paper.config import MODELS
 from mixtac_learning.train.config import DataConfig, RunConfig, SimulatedData
-from mixtac_learning.train.run import Run, save
+from mixtac_learning.train.run import train_model
 from mixtac_learning.trials.simulated import SimulatedSource
 
 
@@ -33,8 +33,8 @@ def weights(request, tmp_path_factory, trial):
     config = RunConfig(model=request.param, network=network, training=training, data=data)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SimulatedSource, 'load', lambda self: replace(trial, origin=self.origin))
-        trained = Run(config).carry_out()
-    save(folder / 'paper.safetensors', trained, {})
+        trained = train_model(config)
+    write_model(folder / 'paper.safetensors', trained.model)
     return folder / 'paper.safetensors'
 
 

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import torch
 
-from mixtac_learning.train.loop import LoopSettings, TrainingLoop
+from mixtac_learning.train.loop import Stage, TrainingLoop
 from mixtac_learning.train.parallel import Processes
 
 EPOCHS = 12
 
 
-class LineStage:
+class LineStage(Stage):
     """Batches of a line with noise, in random order; this process's share of the points."""
 
     name, epochs, rate = 'line', EPOCHS, 0.05
@@ -59,9 +59,14 @@ def fit(folder: Path, kill_after: int, processes: Processes, patience: int = 0) 
             # In the middle: the epoch is done, its checkpoint is not written.
             os.kill(os.getpid(), signal.SIGKILL)
 
-    settings = LoopSettings(seed=5, patience=patience)
     loop = TrainingLoop(
-        model, settings, folder / 'checkpoint.safetensors', 'line', report, processes
+        model,
+        seed=5,
+        patience=patience,
+        checkpoint=folder / 'checkpoint.safetensors',
+        fingerprint='line',
+        report=report,
+        processes=processes,
     )
     loop.run([LineStage(model, processes)])
     return loop

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from mixtac_learning.train.loop import (
-    LoopSettings,
+    Stage,
     TrainingError,
     TrainingLoop,
     load_checkpoint,
@@ -76,7 +76,7 @@ def _averaged_by_hand() -> list[float]:
     return [float(value) for value in model.state_dict().values()]
 
 
-class ScriptedStage:
+class ScriptedStage(Stage):
     """Validation errors as told; every epoch moves the only weight by about the rate."""
 
     name, rate = 'scripted', 0.1
@@ -104,7 +104,7 @@ def scripted(errors, patience=0, path=None) -> tuple[ScriptedStage, TrainingLoop
     stage = ScriptedStage(errors)
     module = torch.nn.Module()
     module.weight = stage.weight
-    loop = TrainingLoop(module, LoopSettings(patience=patience, schedule='constant'), path)
+    loop = TrainingLoop(module, patience=patience, schedule='constant', checkpoint=path)
     loop.run([stage])
     return stage, loop
 
@@ -136,7 +136,7 @@ def test_a_loss_that_is_no_number_ends_the_run():
     stage = ScriptedStage([None])
     stage.losses = lambda random: iter([stage.weight.sum() * float('nan')])
     with pytest.raises(TrainingError):
-        TrainingLoop(torch.nn.Module(), LoopSettings()).run([stage])
+        TrainingLoop(torch.nn.Module()).run([stage])
 
 
 def test_schedules():

@@ -27,9 +27,9 @@ from mixtac_lab.bench.align import TrialRecording, fit_impulses, fit_refined
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import learning_version
 from mixtac_lab.store import Piece, Store, code_version
-from mixtac_learning.train.batches import stack
+from mixtac_learning.train.batches import MemoryGroups, stack
 from mixtac_learning.train.config import TrainingSettings
-from mixtac_learning.train.trainer import Trainer, estimate
+from mixtac_learning.train.stages import estimate, train_fger
 from mixtac_learning.trials.samples import make_sample
 from mixtac_learning.trials.simulated import arrays_of
 from mixtac_learning.trials.trial import aligned_force
@@ -183,7 +183,7 @@ def train_and_test(
         # The uncertainty is not tested.
         deviation_epochs=0,
     )
-    network = Trainer(FgerConfig(), settings).run(stack(labelled))
+    network, _ = train_fger(FgerConfig(), settings, MemoryGroups(stack(labelled)))
     sequences = stack(list(tested))
     with torch.no_grad():
         force, _ = estimate(network, sequences)
