@@ -204,28 +204,6 @@ class FgerNetwork(nn.Module):
         course = self.course(event_features, frame_features, slots, state)
         return course.force, course.state
 
-    def forces_and_deviations(
-        self,
-        event_features: Tensor,
-        frame_features: Tensor,
-        slots: FrameSlots,
-        state: SequenceState,
-    ) -> tuple[Tensor, Tensor, SequenceState]:
-        """Return force and its standard deviation [N], [T, B] each, and the last state.
-
-        Arguments as in `course`.
-
-        Raises:
-            ModelError: The network has no uncertainty output.
-        """
-        if self.deviation is None:
-            raise ModelError(
-                'this model has no uncertainty output',
-                remedy='train it with deviation_size above 0',
-            )
-        course = self.course(event_features, frame_features, slots, state)
-        return course.force, self.deviation(course.hidden, course.force), course.state
-
     def course(
         self,
         event_features: Tensor,

@@ -67,10 +67,6 @@ class PaperState(NamedTuple):
     feature: Tensor
     seen: Tensor
 
-    def detached(self) -> PaperState:
-        """Return the state without its gradient."""
-        return PaperState(*(part.detach() for part in self))
-
 
 POINT_SIZE = 4
 """Numbers per event: x, y, time in the packet, polarity; each within -1 .. 1."""
@@ -249,7 +245,22 @@ class EventRecurrence(nn.Module):
         return state._replace(hidden=hidden, cell=cell, force=force)
 
 
-class EventsOnly(nn.Module):
+class RecurrentModel(nn.Module):
+    """A network with the recurrence."""
+
+    config: PaperConfig
+    recurrence: EventRecurrence
+
+    def initial_state(self, sequences: int) -> PaperState:
+        """Return the state before any event: no force."""
+        like = self.recurrence.lstm.weight_ih
+        zeros = like.new_zeros(sequences, self.config.lstm_size)
+        feature = like.new_zeros(sequences, self.config.channels)
+        seen = torch.zeros(sequences, dtype=torch.bool, device=like.device)
+        return PaperState(zeros, zeros.clone(), like.new_zeros(sequences), feature, seen)
+
+
+class EventsOnly(RecurrentModel):
     """The recurrence alone: no frame reaches it, neither as input nor through a gradient.
 
     Args:
@@ -261,10 +272,6 @@ class EventsOnly(nn.Module):
         self.config = config
         self.recurrence = EventRecurrence(config)
 
-    def initial_state(self, sequences: int) -> PaperState:
-        """Return the state before any event: no force."""
-        return _initial_state(self.config, self.recurrence.lstm.weight_ih, sequences)
-
     def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
         """Return the force [N] at the end of each window, [T, B], and the state after the last."""
         forces = []
@@ -274,7 +281,7 @@ class EventsOnly(nn.Module):
         return torch.stack(forces), state
 
 
-class FgerPaper(nn.Module):
+class FgerPaper(RecurrentModel):
     """FGER-Net.
 
     The estimate that is carried on is corrected once per cycle, by the frame whose arrival ends
@@ -292,10 +299,6 @@ class FgerPaper(nn.Module):
         self.frame = FrameBackbone(config)
         self.recurrence = EventRecurrence(config)
         self.correction = perceptron(1 + config.channels, config.correction_size)
-
-    def initial_state(self, sequences: int) -> PaperState:
-        """Return the state before any event: no force."""
-        return _initial_state(self.config, self.recurrence.lstm.weight_ih, sequences)
 
     def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
         """Return the force [N] at the end of each window, [T, B], and the state after the last."""
@@ -342,13 +345,6 @@ class FgerPaper(nn.Module):
     def _correct(self, state: PaperState) -> Tensor:
         fusion = torch.cat([state.force[:, None], state.feature], 1)
         return torch.Tensor(self.correction(fusion)[:, 0])
-
-
-def _initial_state(config: PaperConfig, like: Tensor, sequences: int) -> PaperState:
-    zeros = like.new_zeros(sequences, config.lstm_size)
-    feature = like.new_zeros(sequences, config.channels)
-    seen = torch.zeros(sequences, dtype=torch.bool, device=like.device)
-    return PaperState(zeros, zeros.clone(), like.new_zeros(sequences), feature, seen)
 
 
 def _see(state: PaperState, frames: Tensor, slots: Tensor) -> PaperState:

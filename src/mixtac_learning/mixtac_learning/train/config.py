@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mixtac_fger.config import ConfigError, from_mapping
+from mixtac_fger.config import ConfigError
 from mixtac_learning.paper.config import MODELS as PAPER_MODELS
 from mixtac_node.files import FileError, read_dataclass
 from mixtac_node.topics import REFERENCE
@@ -77,19 +77,6 @@ class TrainingSettings:
 
         columns, rows = torch.randint(0, 2, (2,), generator=random).tolist()
         return bool(columns), bool(rows)
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> TrainingSettings:
-        """Return the settings of such values; absent ones keep their defaults.
-
-        Raises:
-            ConfigError: A field is unknown.
-        """
-        return from_mapping(cls, values, 'training')
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON-ready values."""
-        return asdict(self)
 
 
 OURS = 'ours'

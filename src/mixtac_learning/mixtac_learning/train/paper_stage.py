@@ -5,14 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
-from mixtac_fger.config import from_mapping
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import (
     CYCLE_US,
@@ -61,19 +60,6 @@ class PaperTraining:
     loss_knee_n: float = 0.05
     patience: int = 0
     checked: float = 0.1
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON-ready values."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> PaperTraining:
-        """Return the settings of such values; absent ones keep their defaults.
-
-        Raises:
-            ConfigError: A field is unknown.
-        """
-        return from_mapping(cls, values, 'training')
 
 
 @dataclass(eq=False)

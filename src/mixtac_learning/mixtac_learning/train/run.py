@@ -16,7 +16,7 @@ import torch
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from mixtac_fger.config import FgerConfig
+from mixtac_fger.config import FgerConfig, from_mapping
 from mixtac_fger.weights import Model, ModelCard
 from mixtac_learning.judge.estimators import trial_estimator
 from mixtac_learning.judge.evaluation import judge_devices
@@ -90,24 +90,31 @@ def training_sources(data: DataConfig) -> list[TrialSource]:
 def gather(
     data: DataConfig,
     recipe: Recipe,
-    jobs: int = 1,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+    jobs: int,
+    on_progress: Callable[[int, int], None],
+    processes: Processes,
 ) -> TrainingData:
     """Prepare the samples of a run; every n-th trial is held out, never a part of one.
 
     Args:
         data: What to train on.
         recipe: Recipe of the samples.
-        jobs: Processes.
+        jobs: Processes that prepare.
         on_progress: Called with the number of trials done and of all.
+        processes: Processes that share the training; one prepares, the others find the files.
 
     Raises:
         DatasetError: No trial can be used.
     """
-    sources = training_sources(data)
-    total = len(sources)
-    folder = Path(data.cache)
-    prepared = prepare(sources, recipe, folder, jobs, lambda done: on_progress(done, total))
+    sources, folder = training_sources(data), Path(data.cache)
+    if not processes.leads:
+        processes.wait()
+    own_jobs = jobs if processes.leads else 1
+    prepared = prepare(
+        sources, recipe, folder, own_jobs, lambda done: on_progress(done, len(sources))
+    )
+    if processes.leads:
+        processes.wait()
     every = round(1.0 / data.checked) if data.checked > 0.0 else 0
     pairs = list(zip(prepared.paths, prepared.kept, strict=True))
     held = [i for i in range(len(pairs)) if every and len(pairs) > 1 and i % every == every - 1]
@@ -229,13 +236,6 @@ def train_model(
     together = processes or Processes()
     device = chosen_device(config.device)
 
-    def gathered(recipe: Recipe) -> TrainingData:
-        # One process prepares; the others then find the files.
-        if together.leads:
-            gather(config.data, recipe, jobs, on_progress)
-        together.wait()
-        return gather(config.data, recipe)
-
     def make_loop(*arguments: Any, **settings: Any) -> TrainingLoop:  # noqa: ANN401
         checkpoint = None if folder is None else folder / CHECKPOINT
         names = [path.name for path in (*data.trained, *data.checked)]
@@ -249,8 +249,8 @@ def train_model(
     settings: TrainingSettings | PaperTraining
     if config.model == OURS:
         fger = FgerConfig.from_dict(FgerConfig().to_dict() | config.network)
-        settings = TrainingSettings.from_dict(config.training)
-        data = gathered(FgerRecipe(fger, config.data.label))
+        settings = from_mapping(TrainingSettings, config.training, 'training')
+        data = gather(config.data, FgerRecipe(fger, config.data.label), jobs, on_progress, together)
         own = together.share(range(len(data.trained)))
         groups = DiskGroups(data.trained, fger, settings.group_trials, own)
         held = DiskGroups(data.checked, fger, settings.group_trials) if data.checked else None
@@ -260,8 +260,9 @@ def train_model(
         with_card = partial(model_of, fger_network)
     else:
         paper = PaperConfig.from_dict({'model': config.model} | config.network)
-        settings = PaperTraining.from_dict(config.training)
-        data = gathered(PaperRecipe(paper, config.data.label))
+        settings = from_mapping(PaperTraining, config.training, 'training')
+        recipe = PaperRecipe(paper, config.data.label)
+        data = gather(config.data, recipe, jobs, on_progress, together)
         samples, checked = (
             [load_paper_sample(path) for path in paths] for paths in (data.trained, data.checked)
         )
@@ -275,7 +276,7 @@ def train_model(
             make_loop=make_loop,
         )
         with_card = partial(paper_model_of, paper_network)
-    training = provenance(config, data, settings.to_dict()) | {
+    training = provenance(config, data, asdict(settings)) | {
         'minutes': round((time.monotonic() - started) / 60, 1),
         'processes': together.world,
     }

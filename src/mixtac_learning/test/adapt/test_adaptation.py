@@ -38,10 +38,10 @@ def outputs(network, sample):
     state = network.initial_state(1)
     with torch.no_grad():
         features = network.frame(sequences.frame_inputs.float())
-        force, deviation, _ = network.forces_and_deviations(
-            sequences.event_features.float(), features, sequences.slots, state
-        )
-    return force[:, 0].numpy(), deviation[:, 0].numpy()
+        events = sequences.event_features.float()
+        course = network.course(events, features, sequences.slots, state)
+        deviation = network.deviation(course.hidden, course.force)
+    return course.force[:, 0].numpy(), deviation[:, 0].numpy()
 
 
 @pytest.fixture(scope='module')

@@ -22,18 +22,19 @@ def test_live_and_batch_agree(shortcut):
     events = torch.randn(WINDOWS, 1, network.config.grid_rows, network.config.grid_columns, 4)
     none = torch.full((WINDOWS, 1), -1)
     with torch.no_grad():
-        force, deviation, _ = network.forces_and_deviations(
+        course = network.course(
             events,
             torch.zeros(1, network.config.frame_size),
             FrameSlots(none, torch.zeros_like(none)),
             network.initial_state(1),
         )
+        deviation = network.deviation(course.hidden, course.force)
     path = RecurrentPath(network.config, arrays_of(network))
     live = []
     for window in events[:, 0].numpy():
         path.step(window)
         live.append((path.force, path.deviation))
-    assert np.abs(np.array(live) - torch.cat([force, deviation], 1).numpy()).max() < 1e-5
+    assert np.abs(np.array(live) - torch.cat([course.force, deviation], 1).numpy()).max() < 1e-5
 
 
 def test_a_strong_burst_moves_the_force_at_once_only_with_the_shortcut():

@@ -29,12 +29,13 @@ def test_deviations_are_those_of_the_batch_network(model, network, config, trial
     monkeypatch.setattr('mixtac_learning.trials.samples.STORED', np.float32)
     batch = stack([make_sample(config, trial, trial.label(), {})])
     with torch.inference_mode():
-        _, expected, _ = network.forces_and_deviations(
+        course = network.course(
             batch.event_features,
             network.frame(batch.frame_inputs),
             batch.slots,
             network.initial_state(1),
         )
+        expected = network.deviation(course.hidden, course.force)
     deviation = stream(model, trial).deviation
     assert deviation == pytest.approx(expected[:, 0].numpy(), rel=1e-4)
     assert deviation.min() > 0

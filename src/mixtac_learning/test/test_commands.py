@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mixtac_fger.config import ConfigError, ModelError
+from mixtac_fger.config import ConfigError, ModelError, from_mapping
 from mixtac_fger.weights import read_model, write_model
 from mixtac_learning import commands as training_cli
 from mixtac_learning.judge.estimators import stream, trial_estimator
@@ -155,9 +155,9 @@ def test_shipped_runs_can_be_read():
     for name in names:
         run = read_run_config(find_run_config(name))
         if run.model == 'ours':
-            TrainingSettings.from_dict(run.training)
+            from_mapping(TrainingSettings, run.training, 'training')
         else:
-            PaperTraining.from_dict(run.training)
+            from_mapping(PaperTraining, run.training, 'training')
             assert PaperConfig.from_dict({'model': run.model} | run.network).model == run.model
 
 
