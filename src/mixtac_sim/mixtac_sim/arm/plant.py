@@ -167,16 +167,14 @@ class MujocoArm:
         self._normal = np.asarray(normal, np.float64)
         self._steps = round(period_s / STEP_S)
         contact = self._contact(n_per_mm, preload_n) if n_per_mm > 0.0 else None
-        self._model = self._mujoco.MjModel.from_xml_string(fr3_mjcf(contact, self._servo(lag_s)))
-        self._data = self._mujoco.MjData(self._model)
+        self._model, self._data = self._posed(fr3_mjcf(contact, self._servo(lag_s)))
         self._touches = contact is not None
         self.saturated = 0
-        self._place(self._model, self._data)
         self._data.ctrl[:] = self._start_q
         for _ in range(round(SETTLE_S / STEP_S)):
             self._step()
         self.saturated = 0
-        self._origin = self._flange()
+        self._origin = self.flange
         self._last_mm = 0.0
 
     @property
@@ -192,7 +190,7 @@ class MujocoArm:
     @property
     def flange(self) -> Floats:
         """Return the place of the flange [3] [m] in the base frame."""
-        return self._flange()
+        return np.array(self._data.site('flange').xpos)
 
     @property
     def contact_n(self) -> float:
@@ -239,7 +237,7 @@ class MujocoArm:
         places[0] = self._last_mm
         for k in range(self._steps):
             self._step()
-            places[k + 1] = 1e3 * float((self._flange() - self._origin) @ self._normal)
+            places[k + 1] = 1e3 * float((self.flange - self._origin) @ self._normal)
         self._last_mm = float(places[-1])
         wanted = np.linspace(0.0, self._steps, points + 1)[1:]
         return np.interp(wanted, np.arange(self._steps + 1), places)
@@ -248,19 +246,17 @@ class MujocoArm:
         self._mujoco.mj_step(self._model, self._data)
         self.saturated += bool(np.any(np.abs(self._data.actuator_force) >= TORQUE_MAX_NM))
 
-    def _flange(self) -> Floats:
-        return np.array(self._data.site('flange').xpos)
-
-    def _place(self, model: Any, data: Any) -> None:  # noqa: ANN401
-        """Bring a model to the joint positions of the start."""
+    def _posed(self, mjcf: str) -> tuple[Any, Any]:
+        """Return a model and its data at the joint positions of the start."""
+        model = self._mujoco.MjModel.from_xml_string(mjcf)
+        data = self._mujoco.MjData(model)
         data.qpos[:JOINTS] = self._start_q
         self._mujoco.mj_forward(model, data)
+        return model, data
 
     def _servo(self, lag_s: float) -> Servo:
         """Return critically damped servos for the inertia that each joint has at the start."""
-        model = self._mujoco.MjModel.from_xml_string(fr3_mjcf())
-        data = self._mujoco.MjData(model)
-        self._place(model, data)
+        model, data = self._posed(fr3_mjcf())
         inertia = np.zeros((JOINTS, JOINTS))
         self._mujoco.mj_fullM(model, inertia, data.qM)
         # Damping over stiffness is the lag, and at critical damping twice the time constant.
@@ -268,9 +264,7 @@ class MujocoArm:
         return Servo(stiffness.tolist(), (lag_s * stiffness).tolist())
 
     def _contact(self, n_per_mm: float, preload_n: float) -> GelContact:
-        model = self._mujoco.MjModel.from_xml_string(fr3_mjcf())
-        data = self._mujoco.MjData(model)
-        self._place(model, data)
+        _, data = self._posed(fr3_mjcf())
         turn = np.array(data.site('flange').xmat).reshape(3, 3)
         place = flange_place(self._start_q)
         in_flange = (turn.T @ self._normal).tolist()

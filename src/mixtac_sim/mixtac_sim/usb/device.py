@@ -182,11 +182,8 @@ class VirtualDavis346:
             UsbStall: There is no such endpoint, or it is halted.
             UsbGone: The device was unplugged.
         """
-        self._before_read(endpoint, timeout_s)
-        with self._condition:
-            self.check_present()
-            granted = self._data.wait(endpoint, length, timeout_s)
-            return self._fifo.pop(granted + granted % 2)[:granted]
+        buffer = bytearray(length)
+        return bytes(buffer[: self.read_into(endpoint, buffer, timeout_s)])
 
     def read_into(self, endpoint: int, buffer: Buffer, timeout_s: float | None) -> int:
         """Wait for data like `read_bulk`, without a copy.

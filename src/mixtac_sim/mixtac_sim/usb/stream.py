@@ -84,12 +84,6 @@ class ByteFifo:
         self._size += len(data)
         return True
 
-    def pop(self, limit: int) -> bytes:
-        """Remove and return at most ``limit`` bytes, whole words only."""
-        out = np.empty(min(limit & ~1, self._size), np.uint8)
-        self.pop_into(out)
-        return out.tobytes()
-
     def pop_into(self, out: NDArray[np.uint8]) -> int:
         """Move bytes to ``out`` and return how many.
 
