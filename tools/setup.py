@@ -58,18 +58,27 @@ def make_venv(venv: Path, *, system_packages: bool) -> None:
     call([sys.executable, '-m', 'venv', *flags, str(venv)], 'the virtual environment failed')
 
 
-def install(venv: Path, steps: Steps, requirements: list[str], name: str = 'install') -> None:
-    """Install the pinned requirements; what they name together is resolved together."""
-    files = [ROOT / 'requirements' / each for each in requirements]
-    wanted = fingerprint(files)
-    if steps.is_done(name, wanted):
+def install(venv: Path, steps: Steps, parts: dict[str, list[str]]) -> None:
+    """Install the pinned requirements of the parts that changed, resolved together.
+
+    Args:
+        venv: Environment.
+        steps: Record of what was done.
+        parts: Files in requirements/ of each part, by the name of its step.
+    """
+    folder = ROOT / 'requirements'
+    wanted = {name: fingerprint([folder / each for each in files]) for name, files in parts.items()}
+    due = [name for name in parts if not steps.is_done(name, wanted[name])]
+    if not due:
         return
-    say(f'installing {", ".join(requirements)} (some minutes the first time)')
-    if 'learn.txt' in requirements:
+    names = list(dict.fromkeys(each for name in due for each in parts[name]))
+    say(f'installing {", ".join(names)} (some minutes the first time)')
+    if 'learn.txt' in names:
         install_torch(venv)
-    arguments = [part for path in files for part in ('-r', str(path))]
+    arguments = [part for name in names for part in ('-r', str(folder / name))]
     call([*pip_install(venv), *arguments], PIP_FAILED)
-    steps.finish(name, wanted)
+    for name in due:
+        steps.finish(name, wanted[name])
 
 
 def pip_install(venv: Path) -> list[str]:
@@ -228,13 +237,12 @@ def set_up(*, robot: bool, extras: list[str]) -> None:
             steps = Steps(venv / 'mixtac-setup.json')
         make_venv(venv, system_packages=bool(distro))
         steps.finish('venv', str(ROOT))
-    requirements = [] if distro else ['ros-jazzy-wheels.txt']
-    install(venv, steps, [*requirements, 'base.txt'])
+    parts = {'install': [*([] if distro else ['ros-jazzy-wheels.txt']), 'base.txt']}
     if not robot:
-        # With the base, so that no extra moves what that pins.
-        install(venv, steps, ['base.txt', 'cli.txt'], name='cli')
-    for extra in extras:
-        install(venv, steps, ['base.txt', 'cli.txt', f'{extra}.txt'], name=extra)
+        # With the base, so that no part moves what that pins.
+        parts['cli'] = ['base.txt', 'cli.txt']
+    parts |= {extra: ['base.txt', 'cli.txt', f'{extra}.txt'] for extra in extras}
+    install(venv, steps, parts)
     if not distro:
         repair_wheels(venv, steps)
     build(venv, steps, distro, robot=robot)
