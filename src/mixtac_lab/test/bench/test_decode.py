@@ -66,4 +66,4 @@ def test_figures_are_printed_and_written(tmp_path, monkeypatch):
 
 def test_start_is_measured_in_a_process_of_its_own(monkeypatch):
     monkeypatch.setattr(decode_benchmark, 'STARTS', 1)
-    assert 0 < decode_benchmark.start_seconds() < 100
+    assert decode_benchmark.start_seconds() > 0
