@@ -36,7 +36,7 @@ def adapt(model, network, config, trial, tmp_path, monkeypatch):
     monkeypatch.setattr(command, 'bag_sources', lambda bag, _topic: [_source(bag)])
     monkeypatch.setattr(adaptation, 'tuned', lambda network, _data: network)
     monkeypatch.setattr(adaptation, 'SHORTEST_PRESSED_S', 0.0)
-    monkeypatch.setattr(adaptation, 'fit_scale', lambda *_: SimpleNamespace(force_scale=1.5))
+    monkeypatch.setattr(adaptation, 'fit_scale', lambda *_: 1.5)
     path = tmp_path / 'start.safetensors'
     write_model(path, model)
     out, figures = tmp_path / 'new.safetensors', tmp_path / 'figures.json'
