@@ -119,10 +119,10 @@ def prominent_peaks(values: NDArray[np.float64], prominence: float, window: int)
         prominence: Least prominence.
         window: Samples, an odd number, about a peak among which its prominence is taken.
     """
-    from scipy.signal import PeakPropertyWarning, find_peaks
+    from scipy.signal import find_peaks
 
     with warnings.catch_warnings():
         # SciPy warns of peaks without prominence before it leaves them out.
-        warnings.simplefilter('ignore', PeakPropertyWarning)
+        warnings.simplefilter('ignore', RuntimeWarning)
         places, found = find_peaks(values, prominence=prominence, width=0.0, wlen=window)
     return Peaks(places.astype(np.int64), found['prominences'], found['widths'])
