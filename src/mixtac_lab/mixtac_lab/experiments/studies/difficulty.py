@@ -231,8 +231,8 @@ class Scales:
         Raises:
             CalibrationError: The trial is not a press.
         """
-        fused = fit_scale(press.force, press.known).force_scale
-        return cls(fused, fit_scale(_frames_only(press), press.known).force_scale)
+        fused = fit_scale(press.force, press.known)
+        return cls(fused, fit_scale(_frames_only(press), press.known))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
