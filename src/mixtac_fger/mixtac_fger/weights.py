@@ -164,7 +164,9 @@ def read_model(path: Path) -> Model:
         version = int(header['version'])
     except (KeyError, ValueError) as error:
         raise ModelError(
-            f'{path} has a header that cannot be used ({error})', remedy=MODEL_REMEDY
+            f'{path}, of architecture {header["architecture"]!r}, has a header that cannot be used '
+            f'({error})',
+            remedy=MODEL_REMEDY,
         ) from error
     for name, tensor in tensors.items():
         if not np.isfinite(tensor).all():
