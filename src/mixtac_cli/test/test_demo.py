@@ -35,6 +35,11 @@ def run(module_ros_domain, tmp_path_factory) -> Path:
         command, env=module_ros_domain, capture_output=True, text=True, timeout=170, check=False
     )
     assert result.returncode == 0, result.stdout + result.stderr
+    report = json.loads((out / 'demo.json').read_text())
+    if report['refused'] and report['force_hz'] < 480:
+        # Below real time taps get lost; the demo then reports what it could not measure.
+        assert report['mae_n'] is None
+        pytest.skip(f'the simulation fell behind on a busy machine: {report["refused"]}')
     assert '\x1b[' not in result.stdout, 'control codes although there is no terminal'
     return out
 

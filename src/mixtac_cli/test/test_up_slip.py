@@ -131,6 +131,7 @@ CONTRACT = {
 def test_an_impact_is_detected_and_the_object_held_and_everything_ends(witness: Witness) -> None:
     witness.wait(lambda: 'impact' in witness.words())
     assert 'impact detected' in witness.words(), witness.words()
+    witness.wait(lambda: witness.slipped_while_enabled)
     assert witness.slipped_while_enabled
     # The first one leads the controller to the measured positions and moves nothing.
     assert len(witness.trajectories) > 1
