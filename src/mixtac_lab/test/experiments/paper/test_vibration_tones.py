@@ -14,7 +14,7 @@ from mixtac_lab.experiments.paper.vibration import (
     shake,
     tone_lines,
 )
-from mixtac_sim.errors import SimulationError
+from mixtac_sim import SimulationError
 from mixtac_sim.world.effects import preset
 
 PAPER = preset('paper_like')
