@@ -3,7 +3,7 @@
 """A robot runs the sensor with neither PyTorch, matplotlib nor the simulator.
 
 By default the nodes run in this environment with those modules hidden. With
-`MIXTAC_TEST_INSTALL=1` (`.ci/run` sets it) they run in an environment of their own, made by
+`MIXTAC_TEST_INSTALL=1` they run in an environment of their own, made by
 `tools/setup.py --robot` in a copy of the sources.
 """
 
