@@ -82,7 +82,7 @@ class SerialisedPacket:
         encoding: One of `mixtac_events.codec.ENCODINGS`, or another.
         width: Columns of the sensor.
         height: Rows of the sensor.
-        is_bigendian: Of the events.
+        is_bigendian: Byte order of the events.
         events: Encoded bytes.
     """
 

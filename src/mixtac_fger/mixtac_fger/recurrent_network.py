@@ -237,7 +237,7 @@ def deviation(state: F32, force: float, weights: DeviationWeights) -> Any:  # no
     Args:
         state: Recurrent state h after the window, [lstm_size].
         force: Force at its end [N].
-        weights: Of the head.
+        weights: Weights of the deviation head.
     """
     size = state.shape[0]
     middle = weights.middle

@@ -217,8 +217,8 @@ class Scales:
     """Gains of a sensor for both estimators, each fitted to its own estimates of one press.
 
     Attributes:
-        fused: Of the whole network.
-        frames: Of its frames-only force.
+        fused: Gain of the whole network.
+        frames: Gain of its frames-only force.
     """
 
     fused: float
