@@ -22,7 +22,7 @@ from mixtac_driver.supervisor import Supervisor
 
 def main():
     report, done = map(Path, sys.argv[1:])
-    camera = Davis346(DriverParameters(stream_timeout=1.0))
+    camera = Davis346(DriverParameters(stream_timeout=3.0))
     batches, went_back = [0], [0]
 
     def on_batch(batch):
