@@ -93,6 +93,14 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
     seconds: float = parameter(
         25.0, 'Length of the scenario', unit='s', minimum=10.0, maximum=3600.0
     )
+    lead_seconds: float = parameter(
+        2.0,
+        'Time by which the scenario is computed ahead and starts later; gestures and camera '
+        'settings meanwhile take effect so much later',
+        unit='s',
+        minimum=0.0,
+        maximum=10.0,
+    )
     play_on_start: bool = parameter(False, 'Play the scenario once a driver reads the camera')
     loop: bool = parameter(False, 'Repeat the scenario without end, each time with a new seed')
     reference_topic: str = parameter(

@@ -102,7 +102,8 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         self._settings = parameters
 
     def _play(self) -> None:
-        self._sensor.play(self._scenario(self._settings))
+        lead_us = round(self._settings.lead_seconds * 1e6)
+        self._sensor.play(self._scenario(self._settings), lead_us=lead_us)
         self._plays += 1
 
     def _on_play(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -112,7 +113,8 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             response.success, response.message = False, str(error)
         else:
             seconds, name = self._settings.seconds, self._settings.scenario
-            response.success, response.message = True, f'playing {name} for {seconds} s'
+            response.success = True
+            response.message = f'playing {name} for {seconds} s in {self._settings.lead_seconds} s'
         return response
 
     def _on_gesture(

@@ -43,6 +43,8 @@ from mixtac_node.process import GraphError, ProcessGroup
 from mixtac_node.topics import DEFAULT_NAMESPACE
 
 SETTLE_S = 1.0
+LEAD_S = 5.0
+"""Time by which the scenario is computed ahead [s]: more than any impact takes on a slow host."""
 START_UP_S = 60.0
 TAIL_S = 1.0
 DROP_COUNTERS = {
@@ -188,6 +190,7 @@ def _run_graph(
         'seconds': float(seconds),
         'play_on_start': False,
         'loop': False,
+        'lead_seconds': LEAD_S,
     }
     estimator = {} if model is None else {'model': str(model.resolve())}
     sensor = sensor_graph('virtual', virtual_sensor=virtual_sensor, estimator=estimator)
@@ -207,7 +210,7 @@ def _run_graph(
         time.sleep(SETTLE_S)
         monitor.trigger('virtual_sensor/play', processes.check)
         first = monitor.force_count
-        LiveView(console, monitor).show(seconds + TAIL_S, processes.check)
+        LiveView(console, monitor).show(LEAD_S + seconds + TAIL_S, processes.check)
         arrival, stamp, _ = monitor.force()
         run = Run(_dropped(monitor), monitor.clock_pairs(), arrival[first:], stamp[first:])
         processes.stop('recorder')

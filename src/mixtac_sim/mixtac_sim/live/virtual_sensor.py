@@ -3,8 +3,10 @@
 """The virtual sensor in real time: simulation, virtual camera and reference force side by side.
 
 The simulation runs a little ahead of the clock, because a frame must be known before its readout
-begins; camera, truth and reference hand everything over when its time has come. If the host cannot
-keep up, simulated time stops for a while, and the loss is counted.
+begins. While a scenario plays whose future is known, it runs up to a lead further ahead, so that
+an impact, which takes longer to compute than it lasts, is ready in time. Camera, truth and
+reference hand everything over when its time has come. If the host cannot keep up all the same,
+simulated time stops for a while, and the loss is counted.
 """
 
 from __future__ import annotations
@@ -135,6 +137,7 @@ class SensorState:
     Attributes:
         simulated_us: Progress of the simulation [us, simulated time].
         running: Whether the thread of the sensor is alive.
+        ahead_us: How far the simulation is ahead of the clock [us].
         late_us: Delay of the output behind the clock [us].
         overruns: Number of times the host could not keep up and time stopped.
         lost_us: Total time for which it stopped [us].
@@ -145,6 +148,7 @@ class SensorState:
 
     simulated_us: int
     running: bool
+    ahead_us: int
     late_us: int
     overruns: int
     lost_us: int
@@ -154,7 +158,7 @@ class SensorState:
 
 
 class VirtualSensor:
-    """Runs the parts in a thread.
+    """Runs the parts in two threads: one keeps up with the clock, one computes ahead.
 
     Args:
         simulation: The tactile sensor, made with ``profile``.
@@ -182,40 +186,51 @@ class VirtualSensor:
         self._clock = clock
         self._simulated_us = 0
         self._due_us = 0
+        self._lead_us = 0
+        self._ahead_until_us = 0
         self._overruns = 0
         self._aps = (0, 0)
         self._biases: dict[int, int] = {}
         self._pixels = PixelSettings()
         self._pending: deque[tuple[int, SensorOutput]] = deque()
         self._lock = Lock()
+        self._simulating = Lock()
         self._truth: deque[WrenchBatch] = deque()
         self._references: deque[WrenchBatch] = deque()
         self._dropped = 0
         self._stop = Event()
-        self._thread: Thread | None = None
+        self._threads: list[Thread] = []
 
     def start(self) -> None:
-        """Prepare the first moments (which compiles), then let time run in a thread."""
+        """Prepare the first moments (which compiles), then let time run in threads."""
         self.step()
         self._clock.start()
-        self._thread = Thread(target=self._run, name='virtual-sensor', daemon=True)
-        self._thread.start()
+        for name, run in (('virtual-sensor', self._run), ('compute-ahead', self._compute_ahead)):
+            self._threads.append(Thread(target=run, name=name, daemon=True))
+            self._threads[-1].start()
 
     def close(self) -> None:
         """Stop time and unplug the camera."""
         self._stop.set()
-        if self._thread is not None:
-            self._thread.join(5.0)
+        for thread in self._threads:
+            thread.join(5.0)
         self.device.unplug()
 
-    def play(self, scenario: Profile) -> int:
+    def play(self, scenario: Profile, *, lead_us: int = 0) -> int:
         """Play a scenario as soon as possible; it replaces one that is playing.
+
+        Args:
+            scenario: The scenario.
+            lead_us: Time by which it is computed ahead, and by which it starts later [us]. What is
+                played meanwhile and new settings of the camera take effect so much later.
 
         Returns:
             When it starts [us, simulated time].
         """
-        start_us = self._next_start_us()
+        start_us = self._next_start_us() + lead_us
         self._profile.play(scenario, start_us)
+        self._lead_us = lead_us
+        self._ahead_until_us = start_us + round(scenario.duration_s * 1e6)
         return start_us
 
     def commanded_force(self) -> tuple[float, Indenter | None]:
@@ -238,7 +253,8 @@ class VirtualSensor:
         end_us = self._profile.end_us()
         return SensorState(
             simulated_us=self._simulated_us,
-            running=self._thread is not None and self._thread.is_alive(),
+            running=bool(self._threads) and all(thread.is_alive() for thread in self._threads),
+            ahead_us=max(0, self._simulated_us - self._clock.now_us()),
             late_us=max(0, self._clock.now_us() - self._due_us),
             overruns=self._overruns,
             lost_us=self._clock.lost_us,
@@ -249,12 +265,14 @@ class VirtualSensor:
 
     def step(self) -> None:
         """Bring simulation, camera, truth and reference up to now."""
-        self._follow_registers()
+        if self._simulating.acquire(blocking=False):
+            self._follow_registers()
+            self._simulating.release()
         while True:
             now_us = self._clock.now_us()
             # A frame must be known before its readout begins, so all that is handed over stays
             # behind the simulation; if that falls behind, data come late but stamped right.
-            known_us = self._simulated_us - self._aps[0] - _FRAME_US
+            known_us = self._known_us()
             if now_us - known_us > _MAX_BEHIND_US:
                 self._clock.lose(now_us - known_us)
                 self._overruns += 1
@@ -264,7 +282,12 @@ class VirtualSensor:
             self._release(self._due_us)
             if known_us >= now_us:
                 return
-            self._simulate()
+            with self._simulating:
+                if self._known_us() < now_us:
+                    self._simulate()
+
+    def _known_us(self) -> int:
+        return self._simulated_us - self._aps[0] - _FRAME_US
 
     def _run(self) -> None:
         deadline = time.monotonic()
@@ -272,6 +295,16 @@ class VirtualSensor:
             self.step()
             deadline = max(deadline + PERIOD_S, time.monotonic())
             self._stop.wait(deadline - time.monotonic())
+
+    def _compute_ahead(self) -> None:
+        while not self._stop.is_set():
+            limit_us = min(self._clock.now_us() + self._lead_us, self._ahead_until_us)
+            if self._simulated_us >= limit_us:
+                self._stop.wait(PERIOD_S)
+                continue
+            with self._simulating:
+                self._follow_registers()
+                self._simulate()
 
     def _follow_registers(self) -> None:
         self._follow_aps()

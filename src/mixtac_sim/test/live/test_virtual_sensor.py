@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import struct
+import time
 from dataclasses import dataclass
+from threading import Event
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ from mixtac_sim.world.profiles import Profile, Segment
 TRUTH = np.dtype(
     [('t_us', '<i8'), ('fx', '<f8'), ('fy', '<f8'), ('fz', '<f8'), ('depth_mm', '<f8')]
 )
+PATIENCE_S = 30.0
 EPOCH_NS = 1_700_000_000_000_000_000
 
 
@@ -95,13 +98,17 @@ def clock(host):
     return SimulationClock(host, lambda: EPOCH_NS)
 
 
-@pytest.fixture
-def sensor(simulation, clock):
+def make_sensor(simulation, clock):
     device = VirtualDavis346('V0000001', clock=clock.now_us)
     for module, param in ((0, 3), (9, 0), (0, 1), (0, 0), (1, 3), (2, 4), (3, 2)):
         device.control(0x40, 0xBF, module, param, struct.pack('>I', 1))
     device.control(0x40, 0xBF, 9, 1, struct.pack('>I', 0))
-    sensor = VirtualSensor(simulation, LiveProfile(), device, Echo(), InertialUnit(1), clock)
+    return VirtualSensor(simulation, LiveProfile(), device, Echo(), InertialUnit(1), clock)
+
+
+@pytest.fixture
+def sensor(simulation, clock):
+    sensor = make_sensor(simulation, clock)
     sensor.step()
     clock.start()
     return sensor
@@ -252,3 +259,51 @@ def test_device_clocks_stand_still_with_simulated_time():
     clock.lose(250_000)
     assert clock.now_us() == 1_750_000
     assert clock.start_epoch_ns == started == 5_000_000_000
+
+
+class Blocking(OneEventPerMillisecond):
+    """Takes for ever to compute what comes after a time, until it is released."""
+
+    def __init__(self, from_us):
+        super().__init__()
+        self.from_us = from_us
+        self.released = Event()
+
+    def advance(self, until_us):
+        if until_us > self.from_us:
+            assert self.released.wait(PATIENCE_S)
+        return super().advance(until_us)
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+def test_a_scenario_is_computed_ahead_so_that_a_slow_moment_does_not_show(host, clock):
+    simulation = Blocking(800_000)
+    sensor = make_sensor(simulation, clock)
+    sensor.start()
+    assert sensor.state().ahead_us < 50_000
+    start_us = sensor.play(Profile('scenario', 1.0, ()), lead_us=600_000)
+    assert 600_000 <= start_us < 650_000
+    wait_for(lambda: sensor.state().ahead_us >= 600_000)
+    host.ns += 250_000_000
+    # The simulation is stuck 0.55 s ahead, at 0.8 s.
+    wait_for(lambda: simulation.until >= 800_000)
+    got = []
+    for _ in range(4):
+        host.ns += 100_000_000
+        wait_for(lambda: sensor.state().late_us == 0)
+        got.append(words(sensor.device))
+    assert np.count_nonzero(np.concatenate(got) >> 12 == 3) == 650
+    assert sensor.state().overruns == 0
+    simulation.released.set()
+    # After the scenario nothing is known in advance.
+    for _ in range(20):
+        host.ns += 100_000_000
+        wait_for(lambda: sensor.state().late_us == 0)
+    assert sensor.state().ahead_us < 50_000
+    sensor.close()
