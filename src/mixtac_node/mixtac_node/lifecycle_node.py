@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 TIMEOUT_S = 180.0
 """A first start compiles, which takes minutes on a busy computer."""
 REPORT_PERIOD_S = 15.0
+LOG_PATIENCE_S = 3.0
 
 
 class LifecycleClient:
@@ -90,8 +91,15 @@ class LifecycleClient:
         reply = self._call(self._change, request)
         state = self._call(self._get, GetState.Request()).current_state
         if not reply.success or state.id != goal:
-            why = self._reason() or 'see its log'
+            why = self._logged_reason() or 'see its log'
             raise GraphError(f'{self._target} could not be {done}: {why}')
+
+    def _logged_reason(self) -> str:
+        # The log arrives by another way than the answer, and often later.
+        deadline_s = time.monotonic() + LOG_PATIENCE_S
+        while not (why := self._reason()) and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        return why
 
     def _call(self, client: Any, request: Any) -> Any:  # noqa: ANN401
         future = client.call_async(request)
