@@ -28,12 +28,24 @@ DOMAINS = range(1, 100)
 PATIENCE_S = 60.0
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Remove compiled kernels older than a module beside them: numba checks their own file only."""
+    if hasattr(config, 'workerinput'):
+        return
     for index in (ROOT / 'src').rglob('*.nbi'):
         compiled_s = index.stat().st_mtime
         if any(path.stat().st_mtime > compiled_s for path in index.parent.parent.glob('*.py')):
             index.unlink(missing_ok=True)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Group tests for parallel runs: a file stays together, and so does what runs in real time.
+
+    Several graphs at once would starve each other on a computer with two cores.
+    """
+    for item in items:
+        live = any(item.iter_markers('dds')) or any(item.iter_markers('umockdev'))
+        item.add_marker(pytest.mark.xdist_group('live' if live else str(item.path)))
 
 
 @contextlib.contextmanager
