@@ -43,9 +43,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
     Several graphs at once would starve each other on a computer with two cores.
     """
+    live = {
+        item.path
+        for item in items
+        if any(item.iter_markers('dds')) or any(item.iter_markers('umockdev'))
+    }
     for item in items:
-        live = any(item.iter_markers('dds')) or any(item.iter_markers('umockdev'))
-        item.add_marker(pytest.mark.xdist_group('live' if live else str(item.path)))
+        item.add_marker(pytest.mark.xdist_group('live' if item.path in live else str(item.path)))
 
 
 @contextlib.contextmanager

@@ -30,7 +30,7 @@ from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.usb.registers import Module
 from mixtac_sim.world.effects import EASY
-from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
+from mixtac_sim.world.instruments import InertialUnit, ReferenceSamples, ReferenceSensor
 from mixtac_sim.world.sensor import TactileSensor
 
 if TYPE_CHECKING:
@@ -189,10 +189,12 @@ class VirtualSensor:
         self._lead_us = 0
         self._ahead_until_us = 0
         self._overruns = 0
+        self._settings_version = (0, 0)
         self._aps = (0, 0)
         self._biases: dict[int, int] = {}
         self._pixels = PixelSettings()
-        self._pending: deque[tuple[int, SensorOutput]] = deque()
+        # What became known by a simulated time [us]: the truth, and the samples of the reference.
+        self._pending: deque[tuple[int, NDArray[Any], ReferenceSamples]] = deque()
         self._lock = Lock()
         self._simulating = Lock()
         self._truth: deque[WrenchBatch] = deque()
@@ -307,6 +309,10 @@ class VirtualSensor:
                 self._simulate()
 
     def _follow_registers(self) -> None:
+        version = self.device.settings_version
+        if version == self._settings_version:
+            return
+        self._settings_version = version
         self._follow_aps()
         biases = {place: self.device.register(Module.BIAS, place) for place in DEFAULT_REGISTERS}
         if biases == self._biases:
@@ -334,16 +340,16 @@ class VirtualSensor:
         self._inertial.feel(out.wrench_us, out.wrench)
         readings = self._inertial.readings(self._simulated_us, self.device.imu_interval_us)
         self.device.submit(out.events, out.frames, readings)
-        self._pending.append((self._simulated_us, out))
+        samples = self._reference.process(out.wrench_us, out.wrench)
+        self._pending.append((self._simulated_us, out.truth, samples))
 
     def _release(self, until_us: int) -> None:
         """Hand over the truth and the samples of the reference, chunk by chunk."""
         while self._pending and self._pending[0][0] <= until_us:
-            _, out = self._pending.popleft()
-            self._hand_over(out.truth)
-            epoch_ns = self._clock.start_epoch_ns
-            samples = self._reference.process(out.wrench_us, out.wrench)
-            self._put(self._references, WrenchBatch(samples.t_ns + epoch_ns, samples.wrench))
+            _, truth, samples = self._pending.popleft()
+            self._hand_over(truth)
+            stamp_ns = samples.t_ns + self._clock.start_epoch_ns
+            self._put(self._references, WrenchBatch(stamp_ns, samples.wrench))
 
     def _hand_over(self, truth: NDArray[Any]) -> None:
         wrench = np.zeros((len(truth), 6))

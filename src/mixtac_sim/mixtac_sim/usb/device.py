@@ -80,6 +80,7 @@ class VirtualDavis346:
         self._data = DataEndpoint(
             self._condition, self._fifo, self._presence, self._faults, self._early_packet_s
         )
+        self._power_ups = 0
         self._power_up()
 
     # The host's side.
@@ -292,6 +293,11 @@ class VirtualDavis346:
             return self._registers.read(module, param)
 
     @property
+    def settings_version(self) -> tuple[int, int]:
+        """Power-ups and register writes so far; unchanged as long as no setting changed."""
+        return self._power_ups, self._registers.writes
+
+    @property
     def exposure_us(self) -> int:
         """Exposure set by the host [us]."""
         return self.board.adc_cycles_to_us(self.register(Module.APS, Aps.EXPOSURE))
@@ -348,6 +354,7 @@ class VirtualDavis346:
             self.plug_in(self._next_serial)
 
     def _power_up(self) -> None:
+        self._power_ups += 1
         self._registers = RegisterFile(self.board)
         self._fifo.clear()
         self._oscillator = Oscillator(self._skew_ppm)

@@ -231,12 +231,16 @@ class RegisterFile:
 
     Args:
         board: The fixed properties of the camera.
+
+    Attributes:
+        writes: Number of registers stored so far.
     """
 
     def __init__(self, board: Board) -> None:
         self._read_only = _read_only(board)
         self._values = _power_up(board)
         self._counters: Counter[tuple[int, int]] = Counter()
+        self.writes = 0
 
     def read(self, module: int, param: int) -> int:
         """Return a register; what was never written and has no default reads 0."""
@@ -253,6 +257,7 @@ class RegisterFile:
         key = (module, param)
         if key not in self._read_only and key not in _STATISTICS:
             self._values[key] = value & _MASK
+            self.writes += 1
 
     def count(self, module: int, param: int, amount: int) -> None:
         """Add to the 64-bit statistic whose upper half is at ``param``."""
