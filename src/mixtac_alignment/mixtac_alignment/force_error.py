@@ -8,32 +8,27 @@ from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 
-from mixtac_node.parameters import parameter
+from mixtac_node.parameters import fixed
 
 
 @dataclass(frozen=True)
 class ForceErrorParameters:
     """Topics and length of the running force error."""
 
-    force_topic: str = parameter('force', 'WrenchStamped topic of the estimate.', read_only=True)
-    reference_topic: str = parameter(
+    force_topic: str = fixed('force', 'WrenchStamped topic of the estimate.')
+    reference_topic: str = fixed(
         'alignment/reference',
         'WrenchStamped topic of the reference on the camera clock.',
-        read_only=True,
     )
-    window: int = parameter(
+    window: int = fixed(
         5000,
         'Number of latest pairs over which the errors are averaged; 5000 are 10 s of estimates.',
-        minimum=10,
-        maximum=1_000_000,
-        read_only=True,
+        within=(10, 1_000_000),
     )
-    sign: int = parameter(
+    sign: int = fixed(
         1,
         'Sign that makes pressing positive in the reference.',
-        minimum=-1,
-        maximum=1,
-        read_only=True,
+        within=(-1, 1),
     )
 
 

@@ -7,105 +7,91 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mixtac_node import topics
-from mixtac_node.parameters import parameter
+from mixtac_node.parameters import fixed, parameter
 
 
 @dataclass(frozen=True)
 class AlignmentParameters:
     """What counts as an impulse, what is known of clocks and latencies, and what is remembered."""
 
-    reference_topic: str = parameter(
+    reference_topic: str = fixed(
         topics.REFERENCE,
         'WrenchStamped topic of the reference force sensor; its stamps are the reference clock.',
-        read_only=True,
     )
     reference_axis: str = parameter(
         'z',
         'Axis of the wrench along which taps press; the sign does not matter.',
         choices=('x', 'y', 'z'),
     )
-    history: float = parameter(
+    history: float = fixed(
         120.0,
         'Time that is remembered; both taps must lie within it when ~/fit is called.',
         unit='s',
-        minimum=5.0,
-        maximum=3600.0,
-        read_only=True,
+        within=(5.0, 3600.0),
     )
-    reference_rate: float = parameter(
+    reference_rate: float = fixed(
         2000.0,
         'Highest rate of the reference sensor; sizes its history.',
         unit='Hz',
-        minimum=10.0,
-        maximum=10000.0,
-        read_only=True,
+        within=(10.0, 10000.0),
     )
     min_force: float = parameter(
         0.2,
         'Smallest force peak of a tap. Lower finds gentler taps, and more false ones.',
         unit='N',
-        minimum=0.01,
-        maximum=100.0,
+        within=(0.01, 100.0),
     )
     max_width: float = parameter(
         0.06,
         'Longest force peak or event trough of a tap, measured at half its height. Presses are '
         'longer.',
         unit='s',
-        minimum=0.005,
-        maximum=0.5,
+        within=(0.005, 0.5),
     )
     min_burst_rate: float = parameter(
         5e4,
         'Smallest rise of the event rate of both bursts of a tap over the trough between them.',
         unit='1/s',
-        minimum=1e3,
-        maximum=1e7,
+        within=(1e3, 1e7),
     )
     min_baseline: float = parameter(
         2.0,
         'Shortest time between the first and the last tap. The drift is known to about 1 ms over '
         'this time.',
         unit='s',
-        minimum=0.5,
-        maximum=3600.0,
+        within=(0.5, 3600.0),
     )
     max_drift: float = parameter(
         200.0,
         'Largest believable clock drift; crystals stay within 100.',
         unit='ppm',
-        minimum=1.0,
-        maximum=10000.0,
+        within=(1.0, 10000.0),
     )
     event_latency: float = parameter(
         4.15,
         'Delay from a force peak to the event trough that shows it: lag of the gel and latency of '
         'the pixels. The default is the median of simulated sensors; less light needs more.',
         unit='ms',
-        minimum=0.0,
-        maximum=50.0,
+        within=(0.0, 50.0),
     )
     event_latency_std: float = parameter(
         0.7,
         'Standard deviation of event_latency; part of the stated uncertainty.',
         unit='ms',
-        minimum=0.0,
-        maximum=50.0,
+        within=(0.0, 50.0),
     )
     tap_latency: float = parameter(
         1.3,
         'Delay of the events of a tap when frames are used and the whole tap is fitted. `mixtac '
         'align` finds the value of a sensor from several of its recordings.',
         unit='ms',
-        minimum=0.0,
-        maximum=50.0,
+        within=(0.0, 50.0),
     )
     tap_latency_std: float = parameter(
         1.0,
         'Standard deviation of tap_latency; part of the stated uncertainty.',
         unit='ms',
-        minimum=0.0,
-        maximum=50.0,
+        within=(0.0, 50.0),
     )
     drift_std: float = parameter(
         50.0,
@@ -113,8 +99,7 @@ class AlignmentParameters:
         'uncertain drift towards 0; 0 disables the prior. Used with frames only: without them the '
         "fit is the paper's.",
         unit='ppm',
-        minimum=0.0,
-        maximum=10000.0,
+        within=(0.0, 10000.0),
     )
     use_frames: bool = parameter(
         True,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mixtac_node.parameters import parameter
+from mixtac_node.parameters import fixed, parameter
 from mixtac_node.topics import REFERENCE
 
 
@@ -14,18 +14,13 @@ from mixtac_node.topics import REFERENCE
 class RecorderParameters:
     """Parameters of the recorder node."""
 
-    output: str = parameter('', 'Folder of the new bag; it must not exist.', read_only=True)
-    reference_topic: str = parameter(
-        REFERENCE, 'Topic of the reference force (WrenchStamped).', read_only=True
-    )
-    profile: str = parameter(
-        '', 'Kind of motion, for dataset.yaml, for example static.', read_only=True
-    )
-    split: str = parameter(
+    output: str = fixed('', 'Folder of the new bag; it must not exist.')
+    reference_topic: str = fixed(REFERENCE, 'Topic of the reference force (WrenchStamped).')
+    profile: str = fixed('', 'Kind of motion, for dataset.yaml, for example static.')
+    split: str = fixed(
         '',
         'Split of the recording, for dataset.yaml.',
         choices=('', 'train', 'test'),
-        read_only=True,
     )
 
 
@@ -33,45 +28,31 @@ class RecorderParameters:
 class ViewParameters:
     """Parameters of the live view node."""
 
-    rate: float = parameter(
+    rate: float = fixed(
         20.0,
         'Pictures per second. Samples between two pictures are thinned; peaks are kept.',
         unit='Hz',
-        minimum=1.0,
-        maximum=60.0,
-        read_only=True,
+        within=(1.0, 60.0),
     )
-    history: float = parameter(
-        10.0, 'Time span of the plots.', unit='s', minimum=1.0, maximum=600.0, read_only=True
-    )
-    port: int = parameter(
+    history: float = fixed(10.0, 'Time span of the plots.', unit='s', within=(1.0, 600.0))
+    port: int = fixed(
         9090,
         'TCP port of the page on 127.0.0.1; 0 selects any free one.',
-        minimum=0,
-        maximum=65535,
-        read_only=True,
+        within=(0, 65535),
     )
-    data_port: int = parameter(
+    data_port: int = fixed(
         0,
         'TCP port on 127.0.0.1 from which the page reads its data; 0 selects any free one.',
-        minimum=0,
-        maximum=65535,
-        read_only=True,
+        within=(0, 65535),
     )
-    memory: int = parameter(
+    memory: int = fixed(
         300,
         'Memory of the server for data shown by pages opened later; the oldest are dropped.',
         unit='MB',
-        minimum=50,
-        maximum=16000,
-        read_only=True,
+        within=(50, 16000),
     )
-    save: str = parameter(
-        '', 'New .rrd file to write instead of serving a page; empty serves a page.', read_only=True
-    )
-    reference_topic: str = parameter(
-        REFERENCE, 'Topic of the reference force (WrenchStamped).', read_only=True
-    )
+    save: str = fixed('', 'New .rrd file to write instead of serving a page; empty serves a page.')
+    reference_topic: str = fixed(REFERENCE, 'Topic of the reference force (WrenchStamped).')
 
 
 @dataclass(frozen=True)
@@ -83,6 +64,5 @@ class SupervisorParameters:
         'Simulation only: smallest time between impacts on the object while slip control is '
         'enabled; 0 for no impacts.',
         unit='s',
-        minimum=0.0,
-        maximum=3600.0,
+        within=(0.0, 3600.0),
     )

@@ -10,10 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from mixtac_driver.davis346.biases import number
 from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_events.codec import ENCODINGS
-from mixtac_node.parameters import parameter
+from mixtac_node.parameters import fixed, parameter
 
 
 class RecoveryPolicy(str, Enum):
@@ -32,112 +31,84 @@ class RecoveryPolicy(str, Enum):
 class DeviceParameters:
     """Device, transport, packets, recovery and calibration; all fixed while the node runs."""
 
-    device: str = parameter(
+    device: str = fixed(
         'davis346',
         'Device to open: davis346 for a camera on USB, virtual or virtual:/path/of/socket for the '
         'virtual sensor, or the path of a recording (an AEDAT4 file, or a bag folder or file)',
-        read_only=True,
     )
-    serial: str = parameter(
-        '', 'Serial number of the camera. Empty: the only one attached', read_only=True
-    )
-    encoding: str = parameter(
-        'libcaer_cmp', 'Encoding of event packets', choices=ENCODINGS, read_only=True
-    )
-    event_message_time_threshold: float = parameter(
+    serial: str = fixed('', 'Serial number of the camera. Empty: the only one attached')
+    encoding: str = fixed('libcaer_cmp', 'Encoding of event packets', choices=ENCODINGS)
+    event_message_time_threshold: float = fixed(
         1e-3,
         'Longest time that an event packet spans',
         unit='s',
-        minimum=1e-4,
-        maximum=0.1,
-        read_only=True,
+        within=(1e-4, 0.1),
     )
-    event_message_size_threshold: int = number(
+    event_message_size_threshold: int = fixed(
         300_000,
         'Largest payload of an event packet',
-        100_000_000,
-        'bytes',
-        minimum=1000,
-        read_only=True,
+        unit='bytes',
+        within=(1000, 100_000_000),
     )
-    camera_frame_id: str = parameter('camera', 'Frame of events and images', read_only=True)
-    imu_frame_id: str = parameter('imu', 'Frame of inertial samples', read_only=True)
-    stream_timeout: float = parameter(
+    camera_frame_id: str = fixed('camera', 'Frame of events and images')
+    imu_frame_id: str = fixed('imu', 'Frame of inertial samples')
+    stream_timeout: float = fixed(
         3.0,
         'Time without any data after which the stream counts as dead; a camera sends its time '
         'every 33 ms even in the dark',
         unit='s',
-        minimum=0.1,
-        maximum=60.0,
-        read_only=True,
+        within=(0.1, 60.0),
     )
-    usb_transfers: int = number(
-        128, 'Number of USB reads queued at the camera', 1024, minimum=1, read_only=True
-    )
-    usb_transfer_size: int = number(
-        65536, 'Size of a USB read', 1 << 22, 'bytes', minimum=512, read_only=True
-    )
-    usb_queue_size: int = number(
+    usb_transfers: int = fixed(128, 'Number of USB reads queued at the camera', within=(1, 1024))
+    usb_transfer_size: int = fixed(65536, 'Size of a USB read', unit='bytes', within=(512, 1 << 22))
+    usb_queue_size: int = fixed(
         32 << 20,
         'Limit of received data waiting to be decoded',
-        1 << 30,
-        'bytes',
-        minimum=1 << 16,
-        read_only=True,
+        unit='bytes',
+        within=(1 << 16, 1 << 30),
     )
-    recovery_policy: str = parameter(
+    recovery_policy: str = fixed(
         RecoveryPolicy.RECONNECT.value,
         'Reaction to a camera failure: reconnect opens the camera again until it is back; '
         'fail_stop ends the driver with the reason and exit status 1',
         choices=tuple(policy.value for policy in RecoveryPolicy),
-        read_only=True,
     )
-    recovery_first_pause: float = parameter(
+    recovery_first_pause: float = fixed(
         0.05,
         'Pause before the first attempt to reconnect',
         unit='s',
-        minimum=0.01,
-        maximum=60.0,
-        read_only=True,
+        within=(0.01, 60.0),
     )
-    recovery_longest_pause: float = parameter(
+    recovery_longest_pause: float = fixed(
         0.5,
         'Longest pause between attempts to reconnect; each pause is twice as long as the previous '
         'one. Plugging in a camera ends the pause',
         unit='s',
-        minimum=0.01,
-        maximum=600.0,
-        read_only=True,
+        within=(0.01, 600.0),
     )
-    recovery_give_up_after: float = parameter(
+    recovery_give_up_after: float = fixed(
         0.0,
         'Time without a stream after which the driver ends as with fail_stop; 0: never',
         unit='s',
-        minimum=0.0,
-        maximum=86_400.0,
-        read_only=True,
+        within=(0.0, 86_400.0),
     )
-    camera_name: str = parameter(
+    camera_name: str = fixed(
         'davis346',
         'Name of the camera in its calibration: letters, digits and _',
-        read_only=True,
     )
-    camerainfo_url: str = parameter(
+    camerainfo_url: str = fixed(
         '',
         'Calibration written by `mixtac calibrate`: file:///path, package://name/path or a path, '
         'where ${NAME} is camera_name and ${ROS_HOME} is ~/.ros unless set. Empty: '
         'file://${ROS_HOME}/camera_info/${NAME}.yaml',
-        read_only=True,
     )
-    undistort_frames: bool = parameter(
+    undistort_frames: bool = fixed(
         False,
         'Also publish frames without lens distortion; needs a calibration',
-        read_only=True,
     )
-    undistort_events: bool = parameter(
+    undistort_events: bool = fixed(
         False,
         'Also publish events at undistorted pixels; needs a calibration',
-        read_only=True,
     )
 
 
@@ -153,8 +124,7 @@ class PlaybackParameters:
     playback_rate: float = parameter(
         1.0,
         'Playback speed of a recording: 1 is real time, 0 as fast as the subscribers allow',
-        minimum=0.0,
-        maximum=1000.0,
+        within=(0.0, 1000.0),
     )
     playback_loop: bool = parameter(
         False,
@@ -162,13 +132,11 @@ class PlaybackParameters:
         'length and 1 ms',
     )
     playback_paused: bool = parameter(False, 'Pause playback of a recording')
-    playback_start: float = parameter(
+    playback_start: float = fixed(
         0.0,
         'Position in a recording at which playback starts, also when looping',
         unit='s',
-        minimum=0.0,
-        maximum=1e9,
-        read_only=True,
+        within=(0.0, 1e9),
     )
     playback_seek: float = parameter(
         NO_SEEK,
@@ -176,29 +144,20 @@ class PlaybackParameters:
         'never go back: after a jump to an earlier position they continue 1 ms after the latest. '
         'No effect once a recording has ended',
         unit='s',
-        minimum=NO_SEEK,
-        maximum=1e9,
+        within=(NO_SEEK, 1e9),
     )
-    playback_restamp: bool = parameter(
+    playback_restamp: bool = fixed(
         False,
         'Move recorded stamps to the time of playback (at the start, at loops and jumps)',
-        read_only=True,
     )
-    playback_clock: bool = parameter(
+    playback_clock: bool = fixed(
         False,
         'Publish the recorded camera clock on /clock, for nodes with use_sim_time; the driver '
         'itself stays on the host clock',
-        read_only=True,
     )
-    playback_events_topic: str = parameter(
-        '', f'Topic or stream of events to play. {_WHICH}', read_only=True
-    )
-    playback_image_topic: str = parameter(
-        '', f'Topic or stream of frames to play. {_WHICH}', read_only=True
-    )
-    playback_imu_topic: str = parameter(
-        '', f'Topic or stream of inertial samples to play. {_WHICH}', read_only=True
-    )
+    playback_events_topic: str = fixed('', f'Topic or stream of events to play. {_WHICH}')
+    playback_image_topic: str = fixed('', f'Topic or stream of frames to play. {_WHICH}')
+    playback_imu_topic: str = fixed('', f'Topic or stream of inertial samples to play. {_WHICH}')
 
 
 @dataclass(frozen=True)

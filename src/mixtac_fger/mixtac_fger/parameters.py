@@ -28,8 +28,7 @@ class FgerParameters:
         1.0,
         'Factor of the published force: true force over estimated force, from the calibration of'
         ' this sensor. Gels differ in stiffness, which no image shows.',
-        minimum=0.1,
-        maximum=10.0,
+        within=(0.1, 10.0),
     )
     reference: str = parameter(
         '',
@@ -42,23 +41,20 @@ class FgerParameters:
         0.15,
         'Forces above this count as contact; ~/tare is refused during contact.',
         unit='N',
-        minimum=0.01,
-        maximum=10.0,
+        within=(0.01, 10.0),
     )
     stale_frame_age: float = parameter(
         0.5,
         'Age of the latest frame above which the diagnostics warn. Without frames the force'
         ' drifts.',
         unit='s',
-        minimum=0.05,
-        maximum=60.0,
+        within=(0.05, 60.0),
     )
     longest_without_frame: float = parameter(
         2.0,
         'Age of the latest frame above which no force is published until the next frame.',
         unit='s',
-        minimum=0.05,
-        maximum=3600.0,
+        within=(0.05, 3600.0),
     )
     deadline: float = parameter(
         0.003,
@@ -66,6 +62,5 @@ class FgerParameters:
         ' the host) to the publication of its force; later forces count as late on /diagnostics.'
         ' A packet spans 1 ms.',
         unit='s',
-        minimum=0.0005,
-        maximum=1.0,
+        within=(0.0005, 1.0),
     )

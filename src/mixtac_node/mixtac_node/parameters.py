@@ -86,8 +86,7 @@ def parameter(
     description: str,
     *,
     unit: str = '',
-    minimum: float | None = None,
-    maximum: float | None = None,
+    within: tuple[float | None, float | None] = (None, None),
     choices: tuple[T, ...] = (),
     read_only: bool = False,
 ) -> T:
@@ -97,8 +96,7 @@ def parameter(
         default: Default value (bool, int, float or str).
         description: Effect, for the descriptor, the configuration file and the docs.
         unit: Unit of the value.
-        minimum: Smallest allowed number.
-        maximum: Largest allowed number.
+        within: Smallest and largest allowed number; None for no limit.
         choices: Allowed values.
         read_only: Whether the value is fixed while the node runs.
 
@@ -108,12 +106,17 @@ def parameter(
     metadata = {
         'description': description,
         'unit': unit,
-        'minimum': minimum,
-        'maximum': maximum,
+        'minimum': within[0],
+        'maximum': within[1],
         'choices': choices,
         'read_only': read_only,
     }
     return dataclasses.field(default=default, metadata={_KEY: metadata})
+
+
+def fixed(default: T, description: str, **options: Any) -> T:  # noqa: ANN401
+    """Describe a field that cannot change while the node runs; arguments as of `parameter`."""
+    return parameter(default, description, read_only=True, **options)
 
 
 def specs(schema: type[Any]) -> tuple[ParameterSpec, ...]:

@@ -30,7 +30,7 @@ NODE = textwrap.dedent(
 
     @dataclass(frozen=True)
     class Example:
-        gain: float = parameter(0.5, 'Gain', minimum=0.0, maximum=10.0)
+        gain: float = parameter(0.5, 'Gain', within=(0.0, 10.0))
         device: str = parameter('a', 'Device', read_only=True)
 
     class ExampleNode(Node):

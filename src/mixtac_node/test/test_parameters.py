@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_node.parameters import ParameterError, build, parameter, specs
+from mixtac_node.parameters import ParameterError, build, fixed, parameter, specs
 
 
 @dataclass(frozen=True)
@@ -18,9 +18,9 @@ class Example:
     """One parameter of each type."""
 
     device: str = parameter('davis346', 'What to open', choices=('davis346', 'virtual'))
-    exposure: int = parameter(5000, 'Exposure', unit='us', minimum=0, maximum=1_000_000)
-    interval: float = parameter(1e-3, 'Packet length', unit='s', minimum=1e-4, maximum=0.1)
-    enabled: bool = parameter(True, 'Whether it runs', read_only=True)
+    exposure: int = parameter(5000, 'Exposure', unit='us', within=(0, 1_000_000))
+    interval: float = parameter(1e-3, 'Packet length', unit='s', within=(1e-4, 0.1))
+    enabled: bool = fixed(True, 'Whether it runs')
 
 
 def test_defaults_are_the_schema_defaults():
@@ -80,7 +80,7 @@ def test_a_whole_number_is_a_float_where_one_is_wanted():
     class Gain:
         """One gain."""
 
-        gain: float = parameter(0.5, 'Gain', minimum=0, maximum=10)
+        gain: float = parameter(0.5, 'Gain', within=(0, 10))
 
     built = build(Gain, {'gain': 2})
     assert isinstance(built.gain, float)

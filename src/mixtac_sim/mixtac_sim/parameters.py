@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mixtac_node import topics
-from mixtac_node.parameters import parameter
+from mixtac_node.parameters import fixed, parameter
 from mixtac_sim.mechanics.indenters import LIVE_INDENTERS
 from mixtac_sim.world.effects import PRESETS
 from mixtac_sim.world.profiles import PROFILES
@@ -17,36 +17,30 @@ from mixtac_sim.world.profiles import PROFILES
 class VirtualCameraParameters:
     """The simulated sensor and its camera."""
 
-    device_seed: int = parameter(
+    device_seed: int = fixed(
         1,
         'Seed of the simulated sensor: beads, gel, mesh, lens, lamp, pixels, and the serial number '
         'of its camera',
-        minimum=0,
-        maximum=9_999_999,
-        read_only=True,
+        within=(0, 9_999_999),
     )
-    seed: int = parameter(
-        1, 'Seed of the trial: contact point, noise, drifts and clocks', minimum=0, read_only=True
+    seed: int = fixed(
+        1, 'Seed of the trial: contact point, noise, drifts and clocks', within=(0, None)
     )
-    preset: str = parameter(
+    preset: str = fixed(
         'easy',
         'Difficulty preset of the simulated sensor: paper_like and hard add effects of a real '
         'bench',
         choices=tuple(PRESETS),
-        read_only=True,
     )
-    skew_ppm: float = parameter(
+    skew_ppm: float = fixed(
         17.0,
         "Rate of the camera's clock over the host's, less one",
         unit='ppm',
-        minimum=-500.0,
-        maximum=500.0,
-        read_only=True,
+        within=(-500.0, 500.0),
     )
-    socket: str = parameter(
+    socket: str = fixed(
         '',
         'Socket on which the virtual camera listens; empty for the one that device:=virtual opens',
-        read_only=True,
     )
 
 
@@ -59,25 +53,24 @@ class TouchParameters:
         'Object that touches the sensor on request; ~/load and ~/drop need one with a mass',
         choices=tuple(LIVE_INDENTERS),
     )
-    press_force: float = parameter(0.5, 'Force of ~/press', unit='N', minimum=0.0, maximum=20.0)
+    press_force: float = parameter(0.5, 'Force of ~/press', unit='N', within=(0.0, 20.0))
     hold_seconds: float = parameter(
         2.0,
         'Duration of the contact; 0 holds it until ~/release',
         unit='s',
-        minimum=0.0,
-        maximum=3600.0,
+        within=(0.0, 3600.0),
     )
     drop_height: float = parameter(
-        50.0, 'Height from which ~/drop releases the object', unit='mm', minimum=0.0, maximum=200.0
+        50.0, 'Height from which ~/drop releases the object', unit='mm', within=(0.0, 200.0)
     )
     vibration_frequency: float = parameter(
-        100.0, 'Frequency of ~/vibrate', unit='Hz', minimum=1.0, maximum=500.0
+        100.0, 'Frequency of ~/vibrate', unit='Hz', within=(1.0, 500.0)
     )
     vibration_amplitude: float = parameter(
-        0.05, 'Amplitude of ~/vibrate, zero to peak', unit='mm', minimum=0.0, maximum=1.0
+        0.05, 'Amplitude of ~/vibrate, zero to peak', unit='mm', within=(0.0, 1.0)
     )
     vibration_depth: float = parameter(
-        0.3, 'Mean depth of ~/vibrate', unit='mm', minimum=0.01, maximum=1.5
+        0.3, 'Mean depth of ~/vibrate', unit='mm', within=(0.01, 1.5)
     )
 
 
@@ -90,87 +83,61 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
         'Force profile that ~/play starts; demo begins and ends with two synchronising impulses',
         choices=tuple(PROFILES),
     )
-    seconds: float = parameter(
-        25.0, 'Length of the scenario', unit='s', minimum=10.0, maximum=3600.0
-    )
+    seconds: float = parameter(25.0, 'Length of the scenario', unit='s', within=(10.0, 3600.0))
     lead_seconds: float = parameter(
         2.0,
         'Time by which the scenario is computed ahead and starts later; gestures and camera '
         'settings meanwhile take effect so much later',
         unit='s',
-        minimum=0.0,
-        maximum=10.0,
+        within=(0.0, 10.0),
     )
     play_on_start: bool = parameter(False, 'Play the scenario once a driver reads the camera')
     loop: bool = parameter(False, 'Repeat the scenario without end, each time with a new seed')
-    reference_topic: str = parameter(
-        topics.REFERENCE, 'Topic of the reference force sensor', read_only=True
-    )
-    reference_frame_id: str = parameter(
-        topics.REFERENCE_FRAME, 'Frame of the reference force sensor', read_only=True
-    )
-    truth_frame_id: str = parameter(
-        topics.CONTACT_FRAME, 'Frame of the true contact force', read_only=True
-    )
+    reference_topic: str = fixed(topics.REFERENCE, 'Topic of the reference force sensor')
+    reference_frame_id: str = fixed(topics.REFERENCE_FRAME, 'Frame of the reference force sensor')
+    truth_frame_id: str = fixed(topics.CONTACT_FRAME, 'Frame of the true contact force')
 
 
 @dataclass(frozen=True)
 class VirtualGraspParameters(VirtualCameraParameters):
     """The object held by the simulated sensor, and the impacts on it."""
 
-    preset: str = parameter(
+    preset: str = fixed(
         'paper_like',
         'Difficulty preset of the simulated sensor',
         choices=tuple(PRESETS),
-        read_only=True,
     )
-    object: str = parameter(
-        'box', 'Object held by the gripper', choices=('box', 'cup', 'ball'), read_only=True
-    )
-    margin: float = parameter(
+    object: str = fixed('box', 'Object held by the gripper', choices=('box', 'cup', 'ball'))
+    margin: float = fixed(
         1.05,
         'Grasp force over the smallest force that holds the object',
-        minimum=1.0,
-        maximum=5.0,
-        read_only=True,
+        within=(1.0, 5.0),
     )
     knock: float = parameter(
         50.0,
         'Speed that an impact (~/knock) gives the object',
         unit='mm/s',
-        minimum=0.0,
-        maximum=500.0,
+        within=(0.0, 500.0),
     )
     knock_every: float = parameter(
         0.0,
         'Time between impacts; 0 for only those that ~/knock asks for',
         unit='s',
-        minimum=0.0,
-        maximum=3600.0,
+        within=(0.0, 3600.0),
     )
-    joint_state_topic: str = parameter(
-        '/joint_states', "Topic of the arm's joint positions", read_only=True
-    )
-    normal_x: float = parameter(
-        0.0, 'Contact normal (unit vector) in the base frame, x component', read_only=True
-    )
-    normal_y: float = parameter(
-        1.0, 'Contact normal (unit vector) in the base frame, y component', read_only=True
-    )
-    normal_z: float = parameter(
-        0.0, 'Contact normal (unit vector) in the base frame, z component', read_only=True
-    )
-    publish_force: bool = parameter(
+    joint_state_topic: str = fixed('/joint_states', "Topic of the arm's joint positions")
+    normal_x: float = fixed(0.0, 'Contact normal (unit vector) in the base frame, x component')
+    normal_y: float = fixed(1.0, 'Contact normal (unit vector) in the base frame, y component')
+    normal_z: float = fixed(0.0, 'Contact normal (unit vector) in the base frame, z component')
+    publish_force: bool = fixed(
         True,
         'Publish the true normal force on `force` instead of an estimate: no estimator is trained '
         'on these objects',
-        read_only=True,
     )
-    publish_clock: bool = parameter(
+    publish_clock: bool = fixed(
         False,
         'Publish simulated time on /clock, for nodes with use_sim_time, and let it wait for the '
         'answers on `slip`, so that a slow host slows down all nodes alike',
-        read_only=True,
     )
 
 
@@ -178,48 +145,37 @@ class VirtualGraspParameters(VirtualCameraParameters):
 class VirtualArmParameters:
     """How the simulated FR3 follows the trajectories that it receives."""
 
-    trajectory_topic: str = parameter(
+    trajectory_topic: str = fixed(
         '/fr3_arm_controller/joint_trajectory',
         'Topic of the trajectories, as for a joint_trajectory_controller',
-        read_only=True,
     )
-    joint_state_topic: str = parameter(
-        '/joint_states', 'Topic of the published joint states', read_only=True
-    )
-    state_rate: float = parameter(
+    joint_state_topic: str = fixed('/joint_states', 'Topic of the published joint states')
+    state_rate: float = fixed(
         250.0,
         'Rate of the published joint states',
         unit='Hz',
-        minimum=1.0,
-        maximum=1000.0,
-        read_only=True,
+        within=(1.0, 1000.0),
     )
-    update_rate: float = parameter(
+    update_rate: float = fixed(
         1000.0,
         'Update rate of the emulated controller',
         unit='Hz',
-        minimum=100.0,
-        maximum=4000.0,
-        read_only=True,
+        within=(100.0, 4000.0),
     )
-    release: str = parameter(
+    release: str = fixed(
         'jazzy',
         'ROS release of the emulated joint_trajectory_controller; humble samples one cycle later',
         choices=('humble', 'jazzy'),
-        read_only=True,
     )
-    plant: str = parameter(
+    plant: str = fixed(
         'lag',
         'Model of the arm: lag is a first-order lag of each joint, mujoco is the arm in MuJoCo '
         '(requirements/mujoco.txt) with servos of that lag',
         choices=('lag', 'mujoco'),
-        read_only=True,
     )
-    tracking_lag: float = parameter(
+    tracking_lag: float = fixed(
         3.5e-3,
         'Time constant with which the arm follows its commands (estimate)',
         unit='s',
-        minimum=0.0,
-        maximum=0.1,
-        read_only=True,
+        within=(0.0, 0.1),
     )

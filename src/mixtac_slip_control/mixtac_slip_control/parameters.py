@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-from mixtac_node.parameters import ParameterError, parameter, specs
+from mixtac_node.parameters import ParameterError, fixed, parameter, specs
 
 DETECTORS: Final = ('flow', 'count')
 """Names of the detectors; the first is the default."""
@@ -37,105 +37,85 @@ class SlipControlParameters:
         ParameterError: A value that the schema refuses, or times too short for the window.
     """
 
-    arm: str = parameter(
+    arm: str = fixed(
         'none',
         'Arm that is moved: `none` only reports slip, `fr3` is the shipped model of the Franka '
         'Research 3, anything else is the path of a URDF file.',
-        read_only=True,
     )
-    arm_backend: str = parameter(
+    arm_backend: str = fixed(
         'trajectory',
         'What drives the arm: `trajectory` publishes to a joint_trajectory_controller; `libfranka` '
         '(experimental) drives an FR3 through pylibfranka without ros2_control; other names are '
         'entry points of the group `mixtac.arm_backends`.',
-        read_only=True,
     )
-    arm_address: str = parameter(
+    arm_address: str = fixed(
         '',
         'Network address of the arm, for backends that connect to it themselves (libfranka).',
-        read_only=True,
     )
-    arm_python: str = parameter(
+    arm_python: str = fixed(
         '',
         'Python interpreter with pylibfranka and NumPy that runs the control loop of the libfranka '
         "backend; empty: the node's own.",
-        read_only=True,
     )
-    arm_realtime: bool = parameter(
+    arm_realtime: bool = fixed(
         False,
         'Whether the libfranka backend refuses to run on a kernel without real-time scheduling.',
-        read_only=True,
     )
-    joint_acceleration: float = parameter(
+    joint_acceleration: float = fixed(
         10.0,
         'Joint acceleration limit for arms loaded from a URDF file (URDF has no such field).',
         unit='rad/s^2',
-        minimum=0.1,
-        maximum=1000.0,
-        read_only=True,
+        within=(0.1, 1000.0),
     )
-    joint_jerk: float = parameter(
+    joint_jerk: float = fixed(
         5e3,
         'Joint jerk limit for arms loaded from a URDF file (URDF has no such field).',
         unit='rad/s^3',
-        minimum=1.0,
-        maximum=1e6,
-        read_only=True,
+        within=(1.0, 1e6),
     )
-    normal_frame: str = parameter(
+    normal_frame: str = fixed(
         'tool',
         'Frame of the contact normal: `tool` is the last link in its pose at enabling, `base` is '
         'the first link.',
         choices=('tool', 'base'),
-        read_only=True,
     )
-    normal_x: float = parameter(
+    normal_x: float = fixed(
         0.0,
         'x component of the contact normal, along which the arm advances; any length.',
-        read_only=True,
     )
-    normal_y: float = parameter(
+    normal_y: float = fixed(
         0.0,
         'y component of the contact normal, along which the arm advances; any length.',
-        read_only=True,
     )
-    normal_z: float = parameter(
+    normal_z: float = fixed(
         1.0,
         'z component of the contact normal, along which the arm advances; any length.',
-        read_only=True,
     )
-    workspace: str = parameter(
+    workspace: str = fixed(
         '-0.8 0.8 -0.8 0.8 0.0 1.2',
         'Allowed region of the last link: limits of a box along x, y and z of the base frame [m].',
-        read_only=True,
     )
     settling_time: float = parameter(
         0.5,
         "Time after enabling in which the arm's controller is led to the measured joint positions; "
         'slip is answered afterwards. Not used by backends that report commanded positions.',
         unit='s',
-        minimum=0.05,
-        maximum=10.0,
+        within=(0.05, 10.0),
     )
-    trajectory_topic: str = parameter(
+    trajectory_topic: str = fixed(
         '/fr3_arm_controller/joint_trajectory',
         'Topic to which trajectories are published, reliable: that of a '
         'joint_trajectory_controller that interpolates from the desired state.',
-        read_only=True,
     )
-    joint_state_topic: str = parameter(
-        '/joint_states', 'Topic of the joint positions of the arm.', read_only=True
-    )
-    heartbeat_topic: str = parameter(
+    joint_state_topic: str = fixed('/joint_states', 'Topic of the joint positions of the arm.')
+    heartbeat_topic: str = fixed(
         'slip_control/heartbeat',
         'Topic of the heartbeat (`std_msgs/Empty`) of the supervisor; the arm moves only while it '
         'arrives.',
-        read_only=True,
     )
-    frame_id: str = parameter(
+    frame_id: str = fixed(
         'mixtac_contact',
         'Frame of the `slip` messages: z points from the contact into the gel.',
-        read_only=True,
     )
     detector: str = parameter(
         'flow',
@@ -143,279 +123,245 @@ class SlipControlParameters:
         'also fires when the force merely changes.',
         choices=DETECTORS,
     )
-    window: float = parameter(
+    window: float = fixed(
         1e-3,
         'Counting window. Longer windows scatter less and answer later; gains and thresholds are '
         'per window.',
         unit='s',
-        minimum=2e-4,
-        maximum=2e-2,
-        read_only=True,
+        within=(2e-4, 2e-2),
     )
-    contact_column: float = parameter(
+    contact_column: float = fixed(
         -1.0,
         'Column of the contact in the image; -1 is the middle of the image.',
         unit='px',
-        minimum=-1.0,
-        read_only=True,
+        within=(-1.0, None),
     )
-    contact_row: float = parameter(
+    contact_row: float = fixed(
         -1.0,
         'Row of the contact in the image; -1 is the middle of the image.',
         unit='px',
-        minimum=-1.0,
-        read_only=True,
+        within=(-1.0, None),
     )
-    contact_reach: float = parameter(
+    contact_reach: float = fixed(
         0.0,
         'Distance from the contact over which the motion of the skin falls to 1/e. Smaller uses '
         'fewer beads, larger adds noise. 0 is 9/26 of the shorter side of the image (90 px on a '
         'DAVIS346).',
         unit='px',
-        minimum=0.0,
-        maximum=1000.0,
-        read_only=True,
+        within=(0.0, 1000.0),
     )
     learning_time: float = parameter(
         1.0,
         'Time at rest from which the background is first learned.',
         unit='s',
-        minimum=0.1,
-        maximum=60.0,
+        within=(0.1, 60.0),
     )
     background_time_constant: float = parameter(
         20.0,
         'Time over which the background follows slow changes (temperature, light), at rest only. '
         'Shorter follows faster but also learns slow slip as background.',
         unit='s',
-        minimum=0.5,
-        maximum=3600.0,
+        within=(0.5, 3600.0),
     )
     settle_time: float = parameter(
         0.1,
         'Time without slip and without advance after which the contact counts as at rest and the '
         'background is updated again.',
         unit='s',
-        minimum=0.0,
-        maximum=60.0,
+        within=(0.0, 60.0),
     )
     false_alarms_per_hour: float = parameter(
         0.1,
         'Rate at which windows at rest may exceed a threshold; the thresholds follow from the '
         'measured tail of the background. Lower detects later.',
         unit='1/h',
-        minimum=1e-6,
-        maximum=1e4,
+        within=(1e-6, 1e4),
     )
     tail_shape: float = parameter(
         0.1,
         'Shape of the generalised Pareto distribution that extrapolates the measured tail: 0 is '
         'exponential, larger is heavier and raises the thresholds.',
-        minimum=0.0,
-        maximum=0.9,
+        within=(0.0, 0.9),
     )
     min_excess: float = parameter(
         20.0,
         'Smallest count threshold above the background, for cameras with very little noise.',
         unit='events per window',
-        minimum=0.0,
-        maximum=1e5,
+        within=(0.0, 1e5),
     )
     min_flow: float = parameter(
         0.028,
         'Smallest translation of the skin in one window that counts as slip, in pixels per '
         'contrast threshold. Keep it above what a slow change of the force causes.',
         unit='px',
-        minimum=0.0,
-        maximum=100.0,
+        within=(0.0, 100.0),
     )
     slow_time: float = parameter(
         4e-3,
         'Time over which translation is summed to find slow slip.',
         unit='s',
-        minimum=4e-4,
-        maximum=0.1,
+        within=(4e-4, 0.1),
     )
     min_slow_flow: float = parameter(
         0.1,
         'Smallest translation of the skin within slow_time that counts as slip, in pixels per '
         'contrast threshold.',
         unit='px',
-        minimum=0.0,
-        maximum=100.0,
+        within=(0.0, 100.0),
     )
     release_ratio: float = parameter(
         0.5,
         'A window is quiet below this share of the way from the background to the threshold.',
-        minimum=0.0,
-        maximum=1.0,
+        within=(0.0, 1.0),
     )
     release_time: float = parameter(
-        5e-3, 'Quiet time that ends a slip.', unit='s', minimum=2e-4, maximum=1.0
+        5e-3, 'Quiet time that ends a slip.', unit='s', within=(2e-4, 1.0)
     )
     gain: float = parameter(
         2.0,
         'G of the advance law: advance over motion of the skin. Higher arrests sooner and presses '
         'harder, within what the measured stiffness allows.',
-        minimum=0.0,
-        maximum=10.0,
+        within=(0.0, 10.0),
     )
     events_per_mm: float = parameter(
         1e4,
         'C of the advance law: events per millimetre of skin motion; k = G / C. Depends on beads, '
         'light and thresholds of the camera.',
         unit='1/mm',
-        minimum=1.0,
-        maximum=1e7,
+        within=(1.0, 1e7),
     )
     advance_events_per_mm: float = parameter(
         2.5e4,
         'Events caused by a millimetre of advance: raises the count threshold while the arm moves. '
         'Too low lets the advance feed itself, too high hides slip during an advance.',
         unit='1/mm',
-        minimum=0.0,
-        maximum=1e7,
+        within=(0.0, 1e7),
     )
     advance_flow_per_mm: float = parameter(
         4.0,
         'Translation of the skin caused by a millimetre of advance, in pixels per contrast '
         'threshold: raises the flow threshold while the arm moves.',
         unit='px/mm',
-        minimum=0.0,
-        maximum=1e4,
+        within=(0.0, 1e4),
     )
     arm_lag: float = parameter(
         4e-3,
         'Delay from commanded to actual arm position.',
         unit='s',
-        minimum=0.0,
-        maximum=0.2,
+        within=(0.0, 0.2),
     )
     memory_time: float = parameter(
         0.01,
         'Time in which the answer to an excess of events fades to 1/e while the slip lasts: a '
         'fully stretched skin causes no more events. 0 is the law of the paper.',
         unit='s',
-        minimum=0.0,
-        maximum=0.1,
+        within=(0.0, 0.1),
     )
     max_step: float = parameter(
         1e-4,
         'Largest advance in one window; max_step / window is the largest speed asked for.',
         unit='m',
-        minimum=0.0,
-        maximum=1e-3,
+        within=(0.0, 1e-3),
     )
     max_total: float = parameter(
         1e-3,
         'Largest total advance since enabling, whatever the force allows. The arm must be able to '
         'reach that far in a straight line, or enabling is refused.',
         unit='m',
-        minimum=0.0,
-        maximum=2e-2,
+        within=(0.0, 2e-2),
     )
     hold_time: float = parameter(
         0.3,
         'Time without slip for which the advance is held.',
         unit='s',
-        minimum=0.2,
-        maximum=3600.0,
+        within=(0.2, 3600.0),
     )
     back_off: float = parameter(
         2e-5,
         'Speed of the return towards the preload after hold_time; 0 never returns. A slip during '
         'the return ends it until slip control is enabled again.',
         unit='m/s',
-        minimum=0.0,
-        maximum=1e-2,
+        within=(0.0, 1e-2),
     )
     preload_speed: float = parameter(
         1e-4,
         'Speed of the advance that keeps the preload (the force at enabling) as the gel relaxes; '
         '0 does not keep it.',
         unit='m/s',
-        minimum=0.0,
-        maximum=1e-2,
+        within=(0.0, 1e-2),
     )
     force_band: float = parameter(
-        0.03, 'Deviation of the force from the preload that is tolerated.', unit='N', minimum=0.0
+        0.03,
+        'Deviation of the force from the preload that is tolerated.',
+        unit='N',
+        within=(0.0, None),
     )
     max_force: float = parameter(
         1.5,
         'Force above which slip control stops. Advances are bounded by the measured stiffness to '
         'stay below 90 % of it.',
         unit='N',
-        minimum=0.01,
-        maximum=100.0,
+        within=(0.01, 100.0),
     )
     stiffest_contact: float = parameter(
         2e4,
         'Stiffest plausible contact of gel and object: bounds the first advance, until the '
         'stiffness is measured.',
         unit='N/m',
-        minimum=100.0,
-        maximum=1e6,
+        within=(100.0, 1e6),
     )
     force_noise: float = parameter(
         0.03,
         'Standard deviation of a force estimate at rest; weights it in the stiffness estimate.',
         unit='N',
-        minimum=1e-4,
-        maximum=1.0,
+        within=(1e-4, 1.0),
     )
     probe_advance: float = parameter(
         5e-5,
         'Largest advance of the slow press after enabling that measures the stiffness of the '
         'contact; 0 does not probe, which limits the response to the first slip.',
         unit='m',
-        minimum=0.0,
-        maximum=1e-3,
+        within=(0.0, 1e-3),
     )
     probe_speed: float = parameter(
-        5e-4, 'Speed of the probing press.', unit='m/s', minimum=1e-5, maximum=1e-2
+        5e-4, 'Speed of the probing press.', unit='m/s', within=(1e-5, 1e-2)
     )
     probe_force: float = parameter(
         0.1,
         'Force increase at which the probing press stops and waits. Doubling it halves the error '
         'of the stiffness, but the press is more likely to be taken for a slip.',
         unit='N',
-        minimum=1e-3,
-        maximum=10.0,
+        within=(1e-3, 10.0),
     )
     max_events_age: float = parameter(
         0.02,
         'Age of the latest event packet above which slip control stops.',
         unit='s',
-        minimum=2e-3,
-        maximum=1.0,
+        within=(2e-3, 1.0),
     )
     max_force_age: float = parameter(
         0.05,
         'Age of the latest force estimate above which slip control stops.',
         unit='s',
-        minimum=2e-3,
-        maximum=1.0,
+        within=(2e-3, 1.0),
     )
     max_joint_age: float = parameter(
         0.05,
         'Age of the latest joint states above which slip control stops.',
         unit='s',
-        minimum=2e-3,
-        maximum=1.0,
+        within=(2e-3, 1.0),
     )
     max_heartbeat_age: float = parameter(
         0.5,
         'Age of the latest heartbeat above which slip control stops.',
         unit='s',
-        minimum=0.01,
-        maximum=10.0,
+        within=(0.01, 10.0),
     )
     saturation_count: int = parameter(
         8000,
         'Events in a window from which the sensor counts as saturated; slip control stops after '
         'two such windows in a row.',
-        minimum=10,
-        maximum=1000000,
+        within=(10, 1000000),
     )
 
     def __post_init__(self) -> None:

@@ -25,19 +25,9 @@ def switch(default: bool, description: str) -> bool:
     return parameter(default, description)
 
 
-def number(
-    default: int,
-    description: str,
-    maximum: int,
-    unit: str = '',
-    minimum: int = 0,
-    *,
-    read_only: bool = False,
-) -> int:
+def number(default: int, description: str, maximum: int, unit: str = '', minimum: int = 0) -> int:
     """Return a field for a whole number within bounds; may change while the node runs."""
-    return parameter(
-        default, description, unit=unit, minimum=minimum, maximum=maximum, read_only=read_only
-    )
+    return parameter(default, description, unit=unit, within=(minimum, maximum))
 
 
 def _field(name: str, value: int, maximum: int) -> int:

@@ -106,22 +106,19 @@ class SensorParameters:
         2.0,
         'Time over which the service find_hot_pixels counts events; keep the scene still',
         unit='s',
-        minimum=0.1,
-        maximum=4.0,
+        within=(0.1, 4.0),
     )
     hot_pixels_minimum_rate: float = parameter(
         10.0,
         'Lowest event rate of a hot pixel',
         unit='1/s',
-        minimum=0.1,
-        maximum=1e6,
+        within=(0.1, 1e6),
     )
     hot_pixels_factor: float = parameter(
         10.0,
         'A hot pixel has at least this many times the events of the fourth noisiest pixel around '
         'it',
-        minimum=1.0,
-        maximum=1e6,
+        within=(1.0, 1e6),
     )
     hot_pixels_file: str = parameter(
         '',
@@ -156,8 +153,7 @@ class SensorParameters:
     aps_auto_exposure_target: float = parameter(
         0.35,
         'Target mean brightness of automatic exposure, as a fraction of full scale',
-        minimum=0.05,
-        maximum=0.9,
+        within=(0.05, 0.9),
     )
     aps_auto_exposure_minimum: int = number(
         20, 'Shortest exposure time of automatic exposure', MAXIMUM_EXPOSURE_US, 'us', minimum=1
