@@ -5,25 +5,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from mixtac_alignment.clock_fit import with_drift_prior
+import numpy as np
+from numpy.typing import NDArray
+
+from mixtac_alignment.clock_fit import ClockFit, with_drift_prior
 from mixtac_alignment.edges import fit_edges
 from mixtac_alignment.errors import RefinementError
+from mixtac_alignment.gel_lag import GelLag
+from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
 from mixtac_alignment.parameters import AlignmentParameters
 from mixtac_alignment.refinement import Refinement, refine
 from mixtac_alignment.taps import FEWEST_FRAMES, fit_taps
 from mixtac_alignment.two_impulse import fit_counts
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_alignment.gel_lag import GelLag
-    from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 Method = Literal['refined', 'two_impulse', 'paper', 'edges']

@@ -6,15 +6,17 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from typing import TYPE_CHECKING
 
 import numpy as np
+from event_camera_msgs.msg import EventPacket
+from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
 
 from mixtac_alignment import signals
 from mixtac_alignment.align import Method, Recording, align
+from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.histories import (
     EventHistory,
     EventRateHistory,
@@ -35,13 +37,6 @@ from mixtac_node.base_node import QOS_FORCE, BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.images import ImageConversionError, grey
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
-
-if TYPE_CHECKING:
-    from event_camera_msgs.msg import EventPacket
-    from geometry_msgs.msg import WrenchStamped
-
-    from mixtac_alignment.clock_fit import ClockFit
-
 
 MOST_EDGES = 10_000
 

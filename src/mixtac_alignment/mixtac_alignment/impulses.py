@@ -30,19 +30,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_alignment.errors import AlignmentError, AmbiguousImpulsesError, NoImpulseError
+from mixtac_alignment.histories import EventCounts
 from mixtac_alignment.parameters import AlignmentParameters
 from mixtac_alignment.signals import gaussian_smooth, noise_std, pressing_sign, prominent_peaks
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_alignment.histories import EventCounts
-
 
 MIN_SPACING_S: Final = 0.3
 """Of impulses closer than this, bounces mostly, the strongest counts [s]."""

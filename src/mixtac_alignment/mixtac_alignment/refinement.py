@@ -20,21 +20,16 @@ on simulated trials. A jump of one clock within the recording shows in the resid
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mixtac_alignment.clock_fit import MAX_DRIFT
+from mixtac_alignment.clock_fit import MAX_DRIFT, ClockFit
 from mixtac_alignment.errors import DriftError, InconsistentFitError, RefinementError
 from mixtac_alignment.gel_lag import COLUMNS, GelLag, LaggedForce
+from mixtac_alignment.histories import FrameFeatures
 from mixtac_alignment.signals import even_force
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_alignment.histories import FrameFeatures
-
 
 COMPONENTS: Final = 14
 """Principal components of the log brightness."""

@@ -8,28 +8,30 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, cast
+from typing import Annotated, Final, cast
 
 import numpy as np
 import typer
+from matplotlib.axes import Axes
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from mixtac_alignment.align import Method, Recording
 from mixtac_alignment.align import align as align_recording
-from mixtac_alignment.bags import read_recording, rewrite_bag, sensor_timings, write_fit
+from mixtac_alignment.bags import (
+    SensorTiming,
+    read_recording,
+    rewrite_bag,
+    sensor_timings,
+    write_fit,
+)
+from mixtac_alignment.clock_fit import ClockFit
 from mixtac_cli.figures import EVENTS, MARK, REFERENCE, new_figure, save_figure
 from mixtac_cli.options import JsonFile, OptionalPath, ReferenceTopic
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.files import write_json
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from mixtac_alignment.align import Method, Recording
-    from mixtac_alignment.bags import SensorTiming
-    from mixtac_alignment.clock_fit import ClockFit
 
 METHODS: Final = ('refined', 'two_impulse', 'paper', 'edges')
 POOLED: Final = ('refined', 'two_impulse')

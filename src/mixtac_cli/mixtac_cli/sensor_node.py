@@ -12,20 +12,17 @@ from __future__ import annotations
 
 import sys
 import threading
+from collections.abc import Callable, Mapping
 from functools import wraps
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from mixtac_driver.node.driver_node import DriverNode
 from mixtac_fger.fger_node import FgerNode
 from mixtac_node.base_node import run_together
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-    from rclpy.publisher import Publisher
 
 
 class DirectSubscription:

@@ -10,27 +10,23 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import numpy as np
 import typer
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from mixtac_cli.figures import EVENTS, REFERENCE, new_figure, save_figure
 from mixtac_cli.options import OptionalPath, Preset
+from mixtac_recordings.dataset import DatasetDescription, TrialSpec
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.generation import generate
 from mixtac_sim.world.datasets import DATASETS, describe, plan_dataset, plan_profile
 from mixtac_sim.world.effects import preset as find_preset
-from mixtac_sim.world.trial import simulate_trial
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from numpy.typing import NDArray
-
-    from mixtac_recordings.dataset import DatasetDescription, TrialSpec
-    from mixtac_sim.world.trial import Trial
+from mixtac_sim.world.trial import Trial, simulate_trial
 
 SMOOTHING_MS: Final = 20
 APART_S: Final = 0.15

@@ -7,19 +7,15 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from enum import Enum
-from typing import TYPE_CHECKING
 
+from mixtac_driver.camera import CameraBatch
 from mixtac_driver.errors import DriverError, EndOfStream
 from mixtac_driver.parameters import DriverParameters, RecoveryPolicy
+from mixtac_driver.source import Source
 from mixtac_events.errors import MixtacError
 from mixtac_recordings.recording import RecordingError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mixtac_driver.camera import CameraBatch
-    from mixtac_driver.source import Source
 
 
 class Backoff:

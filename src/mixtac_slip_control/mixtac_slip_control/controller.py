@@ -14,12 +14,17 @@ it sooner. `node_status` summarises the controller for diagnostics.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mixtac_events.arrays import Events
 from mixtac_events.sequence import SequenceCounter
+from mixtac_slip_control.arm.planner import AdvancePlanner
+from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.detectors import Detectors
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.features import SlipFeatures, SlipWindow
@@ -35,16 +40,7 @@ from mixtac_slip_control.safety import (
     SafetyWatch,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_slip_control.arm.planner import AdvancePlanner
-    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
-
-    Normal = Sequence[float] | Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Normal = Sequence[float] | Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, slots=True)

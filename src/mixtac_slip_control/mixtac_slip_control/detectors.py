@@ -24,14 +24,12 @@ assumption (`tail_shape`).
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from mixtac_slip_control.features import SlipWindow
-    from mixtac_slip_control.parameters import SlipControlParameters
-
+from mixtac_slip_control.features import SlipWindow
+from mixtac_slip_control.parameters import SlipControlParameters
 
 TAIL: Final = 0.1
 """Share of the windows at rest that form the tail."""

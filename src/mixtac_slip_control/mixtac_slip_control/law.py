@@ -17,14 +17,12 @@ knows the commanded advance.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.bounds import AdvanceBound
-
-if TYPE_CHECKING:
-    from mixtac_slip_control.arm.planner import AdvancePlanner
-    from mixtac_slip_control.detectors import Detectors
-    from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.detectors import Detectors
+from mixtac_slip_control.parameters import SlipControlParameters
 
 
 class AdvanceLaw:

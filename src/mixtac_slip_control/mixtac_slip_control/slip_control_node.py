@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
+from event_camera_msgs.msg import EventPacket
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -27,24 +29,17 @@ from mixtac_node.base_node import QOS_SENSOR, BaseNode, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
 from mixtac_node.images import grey
 from mixtac_node.stamps import stamp_to_us, us_to_stamp
-from mixtac_slip_control.arm.backends import TRAJECTORY, TrajectoryBackend, open_backend
-from mixtac_slip_control.arm.model import make_arm
-from mixtac_slip_control.arm.trajectory import TrajectoryMessage, settling_trajectory
+from mixtac_slip_control.arm.backends import TRAJECTORY, ArmBackend, TrajectoryBackend, open_backend
+from mixtac_slip_control.arm.model import ArmParts, make_arm
+from mixtac_slip_control.arm.trajectory import (
+    PlannedTrajectory,
+    TrajectoryMessage,
+    settling_trajectory,
+)
 from mixtac_slip_control.controller import FeedCounts, SlipController, SlipStep, node_status
 from mixtac_slip_control.errors import BackendError
 from mixtac_slip_control.parameters import SlipControlParameters
 from mixtac_slip_control.safety import InterlockState
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from event_camera_msgs.msg import EventPacket
-    from sensor_msgs.msg import Image
-
-    from mixtac_slip_control.arm.backends import ArmBackend
-    from mixtac_slip_control.arm.model import ArmParts
-    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
-
 
 STEP_FIELDS = tuple(f.name for f in dataclasses.fields(SlipStep) if f.name != 'end_us')
 WATCH_PERIOD_S = 5e-3

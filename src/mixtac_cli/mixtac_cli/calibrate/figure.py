@@ -4,24 +4,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
+from mixtac_cli.calibrate.session import CalibrationSession
 from mixtac_cli.figures import FORCE, REFERENCE, new_figure, save_figure
 from mixtac_driver.calibration.board import CELLS, coverage_counts, measure, stretched
+from mixtac_driver.calibration.solve import Solution
 from mixtac_driver.calibration.undistortion import ImageUndistortion
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from mixtac_cli.calibrate.session import CalibrationSession
-    from mixtac_driver.calibration.solve import Solution
-
 
 KEPT, REMOVED, IDEAL = REFERENCE, FORCE, '#8a8a8a'
 

@@ -5,18 +5,13 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from rich.table import Table
 
+from mixtac_cli.record.meter import TopicMeter
 from mixtac_driver.doctor.computer import Finding, Level, ok
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from mixtac_cli.record.meter import TopicMeter
-
 
 REQUIRED = ('events', 'image_raw')
 LEAST_HZ = {'events': 990.0, 'image_raw': 5.0, 'force': 490.0, 'imu': 50.0}

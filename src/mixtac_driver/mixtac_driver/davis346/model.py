@@ -9,13 +9,13 @@ entry-point group `mixtac.camera_models`. Cameras that fit no model are refused.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
-from mixtac_driver.davis346.biases import DEFAULT_BIASES
+from mixtac_driver.davis346.biases import DEFAULT_BIASES, Bias
 from mixtac_driver.davis346.registers import (
     Aps,
     Chip,
@@ -27,13 +27,7 @@ from mixtac_driver.davis346.registers import (
     SystemInfo,
 )
 from mixtac_driver.errors import UnsupportedCameraError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mixtac_driver.davis346.biases import Bias
-    from mixtac_driver.usb.protocol import Protocol
-
+from mixtac_driver.usb.protocol import Protocol
 
 GROUP = 'mixtac.camera_models'
 """Entry points of this group name a `CameraModel`."""

@@ -6,31 +6,27 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
 from mixtac_driver.calibration.lens import CalibrationError
 from mixtac_driver.calibration.undistortion import CalibratedCamera
+from mixtac_driver.davis346.model import Identity
+from mixtac_driver.node.status import DriverMeters
+from mixtac_driver.parameters import DeviceParameters, DriverParameters
+from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.packetizer import Packetizer
+from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node import topics
 from mixtac_node.images import fill
 from mixtac_node.stamps import us_to_stamp
+from mixtac_node.topics import Topic
 from mixtac_recordings import messages
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from sensor_msgs.msg import CameraInfo
-
-    from mixtac_driver.davis346.model import Identity
-    from mixtac_driver.node.status import DriverMeters
-    from mixtac_driver.parameters import DeviceParameters, DriverParameters
-    from mixtac_events.arrays import Events
-    from mixtac_events.readings import Edges, Frame, InertialSamples
-    from mixtac_node.topics import Topic
 
 
 class EventPublisher:

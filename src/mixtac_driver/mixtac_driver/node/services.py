@@ -9,23 +9,19 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 from std_srvs.srv import Trigger
 
+from mixtac_driver.davis346.control import CameraControl
 from mixtac_driver.errors import DriverError, StreamError
+from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.pixels import PixelCounter, PixelMask, check_path, hot_pixels, save_mask
+from mixtac_driver.source import Source
+from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mixtac_driver.davis346.control import CameraControl
-    from mixtac_driver.node.settings import DriverSettings
-    from mixtac_driver.source import Source
-    from mixtac_events.arrays import Events
-    from mixtac_events.readings import Frame
-
+from mixtac_events.readings import Frame
 
 MARGIN_S = 1.0
 """Additional time allowed for a frame or a count."""

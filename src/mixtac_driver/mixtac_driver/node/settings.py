@@ -6,24 +6,20 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from mixtac_driver.davis346.control import CameraControl, PixelFilter
+from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.errors import UsbError
+from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.pixels import PixelMask, load_mask
+from mixtac_events.readings import Frame
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from mixtac_driver.davis346.control import CameraControl, PixelFilter
-    from mixtac_driver.davis346.settings import CameraParameters
-    from mixtac_driver.parameters import DriverParameters
-    from mixtac_events.readings import Frame
-
-    Apply = Callable[[DriverParameters, PixelFilter], None]
+Apply = Callable[[DriverParameters, PixelFilter], None]
 
 
 FULL_SCALE = 1023

@@ -4,21 +4,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from rich.console import Console
 from rich.table import Table
 
+from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import ROLLING_S, fast_error, measure, peak_error, rolling_errors
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from rich.console import Console
-
-    from mixtac_learning.judge.estimators import TrialEstimate
-
 
 INTERVALS = {'coverage_68': 1.0, 'coverage_95': 1.96}
 """Half widths of the intervals in standard deviations: 68.3 % and 95 % of a Gaussian."""

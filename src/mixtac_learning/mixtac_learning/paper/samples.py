@@ -6,22 +6,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mixtac_events.arrays import Events
 from mixtac_events.frames import bin_mean
+from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.trials.store import read_arrays, write_arrays
-from mixtac_learning.trials.trial import DatasetError, frame_arrivals, window_ends
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_learning.paper.config import PaperConfig
-    from mixtac_learning.trials.trial import TrialArrays
+from mixtac_learning.trials.trial import DatasetError, TrialArrays, frame_arrivals, window_ends
 
 
 def packet_points(

@@ -12,29 +12,23 @@ unknown stiffness belongs to the uncertainty.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
-from mixtac_fger.config import ModelError
-from mixtac_learning.network import FgerNetwork, FrameSlots
-from mixtac_learning.train.batches import mirror_events, mirror_frames
+from mixtac_fger.config import FgerConfig, ModelError
+from mixtac_learning.network import DeviationHead, FgerNetwork, FrameSlots
+from mixtac_learning.train.batches import SequenceGroups, Sequences, mirror_events, mirror_frames
+from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import Stage, TrainingLoop
 from mixtac_learning.train.parallel import Processes
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from mixtac_fger.config import FgerConfig
-    from mixtac_learning.network import DeviationHead
-    from mixtac_learning.train.batches import SequenceGroups, Sequences
-    from mixtac_learning.train.config import TrainingSettings
-
-    Flip = tuple[bool, bool]
+Flip = tuple[bool, bool]
 
 
 _ENCODE_BATCH = 512
