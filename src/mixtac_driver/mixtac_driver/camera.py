@@ -116,7 +116,6 @@ class Davis346:
         pixel_filter: Pixels whose events the camera drops, most important first.
         on_debug: Called, in a thread of its own, with messages of the camera's USB controller.
         backend: A pyusb backend to use instead of the one that the device string names.
-        now_ns: Host clock [ns since the Unix epoch].
 
     Attributes:
         control: Settings and requests; usable from any thread, open or not.
@@ -131,13 +130,12 @@ class Davis346:
         pixel_filter: PixelFilter = (),
         on_debug: Callable[[DebugMessage], None] | None = None,
         backend: Any = None,  # noqa: ANN401
-        now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self._p = p = parameters or DriverParameters()
         self.clock = ClockMap()
         self.is_master = True
-        self.control = CameraControl(p, pixel_filter, now_ns)
-        self._backend, self._now_ns, self._on_debug = backend, now_ns, on_debug
+        self.control = CameraControl(p, pixel_filter)
+        self._backend, self._on_debug = backend, on_debug
         self._stopping = threading.Event()
         self._connection: Connection | None = None
         self._identity: Identity | None = None
@@ -338,10 +336,7 @@ class Davis346:
         p, port = self._p, connection.libusb_port()
         if port is None:
             return BulkReader(
-                connection.read_data,
-                connection.clear_halt,
-                transfer_size=p.usb_transfer_size,
-                now_ns=self._now_ns,
+                connection.read_data, connection.clear_halt, transfer_size=p.usb_transfer_size
             )
         return AsynchronousReader(
             port,
@@ -350,7 +345,6 @@ class Davis346:
             transfers=p.usb_transfers,
             transfer_size=p.usb_transfer_size,
             queue_size=p.usb_queue_size,
-            now_ns=self._now_ns,
         )
 
     def _decode(

@@ -17,31 +17,6 @@ from mixtac_driver.source import Source
 from mixtac_events.errors import MixtacError
 from mixtac_recordings.recording import RecordingError
 
-
-class Backoff:
-    """Pauses that double up to a bound.
-
-    Args:
-        first_s: First pause [s].
-        longest_s: Longest pause [s].
-    """
-
-    def __init__(self, first_s: float, longest_s: float) -> None:
-        self._first_s = min(first_s, longest_s)
-        self._longest_s = longest_s
-        self._next_s = self._first_s
-
-    def next(self) -> float:
-        """Return the next pause [s]."""
-        pause_s = self._next_s
-        self._next_s = min(2 * pause_s, self._longest_s)
-        return pause_s
-
-    def reset(self) -> None:
-        """Start again with the first pause."""
-        self._next_s = self._first_s
-
-
 STOP_TIMEOUT_S = 8.0
 WATCH_S = 0.2
 """Period of checking whether a camera was plugged in [s]."""
@@ -107,7 +82,8 @@ class Supervisor:
         self._source = source
         self._p = p = parameters or DriverParameters()
         self._on_start, self._on_batch, self._on_error = on_start, on_batch, on_error
-        self._backoff = Backoff(p.recovery_first_pause, p.recovery_longest_pause)
+        self._first_pause_s = min(p.recovery_first_pause, p.recovery_longest_pause)
+        self._next_pause_s = self._first_pause_s
         self._reported: set[type[MixtacError]] = set()
         self._to_report: list[str] = []
         self._report_due_s = 0.0
@@ -204,7 +180,7 @@ class Supervisor:
             self._to_report.clear()
         # A stream that dies at once again and again must not be opened without pause.
         if now_s - began_s > self._p.recovery_longest_pause:
-            self._backoff.reset()
+            self._next_pause_s = self._first_pause_s
         self._heard_s = now_s
 
     def _fail(self, error: MixtacError) -> None:
@@ -244,13 +220,14 @@ class Supervisor:
         self.state = State.WAITING
         self._report_if_due()
         before = self._source.attached()
-        until_s = time.monotonic() + self._backoff.next()
+        until_s = time.monotonic() + self._next_pause_s
+        self._next_pause_s = min(2 * self._next_pause_s, self._p.recovery_longest_pause)
         while (left_s := until_s - time.monotonic()) > 0:
             if self._stopping.wait(min(left_s, WATCH_S)):
                 return
             self._report_if_due()
             now = self._source.attached()
             if now - before:
-                self._backoff.reset()
+                self._next_pause_s = self._first_pause_s
                 return
             before = now

@@ -34,7 +34,6 @@ from mixtac_driver.errors import (
     UsbError,
 )
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.supervisor import Backoff
 from mixtac_driver.usb.protocol import Protocol, Write, usb_failure
 
 
@@ -244,14 +243,6 @@ def test_settings_changed_while_the_camera_was_away_are_there_after_it_is_opened
     assert after[1, 52] == 8
     assert {**before, (1, 52): 8} == {a: v for a, v in after.items() if a[0] != 6}
     camera.close()
-
-
-def test_pauses_double_up_to_a_bound_and_begin_again():
-    backoff = Backoff(0.1, 0.5)
-    assert [backoff.next() for _ in range(5)] == [0.1, 0.2, 0.4, 0.5, 0.5]
-    backoff.reset()
-    assert backoff.next() == 0.1
-    assert Backoff(2.0, 0.5).next() == 0.5
 
 
 @given(

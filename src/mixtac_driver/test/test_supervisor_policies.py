@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
+from itertools import pairwise
 from types import SimpleNamespace
 
 import pytest
@@ -34,6 +35,7 @@ class Script:
         self.attachments = list(attached)
         self.is_open = False
         self.openings = 0
+        self.opened_s = []
         self.stopping = threading.Event()
 
     def status(self):
@@ -41,6 +43,7 @@ class Script:
 
     def open(self):
         self.openings += 1
+        self.opened_s.append(time.monotonic())
         self.stopping.clear()
         self.entry = self.entries.pop(0) if self.entries else None
         self._raise_in('open')
@@ -182,6 +185,23 @@ def test_recording_that_cannot_be_played_is_not_tried_again():
     supervisor = Watch(script).wait_for_end()
     assert (supervisor.state, str(supervisor.failure)) == (State.FAILED, 'damaged')
     assert script.openings == 1
+
+
+def test_pauses_double_up_to_a_bound():
+    script = Script(*[('open', NoCameraError('gone'))] * 4)
+    watch = Watch(script, recovery_first_pause=0.02, recovery_longest_pause=0.05)
+    watch.wait_for_stream()
+    pauses = [after - before for before, after in pairwise(script.opened_s)]
+    assert all(
+        pause >= least for pause, least in zip(pauses, (0.02, 0.04, 0.05, 0.05), strict=True)
+    )
+    assert watch.supervisor.stop()
+
+
+def test_no_pause_is_longer_than_the_longest():
+    watch = Watch(Script(('open', NoCameraError('gone'))), recovery_first_pause=1000.0)
+    watch.wait_for_stream()
+    assert watch.supervisor.stop()
 
 
 @pytest.mark.parametrize(

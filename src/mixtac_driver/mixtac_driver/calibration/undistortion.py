@@ -15,7 +15,6 @@ from mixtac_driver.pixels import event_buffers, move_events
 from mixtac_events.arrays import Events
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -256,27 +255,11 @@ class CalibratedCamera:
         image, encoding = without_mosaic(image, encoding)
         return tables.frames.undistort(image, x, y), encoding
 
-    def save(
-        self,
-        *,
-        width: int,
-        height: int,
-        distortion_model: str,
-        d: Sequence[float],
-        k: Sequence[float],
-        r: Sequence[float],
-        p: Sequence[float],
-    ) -> Path:
+    def save(self, info: Any) -> Path:  # noqa: ANN401
         """Check a calibration, write it to its file and use it from now on.
 
         Args:
-            width: Columns of the full image.
-            height: Rows of the full image.
-            distortion_model: One of `lens.MODELS`.
-            d: Coefficients.
-            k: K, 9 numbers row by row.
-            r: R, 9 numbers.
-            p: P, 12 numbers.
+            info: A `sensor_msgs/CameraInfo`, or anything with these fields.
 
         Returns:
             The file.
@@ -286,13 +269,13 @@ class CalibratedCamera:
         """
         calibration = CameraCalibration(
             name=self._parameters.camera_name,
-            width=width,
-            height=height,
-            model=distortion_model,
-            distortion=np.array(d, np.float64),
-            camera_matrix=np.array(k, np.float64).reshape(3, 3),
-            rectification=np.array(r, np.float64).reshape(3, 3),
-            projection=np.array(p, np.float64).reshape(3, 4),
+            width=info.width,
+            height=info.height,
+            model=info.distortion_model,
+            distortion=np.array(info.d, np.float64),
+            camera_matrix=np.array(info.k, np.float64).reshape(3, 3),
+            rectification=np.array(info.r, np.float64).reshape(3, 3),
+            projection=np.array(info.p, np.float64).reshape(3, 4),
         )
         self._check_size(calibration)
         write_camera_info(self.path, calibration)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -68,27 +67,22 @@ def read_statistics(protocol: Protocol, features: Features) -> CameraStatistics:
     Raises:
         UsbError: A request failed.
     """
-    values: dict[str, int] = {}
+    wanted: list[tuple[Module, Dvs | Mux]] = []
     if features.dvs_statistics:
-        values['rows'] = read_64(protocol, Module.DVS, Dvs.STATISTICS_ROWS)
-        values['columns'] = read_64(protocol, Module.DVS, Dvs.STATISTICS_COLUMNS)
-        values['dropped'] = read_64(protocol, Module.DVS, Dvs.STATISTICS_DROPPED)
+        registers = [Dvs.STATISTICS_ROWS, Dvs.STATISTICS_COLUMNS, Dvs.STATISTICS_DROPPED]
         if features.pixel_filter:
-            values['filtered_pixels'] = read_64(
-                protocol, Module.DVS, Dvs.STATISTICS_FILTERED_PIXELS
-            )
+            registers.append(Dvs.STATISTICS_FILTERED_PIXELS)
         if features.background_activity:
-            values['filtered_background_activity'] = read_64(
-                protocol, Module.DVS, Dvs.STATISTICS_FILTERED_BACKGROUND_ACTIVITY
-            )
-            values['filtered_refractory'] = read_64(
-                protocol, Module.DVS, Dvs.STATISTICS_FILTERED_REFRACTORY
-            )
+            registers.append(Dvs.STATISTICS_FILTERED_BACKGROUND_ACTIVITY)
+            registers.append(Dvs.STATISTICS_FILTERED_REFRACTORY)
+        wanted += [(Module.DVS, register) for register in registers]
     if features.mux_statistics:
-        values['external_input_dropped'] = read_64(
-            protocol, Module.MUX, Mux.STATISTICS_EXTERNAL_INPUT_DROPPED
-        )
-        values['dvs_dropped'] = read_64(protocol, Module.MUX, Mux.STATISTICS_DVS_DROPPED)
+        wanted.append((Module.MUX, Mux.STATISTICS_EXTERNAL_INPUT_DROPPED))
+        wanted.append((Module.MUX, Mux.STATISTICS_DVS_DROPPED))
+    values = {
+        register.name.removeprefix('STATISTICS_').lower(): read_64(protocol, module, register)
+        for module, register in wanted
+    }
     return CameraStatistics(**values)
 
 
@@ -235,7 +229,6 @@ class CameraControl:
     Args:
         parameters: Settings.
         pixel_filter: Pixels whose events the camera drops, most important first.
-        now_ns: Host clock [ns since the Unix epoch].
 
     Attributes:
         epochs: Clock of the latest stream; None before the first.
@@ -245,16 +238,10 @@ class CameraControl:
         ParameterError: A setting is out of range.
     """
 
-    def __init__(
-        self,
-        parameters: CameraParameters,
-        pixel_filter: PixelFilter = (),
-        now_ns: Callable[[], int] = time.time_ns,
-    ) -> None:
+    def __init__(self, parameters: CameraParameters, pixel_filter: PixelFilter = ()) -> None:
         parameters.check()
         self.epochs: ClockEpochs | None = None
         self._settings: Settings = parameters, pixel_filter
-        self._now_ns = now_ns
         self._lock = threading.Lock()
         self._writer: RegisterWriter | None = None
 
@@ -295,7 +282,7 @@ class CameraControl:
             run = run_writes(self.parameters, writer.identity.model)
             start_streaming(writer.protocol, run, begin_reading)
             writer.started(run)
-            reset = reset_clock(writer.protocol, self._now_ns)
+            reset = reset_clock(writer.protocol)
             latest_us = self.epochs.latest_us if self.epochs else 0
             self.epochs = ClockEpochs(reset, self.parameters.usb_early_packet_delay, latest_us)
 
@@ -396,7 +383,7 @@ class CameraControl:
 
     def _reset_clock(self) -> Origin:
         with self._lock:
-            return reset_clock(self._attached().protocol, self._now_ns)
+            return reset_clock(self._attached().protocol)
 
     def _attached(self) -> RegisterWriter:
         if self._writer is None:

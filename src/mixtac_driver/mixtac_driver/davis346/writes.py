@@ -216,10 +216,7 @@ CHIP_OFF = Write(Module.MUX, Mux.RUN_CHIP, 0)
 
 
 def start_streaming(
-    protocol: Protocol,
-    run: Sequence[Write],
-    begin_reading: Callable[[], None],
-    sleep: Callable[[float], None] = time.sleep,
+    protocol: Protocol, run: Sequence[Write], begin_reading: Callable[[], None]
 ) -> None:
     """Bring a configured camera from any state to streaming.
 
@@ -227,20 +224,19 @@ def start_streaming(
         protocol: Register access.
         run: Sensors to switch on or off (see `run_writes`).
         begin_reading: Clears the data endpoint and starts to read it; data follow soon after.
-        sleep: Waits a number of seconds.
 
     Raises:
         UsbError: A request failed.
     """
     protocol.write_each([*STOP_WRITES, CHIP_OFF])
-    sleep(QUIET_S)
+    time.sleep(QUIET_S)
     begin_reading()
     protocol.write(Module.MUX, Mux.RUN_CHIP, 1)
-    sleep(BIASES_SETTLE_S)
+    time.sleep(BIASES_SETTLE_S)
     protocol.write(Module.USB, Usb.RUN, 1)
     protocol.write(Module.MUX, Mux.TIMESTAMP_RUN, 1)
     protocol.write(Module.MUX, Mux.RUN, 1)
-    sleep(LOGIC_SETTLE_S)
+    time.sleep(LOGIC_SETTLE_S)
     protocol.write_each([write for write in run if write.value])
 
 
@@ -261,22 +257,21 @@ def stop_streaming(protocol: Protocol, end_reading: Callable[[], None]) -> None:
     protocol.write_each([CHIP_OFF])
 
 
-def reset_clock(protocol: Protocol, now_ns: Callable[[], int] = time.time_ns) -> Origin:
+def reset_clock(protocol: Protocol) -> Origin:
     """Set the camera's clock to zero and return the host time of the reset.
 
     The reset happens between two readings of the host clock; their middle is taken.
 
     Args:
         protocol: Register access.
-        now_ns: Host clock [ns since the Unix epoch].
 
     Raises:
         UsbError: The request failed.
     """
-    before = now_ns()
+    before = time.time_ns()
     protocol.write_at_once(
         [Write(Module.MUX, Mux.TIMESTAMP_RESET, 1), Write(Module.MUX, Mux.TIMESTAMP_RESET, 0)]
     )
-    after = now_ns()
+    after = time.time_ns()
     middle_us = (before + after + 1000) // 2000
     return Origin(middle_us * 1000, (after - before) // 2 + 500)

@@ -312,19 +312,10 @@ class RectifiedPublisher:
         self._image.publish(message)
 
     def _save(self, request: Any, response: Any) -> Any:  # noqa: ANN401
-        info = request.camera_info
         try:
             if self._camera is None:
                 raise CalibrationError('no camera was opened yet', remedy='attach it and try again')
-            path = self._camera.save(
-                width=info.width,
-                height=info.height,
-                distortion_model=info.distortion_model,
-                d=info.d,
-                k=info.k,
-                r=info.r,
-                p=info.p,
-            )
+            path = self._camera.save(request.camera_info)
             response.success, response.status_message = True, f'wrote {path}'
         except MixtacError as error:
             response.success, response.status_message = False, str(error)

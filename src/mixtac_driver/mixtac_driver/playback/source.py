@@ -67,7 +67,6 @@ class RecordedSource:
     Args:
         parameters: Path of the recording (`device`) and how to play it (`playback_*`).
         now_ns: Host clock [ns since the Unix epoch].
-        pace: The clock to play on; one of its own if None.
 
     Attributes:
         control: None: a recording takes no requests.
@@ -76,13 +75,11 @@ class RecordedSource:
     def __init__(
         self,
         parameters: DriverParameters,
-        *,
         now_ns: Callable[[], int] = time.time_ns,
-        pace: PlaybackClock | None = None,
     ) -> None:
         self.control = None
         self._device, self._p, self._now_ns = parameters.device, parameters, now_ns
-        self._pace = pace or PlaybackClock(parameters.playback_rate)
+        self._pace = PlaybackClock(parameters.playback_rate)
         self._recording: Recording | None = None
         self._info: RecordingInfo | None = None
         self._counters = ReadCounters()

@@ -181,7 +181,6 @@ class AsynchronousReader:
         transfers: Number of queued reads.
         transfer_size: Bytes requested per read.
         queue_size: Limit of received bytes waiting for the consumer.
-        now_ns: Host clock [ns since the Unix epoch].
     """
 
     def __init__(
@@ -193,13 +192,11 @@ class AsynchronousReader:
         transfers: int = 128,
         transfer_size: int = 65536,
         queue_size: int = 32 << 20,
-        now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self._port, self._clear_halt = port, clear_halt
         self._endpoint = endpoint
         self._count, self._transfer_size = transfers, transfer_size
         self._queue = TransferQueue(queue_size)
-        self._now_ns = now_ns
         self._stopping = threading.Event()
         self._transfers: list[BulkTransfer] = []
         self._waiting: set[BulkTransfer] = set()
@@ -210,7 +207,7 @@ class AsynchronousReader:
     @property
     def counters(self) -> TransportCounters:
         """Counters since construction."""
-        return self._queue.counters(stalls=self._stalls.total)
+        return self._queue.counters(self._stalls.total)
 
     def start(self) -> None:
         """Queue the reads at the endpoint.
@@ -295,7 +292,7 @@ class AsynchronousReader:
         # A read that failed or was cancelled may hold data.
         if data:
             self._stalls.in_a_row = 0
-            self._queue.put(data, self._now_ns(), short_packet=len(data) < transfer.size)
+            self._queue.put(data, time.time_ns(), short_packet=len(data) < transfer.size)
 
     def _submit_again(self, transfer: BulkTransfer) -> None:
         if self._stopping.is_set() or self._failure is not None:

@@ -102,7 +102,6 @@ class TransportCounters:
     Attributes:
         transfers: Reads with data.
         size: Bytes received.
-        timeouts: Reads without data; normal for a camera that is not running.
         stalls: Stalls of the endpoint that were cleared.
         dropped_transfers: Transfers dropped because the queue was full.
         dropped_size: Bytes dropped.
@@ -112,7 +111,6 @@ class TransportCounters:
 
     transfers: int = 0
     size: int = 0
-    timeouts: int = 0
     stalls: int = 0
     dropped_transfers: int = 0
     dropped_size: int = 0
@@ -143,12 +141,11 @@ class TransferQueue:
         """Return how many transfers wait."""
         return len(self._waiting)
 
-    def counters(self, *, timeouts: int = 0, stalls: int = 0) -> TransportCounters:
+    def counters(self, stalls: int = 0) -> TransportCounters:
         """Return the counters of the queue together with those of its reader."""
         return TransportCounters(
             transfers=self._transfers,
             size=self._size,
-            timeouts=timeouts,
             stalls=stalls,
             dropped_transfers=self._dropped_transfers,
             dropped_size=self._dropped_size,
@@ -223,7 +220,6 @@ class BulkReader:
             pyusb does.
         clear_halt: Clears a stall of the endpoint.
         transfer_size: Bytes requested per read.
-        now_ns: Host clock [ns since the Unix epoch].
     """
 
     def __init__(
@@ -232,20 +228,18 @@ class BulkReader:
         clear_halt: Callable[[], None],
         *,
         transfer_size: int = 65536,
-        now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self._read = read
         self._clear_halt = clear_halt
         self._buffer = array('B', bytes(transfer_size))
         self._queue = TransferQueue(transfer_size)
-        self._now_ns = now_ns
         self._stopping = threading.Event()
-        self._timeouts, self._stalls = 0, Stalls()
+        self._stalls = Stalls()
 
     @property
     def counters(self) -> TransportCounters:
         """Counters since construction."""
-        return self._queue.counters(timeouts=self._timeouts, stalls=self._stalls.total)
+        return self._queue.counters(self._stalls.total)
 
     def start(self) -> None:
         """Do nothing: the first `get` starts reading."""
@@ -276,11 +270,10 @@ class BulkReader:
         except OSError as error:
             raise UsbError(f'reading data: {error}') from error
         if not count:
-            self._timeouts += 1
             return None
         self._stalls.in_a_row = 0
         data = bytes(memoryview(self._buffer)[:count])
-        self._queue.put(data, self._now_ns(), short_packet=count < len(self._buffer))
+        self._queue.put(data, time.time_ns(), short_packet=count < len(self._buffer))
         return self._queue.pop()
 
 

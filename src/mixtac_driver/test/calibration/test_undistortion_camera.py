@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from board_camera import HEIGHT, WIDTH
@@ -125,7 +127,7 @@ def test_a_saved_calibration_is_used_at_once_and_read_next_time(tmp_path, url):
     target = f'file://{tmp_path}/new/${{NAME}}.yaml'
     parameters = DriverParameters(camerainfo_url=target, camera_name='fingertip')
     camera = CalibratedCamera(parameters, SIZE)
-    path = camera.save(**source.camera_info_fields())
+    path = camera.save(SimpleNamespace(**source.camera_info_fields()))
     assert path == tmp_path / 'new' / 'fingertip.yaml'
     assert camera.camera_info_fields() == source.camera_info_fields()
     assert read_camera_info(path).name == 'fingertip'
@@ -146,6 +148,6 @@ def test_what_is_no_calibration_is_neither_saved_nor_used(url, change):
     camera = CalibratedCamera(DriverParameters(camerainfo_url=url), SIZE)
     before, text = camera.camera_info_fields(), camera.path.read_text()
     with pytest.raises(CalibrationError):
-        camera.save(**{**before, **change})
+        camera.save(SimpleNamespace(**{**before, **change}))
     assert camera.camera_info_fields() == before
     assert camera.path.read_text() == text
