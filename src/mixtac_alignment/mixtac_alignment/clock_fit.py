@@ -28,6 +28,7 @@ from mixtac_alignment.errors import AlignmentError, DriftError, NoImpulseError, 
 
 MAX_DRIFT: Final = 2e-4
 """Largest believable ``|a - 1|``: two uncompensated crystals differ by up to 1e-4."""
+_MAP = ('a', 'b', 'camera_epoch', 'reference_epoch')
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +78,11 @@ class ClockFit:
         """Return reference times [s] on the camera clock [us, rounded]."""
         seconds = (np.asarray(t_s, np.float64) - self.reference_epoch_s - self.b) / self.a
         return np.int64(self.camera_epoch_us) + np.rint(seconds * 1e6).astype(np.int64)
+
+    def stamp_to_camera_us(self, stamp_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return stamps of the reference clock [ns] on the camera clock [us, not rounded]."""
+        seconds = (stamp_ns - round(self.reference_epoch_s) * 1_000_000_000) / 1e9
+        return np.asarray(self.camera_epoch_us + (seconds - self.b) / self.a * 1e6)
 
     def std_at(self, t_us: int | NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the standard deviation [s] of `to_reference` at camera times [us]."""
@@ -156,9 +162,12 @@ class ClockFit:
         Raises:
             AlignmentError: The fields describe no map.
         """
-        a, b = float(fields['a']), float(fields['b'])
-        covariance = np.array(fields['covariance'], np.float64).reshape(2, 2)
-        if not a > 0.0 or not np.isfinite([a, b, *covariance.flat]).all():
+        try:
+            a, b, camera_s, reference_s = (float(fields[name]) for name in _MAP)
+            covariance = np.array(fields['covariance'], np.float64).reshape(2, 2)
+        except (KeyError, TypeError, ValueError) as error:
+            raise AlignmentError(f'clock fit without {error}', remedy='fit again') from error
+        if not a > 0.0 or not np.isfinite([a, b, camera_s, reference_s, *covariance.flat]).all():
             raise AlignmentError(
                 f'clock fit with a = {a}, b = {b} is no map of clocks', remedy='fit again'
             )
@@ -166,8 +175,8 @@ class ClockFit:
             a=a,
             b=b,
             covariance=covariance,
-            camera_epoch_us=round(fields['camera_epoch'] * 1e6),
-            reference_epoch_s=float(fields['reference_epoch']),
+            camera_epoch_us=round(camera_s * 1e6),
+            reference_epoch_s=reference_s,
             anchors=(),
             residuals_s=np.array(fields['residuals'], np.float64),
             method=str(fields['method']),

@@ -209,3 +209,12 @@ def test_fields_that_are_no_map_are_refused(name: str, value: float) -> None:
     fields = fit_clock([Anchor(0, 7.5, 1e-3), Anchor(9_000_000, 16.5, 1e-3)]).to_fields()
     with pytest.raises(AlignmentError):
         ClockFit.from_fields({**fields, name: value})
+
+
+def test_stamps_far_from_zero_are_placed_exactly() -> None:
+    camera = 1_800_000_000_000_000 + np.array([0, 10_000_000])
+    seconds = (1 + 1e-4) * (camera - camera[0]) / 1e6 - 0.5
+    pairs = zip(camera.tolist(), (1_700_000_000 + seconds).tolist(), strict=True)
+    fit = fit_clock([Anchor(camera_us, reference_s, 1e-3) for camera_us, reference_s in pairs])
+    stamps = np.round(seconds * 1e9).astype(np.int64) + 1_700_000_000_000_000_000
+    assert np.abs(fit.stamp_to_camera_us(stamps) - camera).max() < 1.0

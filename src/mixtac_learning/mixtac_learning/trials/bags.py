@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,68 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_alignment.clock_fit import ClockFit
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Frame
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
 from mixtac_node.topics import REFERENCE
 
-_US_PER_S = 1_000_000
 _NS_PER_S = 1_000_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class ClockMap:
-    """The map t_reference - reference_epoch = a (t_camera - camera_epoch) + b.
-
-    Attributes:
-        a: Rate of the reference clock per camera clock.
-        b: Offset at the epochs [s].
-        camera_epoch_us: Camera clock [us].
-        reference_epoch_ns: Reference clock [ns].
-    """
-
-    a: float
-    b: float
-    camera_epoch_us: int
-    reference_epoch_ns: int
-
-    @staticmethod
-    def from_fields(fields: Mapping[str, Any]) -> ClockMap:
-        """Return the map of the fields of a `mixtac_msgs/ClockFit`.
-
-        Raises:
-            DatasetError: The fields describe no map.
-        """
-        try:
-            a, b = float(fields['a']), float(fields['b'])
-            camera, reference = float(fields['camera_epoch']), float(fields['reference_epoch'])
-        except (KeyError, TypeError, ValueError) as error:
-            raise DatasetError(f'clock fit without {error}: run `mixtac align` again') from error
-        if not (np.isfinite([a, b, camera, reference]).all() and a > 0.0):
-            raise DatasetError(
-                f'clock fit with a = {a}, b = {b} is no map of clocks: run `mixtac align` again'
-            )
-        return ClockMap(a, b, round(camera * _US_PER_S), round(reference) * _NS_PER_S)
-
-    def to_camera_us(self, reference_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return reference times [ns] on the camera clock [us], exact for epoch-sized times."""
-        seconds = (reference_ns - self.reference_epoch_ns) / _NS_PER_S
-        return np.asarray(self.camera_epoch_us + (seconds - self.b) / self.a * _US_PER_S)
-
-
-def clock_map_beside(bag: Path) -> ClockMap | None:
-    """Return the fit in `<bag>.clock_fit.json`, None where there is no such file.
-
-    Raises:
-        DatasetError: The file cannot be read.
-    """
-    path = bag.with_name(f'{bag.name}.clock_fit.json')
-    if not path.exists():
-        return None
-    try:
-        return ClockMap.from_fields(json.loads(path.read_text(encoding='utf-8')))
-    except (OSError, ValueError) as error:
-        raise DatasetError(f'{path} cannot be read ({error}): run `mixtac align` again') from error
 
 
 def label_on_camera_clock(
@@ -137,9 +82,6 @@ _TRUE_FIT = '/truth/clock_fit'
 _CAMERA_CLOCK = '/camera_clock'
 
 
-_FIELDS = ('a', 'b', 'camera_epoch', 'reference_epoch')
-
-
 def read_forces(path: Path, reference: str) -> tuple[ForceLabel | None, ForceLabel | None]:
     """Return the true and the measured normal force of a bag on the camera clock.
 
@@ -154,13 +96,15 @@ def read_forces(path: Path, reference: str) -> tuple[ForceLabel | None, ForceLab
     Raises:
         RecordingError: The bag is damaged.
         DatasetError: It has neither a true force nor a reference that can be aligned.
+        AlignmentError: A clock fit beside it or inside is damaged.
     """
+    from mixtac_alignment.bags import fit_path, read_fit
     from mixtac_recordings.bag import BagFile
     from mixtac_recordings.recording import DamagedRecordingError
 
     forces: dict[bool, list[tuple[int, float]]] = {False: [], True: []}
     pairs: list[tuple[int, int]] = []
-    fits: dict[bool, ClockMap] = {}
+    fits: dict[bool, ClockFit] = {}
     with BagFile(path) as bag:
         if bag.damage:
             raise DamagedRecordingError(f'{path}: {bag.damage}', remedy='record it again')
@@ -178,9 +122,9 @@ def read_forces(path: Path, reference: str) -> tuple[ForceLabel | None, ForceLab
             elif topic.endswith(_CAMERA_CLOCK):
                 pairs.append((_ns(message.header.stamp), _ns(message.time_ref)))
             else:
-                fields = {name: getattr(message, name) for name in _FIELDS}
-                fits[topic.endswith(_TRUE_FIT)] = ClockMap.from_fields(fields)
-    fit = clock_map_beside(path) or fits.get(False) or fits.get(True)
+                fits[topic.endswith(_TRUE_FIT)] = ClockFit.from_fields(vars(message))
+    made = read_fit(path) if fit_path(path).exists() else fits.get(False)
+    fit = made or fits.get(True)
     truth = measured = None
     if forces[True]:
         stamps, values = zip(*forces[True], strict=True)
@@ -188,7 +132,7 @@ def read_forces(path: Path, reference: str) -> tuple[ForceLabel | None, ForceLab
         truth = label_on_camera_clock(t_us, values, f'{path} topic ...{_TRUE_FORCE}')
     if forces[False] and fit is not None:
         stamps, values = zip(*forces[False], strict=True)
-        t_us = fit.to_camera_us(np.array(stamps, np.int64))
+        t_us = fit.stamp_to_camera_us(np.array(stamps, np.int64))
         measured = label_on_camera_clock(t_us, values, f'{path} topic {reference}')
     if truth is None and measured is None:
         if forces[False]:
