@@ -501,49 +501,12 @@ def one_cycle(config: PaperConfig) -> SegmentBatch:
 def operations_per_cycle(config: PaperConfig) -> int:
     """Return floating-point operations (2 per multiply-add) of one cycle at full load.
 
-    Counted by hand from the shapes, without normalisation, activations and pooling. Sparse
-    convolutions count as if every pixel held events.
+    As torch counts them: without normalisation, activations and pooling, and with sparse
+    convolutions as if every pixel held events.
     """
-    total = 0
-    if config.model != 'events':
-        total += _backbone(config)
-    if config.model in {'fger', 'events'}:
-        total += _recurrence(config)
-    heads = {
-        'fger': 1 + config.channels,
-        'frames': config.channels,
-        'fusion': config.channels + config.sparse_channels[-1],
-        'events': -1,
-    }
-    total += config.correction_size * (heads[config.model] + 1)
-    if config.model == 'fusion':
-        total += _sparse(config)
-    return 2 * total
+    from torch.utils.flop_counter import FlopCounterMode
 
-
-def _backbone(config: PaperConfig) -> int:
-    rows, columns = (_half(size) for size in config.frame_shape)
-    stem = 49 * config.channels * rows * columns
-    stage = 2 * config.blocks * 9 * config.channels**2 * _half(rows) * _half(columns)
-    return stem + stage
-
-
-def _recurrence(config: PaperConfig) -> int:
-    widths = (4, *config.event_widths)
-    point = sum(a * b for a, b in pairwise(widths))
-    lstm = 4 * config.lstm_size * (widths[-1] + 1 + config.lstm_size)
-    increment = config.increment_size * (config.lstm_size + 1)
-    return CYCLE_US // config.window_us * (point * config.events_per_packet + lstm + increment)
-
-
-def _sparse(config: PaperConfig) -> int:
-    (rows, columns), widths = config.frame_shape, (2, *config.sparse_channels)
-    total = 0
-    for a, b in pairwise(widths):
-        total += 9 * a * b * rows * columns
-        rows, columns = _half(rows), _half(columns)
-    return total
-
-
-def _half(size: int) -> int:
-    return (size + 1) // 2
+    network = build(config).train()
+    with torch.no_grad(), FlopCounterMode(display=False) as counter:
+        network(one_cycle(config), network.initial_state(1))
+    return int(counter.get_total_flops())
