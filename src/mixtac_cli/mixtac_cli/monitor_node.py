@@ -28,7 +28,6 @@ from mixtac_node.stamps import stamp_to_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import TracebackType
 
     from diagnostic_msgs.msg import DiagnosticArray
     from numpy.typing import NDArray
@@ -67,12 +66,7 @@ class Receiver:
         """Return the receiver."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop receiving and close the node."""
         self._stopping.set()
         if self._thread.is_alive():

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import time
-from types import TracebackType
 from typing import Annotated, Any
 
 import typer
@@ -173,12 +172,7 @@ class CollectionDisplay:
             self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave the last panel on the screen."""
         if self._live is not None:
             self._live.update(self._panel())

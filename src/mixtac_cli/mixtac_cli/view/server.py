@@ -11,7 +11,6 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
-from types import TracebackType
 from urllib.parse import quote
 
 from mixtac_events.errors import MixtacError
@@ -75,19 +74,6 @@ class ViewerServer:
         except ViewError:
             self.close()
             raise
-
-    def __enter__(self) -> ViewerServer:
-        """Return the server."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End the server."""
-        self.close()
 
     def check(self) -> None:
         """Raise a ViewError if the server has ended by itself."""

@@ -8,6 +8,7 @@ import importlib.util
 import socket
 import subprocess
 import urllib.request
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ def test_a_port_in_use_is_named():
 
 @needs_rerun
 def test_the_page_is_served_on_this_machine_only_and_ends_with_its_owner():
-    with ViewerServer(0, 0, 50) as server:
+    with closing(ViewerServer(0, 0, 50)) as server:
         (child,) = psutil.Process().children()
         listening = [c.laddr for c in child.net_connections('inet') if c.status == 'LISTEN']
         assert len(listening) == 2
@@ -55,7 +56,7 @@ def test_the_page_is_served_on_this_machine_only_and_ends_with_its_owner():
 @needs_rerun
 def test_usage_data_are_off_and_the_users_own_settings_untouched(tmp_path, monkeypatch):
     monkeypatch.setenv('HOME', str(tmp_path))
-    with ViewerServer(0, 0, 50) as server:
+    with closing(ViewerServer(0, 0, 50)) as server:
         settings = Path(server._home.name) / 'config' / 'rerun' / 'analytics.json'
         assert '"analytics_enabled":false' in settings.read_text().replace(' ', '')
     assert not (tmp_path / '.config').exists()
