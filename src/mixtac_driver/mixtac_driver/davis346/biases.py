@@ -3,14 +3,17 @@
 """Biases of the DAVIS346 chip: values, register encoding, defaults and node parameters.
 
 Three kinds of bias share one register file (module CHIP, parameters 0 .. 36), each with its own
-packing into the low 16 bits of the value. Defaults are those of libcaer 3.3. Parameters are named
-as in libcaer_driver, one per field of each bias.
+packing into the low 16 bits of the value. `biases.csv` lists them with their defaults. Parameters
+are named as in libcaer_driver, one per field of each bias.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
 
@@ -120,85 +123,30 @@ class ShiftedSourceBias:
 Bias = VoltageBias | CurrentBias | ShiftedSourceBias
 
 
-def _n(coarse: int, fine: int, *, enabled: bool = True) -> CurrentBias:
-    return CurrentBias(coarse, fine, n_type=True, enabled=enabled)
+_KINDS: Mapping[str, Callable[[int, int], Bias]] = {
+    'voltage': VoltageBias,
+    'n': partial(CurrentBias, n_type=True),
+    'n off': partial(CurrentBias, n_type=True, enabled=False),
+    'p': partial(CurrentBias, n_type=False),
+    'shifted source': ShiftedSourceBias,
+}
 
 
-def _p(coarse: int, fine: int) -> CurrentBias:
-    return CurrentBias(coarse, fine, n_type=False)
+def _table() -> dict[str, dict[str, str]]:
+    """Return the rows of `biases.csv` by name."""
+    lines = Path(__file__).with_suffix('.csv').read_text(encoding='utf-8').splitlines()
+    rows = csv.DictReader(line for line in lines if not line.startswith('#'))
+    return {row['name']: row for row in rows}
 
 
+_TABLE = _table()
 DEFAULT_BIASES: Mapping[str, tuple[int, Bias]] = MappingProxyType(
     {
-        'ApsOverflowLevel': (0, VoltageBias(27, 6)),
-        'ApsCas': (1, VoltageBias(21, 6)),
-        'AdcRefHigh': (2, VoltageBias(32, 7)),
-        'AdcRefLow': (3, VoltageBias(1, 7)),
-        'AdcTestVoltage': (4, VoltageBias(21, 7)),
-        'LocalBufBn': (8, _n(5, 164)),
-        'PadFollBn': (9, _n(7, 215, enabled=False)),
-        'DiffBn': (10, _n(4, 39)),
-        'OnBn': (11, _n(5, 255)),
-        'OffBn': (12, _n(4, 1)),
-        'PixInvBn': (13, _n(6, 144)),
-        'PrBp': (14, _p(2, 58)),
-        'PrSFBp': (15, _p(1, 16)),
-        'RefrBp': (16, _p(4, 25)),
-        'ReadoutBufBp': (17, _p(6, 20)),
-        'ApsROSFBn': (18, _n(6, 219)),
-        'AdcCompBp': (19, _p(5, 20)),
-        'ColSelLowBn': (20, _n(0, 1)),
-        'DACBufBp': (21, _p(6, 60)),
-        'LcolTimeoutBn': (22, _n(5, 49)),
-        'AEPdBn': (23, _n(6, 91)),
-        'AEPuXBp': (24, _p(4, 80)),
-        'AEPuYBp': (25, _p(7, 152)),
-        'IFRefrBn': (26, _n(5, 255)),
-        'IFThrBn': (27, _n(5, 255)),
-        'BiasBuffer': (34, _n(5, 254)),
-        'SSP': (35, ShiftedSourceBias(1, 33)),
-        'SSN': (36, ShiftedSourceBias(1, 33)),
+        name: (int(row['address']), _KINDS[row['kind']](int(row['first']), int(row['second'])))
+        for name, row in _TABLE.items()
     }
 )
 """Every bias of the DAVIS346 by name: register address and default, in the order of writing."""
-PARAMETER_NAMES = {
-    'OnBn': 'ONBn',
-    'OffBn': 'OFFBn',
-    'AdcRefHigh': 'ADC_RefHigh',
-    'AdcRefLow': 'ADC_RefLow',
-    'AdcTestVoltage': 'ADC_TestVoltage',
-}
-"""Biases whose parameters have another name than DEFAULT_BIASES gives them."""
-DESCRIPTIONS = {
-    'ApsOverflowLevel': 'Level at which a frame pixel overflows',
-    'ApsCas': 'Cascode of the frame pixels',
-    'AdcRefHigh': 'White level of frames',
-    'AdcRefLow': 'Black level of frames',
-    'AdcTestVoltage': 'Voltage the ADC measures in its test',
-    'LocalBufBn': 'Local bias buffers',
-    'PadFollBn': 'Follower of the analogue test pads',
-    'DiffBn': 'Gain of the change detector',
-    'OnBn': 'Threshold of ON events',
-    'OffBn': 'Threshold of OFF events',
-    'PixInvBn': 'Inverter in the event pixels',
-    'PrBp': 'Bandwidth of the photoreceptor',
-    'PrSFBp': 'Bandwidth of the source follower',
-    'RefrBp': 'Refractory period of the pixels',
-    'ReadoutBufBp': 'Read-out buffer of the frames',
-    'ApsROSFBn': 'Source follower of the frame read-out',
-    'AdcCompBp': 'Comparator of the ADC',
-    'ColSelLowBn': 'Column selection of the frame read-out',
-    'DACBufBp': 'Buffer of the voltage references',
-    'LcolTimeoutBn': 'Time-out of the event column read-out',
-    'AEPdBn': 'Pull-down of the event requests',
-    'AEPuXBp': 'Pull-up of the event columns',
-    'AEPuYBp': 'Pull-up of the event rows',
-    'IFRefrBn': 'Refractory period of the calibration neuron',
-    'IFThrBn': 'Threshold of the calibration neuron',
-    'BiasBuffer': 'Buffer of the bias generator',
-    'SSP': 'Shifted source of the P biases',
-    'SSN': 'Shifted source of the N biases',
-}
 _PARTS: Mapping[type, tuple[tuple[str, str, str, int], ...]] = {
     VoltageBias: (
         ('voltage', 'voltage', 'voltage step', 63),
@@ -223,10 +171,10 @@ def _declare(schema: type[T]) -> type[T]:
     """Add the parameters of all biases to a class that becomes a dataclass."""
     for name, (_, bias) in DEFAULT_BIASES.items():
         for suffix, part, description, maximum in _PARTS[type(bias)]:
-            default, text = getattr(bias, part), f'{DESCRIPTIONS[name]}, {description}'
+            default, text = getattr(bias, part), f'{_TABLE[name]["description"]}, {description}'
             flag = isinstance(default, bool)
             field = switch(default, text) if flag else number(default, text, maximum)
-            parameter_name = f'{PARAMETER_NAMES.get(name, name)}_{suffix}'
+            parameter_name = f'{_TABLE[name]["parameter"]}_{suffix}'
             schema.__annotations__[parameter_name] = type(default).__name__
             setattr(schema, parameter_name, field)
     return schema
@@ -242,9 +190,7 @@ def biases(p: BiasParameters) -> dict[str, Bias]:
     """Return the biases that parameters stand for, under the names of DEFAULT_BIASES."""
     wanted: dict[str, Bias] = {}
     for name, (_, default) in DEFAULT_BIASES.items():
-        prefix = PARAMETER_NAMES.get(name, name)
-        values = {
-            part: getattr(p, f'{prefix}_{suffix}') for suffix, part, *_ in _PARTS[type(default)]
-        }
+        prefix, parts = _TABLE[name]['parameter'], _PARTS[type(default)]
+        values = {part: getattr(p, f'{prefix}_{suffix}') for suffix, part, *_ in parts}
         wanted[name] = replace(default, **values)
     return wanted
