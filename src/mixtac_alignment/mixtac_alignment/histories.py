@@ -379,11 +379,11 @@ class ForceHistory:
             t_ns: Stamp, reference clock [ns].
             force: Force (x, y, z) [N].
         """
-        latest = self._latest_ns()
-        if latest is not None and t_ns < latest - 1000 * RESTART_US:
+        late_ns = self._t_ns[(self._count - 1) % len(self._t_ns)] - t_ns if self._count else -1
+        if late_ns > 1000 * RESTART_US:
             self.restarts += 1
             self._count = 0
-        elif (latest is not None and t_ns <= latest) or not np.isfinite(force).all():
+        elif late_ns >= 0 or not np.isfinite(force).all():
             self.out_of_order += 1
             return
         slot = self._count % len(self._t_ns)
@@ -399,6 +399,3 @@ class ForceHistory:
         recent = slots[t_ns >= t_ns[-1] - self._span_ns] if len(t_ns) else slots
         seconds = np.asarray(self._t_ns[recent] / 1e9, np.float64)
         return seconds, np.asarray(self._force[recent, 'xyz'.index(axis)])
-
-    def _latest_ns(self) -> int | None:
-        return int(self._t_ns[(self._count - 1) % len(self._t_ns)]) if self._count else None

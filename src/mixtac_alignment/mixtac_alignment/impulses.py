@@ -56,14 +56,12 @@ class Impulse:
         time_s: Peak or moment of stillness [s] since the start of the recording, on its clock.
         std_s: Standard deviation of `time_s` [s].
         strength: Sharpness, comparable within one recording only.
-        width_s: Width at half height [s].
         saturated: True where the peak is cut off.
     """
 
     time_s: float
     std_s: float
     strength: float
-    width_s: float
     saturated: bool = False
 
 
@@ -150,7 +148,6 @@ def find_force_impulses(
                 time_s=time_s,
                 std_s=float(np.hypot(std_s, period / np.sqrt(12.0))),
                 strength=float(height) / max(width_s, period),
-                width_s=width_s,
                 saturated=bool(flat >= 3 and flat * period > 0.3 * width_s),
             )
         )
@@ -321,8 +318,7 @@ def find_event_impulses(
         queued_s = QUEUE_STD_S if burst > READOUT_RATE else 0.0
         std_s = float(np.sqrt((std * width_s) ** 2 + MODEL_STD_S**2 + queued_s**2))
         if std_s <= LARGEST_STD_S:
-            width_at_half = float(width) * width_s
-            impulses.append(Impulse(position * width_s, std_s, float(depth), width_at_half))
+            impulses.append(Impulse(position * width_s, std_s, float(depth)))
     return strongest(impulses, MIN_SPACING_S)
 
 

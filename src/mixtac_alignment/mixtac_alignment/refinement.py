@@ -148,13 +148,11 @@ class Refinement:
     Attributes:
         fit: The map; anchors are those of the first fit, residuals are theirs to this map.
         lag: Lag of the gel, from the prior and this trial.
-        residual_std: Robust standard deviation of the force between frames and reference [N].
         lag_covariance: Covariance of the weights of the lag, 6 x 6.
     """
 
     fit: ClockFit
     lag: GelLag
-    residual_std: float
     lag_covariance: NDArray[np.float64]
 
 
@@ -343,7 +341,7 @@ def _result(first: ClockFit, estimate: _Estimate, gel: GelLag) -> Refinement:
             f'{1e3 * allowed[worst]:.1f} ms: a clock jumped, samples were lost, or the taps are '
             'not the same ones; record again'
         )
-    return Refinement(fit, lag, estimate.noise, INFLATION**2 * estimate.covariance[2:, 2:])
+    return Refinement(fit, lag, INFLATION**2 * estimate.covariance[2:, 2:])
 
 
 def _require_same_motion(estimate: _Estimate, swing: float) -> None:

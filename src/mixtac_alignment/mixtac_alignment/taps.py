@@ -352,7 +352,7 @@ def find_bursts(counts: EventCounts, parameters: AlignmentParameters) -> list[Im
     peaks = prominent_peaks(smooth, parameters.min_burst_rate, window)
     reach = round(0.05 / width_s)
     impulses = [
-        Impulse((peak + 0.5) * width_s, BURST_STD_S, float(height), float(width) * width_s)
+        Impulse((peak + 0.5) * width_s, BURST_STD_S, float(height))
         for peak, height, width in zip(*peaks, strict=True)
         if width * width_s <= 1.5 * parameters.max_width and not counts.lost_near(int(peak), reach)
     ]

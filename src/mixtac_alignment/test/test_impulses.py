@@ -46,9 +46,7 @@ def test_the_vertex_stays_within_the_samples(values: list[float]) -> None:
 
 
 def test_only_the_strongest_of_neighbours_counts() -> None:
-    impulses = [
-        Impulse(t, 1e-4, s, 0.01) for t, s in ((0.0, 1.0), (0.1, 3.0), (0.2, 2.0), (1.0, 1))
-    ]
+    impulses = [Impulse(t, 1e-4, s) for t, s in ((0.0, 1.0), (0.1, 3.0), (0.2, 2.0), (1.0, 1))]
     assert [i.time_s for i in strongest(impulses, 0.15)] == [0.1, 1.0]
 
 

@@ -12,7 +12,7 @@ from mixtac_alignment.two_impulse import fit_two_impulses
 
 
 def impulse(at: float) -> Impulse:
-    return Impulse(time_s=at, std_s=1e-4, strength=1.0, width_s=0.01, saturated=False)
+    return Impulse(time_s=at, std_s=1e-4, strength=1.0, saturated=False)
 
 
 def signal(taps: dict[float, float]) -> tuple[np.ndarray, np.ndarray]:

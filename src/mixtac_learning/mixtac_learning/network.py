@@ -77,10 +77,6 @@ class SequenceState(NamedTuple):
     history: Tensor
     offset: Tensor
 
-    def detached(self) -> SequenceState:
-        """Return the state without its gradient (truncated back-propagation)."""
-        return SequenceState(*(part.detach() for part in self))
-
 
 class FrameSlots(NamedTuple):
     """Which frame becomes available at which window.
@@ -178,8 +174,8 @@ class FgerNetwork(nn.Module):
         self.gates_force = nn.Linear(1, gates, bias=False)
         self.gates_hidden = nn.Linear(config.lstm_size, gates, bias=False)
         shortcut = config.event_size if config.event_shortcut else 0
-        self.increment = _perceptron(config.lstm_size + shortcut, config.mlp_size)
-        self.correction = _perceptron(1 + config.frame_size, config.mlp_size)
+        self.increment = perceptron(config.lstm_size + shortcut, config.mlp_size)
+        self.correction = perceptron(1 + config.frame_size, config.mlp_size)
         self.deviation = (
             DeviationHead(config.lstm_size, config.deviation_size)
             if config.deviation_size
@@ -194,17 +190,6 @@ class FgerNetwork(nn.Module):
         return SequenceState(zeros, zeros, history, torch.zeros(sequences, device=device))
 
     def forward(
-        self,
-        event_features: Tensor,
-        frame_features: Tensor,
-        slots: FrameSlots,
-        state: SequenceState,
-    ) -> tuple[Tensor, SequenceState]:
-        """Return force [N] [T, B] and the last state; arguments as in `course`."""
-        course = self.course(event_features, frame_features, slots, state)
-        return course.force, course.state
-
-    def course(
         self,
         event_features: Tensor,
         frame_features: Tensor,
@@ -275,7 +260,8 @@ class FgerNetwork(nn.Module):
         return torch.where(slots.frame >= 0, self.correction(fusion)[:, 0], 0.0)
 
 
-def _perceptron(inputs: int, hidden: int) -> nn.Sequential:
+def perceptron(inputs: int, hidden: int) -> nn.Sequential:
+    """Return a perceptron with one hidden layer and one output."""
     return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, 1))
 
 

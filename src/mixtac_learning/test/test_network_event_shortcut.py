@@ -22,7 +22,7 @@ def test_live_and_batch_agree(shortcut):
     events = torch.randn(WINDOWS, 1, network.config.grid_rows, network.config.grid_columns, 4)
     none = torch.full((WINDOWS, 1), -1)
     with torch.no_grad():
-        course = network.course(
+        course = network(
             events,
             torch.zeros(1, network.config.frame_size),
             FrameSlots(none, torch.zeros_like(none)),

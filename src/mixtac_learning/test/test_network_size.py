@@ -45,7 +45,7 @@ def test_fewer_operations_than_promised():
     slots.frame[0] = 0
     with FlopCounterMode(display=False) as counter, torch.no_grad():
         features = network.frame(frame)
-        course = network.course(events, features, slots, network.initial_state(1))
+        course = network(events, features, slots, network.initial_state(1))
         network.deviation(course.hidden, course.force)
     counted = counter.get_total_flops()
     assert counted < MOST_OPERATIONS

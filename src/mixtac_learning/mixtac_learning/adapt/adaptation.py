@@ -64,7 +64,8 @@ def with_gain(network: FgerNetwork, gain: float) -> FgerNetwork:
         raise CalibrationError(f'a gain of {gain} is impossible: check the known forces')
     scaled = copy.deepcopy(network)
     for layer in (scaled.increment[2], scaled.correction[2], scaled.frame.head):
-        _multiply(layer, gain)
+        for parameter in layer.parameters():
+            parameter.mul_(gain)
     scaled.gates_force.weight /= gain
     first = scaled.correction.get_parameter('0.weight')
     first[:, 0] /= gain
@@ -72,11 +73,6 @@ def with_gain(network: FgerNetwork, gain: float) -> FgerNetwork:
         scaled.deviation.hidden.weight[:, -1] /= gain
         scaled.deviation.scale *= gain
     return scaled
-
-
-def _multiply(layer: nn.Module, gain: float) -> None:
-    for parameter in layer.parameters():
-        parameter.mul_(gain)
 
 
 SETTINGS = TrainingSettings(

@@ -89,7 +89,7 @@ def summarise(
 def _over_time(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
     rows = []
     for each in estimates:
-        interval_s = _interval_s(each)
+        interval_s = float(np.median(np.diff(each.t_us))) / 1e6 if len(each.t_us) > 1 else 0.002
         fast, fast_constant = fast_error(each.known, each.force, interval_s)
         rolling = rolling_errors(each.known, each.force, interval_s)
         peak = peak_error(each.known, each.force, interval_s)
@@ -108,10 +108,6 @@ def _over_time(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
         for name, column in zip(names, table.T, strict=True)
         if not np.isnan(column).all()
     }
-
-
-def _interval_s(estimate: TrialEstimate) -> float:
-    return float(np.median(np.diff(estimate.t_us))) / 1e6 if len(estimate.t_us) > 1 else 0.002
 
 
 def _rounded(value: float) -> float:

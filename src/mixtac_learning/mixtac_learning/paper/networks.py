@@ -14,7 +14,7 @@ from torch.nn.functional import max_pool2d
 
 from mixtac_fger.config import ConfigError, ModelError
 from mixtac_fger.weights import Model, ModelCard
-from mixtac_learning.network import arrays_of, load_arrays
+from mixtac_learning.network import arrays_of, load_arrays, perceptron
 from mixtac_learning.paper.config import PaperConfig
 
 
@@ -151,11 +151,6 @@ class PointEncoder(nn.Module):
         index = packet[:, None].expand(-1, self.size)
         pooled = empty.scatter_reduce(0, index, features, 'amax', include_self=True)
         return torch.Tensor(pooled)
-
-
-def perceptron(inputs: int, hidden: int) -> nn.Sequential:
-    """Return a perceptron with one hidden layer and one output."""
-    return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, 1))
 
 
 class SparseBlock(nn.Module):
@@ -303,7 +298,8 @@ class FgerPaper(RecurrentModel):
     def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
         """Return the force [N] at the end of each window, [T, B], and the state after the last."""
         frames = self.frame(batch.frames)
-        state = recall(state, frames, batch)
+        if len(frames):
+            state = _see(state, frames, batch.before)
         arrivals = (batch.slots >= 0).any(1).tolist()
         forces = []
         for features, slots, arrives in zip(
@@ -351,13 +347,6 @@ def _see(state: PaperState, frames: Tensor, slots: Tensor) -> PaperState:
     fresh = slots >= 0
     feature = torch.where(fresh[:, None], frames[slots.clamp(min=0)], state.feature)
     return state._replace(feature=feature, seen=state.seen | fresh)
-
-
-def recall(state: PaperState, frames: Tensor, batch: SegmentBatch) -> PaperState:
-    """Return the state with the frame that was the latest before the stretch, where there is."""
-    if not len(frames):
-        return state
-    return _see(state, frames, batch.before)
 
 
 class FrameModel(nn.Module):

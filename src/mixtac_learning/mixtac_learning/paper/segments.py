@@ -109,20 +109,15 @@ class _Column:
             self.slots = np.where(slots >= 0, np.searchsorted(used, slots), -1)
             self.before = np.int64(np.searchsorted(used, latest) if latest >= 0 else -1)
         self.frames = sample.frames[used]
-        self.event_frames = _event_frames(sample, used if model == 'fusion' else used[:0])
+        shown = used if model == 'fusion' else used[:0]
+        self.event_frames = np.log1p(sample.counts[shown].astype(np.float32))
         self.frame_force = np.array(sample.frame_force[used])
         if model == 'fusion':
-            self._label_at_arrival(sample, used)
+            # Its label is the force when the frame arrives, not that of the exposure.
+            arrivals = np.flatnonzero(sample.slots >= 0)
+            place = np.searchsorted(sample.slots[arrivals], used)
+            self.frame_force = np.array(sample.force[arrivals[place]])
         self.points, self.packet = _points(sample, segment, model)
-
-    def _label_at_arrival(self, sample: PaperSample, used: NDArray[np.int64]) -> None:
-        arrivals = np.flatnonzero(sample.slots >= 0)
-        place = np.searchsorted(sample.slots[arrivals], used)
-        self.frame_force = np.array(sample.force[arrivals[place]])
-
-
-def _event_frames(sample: PaperSample, used: NDArray[np.int64]) -> NDArray[np.float32]:
-    return np.asarray(np.log1p(sample.counts[used].astype(np.float32)))
 
 
 def _points(

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from mixtac_fger.config import FgerConfig, ModelError
-from mixtac_learning.network import DeviationHead, FgerNetwork, FrameSlots
+from mixtac_learning.network import DeviationHead, FgerNetwork, FrameSlots, SequenceState
 from mixtac_learning.train.batches import SequenceGroups, Sequences, mirror_events, mirror_frames
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import Stage, TrainingLoop
@@ -96,8 +96,8 @@ def estimate(network: FgerNetwork, sequences: Sequences) -> tuple[Tensor, Tensor
     features = encode(network, sequences)
     state = network.initial_state(sequences.force.shape[1])
     events = sequences.event_features.float()
-    force, _ = network(events, features, sequences.slots, state)
-    return force, network.frame.force(features)
+    course = network(events, features, sequences.slots, state)
+    return course.force, network.frame.force(features)
 
 
 def mean_error(
@@ -326,9 +326,10 @@ class SequenceStage(Stage):
                     self._encode_now(sequences, flip, slots) if frozen is None else (frozen, slots)
                 )
                 events = mirror_events(sequences.event_features[start:stop].float(), *flip)
-                force, state = self.model.network(events, features, local, state)
-                state = state.detached()
-                yield self._loss(force, sequences, slice(start, stop))
+                course = self.model.network(events, features, local, state)
+                # Truncated back-propagation: the gradient ends here.
+                state = SequenceState(*(part.detach() for part in course.state))
+                yield self._loss(course.force, sequences, slice(start, stop))
 
     def _impacts(self, group: int, sequences: Sequences) -> Sequences | None:
         """Return the impacts of a group; cached if there is only one group."""
@@ -349,8 +350,8 @@ class SequenceStage(Stage):
         )
         state = self.model.network.initial_state(cut_out.force.shape[1])
         events = mirror_events(cut_out.event_features.float(), *flip)
-        force, _ = self.model.network(events, features, slots, state)
-        return self._loss(force, cut_out, slice(None))
+        course = self.model.network(events, features, slots, state)
+        return self._loss(course.force, cut_out, slice(None))
 
     def validate(self) -> float | None:
         """Return the mean absolute error on the trials to validate on [N]."""
@@ -497,7 +498,7 @@ def collect(network: FgerNetwork, groups: SequenceGroups, most: int = _WINDOWS) 
         trials = sequences.force.shape[1]
         state = network.initial_state(trials)
         events = sequences.event_features.float()
-        course = network.course(events, features, sequences.slots, state)
+        course = network(events, features, sequences.slots, state)
         rows = torch.nonzero(sequences.valid.flatten())[:, 0]
         rows = rows[torch.randperm(len(rows), generator=random)[:share].to(device)]
         force = course.force.flatten()[rows]

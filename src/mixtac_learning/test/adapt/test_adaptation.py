@@ -39,7 +39,7 @@ def outputs(network, sample):
     with torch.no_grad():
         features = network.frame(sequences.frame_inputs.float())
         events = sequences.event_features.float()
-        course = network.course(events, features, sequences.slots, state)
+        course = network(events, features, sequences.slots, state)
         deviation = network.deviation(course.hidden, course.force)
     return course.force[:, 0].numpy(), deviation[:, 0].numpy()
 

@@ -29,7 +29,7 @@ def test_deviations_are_those_of_the_batch_network(model, network, config, trial
     monkeypatch.setattr('mixtac_learning.trials.samples.STORED', np.float32)
     batch = stack([make_sample(config, trial, trial.label(), {})])
     with torch.inference_mode():
-        course = network.course(
+        course = network(
             batch.event_features,
             network.frame(batch.frame_inputs),
             batch.slots,

@@ -71,6 +71,6 @@ def test_running_in_stretches_equals_running_at_once(config, toy_sequences, poin
             rows = slice(start, start + 37)
             slots = type(sequences.slots)(*(part[rows] for part in sequences.slots))
             events = sequences.event_features[rows].float()
-            force, state = network(events, features, slots, state)
+            force, _, state = network(events, features, slots, state)
             parts.append(force)
     assert torch.allclose(torch.cat(parts), whole, atol=1e-5)
