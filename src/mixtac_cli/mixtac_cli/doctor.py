@@ -143,30 +143,18 @@ def examine(
     software = [*check_ros(os.environ), check_model()]
     if is_real(device):
         yield 'software', [*software, check_virtual_sensor()]
-        yield from _real_camera(device, seconds, serial, files)
+        attached = check_attached(files, serial)
+        yield 'camera', attached
+        if worst(attached) < Level.ERROR:
+            yield 'measured', list(check_running(device, seconds, serial=serial))
     else:
         yield 'software', software
-        yield from _virtual_camera(device, seconds, serial)
+        with virtual_camera(device) as (backend, finding):
+            yield 'camera', [finding]
+            if backend is not None:
+                found = check_running(device, seconds, serial=serial, backend=backend)
+                yield 'measured', list(found)
     yield 'computer', check_computer(files, Path.cwd())
-
-
-def _real_camera(
-    device: str, seconds: float, serial: str, files: HostFiles
-) -> Iterator[tuple[str, list[Finding]]]:
-    attached = check_attached(files, serial)
-    yield 'camera', attached
-    if worst(attached) < Level.ERROR:
-        yield 'measured', list(check_running(device, seconds, serial=serial))
-
-
-def _virtual_camera(
-    device: str, seconds: float, serial: str
-) -> Iterator[tuple[str, list[Finding]]]:
-    with virtual_camera(device) as (backend, finding):
-        yield 'camera', [finding]
-        if backend is not None:
-            found = check_running(device, seconds, serial=serial, backend=backend)
-            yield 'measured', list(found)
 
 
 def table(section: str, findings: list[Finding]) -> Table:

@@ -224,18 +224,12 @@ class ImageReceiver(Receiver):
 
     Args:
         topic: Absolute name of the topic.
-
-    Attributes:
-        received: Images received.
-        skipped: Images replaced before they were taken.
     """
 
     def __init__(self, topic: str) -> None:
         super().__init__('calibrate')
         self._fresh = threading.Condition()
         self._newest: Image | None = None
-        self.received = 0
-        self.skipped = 0
         self._node.subscribe_topic(topics.IMAGE_RAW, self._on_image, name=topic)
         self._thread.start()
 
@@ -248,7 +242,5 @@ class ImageReceiver(Receiver):
 
     def _on_image(self, message: Image) -> None:
         with self._fresh:
-            self.received += 1
-            self.skipped += self._newest is not None
             self._newest = message
             self._fresh.notify()

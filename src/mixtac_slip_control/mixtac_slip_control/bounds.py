@@ -295,7 +295,3 @@ class AdvanceBound:
             return reached
         largest = self.stiffness.largest_advance(GOAL_SHARE * p.max_force)
         return max(min(largest, p.max_total), reached)
-
-    def update_probe(self, room: float) -> None:
-        """Let the probe go on by a window, within an advance [m] that is left to it."""
-        self.probe.update(self.stiffness.stiffness, self.stiffness.deviation, room)

@@ -187,12 +187,12 @@ class Advance:
             now_s: Host time [s].
         """
         before = self.total
-        bound, probe = self.bound, self.bound.probe
-        limit = bound.limit(self._planner.advance_at(now_s), force_n)
+        stiffness, probe = self.bound.stiffness, self.bound.probe
+        limit = self.bound.limit(self._planner.advance_at(now_s), force_n)
         if detectors.slipping and probe.active:
             self._law.add(probe.take_over())
-        bound.update_probe(limit - self._law.total)
-        force = None if probe.active else bound.stiffness.present
+        probe.update(stiffness.stiffness, stiffness.deviation, limit - self._law.total)
+        force = None if probe.active else stiffness.present
         room = limit - probe.advance
         self._law.update(count, detectors.law_threshold, force, room, slipping=detectors.slipping)
         self._limit = max(limit, 0.0)

@@ -182,13 +182,13 @@ class CollectionDisplay:
         """Show the session as it is now."""
         if self._live is not None:
             self._live.update(self._panel())
-        elif self._session.last.verdict is Verdict.KEPT:
+        elif self._session.last is Verdict.KEPT:
             self.console.print(self._line())
 
     def _line(self) -> str:
         session = self._session
         shares = ' '.join(f'{name} {100 * share:.0f}%' for name, share in session.progress())
-        label = session.last.view.label if session.last.view else ''
+        label = session.selection.views[-1].label
         return f'view {len(session.images):2d} ({label})  {shares}  {_fit(session.rms_px)}'
 
     def _panel(self) -> Group:
@@ -196,7 +196,7 @@ class CollectionDisplay:
         table = Table(title='Camera calibration', title_justify='left', show_header=False)
         table.add_row('images', f'{session.seen}, board found in {session.found}')
         table.add_row('views', '  '.join(f'{each.value} {verdicts[each]}' for each in Verdict))
-        table.add_row('last image', str(session.last))
+        table.add_row('last image', session.last.value if session.last else 'no board')
         for name, share in session.progress():
             filled = round(share * _BAR)
             table.add_row(name, f'{"█" * filled}{"·" * (_BAR - filled)} {100 * share:3.0f} %')

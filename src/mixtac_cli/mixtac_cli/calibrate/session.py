@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -95,23 +94,6 @@ HINTS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ImageOutcome:
-    """Result of looking for the board in one image.
-
-    Attributes:
-        view: The board in it, or None.
-        verdict: Whether the view was kept, or None without one.
-    """
-
-    view: View | None
-    verdict: Verdict | None
-
-    def __str__(self) -> str:
-        """Return it as text."""
-        return self.verdict.value if self.verdict else 'no board'
-
-
 class CalibrationSession:
     """Takes images one by one and keeps the views worth fitting, with their images.
 
@@ -126,7 +108,7 @@ class CalibrationSession:
         seen: Images looked at.
         found: Images that show the whole board.
         rms_px: Reprojection error of the running fit [px], NaN before the first.
-        last: Result of the last image.
+        last: Whether the view in the last image was kept; None without the whole board in it.
     """
 
     def __init__(self, board: Board, model: str, *, thorough: bool = False) -> None:
@@ -138,21 +120,19 @@ class CalibrationSession:
         self.seen = 0
         self.found = 0
         self.rms_px = float('nan')
-        self.last = ImageOutcome(None, None)
+        self.last: Verdict | None = None
 
-    def offer(self, image: Grey, label: str) -> ImageOutcome:
+    def offer(self, image: Grey, label: str) -> None:
         """Look for the board in an image and keep the view if it shows something new."""
         self.seen += 1
         view = find_board(image, self._board, label, thorough=self._thorough)
-        verdict = None
+        self.last = None
         if view is not None:
             self.found += 1
-            verdict = self.selection.offer(view)
-            if verdict is Verdict.KEPT:
+            self.last = self.selection.offer(view)
+            if self.last is Verdict.KEPT:
                 self.images.append(image)
                 self._update_fit()
-        self.last = ImageOutcome(view, verdict)
-        return self.last
 
     def progress(self) -> list[tuple[str, float]]:
         """Return how far each requirement is met, 0 .. 1, by name."""
@@ -170,17 +150,14 @@ class CalibrationSession:
             return 'enough views' if self.selection.complete else 'a few more views'
         return HINTS[int(np.argmin(shares))]
 
-    def save_pictures(self, folder: Path) -> list[Path]:
-        """Write the kept images with their detected corners; return the files.
+    def save_pictures(self, folder: Path) -> None:
+        """Write the kept images with their detected corners.
 
         Raises:
             FileError: A file cannot be written.
         """
-        pairs = zip(self.selection.views, self.images, strict=True)
-        return [
+        for index, (view, image) in enumerate(zip(self.selection.views, self.images, strict=True)):
             _save_picture(folder / f'view_{index:02d}.png', view, image)
-            for index, (view, image) in enumerate(pairs)
-        ]
 
     def _update_fit(self) -> None:
         views = self.selection.views
@@ -193,7 +170,7 @@ class CalibrationSession:
         self.rms_px = float(np.sqrt(np.mean(errors**2)))
 
 
-def _save_picture(path: Path, view: View, image: Grey) -> Path:
+def _save_picture(path: Path, view: View, image: Grey) -> None:
     grey = stretched(image)
     large = cv2.resize(
         grey if grey is not None else np.zeros(image.shape, np.uint8),
@@ -208,4 +185,3 @@ def _save_picture(path: Path, view: View, image: Grey) -> Path:
     _, data = cv2.imencode('.png', colour)
     with replacing(path) as scratch:
         scratch.write_bytes(data.tobytes())
-    return path

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -126,14 +126,6 @@ class RecordingSummary:
     simulated: bool
     serial: str
     topics: Mapping[str, Mapping[str, float]]
-
-    @staticmethod
-    def of(
-        meters: Sequence[TopicMeter], seconds: float, dropped: int, *, simulated: bool, serial: str
-    ) -> RecordingSummary:
-        """Return the summary of metered topics."""
-        figures = {meter.topic.name: meter.figures() for meter in meters if meter.messages}
-        return RecordingSummary(seconds, dropped, simulated, serial, figures)
 
     @property
     def missing(self) -> int:

@@ -89,10 +89,6 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
             for meter in self.meters
         }
 
-    def has_clock(self) -> bool:
-        """Return whether `/clock` has a publisher."""
-        return bool(self.count_publishers('/clock'))
-
     def stamps_ns(self) -> dict[str, int]:
         """Return the latest stamp [ns] of the topics that are on the camera clock."""
         return {
@@ -148,9 +144,8 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
             return None
         seconds = (time.time_ns() - self._began_ns) / 1e9
         writer.close()
-        return RecordingSummary.of(
-            self.meters, seconds, writer.dropped, simulated=self.simulated, serial=self.serial
-        )
+        figures = {meter.topic.name: meter.figures() for meter in self.meters if meter.messages}
+        return RecordingSummary(seconds, writer.dropped, self.simulated, self.serial, figures)
 
     def _on_message(self, meter: TopicMeter, data: bytes) -> None:
         received_ns = time.time_ns()

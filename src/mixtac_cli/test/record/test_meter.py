@@ -67,12 +67,12 @@ def test_every_topic_says_whether_it_has_a_header():
 
 def test_the_verdict_names_what_was_lost(packet):
     meter = TopicMeter(EVENTS, even=False)
-    nothing = RecordingSummary.of([meter], 1.0, 0, simulated=True, serial='')
+    nothing = RecordingSummary(1.0, 0, True, '', {})
     assert nothing.missing == 0
     assert 'events' not in nothing.verdict()
     for seq in (0, 4):
         meter.add(1, packet(seq, 'camera', 'libcaer_cmp', 1, 0, big=False))
-    summary = RecordingSummary.of([meter], 1.0, 7, simulated=True, serial='S1')
+    summary = RecordingSummary(1.0, 7, True, 'S1', {'events': meter.figures()})
     assert summary.missing == 3
     assert '3 of events' in summary.verdict()
     assert '7 ' in summary.verdict()

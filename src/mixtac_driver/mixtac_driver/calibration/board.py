@@ -331,8 +331,8 @@ class ViewSelection:
             return Verdict.BLURRED
         wanted = measure(view)
         nearest = min((wanted.distance(each) for each in self.measures), default=np.inf)
-        return Verdict.KEPT if nearest > MIN_DISTANCE or self._adds(view) else Verdict.ALIKE
-
-    def _adds(self, view: View) -> bool:
+        if nearest > MIN_DISTANCE:
+            return Verdict.KEPT
         held, new = coverage_counts(self.views), coverage_counts([view])
-        return int(((held == 0) & (new > 0)).sum()) >= MIN_NEW_CELLS
+        added = int(((held == 0) & (new > 0)).sum())
+        return Verdict.KEPT if added >= MIN_NEW_CELLS else Verdict.ALIKE

@@ -15,7 +15,7 @@ from mixtac_driver.davis346.registers import Aps, Dvs, Module, Mux
 from mixtac_driver.davis346.settings import CameraParameters, SensorParameters
 from mixtac_driver.davis346.writes import (
     STOP_WRITES,
-    exposure_write,
+    cycles,
     register_writes,
     reset_clock,
     run_writes,
@@ -178,7 +178,8 @@ class RegisterWriter:
         Raises:
             UsbError: The request failed.
         """
-        self._write_changes([exposure_write(exposure_us, self.identity.clocks)])
+        exposure = cycles(exposure_us, self.identity.clocks.adc)
+        self._write_changes([Write(Module.APS, Aps.EXPOSURE, exposure)])
 
     def request_frame(self) -> None:
         """Make a camera whose frames are off take one.

@@ -85,11 +85,6 @@ class CameraModel:
         """USB vendor and product number."""
         return self.vendor, self.product
 
-    @property
-    def chip_names(self) -> str:
-        """Names of its chips, for messages."""
-        return ', '.join(CHIP_NAMES.get(chip, str(chip)) for chip in self.chips)
-
     def check_array(self, columns: int, rows: int) -> None:
         """Raise unless a pixel array has the size of this model, in either orientation.
 
@@ -327,7 +322,7 @@ def _choose_model(models: Sequence[CameraModel], chip: int) -> CameraModel:
     for model in models:
         if chip in model.chips:
             return model
-    known = ', '.join(model.chip_names for model in models)
+    known = ', '.join(CHIP_NAMES.get(each, str(each)) for m in models for each in m.chips)
     raise UnsupportedCameraError(
         f'chip {chip} ({CHIP_NAMES.get(chip, "unknown")}) is not supported here',
         remedy=f'attach a camera with one of the chips {known}, or choose one by its serial number',

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 from mixtac_driver.clock import Origin
 from mixtac_driver.davis346.biases import biases
-from mixtac_driver.davis346.model import CameraModel, Clocks, Identity
+from mixtac_driver.davis346.model import CameraModel, Identity
 from mixtac_driver.davis346.registers import (
     PIXEL_FILTERS,
     Aps,
@@ -84,11 +84,6 @@ def run_writes(p: CameraParameters, model: CameraModel) -> list[Write]:
         (Module.EXTERNAL_INPUT, ExternalInput.RUN_DETECTOR, p.external_input_enabled),
     ]
     return [Write(module, parameter, int(enabled)) for module, parameter, enabled in wanted]
-
-
-def exposure_write(exposure_us: int, clocks: Clocks) -> Write:
-    """Return the write that sets the exposure [us]."""
-    return Write(Module.APS, Aps.EXPOSURE, cycles(exposure_us, clocks.adc))
 
 
 def _dvs_writes(

@@ -106,17 +106,14 @@ class Timeline:
         if len(events):
             # In an unsorted packet, the last event is not the latest.
             until_us = max(until_us, int(events.t[-1]) + self.offset_us)
-        yield from self._silence(start_us)
+        while self.step_us and (end_us := self._next_us()) <= start_us:
+            yield self._step(end_us, _NOTHING)
         taken = 0
         while self.step_us and (end_us := self._next_us()) < until_us:
             last = int(np.searchsorted(events.t, end_us - self.offset_us))
             yield self._step(end_us, events[taken:last])
             taken = last
         yield self._step(max(until_us, self.position_us), events[taken:], piece)
-
-    def _silence(self, until_us: int) -> Iterator[Step]:
-        while self.step_us and (end_us := self._next_us()) <= until_us:
-            yield self._step(end_us, _NOTHING)
 
     def _next_us(self) -> int:
         return (self.position_us // self.step_us + 1) * self.step_us

@@ -157,12 +157,6 @@ def usb_error(code: int) -> USBError:
     return USBError(f'libusb error {code}', code, number)
 
 
-def transfer_error(status: int) -> USBError:
-    """Return pyusb's error for the status of a transfer."""
-    number = _ERRNO.get(status, errno.EIO)
-    return USBError(f'transfer ended with status {status}', None, number)
-
-
 LONGEST_WAIT_S = 0.05
 ROOM_EVERY_S = 0.005
 DRAIN_TIMEOUT_S = 2.0
@@ -288,7 +282,8 @@ class AsynchronousReader:
         if status == COMPLETED:
             self._submit_again(transfer)
         elif status != CANCELLED and self._failure is None:
-            self._failure = transfer_error(status)
+            number = _ERRNO.get(status, errno.EIO)
+            self._failure = USBError(f'transfer ended with status {status}', None, number)
         # A read that failed or was cancelled may hold data.
         if data:
             self._stalls.in_a_row = 0
