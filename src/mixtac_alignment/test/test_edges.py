@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_alignment.edges import fit_edges
+from mixtac_alignment.align import fit_edges
 from mixtac_alignment.errors import AmbiguousImpulsesError, DriftError, NoImpulseError
 
 EPOCH_US = 1_700_000_000_000_000

@@ -20,7 +20,7 @@ from mixtac_learning.judge.metrics import CalibrationError
 from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.batches import stack
 from mixtac_learning.train.stages import estimate
-from mixtac_learning.trials.samples import CONTACT_N, MEASURED_CONTACT_N, Sample, make_sample
+from mixtac_learning.trials.samples import Sample, make_sample
 from mixtac_learning.trials.trial import ForceLabel, TrialArrays, camera_end_us
 
 _NUMBER = r'(\d+(?:\.\d*)?|\.\d+)'
@@ -241,11 +241,9 @@ def gather_presses(
 
 def _sample(network: FgerNetwork, trial: TrialArrays, loads: Sequence[Load]) -> Sample:
     if not loads:
-        label = trial.label()
-        contact_n = CONTACT_N if label is trial.truth else MEASURED_CONTACT_N
-        return make_sample(network.config, trial, label, trial.origin, contact_n)
+        return make_sample(network.config, trial, trial.label(), trial.origin)
     start_us = min(int(trial.events.t[0]), int(trial.exposure_start_us[0]))
     label = load_label(loads, start_us, camera_end_us(trial))
-    sample = make_sample(network.config, trial, label, trial.origin, MEASURED_CONTACT_N)
+    sample = make_sample(network.config, trial, label, trial.origin)
     known = known_windows(loads, sample.window_end_us, start_us)
     return replace(sample, force=np.where(known, sample.force, np.float32(np.nan)))

@@ -8,16 +8,13 @@ import dataclasses
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mixtac_fger.config import ConfigError
 from mixtac_learning.paper.config import MODELS as PAPER_MODELS
 from mixtac_node.files import FileError, read_dataclass
 from mixtac_node.topics import REFERENCE
 from mixtac_sim.world.training_trials import TRAINING_PRESET
-
-if TYPE_CHECKING:
-    import torch
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +65,6 @@ class TrainingSettings:
     blow_every: int = 0
     group_trials: int = 128
     patience: int = 0
-
-    def flips(self, random: torch.Generator) -> tuple[bool, bool]:
-        """Return whether to mirror columns and rows this time."""
-        if not self.mirror:
-            return False, False
-        import torch
-
-        columns, rows = torch.randint(0, 2, (2,), generator=random).tolist()
-        return bool(columns), bool(rows)
 
 
 OURS = 'ours'

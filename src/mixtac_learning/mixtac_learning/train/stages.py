@@ -161,7 +161,7 @@ class FrameStage(Stage):
             order = torch.randperm(len(labels), generator=random)
             rows = torch.split(order, self.settings.frame_batch)[: self._batches(group)]
             for chosen in rows:
-                flips = self.settings.flips(random)
+                flips = _flips(self.settings, random)
                 frames = sequences.frame_inputs[chosen].float()
                 inputs = mirror_frames(frames, self.model.network.config, *flips)
                 force = self.model.network.frame.force(self.model.network.frame(inputs))
@@ -181,6 +181,14 @@ class FrameStage(Stage):
     def _batches(self, group: int) -> int:
         own = -(-len(self.groups.load(group).frame_force) // self.settings.frame_batch)
         return self.processes.smallest(own)
+
+
+def _flips(settings: TrainingSettings, random: torch.Generator) -> Flip:
+    """Return whether to mirror columns and rows this time."""
+    if not settings.mirror:
+        return False, False
+    columns, rows = torch.randint(0, 2, (2,), generator=random).tolist()
+    return bool(columns), bool(rows)
 
 
 FOLLOWED = 0.8
@@ -314,7 +322,7 @@ class SequenceStage(Stage):
         """Yield the losses of one epoch, group by group in random order."""
         for group in torch.randperm(len(self.groups), generator=random).tolist():
             sequences = self.groups.load(group).to(self.model.device)
-            flip = self.settings.flips(random)
+            flip = _flips(self.settings, random)
             frozen = None if self.joint else self._features(group, sequences, flip)
             state = self.model.network.initial_state(sequences.force.shape[1])
             cut_out = self._impacts(group, sequences)

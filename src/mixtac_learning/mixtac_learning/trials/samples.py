@@ -63,7 +63,6 @@ def make_sample(
     trial: TrialArrays,
     label: ForceLabel,
     origin: dict[str, Any],
-    contact_n: float = CONTACT_N,
 ) -> Sample:
     """Compute the features of a trial, with frames available from their arrival on.
 
@@ -74,7 +73,6 @@ def make_sample(
         trial: Events and frames.
         label: Force on the camera clock.
         origin: Kept with the sample.
-        contact_n: A larger force during the reference frames is a contact [N].
 
     Raises:
         DatasetError: The trial has too few frames, ends before they have arrived, or starts in
@@ -88,6 +86,7 @@ def make_sample(
             ' a label that lasts beyond them'
         )
     forces = label.mean(trial.exposure_start_us, trial.exposure_end_us)
+    contact_n = CONTACT_N if label is trial.truth else MEASURED_CONTACT_N
     if np.abs(forces[:kept]).max() > contact_n:
         raise DatasetError(
             f'trial {origin} starts with {np.abs(forces[:kept]).max():.2f} N: its first {kept}'
@@ -150,15 +149,7 @@ def save_sample(path: Path, sample: Sample, config: FgerConfig) -> None:
         np.savez(scratch, header=np.array(header), **arrays)
 
 
-_ARRAYS = (
-    'window_end_us',
-    'event_features',
-    'force',
-    'slots',
-    'lags',
-    'frame_inputs',
-    'frame_force',
-)
+_ARRAYS = Sample.__slots__[:-1]
 UNSEEN_BY_SAMPLES = {
     'reference_stillness',
     'event_hidden',
@@ -252,7 +243,5 @@ class FgerRecipe:
         Raises:
             DatasetError: As `make_sample`, or the trial has no such force.
         """
-        label = trial.label(self.label)
-        contact_n = CONTACT_N if label is trial.truth else MEASURED_CONTACT_N
-        sample = make_sample(self.config, trial, label, trial.origin, contact_n)
+        sample = make_sample(self.config, trial, trial.label(self.label), trial.origin)
         save_sample(path, sample, self.config)

@@ -14,7 +14,6 @@ import sys
 import threading
 import time
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 
@@ -26,6 +25,13 @@ from mixtac_slip_control.arm.trajectory import ArmState, PlannedTrajectory
 from mixtac_slip_control.errors import BackendError
 from mixtac_slip_control.parameters import SlipControlParameters
 
+PACKAGES = tuple(
+    str(Path(str(package.__file__)).resolve().parents[1])
+    for package in (mixtac_slip_control, mixtac_events)
+)
+"""Where another interpreter finds these packages, before its own ones."""
+READY_S = 20.0
+"""Longest wait for the first state of the robot."""
 STOP_S = 5.0
 """Longest wait for the arm to come to rest on request."""
 
@@ -40,19 +46,13 @@ class LibfrankaBackend:
         address: Address of the control unit, for example '172.16.0.2'.
         interpreter: Python that has pylibfranka and NumPy; default: this one.
         realtime: Refuse to run on a kernel without real-time scheduling, as Franka advises.
-        ready_s: Longest wait for the first state [s].
 
     Raises:
         BackendError: The library is missing, or the robot does not answer or is not ready.
     """
 
     def __init__(
-        self,
-        address: str,
-        interpreter: str = sys.executable,
-        *,
-        realtime: bool = False,
-        ready_s: float = 20.0,
+        self, address: str, interpreter: str = sys.executable, *, realtime: bool = False
     ) -> None:
         command = [interpreter, '-m', 'mixtac_slip_control.arm.libfranka_loop', address]
         self._process = subprocess.Popen(
@@ -61,7 +61,7 @@ class LibfrankaBackend:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             bufsize=0,
-            env={**os.environ, 'PYTHONPATH': _search_path()},
+            env={**os.environ, 'PYTHONPATH': os.pathsep.join(PACKAGES)},
         )
         self._latest: bytes | None = None
         self._late = 0
@@ -72,7 +72,7 @@ class LibfrankaBackend:
         ]
         for thread in self._threads:
             thread.start()
-        self._wait_until_ready(ready_s)
+        self._wait_until_ready()
 
     def state(self) -> ArmState | None:
         """Return the latest state, or None before the first.
@@ -119,8 +119,8 @@ class LibfrankaBackend:
             if stream is not None:
                 stream.close()
 
-    def _wait_until_ready(self, ready_s: float) -> None:
-        deadline = time.monotonic() + ready_s
+    def _wait_until_ready(self) -> None:
+        deadline = time.monotonic() + READY_S
         while time.monotonic() < deadline:
             try:
                 if self.state() is not None:
@@ -130,7 +130,7 @@ class LibfrankaBackend:
                 raise
             time.sleep(0.01)
         self.stop()
-        raise BackendError(f'the robot sent no state within {ready_s:g} s')
+        raise BackendError(f'the robot sent no state within {READY_S:g} s')
 
     def _check(self) -> None:
         status = self._process.poll()
@@ -181,12 +181,3 @@ def open_libfranka(parameters: SlipControlParameters, arm: SerialArm) -> Libfran
         )
     interpreter = parameters.arm_python or sys.executable
     return LibfrankaBackend(parameters.arm_address, interpreter, realtime=parameters.arm_realtime)
-
-
-def _search_path() -> str:
-    """Return where another interpreter finds these packages, before its own packages."""
-    return os.pathsep.join([_root(mixtac_slip_control), _root(mixtac_events)])
-
-
-def _root(package: ModuleType) -> str:
-    return str(Path(str(package.__file__)).resolve().parent.parent)
