@@ -25,13 +25,6 @@ from mixtac_fger.fger_node import FgerNode
 from mixtac_node.base_node import run_together
 
 
-class DirectSubscription:
-    """A callback for messages of a topic within the process; also the handle to end it."""
-
-    def __init__(self, callback: Callable[[Any], None]) -> None:
-        self.callback = callback
-
-
 class DirectTopic:
     """A topic within the process.
 
@@ -42,26 +35,26 @@ class DirectTopic:
 
     def __init__(self) -> None:
         # Replaced as a whole, so that publishing needs no lock.
-        self._subscriptions: tuple[DirectSubscription, ...] = ()
+        self._callbacks: tuple[Callable[[Any], None], ...] = ()
 
     def __len__(self) -> int:
         """Return the number of callbacks."""
-        return len(self._subscriptions)
+        return len(self._callbacks)
 
-    def subscribe(self, callback: Callable[[Any], None]) -> DirectSubscription:
+    def subscribe(self, callback: Callable[[Any], None]) -> None:
         """Pass messages to a callback from now on."""
-        subscription = DirectSubscription(callback)
-        self._subscriptions = (*self._subscriptions, subscription)
-        return subscription
+        self._callbacks = (*self._callbacks, callback)
 
-    def unsubscribe(self, subscription: DirectSubscription) -> None:
-        """End a subscription; a call in progress may still finish."""
-        self._subscriptions = tuple(s for s in self._subscriptions if s is not subscription)
+    def unsubscribe(self, callback: object) -> bool:
+        """End a subscription and return whether there was one; a call in progress may finish."""
+        before = self._callbacks
+        self._callbacks = tuple(each for each in before if each is not callback)
+        return len(self._callbacks) < len(before)
 
     def hand_over(self, message: Any) -> None:  # noqa: ANN401
         """Call all callbacks."""
-        for subscription in self._subscriptions:
-            subscription.callback(message)
+        for callback in self._callbacks:
+            callback(message)
 
 
 class DirectPublisher:
@@ -143,15 +136,15 @@ class DirectFger(FgerNode):
         direct = self._topics.get(topic)
         if direct is None:
             return super().create_subscription(kind, topic, callback, *args, **options)
-        return direct.subscribe(self._locked(callback))
+        locked = self._locked(callback)
+        direct.subscribe(locked)
+        return locked
 
     def destroy_subscription(self, subscription: Any) -> bool:  # noqa: ANN401
         """End a subscription of either kind."""
-        if not isinstance(subscription, DirectSubscription):
-            return bool(super().destroy_subscription(subscription))
-        for topic in self._topics.values():
-            topic.unsubscribe(subscription)
-        return True
+        if any(topic.unsubscribe(subscription) for topic in self._topics.values()):
+            return True
+        return bool(super().destroy_subscription(subscription))
 
     def create_service(
         self,

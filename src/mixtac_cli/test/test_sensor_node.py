@@ -32,11 +32,16 @@ class RosPublisher:
 def test_messages_go_to_callbacks_in_the_same_thread_and_in_order():
     topic, ros, seen = DirectTopic(), RosPublisher(), []
     publisher = DirectPublisher(ros, topic)
-    subscription = topic.subscribe(lambda m: seen.append((m, threading.get_ident())))
+
+    def note(message):
+        seen.append((message, threading.get_ident()))
+
+    topic.subscribe(note)
     for number in range(5):
         publisher.publish(number)
     assert seen == [(n, threading.get_ident()) for n in range(5)]
-    topic.unsubscribe(subscription)
+    assert topic.unsubscribe(note)
+    assert not topic.unsubscribe(note)
     publisher.publish(9)
     assert len(seen) == 5
 
@@ -54,13 +59,12 @@ def test_the_middleware_gets_messages_only_while_somebody_else_listens():
 
 def test_a_callback_may_end_itself_and_others():
     topic, seen = DirectTopic(), []
-    handles = {}
 
     def first(message):
         seen.append(('first', message))
-        topic.unsubscribe(handles['first'])
+        topic.unsubscribe(first)
 
-    handles['first'] = topic.subscribe(first)
+    topic.subscribe(first)
     topic.subscribe(lambda m: seen.append(('second', m)))
     topic.hand_over(1)
     topic.hand_over(2)

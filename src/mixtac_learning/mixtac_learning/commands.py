@@ -26,6 +26,9 @@ OptionalPath = Optional[Path]  # noqa: UP045
 OptionalPaths = Optional[List[Path]]  # noqa: UP006, UP045
 OptionalStr = Optional[str]  # noqa: UP045
 OptionalInt = Optional[int]  # noqa: UP045
+ModelFile = Annotated[str, typer.Option('--model', help='Weight file, or name of a shipped model.')]
+Preset = Annotated[str, typer.Option('--preset', help='Difficulty: easy, paper_like or hard.')]
+JsonFile = Annotated[OptionalPath, typer.Option('--json', help='JSON file for the figures.')]
 
 
 def train(
@@ -47,9 +50,7 @@ def train(
         int,
         typer.Option(min=1, help='Epochs of the recurrent stage; the other stages scale with it.'),
     ] = 60,
-    preset: Annotated[
-        str, typer.Option(help='Difficulty: easy, paper_like or hard.')
-    ] = TRAINING_PRESET,
+    preset: Preset = TRAINING_PRESET,
     jobs: Annotated[int, typer.Option(min=1, help='Number of simulating processes.')] = 2,
     data: Annotated[OptionalPath, typer.Option(help='Folder of prepared samples.')] = None,
     folder: Annotated[
@@ -58,7 +59,7 @@ def train(
             help='Folder of checkpoint and curves; an interrupted run is resumed from it.'
         ),
     ] = None,
-    json: Annotated[OptionalPath, typer.Option(help='JSON file for the figures.')] = None,
+    json: JsonFile = None,
 ) -> None:
     """Train a network as a YAML file describes, or FGER-Net on simulated sensors without one.
 
@@ -99,17 +100,13 @@ def evaluate(
         OptionalPaths,
         typer.Argument(help='Bags or folders of bags; without any, simulated trials are used.'),
     ] = None,
-    model: Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')] = (
-        DEFAULT_MODEL
-    ),
+    model: ModelFile = DEFAULT_MODEL,
     seed: Annotated[
         int, typer.Option(min=2, help='Random seed for the simulated sensors and trials.')
     ] = 2,
     gels: Annotated[int, typer.Option(min=1, help='Number of simulated sensors.')] = 3,
     seconds: Annotated[float, typer.Option(min=4, help='Length of a trial [s].')] = 10.0,
-    preset: Annotated[
-        str, typer.Option(help='Difficulty: easy, paper_like or hard.')
-    ] = TRAINING_PRESET,
+    preset: Preset = TRAINING_PRESET,
     reference: Annotated[
         str, typer.Option(help='Topic of the reference force in bags.')
     ] = REFERENCE,
@@ -122,7 +119,7 @@ def evaluate(
             '--robustness', help='Also measure the cost of lost frames, lost packets and gaps.'
         ),
     ] = False,
-    json: Annotated[OptionalPath, typer.Option(help='JSON file for the figures.')] = None,
+    json: JsonFile = None,
 ) -> None:
     """Evaluate a model on bags, or on simulated sensors that no training has used."""
     from mixtac_learning.judge.evaluation import run_evaluation
@@ -148,9 +145,7 @@ Paths = List[Path]  # noqa: UP006
 def adapt(
     bags: Annotated[Paths, typer.Argument(help='Recordings of presses on the new sensor.')],
     out: Annotated[Path, typer.Option(help='Weight file to write.')],
-    model: Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')] = (
-        DEFAULT_MODEL
-    ),
+    model: ModelFile = DEFAULT_MODEL,
     load: Annotated[
         OptionalStrings,
         typer.Option(
@@ -167,7 +162,7 @@ def adapt(
             help="Serial number of the sensor's camera; the node then refuses other cameras."
         ),
     ] = '',
-    json: Annotated[OptionalPath, typer.Option(help='JSON file for the figures.')] = None,
+    json: JsonFile = None,
 ) -> None:
     """Adapt a model to another sensor with up to a minute of presses of known force."""
     from mixtac_learning.adapt.adaptation import run_adaptation
