@@ -14,6 +14,7 @@ from mixtac_driver.davis346.model import Features, Identity
 from mixtac_driver.davis346.registers import Aps, Dvs, Module, Mux
 from mixtac_driver.davis346.settings import CameraParameters, SensorParameters
 from mixtac_driver.davis346.writes import (
+    APS_REGION,
     STOP_WRITES,
     cycles,
     register_writes,
@@ -101,10 +102,7 @@ def read_64(protocol: Protocol, module: int, parameter: int) -> int:
     return upper << 32 | lower
 
 
-REGION = tuple(
-    (int(Module.APS), int(parameter))
-    for parameter in (Aps.START_COLUMN, Aps.START_ROW, Aps.END_COLUMN, Aps.END_ROW)
-)
+REGION = tuple((int(Module.APS), int(register)) for register in APS_REGION)
 FRAMES_ON = Write(Module.APS, Aps.RUN, 1)
 FRAMES_OFF = Write(Module.APS, Aps.RUN, 0)
 

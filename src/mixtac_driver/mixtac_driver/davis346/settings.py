@@ -9,6 +9,7 @@ same.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from mixtac_driver.davis346.biases import BiasParameters, number, switch
 from mixtac_driver.davis346.model import DAVIS346
@@ -21,8 +22,7 @@ MAXIMUM_FRAME_INTERVAL_US = 8_388_607
 MAXIMUM_PULSE_US = 1_048_575
 
 
-@dataclass(frozen=True, slots=True)
-class Region:
+class Region(NamedTuple):
     """A rectangle of pixels in user orientation; both ends belong to it."""
 
     start_column: int
@@ -56,12 +56,8 @@ class Region:
         Raises:
             ConfigurationError: No part of it does.
         """
-        region = Region(
-            self.start_column,
-            self.start_row,
-            min(self.end_column, width - 1),
-            min(self.end_row, height - 1),
-        )
+        end_column, end_row = min(self.end_column, width - 1), min(self.end_row, height - 1)
+        region = self._replace(end_column=end_column, end_row=end_row)
         region.check(name)
         return region
 

@@ -28,6 +28,10 @@ from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.errors import ConfigurationError
 from mixtac_driver.usb.protocol import Protocol, Write
 
+DVS_REGION = (Dvs.ROI_START_COLUMN, Dvs.ROI_START_ROW, Dvs.ROI_END_COLUMN, Dvs.ROI_END_ROW)
+APS_REGION = (Aps.START_COLUMN, Aps.START_ROW, Aps.END_COLUMN, Aps.END_ROW)
+"""Registers of a region, in the order of the fields of `Region`."""
+
 
 def cycles(duration_us: float, clock_mhz: float) -> int:
     """Return a duration [us] in cycles of a clock, rounded."""
@@ -101,13 +105,7 @@ def _dvs_writes(
             (Dvs.REFRACTORY_TIME, p.refractory_period_time),
         ]
     if has.roi:
-        roi = p.roi.within(width, height, 'roi')
-        values += [
-            (Dvs.ROI_START_COLUMN, roi.start_column),
-            (Dvs.ROI_START_ROW, roi.start_row),
-            (Dvs.ROI_END_COLUMN, roi.end_column),
-            (Dvs.ROI_END_ROW, roi.end_row),
-        ]
+        values += zip(DVS_REGION, p.roi.within(width, height, 'roi'), strict=True)
     if has.skip:
         values += [(Dvs.SKIP_ENABLE, p.skip_enabled), (Dvs.SKIP_EVERY, p.skip_events_every)]
     if has.polarity:
@@ -147,10 +145,7 @@ def _aps_writes(p: CameraParameters, identity: Identity) -> list[Write]:
             Write(Module.APS, Aps.GLOBAL_SHUTTER, shutter),
         ]
     values = (
-        (Aps.START_COLUMN, roi.start_column),
-        (Aps.START_ROW, roi.start_row),
-        (Aps.END_COLUMN, roi.end_column),
-        (Aps.END_ROW, roi.end_row),
+        *zip(APS_REGION, roi, strict=True),
         (Aps.EXPOSURE, cycles(p.aps_exposure, adc)),
         (Aps.FRAME_INTERVAL, cycles(p.aps_frame_interval, adc)),
     )

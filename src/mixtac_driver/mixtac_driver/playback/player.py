@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -114,6 +114,11 @@ class Timeline:
             yield self._step(end_us, events[taken:last])
             taken = last
         yield self._step(max(until_us, self.position_us), events[taken:], piece)
+
+    def silence(self, length_us: int) -> DecodedBatch:
+        """Return nothing until some time [us] after the end, on the recorded camera clock."""
+        end_us = self.position_us - self.offset_us + length_us
+        return replace(self._decoded(_NOTHING, None), time_us=end_us)
 
     def _next_us(self) -> int:
         return (self.position_us // self.step_us + 1) * self.step_us
@@ -369,7 +374,7 @@ class Player:
                     f'{info.path}, which is {info.length_us / 1e6:g} s long'
                 )
             elif not self.playback.playback_loop:
-                yield self._last()
+                yield self._batch(self.timeline.silence(CLOSING_US), self.timeline.offset_us)
                 raise EndOfStream(f'{info.path} was played to its end')
             else:
                 from_us, seeking = start_us, False
@@ -450,15 +455,3 @@ class Player:
             self.clock.add(decoded.time_us, arrival_ns)
         self.latest_us = decoded.time_us + shift_us
         return CameraBatch(decoded, self.origin, arrival_ns)
-
-    def _last(self) -> CameraBatch:
-        time_us = self.timeline.position_us - self.timeline.offset_us + CLOSING_US
-        decoded = DecodedBatch(
-            events=Events.empty(),
-            frames=(),
-            imu=NO_SAMPLES,
-            edges=NO_EDGES,
-            time_us=time_us,
-            resets=self.disorder.resets,
-        )
-        return self._batch(decoded, self.timeline.offset_us)
