@@ -80,41 +80,6 @@ class Progress:
     curves: list[dict[str, Any]] = field(default_factory=list)
 
 
-def save_checkpoint(
-    path: Path,
-    module: nn.Module,
-    best: dict[str, Tensor],
-    optimiser: torch.optim.Optimizer,
-    random: torch.Generator,
-    progress: Progress,
-    fingerprint: str,
-) -> None:
-    """Write a checkpoint.
-
-    Args:
-        path: File.
-        module: Module whose weights are kept.
-        best: Best weights of the current stage, by name; empty for none.
-        optimiser: Optimiser whose moments are kept.
-        random: Generator whose state is kept.
-        progress: Progress of the run.
-        fingerprint: Identifies the run; see `load_checkpoint`.
-    """
-    tensors = {f'model.{name}': value for name, value in module.state_dict().items()}
-    tensors |= {f'best.{name}': value for name, value in best.items()}
-    tensors |= {'random': random.get_state(), 'global_random': torch.get_rng_state()}
-    for index, parameter in enumerate(_parameters(optimiser)):
-        for name, value in optimiser.state.get(parameter, {}).items():
-            tensors[f'optimiser.{index}.{name}'] = torch.as_tensor(value)
-    header = {
-        'schema': SCHEMA,
-        'fingerprint': fingerprint,
-        'progress': json.dumps(asdict(progress)),
-    }
-    arrays = {name: value.detach().cpu().numpy() for name, value in tensors.items()}
-    write_tensors(path, arrays, header)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
     """What `load_checkpoint` found.
@@ -285,18 +250,32 @@ class TrainingLoop:
             progress.curves.append(row | {'seconds': round(time.monotonic() - started, 2)})
             self.report(stage.name, progress.epoch, stage.epochs, loss, error)
             if self.checkpoint is not None and self.processes.leads:
-                save_checkpoint(
-                    self.checkpoint,
-                    self.module,
-                    best,
-                    optimiser,
-                    random,
-                    progress,
-                    self.fingerprint,
-                )
+                self._save(self.checkpoint, best, optimiser, random)
             self.processes.wait()
         if best and self.patience:
             self.module.load_state_dict(best)
+
+    def _save(
+        self,
+        path: Path,
+        best: dict[str, Tensor],
+        optimiser: torch.optim.Optimizer,
+        random: torch.Generator,
+    ) -> None:
+        """Write a checkpoint."""
+        tensors = {f'model.{name}': value for name, value in self.module.state_dict().items()}
+        tensors |= {f'best.{name}': value for name, value in best.items()}
+        tensors |= {'random': random.get_state(), 'global_random': torch.get_rng_state()}
+        for index, parameter in enumerate(_parameters(optimiser)):
+            for name, value in optimiser.state.get(parameter, {}).items():
+                tensors[f'optimiser.{index}.{name}'] = torch.as_tensor(value)
+        header = {
+            'schema': SCHEMA,
+            'fingerprint': self.fingerprint,
+            'progress': json.dumps(asdict(self.progress)),
+        }
+        arrays = {name: value.detach().cpu().numpy() for name, value in tensors.items()}
+        write_tensors(path, arrays, header)
 
     def _epoch(
         self, stage: Stage, optimiser: torch.optim.Optimizer, random: torch.Generator
