@@ -27,13 +27,12 @@ from mixtac_alignment.histories import (
 )
 from mixtac_alignment.parameters import AlignmentParameters
 from mixtac_events.codec import decode_message, warm_up
-from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError
 from mixtac_events.sequence import SequenceCounter
 from mixtac_msgs.msg import ClockFit as ClockFitMessage
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
 from mixtac_node import topics
-from mixtac_node.base_node import QOS_FORCE, BaseNode, declare, run
+from mixtac_node.base_node import QOS_FORCE, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.images import ImageConversionError, grey
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
@@ -73,7 +72,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         )
         self._aligned = self.publish_topic(topics.ALIGNMENT_REFERENCE, name='~/reference')
         self._publisher = self.publish_topic(topics.CLOCK_FIT)
-        self.create_service(Trigger, '~/fit', self._on_fit)
+        self.create_service(Trigger, '~/fit', answering(self._on_fit))
         self._diagnostics = DiagnosticsPublisher(self, 'alignment', self._status)
 
     def _apply(self, parameters: AlignmentParameters) -> None:
@@ -124,7 +123,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
     def _on_reference_edge(self, message: TimeReference) -> None:
         self._reference_edges.append(stamp_to_ns(message.time_ref) / 1e9)
 
-    def _on_fit(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_fit(self, _request: Trigger.Request) -> str:
         p = self._settings
         t_s, force = self._force.snapshot(p.reference_axis)
         recording = Recording(
@@ -137,16 +136,11 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             reference_edges_s=np.array(self._reference_edges),
         )
         method: Method = 'edges' if p.use_edges else 'refined'
-        try:
-            self._fit = align(recording, p, method=method, use_all=p.use_all)[0]
-        except MixtacError as error:
-            response.success, response.message = False, str(error)
-            return response
+        self._fit = align(recording, p, method=method, use_all=p.use_all)[0]
         message = ClockFitMessage(**self._fit.to_fields())
         message.header.stamp = self.get_clock().now().to_msg()
         self._publisher.publish(message)
-        response.success, response.message = True, self._fit.summary()
-        return response
+        return self._fit.summary()
 
     def _status(self) -> Status:
         values: dict[str, object] = {

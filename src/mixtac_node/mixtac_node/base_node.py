@@ -124,6 +124,23 @@ class BaseNode:
         return super().create_lifecycle_publisher(kind, topic, *_own(args), **options)  # type: ignore[misc]
 
 
+def answering(action: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
+    """Return the callback of a service whose answer is `success` and `message`.
+
+    Args:
+        action: Called with the request; returns what it did. A MixtacError is its refusal.
+    """
+
+    def callback(request: Any, response: Any) -> Any:  # noqa: ANN401
+        try:
+            response.success, response.message = True, action(request)
+        except MixtacError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    return callback
+
+
 _TOPICS_OF_RCLPY = ('/parameter_events', '/rosout', '/clock')
 
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable
-from typing import Any
 
 from event_camera_msgs.msg import EventPacket
 from rclpy.node import Node
@@ -25,7 +23,7 @@ from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError
 from mixtac_msgs.msg import SlipState
 from mixtac_node import topics
-from mixtac_node.base_node import QOS_SENSOR, BaseNode, declare, run
+from mixtac_node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
 from mixtac_node.images import grey
 from mixtac_node.stamps import stamp_to_us, us_to_stamp
@@ -68,9 +66,9 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._slip = self.publish_topic(topics.SLIP)
         self._message = SlipState()
         self._message.header.frame_id = p.frame_id
-        self.create_service(SetBool, '~/enable', self._on_enable)
-        self.create_service(Trigger, '~/reset', self._on_reset)
-        self.create_service(Trigger, '~/tare', self._on_tare)
+        self.create_service(SetBool, '~/enable', answering(self._on_enable))
+        self.create_service(Trigger, '~/reset', answering(self._on_reset))
+        self.create_service(Trigger, '~/tare', answering(self._on_tare))
         self.subscribe_topic(topics.EVENTS, self._on_events)
         self.subscribe_topic(topics.IMAGE_RAW, self._on_image)
         self.subscribe_topic(topics.FORCE, self._on_force)
@@ -200,11 +198,11 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._latest = step
         self._counts.windows += 1
 
-    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        action = self._enable if request.data else self._disable
-        return self._answer(response, action)
-
-    def _enable(self) -> str:
+    def _on_enable(self, request: SetBool.Request) -> str:
+        if not request.data:
+            self._controller.disable()
+            self._brake()
+            return 'slip control disabled'
         now_s, settling_s = self._now_s(), self._settings.settling_time
         state = self._backend.state() if self._backend is not None else None
         if state is None or state.commanded is not None:
@@ -217,37 +215,16 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._moving = True
         return 'slip control enabled'
 
-    def _disable(self) -> str:
-        self._controller.disable()
-        self._brake()
-        return 'slip control disabled'
+    def _on_reset(self, _request: Trigger.Request) -> str:
+        stopped = self._controller.interlock.state is InterlockState.STOPPED
+        self._controller.reset(self._now_s())
+        what = 'stop reset' if stopped else 'nothing to reset'
+        return f'{what}; slip control is disabled'
 
-    def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        def reset() -> str:
-            stopped = self._controller.interlock.state is InterlockState.STOPPED
-            self._controller.reset(self._now_s())
-            what = 'stop reset' if stopped else 'nothing to reset'
-            return f'{what}; slip control is disabled'
-
-        return self._answer(response, reset)
-
-    def _on_tare(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        def tare() -> str:
-            self._controller.tare()
-            seconds = self._settings.learning_time
-            return f'learning the background: keep the contact still for {seconds:g} s'
-
-        return self._answer(response, tare)
-
-    @staticmethod
-    def _answer(response: Any, action: Callable[[], str]) -> Any:  # noqa: ANN401
-        try:
-            response.message = action()
-        except MixtacError as error:
-            response.success, response.message = False, str(error)
-        else:
-            response.success = True
-        return response
+    def _on_tare(self, _request: Trigger.Request) -> str:
+        self._controller.tare()
+        seconds = self._settings.learning_time
+        return f'learning the background: keep the contact still for {seconds:g} s'
 
     def _status(self) -> Status:
         now_s = self._now_s()

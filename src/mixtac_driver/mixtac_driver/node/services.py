@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from std_srvs.srv import Trigger
@@ -22,6 +23,7 @@ from mixtac_driver.source import Source
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.readings import Frame
+from mixtac_node.base_node import answering
 
 MARGIN_S = 1.0
 """Additional time allowed for a frame or a count."""
@@ -73,9 +75,10 @@ class DriverServices:
         self._counter: PixelCounter | None = None
         self._next_frame: NextFrame | None = None
         self._time_us = 0
-        node.create_service(Trigger, '~/snapshot', _answer(self.snapshot))
-        node.create_service(Trigger, '~/reset_timestamps', _answer(self.reset_timestamps))
-        node.create_service(Trigger, '~/find_hot_pixels', _answer(self.find_hot_pixels))
+        offer = partial(node.create_service, Trigger)
+        offer('~/snapshot', answering(lambda _: self.snapshot()))
+        offer('~/reset_timestamps', answering(lambda _: self.reset_timestamps()))
+        offer('~/find_hot_pixels', answering(lambda _: self.find_hot_pixels()))
 
     def watch_events(self, events: Events, time_us: int) -> None:
         """Take events into account, in the decoding thread.
@@ -184,16 +187,3 @@ class DriverServices:
                     remedy='see /diagnostics for the state of the camera',
                 )
             self._meanwhile()
-
-
-def _answer(action: Callable[[], str]) -> Callable[[Any, Any], Any]:
-    def callback(_request: Any, response: Any) -> Any:  # noqa: ANN401
-        try:
-            response.message = action()
-            response.success = True
-        except MixtacError as error:
-            response.message = str(error)
-            response.success = False
-        return response
-
-    return callback
