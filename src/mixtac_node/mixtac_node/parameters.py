@@ -116,7 +116,8 @@ def parameter(
 
 def fixed(default: T, description: str, **options: Any) -> T:  # noqa: ANN401
     """Describe a field that cannot change while the node runs; arguments as of `parameter`."""
-    return parameter(default, description, read_only=True, **options)
+    field: T = parameter(default, description, read_only=True, **options)
+    return field
 
 
 def specs(schema: type[Any]) -> tuple[ParameterSpec, ...]:
