@@ -6,18 +6,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Optional
+from typing import Annotated, Any, Final, Optional
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
 from mixtac_alignment.align import Recording
 from mixtac_alignment.align import align as align_recording
-from mixtac_alignment.bags import pool_sensor
+from mixtac_alignment.bags import SensorTiming, pool_sensor
+from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures, by_cell, reduce_frame
-from mixtac_alignment.refinement import refine
+from mixtac_alignment.refinement import Refinement, refine
 from mixtac_alignment.taps import fit_taps
 from mixtac_alignment.two_impulse import fit_counts
 from mixtac_events.errors import MixtacError
@@ -25,16 +27,7 @@ from mixtac_lab.store import Piece, Store, code_version
 from mixtac_node.files import write_json
 from mixtac_sim.world.effects import PRESETS, preset
 from mixtac_sim.world.training_trials import simulator_digest
-from mixtac_sim.world.trial import simulate_trial
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_alignment.bags import SensorTiming
-    from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_alignment.refinement import Refinement
-    from mixtac_sim.world.trial import Trial
-
+from mixtac_sim.world.trial import Trial, simulate_trial
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 FIRST_SEED: Final = 600_000

@@ -11,27 +11,22 @@ from __future__ import annotations
 
 import faulthandler
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import Annotated, Any, Optional
 
 import numpy as np
 import typer
+from numpy.typing import DTypeLike, NDArray
 from rich.console import Console
 from rich.progress import Progress
 
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_driver.errors import DriverError
-from mixtac_events.readings import EdgeKind
+from mixtac_events.readings import DecodedBatch, EdgeKind
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import DTypeLike, NDArray
-
-    from mixtac_events.readings import DecodedBatch
-
-    Words = NDArray[np.uint16]
+Words = NDArray[np.uint16]
 
 
 EDGES = (2, 3, 4, 16, 17)

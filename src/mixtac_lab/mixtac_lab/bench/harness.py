@@ -16,23 +16,19 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import TracebackType
+from typing import Any
 
 import numpy as np
 import psutil
 
+from mixtac_events.arrays import Events
 from mixtac_events.sequence import SequenceCounter
 from mixtac_lab.bench.pattern import MARKER, MARKER_US
+from mixtac_node.graph import NodeSpec
 from mixtac_node.process import JsonProcess
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from types import TracebackType
-
-    from mixtac_events.arrays import Events
-    from mixtac_node.graph import NodeSpec
-
 
 START_TIMEOUT_S = 300.0
 """Time to wait for a process to start [s]; on a loaded machine a start takes long."""

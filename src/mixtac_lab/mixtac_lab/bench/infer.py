@@ -10,10 +10,11 @@ from array import array
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Optional
+from typing import Annotated, Any, Final, Optional
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -22,17 +23,11 @@ from mixtac_events.codec import encode
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.live_feed import LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up
-from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
+from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.bench.harness import quantiles
 from mixtac_node.files import write_json
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.world.trial import TrialStream
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_fger.weights import Model
-
 
 PACKET_US: Final = 1000
 """The driver's default."""

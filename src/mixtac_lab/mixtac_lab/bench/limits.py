@@ -9,12 +9,14 @@ does: by differences of the positions from cycle to cycle.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import Annotated, Optional
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
@@ -22,18 +24,11 @@ from mixtac_node.files import write_json
 from mixtac_sim.arm.controller import JointTrajectoryController, Release
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
-from mixtac_slip_control.arm.planner import MAX_ADVANCE, AdvancePlanner
+from mixtac_slip_control.arm.planner import MAX_ADVANCE, AdvancePlanner, StreamSettings
+from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.errors import ArmError, UnreachableError
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mixtac_slip_control.arm.planner import StreamSettings
-    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)

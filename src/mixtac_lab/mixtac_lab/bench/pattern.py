@@ -12,9 +12,10 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_sim.usb import endpoints
@@ -30,10 +31,6 @@ from mixtac_sim.usb.words import (
     frame_blocks,
     imu_blocks,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 WRAP_US: Final = 0x8000
 STEP_US: Final = 32

@@ -12,10 +12,11 @@ force counts from the end of its window.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import Annotated, Any, Optional
 
 import numpy as np
 import typer
@@ -26,13 +27,7 @@ from rich.table import Table
 from mixtac_lab.bench.harness import START_TIMEOUT_S, BenchRun
 from mixtac_node.files import write_json
 from mixtac_node.graph import NodeSpec, sensor_graph
-from mixtac_node.process import GraphError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from mixtac_node.process import JsonProcess
-
+from mixtac_node.process import GraphError, JsonProcess
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 Json = Annotated[OptionalPath, typer.Option(help='Also write the results to this JSON file.')]

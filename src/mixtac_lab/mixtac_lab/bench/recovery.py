@@ -13,9 +13,12 @@ import random
 import tempfile
 import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from random import Random
+from types import TracebackType
+from typing import Annotated, Any, Optional
 
 import numpy as np
 import psutil
@@ -24,7 +27,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mixtac_driver.camera import Davis346
+from mixtac_driver.camera import CameraBatch, Davis346
 from mixtac_driver.davis346.writes import register_writes
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.supervisor import State, Supervisor
@@ -37,14 +40,7 @@ from mixtac_sim.usb.registers import HEIGHT, WIDTH
 from mixtac_sim.usb.server import UsbServer
 from mixtac_sim.usb.words import ImuReading
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from random import Random
-    from types import TracebackType
-
-    from mixtac_driver.camera import CameraBatch
-
-    Outage = Callable[[VirtualDavis346, Random], float]
+Outage = Callable[[VirtualDavis346, Random], float]
 
 
 SHORTEST_S, LONGEST_S = 0.05, 1.0

@@ -10,9 +10,10 @@ import statistics
 import struct
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Optional
+from typing import Annotated, Any, Final, Optional
 
 import psutil
 import typer
@@ -21,6 +22,7 @@ from rich.table import Table
 from rosbags.rosbag2 import Writer
 
 from mixtac_node.files import write_json
+from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.bags.camera import CameraMessages
 from mixtac_sim.bags.generation import generate
 from mixtac_sim.bags.trial_bag import TruthMessages, write_trial
@@ -37,14 +39,7 @@ from mixtac_sim.usb.registers import Module, Mux, Usb
 from mixtac_sim.world.datasets import describe, plan_profile
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
 from mixtac_sim.world.sensor import Touch
-from mixtac_sim.world.trial import TrialStream
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mixtac_recordings.dataset import TrialSpec
-    from mixtac_sim.world.trial import Stretch
-
+from mixtac_sim.world.trial import Stretch, TrialStream
 
 STAGES: Final[dict[str, tuple[Any, ...]]] = {
     'mechanics': (Touch.block, BeadMotion.place),

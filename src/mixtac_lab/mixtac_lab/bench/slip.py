@@ -13,12 +13,14 @@ microsecond. Latencies end at the arrival at the probe and include the transport
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import Annotated, Any, Optional
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 
 from mixtac_lab.bench.harness import START_TIMEOUT_S, BenchRun
@@ -27,6 +29,7 @@ from mixtac_lab.slip.detectors import QUIET, count_alarms, curves
 from mixtac_lab.slip.loop import ArmSetup
 from mixtac_lab.slip.trials import (
     TrialPlan,
+    TrialResult,
     latency_quantiles,
     stored_trial,
     summary,
@@ -35,18 +38,9 @@ from mixtac_lab.slip.trials import (
 from mixtac_lab.store import Store
 from mixtac_node.files import write_json
 from mixtac_node.graph import NodeSpec
-from mixtac_node.process import GraphError
+from mixtac_node.process import GraphError, JsonProcess
 from mixtac_sim.arm.plant import Tracking
 from mixtac_slip_control.parameters import SlipControlParameters
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_lab.slip.trials import TrialResult
-    from mixtac_node.process import JsonProcess
-
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 NAMESPACE = 'mixtac_slip_bench'

@@ -9,12 +9,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from mixtac_learning.train.config import OURS, RunConfig
-
-if TYPE_CHECKING:
-    from mixtac_learning.train.config import DataConfig
+from mixtac_learning.train.config import OURS, DataConfig, RunConfig
 
 PRESET = 'paper_like'
 """Difficulty preset of the simulated sensors."""

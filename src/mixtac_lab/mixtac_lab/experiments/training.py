@@ -10,17 +10,18 @@ share.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.weights import read_model
-from mixtac_lab.experiments.harness import constant_row
-from mixtac_lab.experiments.report import Outcome
+from mixtac_lab.experiments.harness import Context, constant_row
+from mixtac_lab.experiments.report import Outcome, Row
 from mixtac_lab.experiments.sizes import (
     DYNAMIC,
     EVENTS,
@@ -31,6 +32,7 @@ from mixtac_lab.experiments.sizes import (
     IMPACT,
     PRESET,
     STATIC,
+    Sizes,
     run_config,
 )
 from mixtac_lab.store import Piece, code_version, files_version
@@ -43,18 +45,10 @@ from mixtac_learning.train.run import train_model, training_sources
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_learning.trials.store import prepare
+from mixtac_learning.trials.store import Recipe, prepare
+from mixtac_learning.trials.trial import TrialSource
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.world.training_trials import TrialSpec, simulator_digest, training_plan
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from mixtac_lab.experiments.harness import Context
-    from mixtac_lab.experiments.report import Row
-    from mixtac_lab.experiments.sizes import Sizes
-    from mixtac_learning.trials.store import Recipe
-    from mixtac_learning.trials.trial import TrialSource
 
 
 class Model(NamedTuple):

@@ -4,12 +4,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mixtac_lab.slip.loop import ArmReach, ArmSetup, ClosedLoop, Transport, arrest_of, best_arrest
+from mixtac_lab.slip.loop import (
+    ArmReach,
+    ArmSetup,
+    ClosedLoop,
+    LoopRecord,
+    Transport,
+    arrest_of,
+    best_arrest,
+)
 from mixtac_lab.store import Piece, code_version
 from mixtac_sim.arm.fr3 import READY
 from mixtac_sim.grasp.grasp import Grasp
@@ -19,15 +30,6 @@ from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
 from mixtac_slip_control.parameters import SlipControlParameters
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_lab.slip.loop import LoopRecord
-
 
 KNOCK_S = 1.45
 """Onset of the knock [s]: the background is learned and the arm is enabled by then."""

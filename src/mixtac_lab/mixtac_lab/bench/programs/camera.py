@@ -18,7 +18,6 @@ import ctypes
 import sys
 import time
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,14 +27,11 @@ from mixtac_lab.bench.pattern import STEP_US as WORD_STEP_US
 from mixtac_lab.bench.pattern import WRAP_US, Pattern, PatternCamera, make_pattern
 from mixtac_sim.grasp.slip_scene import SlipScene
 from mixtac_sim.grids import STEP_US
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.registers import HEIGHT, WIDTH
 from mixtac_sim.usb.server import UsbServer
 from mixtac_sim.usb.words import Blocks, ReadoutSettings, WordEncoder, frame_blocks
 from mixtac_sim.world.effects import preset
-
-if TYPE_CHECKING:
-    from mixtac_sim.pixels.aps import ApsFrame
-
 
 QUIET_S = 2.0
 """Rest at the beginning of each period, for the background to be learned [s]."""

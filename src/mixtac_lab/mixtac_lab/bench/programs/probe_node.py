@@ -12,13 +12,14 @@ from __future__ import annotations
 import json
 import sys
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import rclpy
 from event_camera_msgs.msg import EventPacket
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.srv import ChangeState
+from numpy.typing import NDArray
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -32,10 +33,6 @@ from mixtac_msgs.msg import SlipState
 from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR
 from mixtac_node.lifecycle_node import LifecycleClient
 from mixtac_node.stamps import ns_to_stamp, stamp_to_ns
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 MAX_FORCES = 1_000_000
 CLOCK_S = 2.0

@@ -4,20 +4,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from mixtac_lab.experiments.harness import experiment, pooled, rate_hz
+from mixtac_lab.experiments.harness import Context, experiment, pooled, rate_hz
 from mixtac_lab.experiments.report import Outcome, Row, Value, number, value_text
 from mixtac_lab.experiments.sizes import DYNAMIC, FGER
-from mixtac_lab.experiments.training import MODELS, deviations, estimates, trial_sets
+from mixtac_lab.experiments.training import MODELS, Estimates, deviations, estimates, trial_sets
 from mixtac_lab.figures import mark
+from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.train.config import OURS
-
-if TYPE_CHECKING:
-    from mixtac_lab.experiments.harness import Context
-    from mixtac_lab.experiments.training import Estimates
-    from mixtac_learning.judge.estimators import TrialEstimate
-
 
 OTHERS = (
     ('Insight', 'frames', 40.0, 0.03, 2.0),

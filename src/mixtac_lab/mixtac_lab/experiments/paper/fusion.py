@@ -4,23 +4,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
-from mixtac_lab.experiments.harness import error_rows, experiment, pooled
+from mixtac_lab.experiments.harness import Context, error_rows, experiment, pooled
+from mixtac_lab.experiments.report import Outcome, Row
 from mixtac_lab.experiments.sizes import FGER, FUSION, STATIC
-from mixtac_lab.experiments.training import MODELS, force_outcome
+from mixtac_lab.experiments.training import MODELS, Estimates, force_outcome
 from mixtac_lab.figures import PAPER, TRUTH, mark, new_figure, save_figure
 from mixtac_learning.train.config import OURS
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mixtac_lab.experiments.harness import Context
-    from mixtac_lab.experiments.report import Outcome, Row
-    from mixtac_lab.experiments.training import Estimates
-
 
 _FGER_PAPER = {'mae': 0.04, 'rmse': 0.05, 'r2': 0.83}
 PAPER_VALUES = {

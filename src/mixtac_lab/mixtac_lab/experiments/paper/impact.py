@@ -4,23 +4,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
-from mixtac_lab.experiments.harness import error_rows, experiment, peak_row
+from mixtac_lab.experiments.harness import Context, error_rows, experiment, peak_row
+from mixtac_lab.experiments.report import Outcome, Row
 from mixtac_lab.experiments.sizes import IMPACT
-from mixtac_lab.experiments.training import MODELS, force_outcome
+from mixtac_lab.experiments.training import MODELS, Estimates, force_outcome
 from mixtac_lab.figures import mark, new_figure, plot_forces, save_figure
 from mixtac_learning.train.config import OURS
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mixtac_lab.experiments.harness import Context
-    from mixtac_lab.experiments.report import Outcome, Row
-    from mixtac_lab.experiments.training import Estimates
-
 
 PAPER_N = {'mae': 0.05, 'rmse': 0.07}
 """Errors [N]."""

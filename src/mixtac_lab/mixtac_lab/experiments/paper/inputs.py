@@ -4,22 +4,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from mixtac_lab.experiments.harness import error_rows, experiment, rate_hz
-from mixtac_lab.experiments.report import Row, Value
+from mixtac_lab.experiments.harness import Context, error_rows, experiment, rate_hz
+from mixtac_lab.experiments.report import Outcome, Row, Value
 from mixtac_lab.experiments.sizes import DYNAMIC, EVENTS, FGER, FRAMES
-from mixtac_lab.experiments.training import MODELS, force_outcome
+from mixtac_lab.experiments.training import MODELS, Estimates, force_outcome
 from mixtac_lab.figures import mark, new_figure, plot_forces, save_figure
 from mixtac_learning.train.config import OURS
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mixtac_lab.experiments.harness import Context
-    from mixtac_lab.experiments.report import Outcome
-    from mixtac_lab.experiments.training import Estimates
-
 
 PAPER_N = {
     FRAMES: {'mae': 0.06, 'rmse': 0.08},

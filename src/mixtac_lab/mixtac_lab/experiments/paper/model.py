@@ -5,26 +5,20 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import torch
 
 from mixtac_lab.bench.infer import measure
-from mixtac_lab.experiments.harness import experiment
+from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value
 from mixtac_lab.experiments.sizes import FGER, PRESET
 from mixtac_lab.experiments.training import MODELS
 from mixtac_learning.network import count_parameters
 from mixtac_learning.paper.config import PaperConfig
-from mixtac_learning.paper.networks import build, one_cycle, operations_per_cycle
+from mixtac_learning.paper.networks import PaperNetwork, build, one_cycle, operations_per_cycle
 from mixtac_learning.train.config import OURS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mixtac_lab.experiments.harness import Context
-    from mixtac_learning.paper.networks import PaperNetwork
-
 
 PARAMETERS, FLOPS, LATENCY_MS = 0.517e6, 2.0e9, 0.87
 """The paper's numbers; the latency on an RTX 4090."""

@@ -4,28 +4,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mixtac_lab.experiments.harness import error_rows, experiment, interval_s
-from mixtac_lab.experiments.report import Row, Value
+from mixtac_lab.experiments.harness import Context, error_rows, experiment, interval_s
+from mixtac_lab.experiments.report import Outcome, Row, Value
 from mixtac_lab.experiments.sizes import HOLD
-from mixtac_lab.experiments.training import MODELS, force_outcome
+from mixtac_lab.experiments.training import MODELS, Estimates, force_outcome
 from mixtac_lab.figures import PAPER, mark, new_figure, save_figure
+from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import ROLLING_S, moving_mean
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_lab.experiments.harness import Context
-    from mixtac_lab.experiments.report import Outcome
-    from mixtac_lab.experiments.training import Estimates
-    from mixtac_learning.judge.estimators import TrialEstimate
-
 
 PAPER_N = (0.08, 0.07, 0.07, 0.07, 0.06)
 """Medians per bin [N]."""

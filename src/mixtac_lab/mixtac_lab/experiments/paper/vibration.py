@@ -17,18 +17,20 @@ acceleration exceeds g: at 50 Hz from an amplitude of 0.1 mm.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import Annotated, Any, Optional
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 from mixtac_events.arrays import Events
-from mixtac_lab.experiments.harness import experiment
+from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import is_simulated
@@ -41,19 +43,11 @@ from mixtac_recordings.recording import NONE, RecordingError, Selection
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.world.effects import Preset
 from mixtac_sim.world.effects import preset as named_preset
 from mixtac_sim.world.profiles import Profile, Segment, Tone
 from mixtac_sim.world.sensor import TactileSensor
 from mixtac_sim.world.training_trials import simulator_digest
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_lab.experiments.harness import Context
-    from mixtac_sim.world.effects import Preset
-
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 PRESSED, TAPPING = 'pressed', 'tapping'

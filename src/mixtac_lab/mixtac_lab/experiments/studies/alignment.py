@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Optional
+from typing import Annotated, Any, Final, Optional
 
 import numpy as np
 import torch
@@ -20,7 +20,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from mixtac_alignment.bags import pool_sensor
+from mixtac_alignment.bags import SensorTiming, pool_sensor
+from mixtac_alignment.clock_fit import ClockFit
+from mixtac_alignment.refinement import Refinement
 from mixtac_events.errors import MixtacError
 from mixtac_fger.config import FgerConfig
 from mixtac_lab.bench.align import TrialRecording, fit_impulses, fit_refined
@@ -30,20 +32,12 @@ from mixtac_lab.store import Piece, Store, code_version
 from mixtac_learning.train.batches import MemoryGroups, stack
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.stages import estimate, train_fger
-from mixtac_learning.trials.samples import make_sample
+from mixtac_learning.trials.samples import Sample, make_sample
 from mixtac_learning.trials.simulated import arrays_of
 from mixtac_learning.trials.trial import aligned_force
 from mixtac_node.files import write_json
 from mixtac_sim.world.effects import preset as named_preset
-from mixtac_sim.world.trial import simulate_trial
-
-if TYPE_CHECKING:
-    from mixtac_alignment.bags import SensorTiming
-    from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_alignment.refinement import Refinement
-    from mixtac_learning.trials.samples import Sample
-    from mixtac_sim.world.trial import Trial
-
+from mixtac_sim.world.trial import Trial, simulate_trial
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 LABELS: Final = ('raw', 'arrival', 'two_impulse', 'refined', 'perfect')

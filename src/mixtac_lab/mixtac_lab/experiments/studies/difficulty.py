@@ -13,41 +13,33 @@ frames correct.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import Annotated, Optional
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
+from mixtac_events.arrays import Events
+from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.sizes import PRESET
-from mixtac_learning.judge.estimators import stream
+from mixtac_learning.judge.estimators import TrialEstimate, stream
 from mixtac_learning.judge.metrics import fit_scale, measure
 from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_learning.trials.trial import DatasetError
+from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
 from mixtac_node.files import write_json
 from mixtac_sim.world.effects import EFFECTS
 from mixtac_sim.world.training_trials import (
+    TrialSpec,
     calibration_plan,
     evaluation_plan,
     unseen_devices,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_fger.weights import Model
-    from mixtac_learning.judge.estimators import TrialEstimate
-    from mixtac_learning.trials.trial import ForceLabel, TrialArrays
-    from mixtac_sim.world.training_trials import TrialSpec
-
 
 WINDOW_US = 10_000
 """Window of an increment [us]; a linear sum does not depend on it, but the noise of a fit does."""

@@ -9,9 +9,10 @@ adaptation gains on simulated sensors that no training has used.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, List, Optional  # noqa: UP035
+from typing import Annotated, Any, List, Optional  # noqa: UP035
 
 import numpy as np
 import torch
@@ -36,6 +37,7 @@ from mixtac_lab.experiments.sizes import (
     TABLE_FULL,
     TABLE_SIZES,
     UNTRAINED,
+    Sizes,
     run_config,
 )
 from mixtac_lab.experiments.training import learning_version, train
@@ -43,6 +45,8 @@ from mixtac_lab.store import Piece
 from mixtac_learning.adapt.adaptation import adapt
 from mixtac_learning.adapt.presses import gather_presses
 from mixtac_learning.judge.estimators import (
+    TrialEstimate,
+    TrialEstimator,
     constant_estimator,
     judge_sources,
     known_force,
@@ -57,17 +61,10 @@ from mixtac_learning.train.run import training_sources
 from mixtac_learning.trials.changes import MISMATCHES, ChangedSource
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import CachedSource
+from mixtac_learning.trials.trial import TrialArrays, TrialSource
 from mixtac_node.files import write_json, write_text
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.training_trials import TrialSpec
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from mixtac_lab.experiments.sizes import Sizes
-    from mixtac_learning.judge.estimators import TrialEstimate, TrialEstimator
-    from mixtac_learning.trials.trial import TrialArrays, TrialSource
-
 
 # typer evaluates these under Python 3.10.
 OptionalPath = Optional[Path]  # noqa: UP045
