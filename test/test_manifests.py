@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = sorted(each.parent.name for each in ROOT.glob('src/*/package.xml'))
 KEYS = {
     'cv2': 'python3-opencv',
+    'jinja2': 'python3-jinja2',
     'joblib': 'python3-joblib',
     'matplotlib': 'python3-matplotlib',
     'numba': 'python3-numba',

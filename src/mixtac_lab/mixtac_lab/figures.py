@@ -1,19 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Style of all figures of experiments and benchmarks."""
+"""Style of all figures and tables of experiments and benchmarks."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from rich.markup import escape
+from rich.table import Table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from mixtac_learning.judge.estimators import TrialEstimate
 
@@ -23,10 +23,22 @@ TRUTH, PAPER = '#1f1f1f', '#8a8a8a'
 DPI = 110
 
 
+def make_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
+    """Return a table; the first column is aligned to the left, values to the right."""
+    table = Table(title=escape(title), title_justify='left')
+    for number, heading in enumerate(headings):
+        table.add_column(escape(heading), justify='right' if number else 'left')
+    for row in rows:
+        table.add_row(*(escape(str(cell)) for cell in row))
+    return table
+
+
 def new_figure(
     columns: int = 1, rows: int = 1, width: float = 8.0, height: float = 3.4
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure and its axes, row by row; sizes in inches."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width, height), layout='constrained')
     axes = figure.subplots(rows, columns, squeeze=False)
     flat = [ax for row in axes for ax in row]
@@ -39,7 +51,6 @@ def new_figure(
 
 def save_figure(figure: Figure, path: Path) -> Path:
     """Write a figure and return its path; makes the folder."""
-    FigureCanvasAgg(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=DPI)
     return path

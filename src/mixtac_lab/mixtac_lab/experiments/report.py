@@ -1,26 +1,22 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Outcomes of experiments, their reports as JSON, Markdown and HTML, and the style of figures."""
+"""Outcomes of experiments, and their reports as JSON, Markdown and HTML (`report.html`)."""
 
 from __future__ import annotations
 
 import base64
-import html
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
+import jinja2
 import numpy as np
-from rich.table import Table
+from rich.console import Console
 
+from mixtac_lab.figures import make_table
 from mixtac_node.files import write_json, write_text
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from rich.console import Console
-
 
 @dataclass(frozen=True, slots=True)
 class Value:
@@ -85,6 +81,12 @@ class Row:
         """Whether our value exists and is marked as simulated."""
         return self.simulated and self.ours.count > 0
 
+    @property
+    def cells(self) -> tuple[str, str, str, str]:
+        """The row as text, by `HEADINGS`."""
+        paper = '' if self.paper is None else number(self.paper)
+        return self.name, value_text(self.ours), paper, self.unit
+
     def as_dict(self) -> dict[str, Any]:
         """Return values ready for JSON."""
         return asdict(self) | {'ours': self.ours.as_dict()}
@@ -124,30 +126,7 @@ class Outcome:
         }
 
 
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
-  color: #1f1f1f; background: #fff; }
-h1 { font-size: 1.6rem; margin-bottom: .2rem; } h2 { margin-top: 2.6rem; font-size: 1.25rem;
-  border-bottom: 1px solid #ddd; padding-bottom: .2rem; }
-table { border-collapse: collapse; width: 100%; font-size: .88rem; }
-th, td { text-align: left; padding: .28rem .6rem .28rem 0; border-bottom: 1px solid #eee;
-  vertical-align: top; }
-th { border-bottom: 1px solid #999; } td.n, th.n { text-align: right; white-space: nowrap; }
-figure { margin: 1.2rem 0; } img { max-width: 100%; height: auto; }
-figcaption, .small { color: #555; font-size: .85rem; }
-.simulated { background: #fff3d6; border-radius: .3em; padding: 0 .35em; font-size: .78rem; }
-li { margin: .2rem 0; }
-"""
-
-
 HEADINGS = ('what', 'ours', 'paper', 'unit')
-
-
-def cells(row: Row) -> tuple[str, str, str, str]:
-    """Return a row as text, by `HEADINGS`."""
-    paper = '' if row.paper is None else number(row.paper)
-    return row.name, value_text(row.ours), paper, row.unit
 
 
 def write(
@@ -169,7 +148,14 @@ def write(
     for path in (folder / 'report.json', *([] if json is None else [json])):
         write_json(path, content)
     write_text(folder / 'report.md', '\n'.join(map(_markdown, outcomes)))
-    write_text(folder / 'report.html', _html(outcomes, run))
+    loader = jinja2.PackageLoader('mixtac_lab.experiments', '')
+    page = jinja2.Environment(loader=loader, autoescape=True).get_template('report.html')
+    text = page.render(outcomes=outcomes, run=run, headings=HEADINGS, base64=_base64)
+    write_text(folder / 'report.html', text)
+
+
+def _base64(path: Path) -> str:
+    return base64.b64encode(path.read_bytes()).decode()
 
 
 def show(console: Console, outcomes: Sequence[Outcome]) -> None:
@@ -178,13 +164,11 @@ def show(console: Console, outcomes: Sequence[Outcome]) -> None:
         if outcome.skipped:
             console.print(f'{outcome.title} skipped: {outcome.skipped}')
             continue
-        table = Table(title=f'{outcome.title}: {outcome.data}', title_justify='left')
-        for heading in HEADINGS:
-            table.add_column(heading, justify='left' if heading in {'what', 'unit'} else 'right')
-        for row in outcome.rows:
-            name, *others = cells(row)
-            table.add_row(name + (', simulated' if row.marked else ''), *others)
-        console.print(table)
+        rows = [
+            (f'{row.name}, simulated' if row.marked else row.name, *row.cells[1:])
+            for row in outcome.rows
+        ]
+        console.print(make_table(f'{outcome.title}: {outcome.data}', HEADINGS, rows))
 
 
 def _markdown(outcome: Outcome) -> str:
@@ -193,62 +177,8 @@ def _markdown(outcome: Outcome) -> str:
     if outcome.skipped:
         return '\n'.join([*parts, f'Skipped: {outcome.skipped}', ''])
     parts += [f'| {" | ".join(HEADINGS)} |', '|---|---:|---:|---|']
-    parts += [f'| {" | ".join(cells(row))} |' for row in outcome.rows]
+    parts += [f'| {" | ".join(row.cells)} |' for row in outcome.rows]
     return '\n'.join([*parts, ''])
-
-
-def _html(outcomes: Sequence[Outcome], run: Mapping[str, Any]) -> str:
-    """Return a report in one file, figures included."""
-    about = ''.join(
-        f'<tr><th>{_text(key)}</th><td>{_text(value)}</td></tr>' for key, value in run.items()
-    )
-    links = ' · '.join(f'<a href="#{o.name}">{_text(o.title)}</a>' for o in outcomes)
-    body = ''.join(_section(outcome) for outcome in outcomes)
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width">'
-        f'<title>Mixtac experiments</title><style>{_STYLE}</style></head><body>'
-        "<h1>The paper's experiments</h1>"
-        '<p class="small">Our values are means with standard deviations; each row names what they'
-        ' are taken over. Rows marked <span class="simulated">simulated</span> come from the'
-        ' virtual sensor and prove nothing about a real one.</p>'
-        f'<table>{about}</table><p>{links}</p>{body}</body></html>\n'
-    )
-
-
-def _section(outcome: Outcome) -> str:
-    parts = [
-        f'<h2 id="{outcome.name}">{_text(outcome.title)}</h2>',
-        f'<p><b>Paper:</b> {_text(outcome.paper)}</p>',
-        f'<p><b>Data:</b> {_text(outcome.data)}</p>',
-    ]
-    if outcome.skipped:
-        return ''.join([*parts, f'<p><b>Skipped:</b> {_text(outcome.skipped)}</p>'])
-    parts += [_figure(caption, path) for caption, path in outcome.figures.items()]
-    if outcome.table:
-        lines = [''.join(f'<td>{_text(cell)}</td>' for cell in line) for line in outcome.table[1:]]
-        parts.append(_table(outcome.table[0], lines) + '<br>')
-    parts.append(_table((*HEADINGS, 'conditions'), [_row(row) for row in outcome.rows]))
-    if outcome.deviations:
-        items = ''.join(f'<li>{_text(each)}</li>' for each in outcome.deviations)
-        parts.append(f'<p><b>Differences from the paper:</b></p><ul>{items}</ul>')
-    return ''.join(parts)
-
-
-def _table(headings: Sequence[str], lines: Sequence[str]) -> str:
-    head = ''.join(f'<th>{_text(heading)}</th>' for heading in headings)
-    body = ''.join(f'<tr>{line}</tr>' for line in lines)
-    return f'<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
-
-
-def _row(row: Row) -> str:
-    name, ours, paper, unit = map(_text, cells(row))
-    label = ' <span class="simulated">simulated</span>' if row.marked else ''
-    place = f'; paper: {row.place}' if row.place else ''
-    return (
-        f'<td>{name}{label}</td><td class="n">{ours}</td><td class="n">{paper}</td>'
-        f'<td>{unit}</td><td class="small">{_text(row.conditions + place)}</td>'
-    )
 
 
 def value_text(value: Value) -> str:
@@ -271,16 +201,3 @@ def number(value: float) -> str:
     if abs(value) >= 1000 or value == round(value):
         return f'{value:,.0f}'
     return f'{value:.3g}'
-
-
-def _figure(caption: str, path: Path) -> str:
-    data = base64.b64encode(path.read_bytes()).decode()
-    words = html.escape(caption)
-    return (
-        f'<figure><img alt="{words}" src="data:image/png;base64,{data}">'
-        f'<figcaption>{words}</figcaption></figure>'
-    )
-
-
-def _text(value: object) -> str:
-    return html.escape(str(value))
