@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Optional
+from typing import Annotated, Any, Final
 
 import numpy as np
 import typer
@@ -22,6 +22,7 @@ from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures, b
 from mixtac_alignment.refinement import Refinement, refine
 from mixtac_alignment.taps import fit_taps
 from mixtac_alignment.two_impulse import fit_counts
+from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_events.errors import MixtacError
 from mixtac_lab.store import Piece, Store, code_version
 from mixtac_node.files import write_json
@@ -29,7 +30,6 @@ from mixtac_sim.world.effects import PRESETS, preset
 from mixtac_sim.world.training_trials import simulator_digest
 from mixtac_sim.world.trial import Trial, simulate_trial
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 FIRST_SEED: Final = 600_000
 """Nothing was tuned on this seed or a later one."""
 PROFILES: Final = ('impact', 'dynamic', 'oscillation', 'press', 'demo')
@@ -279,9 +279,7 @@ def align(
     damaged: Annotated[int, typer.Option(min=0, help='Number of damaged trials.')] = 100,
     seconds: Annotated[float, typer.Option(min=8.0, help='Length of a trial [s].')] = LENGTH_S,
     cache: Annotated[OptionalPath, typer.Option(help='Folder for simulated recordings.')] = None,
-    report: Annotated[
-        OptionalPath, typer.Option('--json', help='Also write the results to this JSON file.')
-    ] = None,
+    report: JsonFile = None,
 ) -> None:
     """Measure the error of the clock alignment on simulated trials with known clocks."""
     console, store = Console(), Store(cache)

@@ -15,10 +15,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -26,8 +24,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from mixtac_cli.options import JsonFile
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
+from mixtac_lab.figures import make_table
 from mixtac_node.files import write_json
 
 ROWS_PER_STAMP = 10
@@ -93,7 +93,6 @@ def repeated(words: NDArray[np.uint16], size: int) -> NDArray[np.uint16]:
     return np.tile(once, max(round(size / once.nbytes), 1))
 
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 EVENTS_PER_ROW = (1, 2, 8)
 TRANSFER_BYTES = 256 << 10
 """Large enough that the share of Python, about 5 us per transfer, is negligible [B]."""
@@ -102,6 +101,8 @@ EVENT_BYTES = 13
 FRAME_BYTES = 2 * FRAME_COLUMNS * FRAME_ROWS
 SEED_EVENTS = 2_000_000
 SEED_FRAMES = 4
+RATIOS = ('memcpy_ratio', 'output_memcpy_ratio')
+"""Time to decode over the time to copy the stream, and over that to copy the size of the output."""
 MIN_TURNS = 5
 STARTS = 4
 PIECE_BYTES = 16 * TRANSFER_BYTES
@@ -112,64 +113,6 @@ START = (
     'list(StreamDecoder(Geometry()).push(bytes(64)))\n'
     'print(time.perf_counter() - start)'
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Speed:
-    """Decoding speed of one stream.
-
-    Attributes:
-        per_s: Events or frames decoded per second.
-        memcpy_ratio: Ratio of the time to decode to the time to copy the stream.
-        output_memcpy_ratio: Ratio of the time to decode to the time to copy the size of the output.
-    """
-
-    per_s: float
-    memcpy_ratio: float
-    output_memcpy_ratio: float
-
-
-@dataclass(frozen=True, slots=True)
-class DecodeReport:
-    """Speeds of the decoder on one core.
-
-    Attributes:
-        fixed: Speeds by events per row: 1, 2, 8; the same in every row.
-        random: Speeds by mean events per row, geometrically distributed.
-        frames: Speed of full frames.
-        memcpy_bytes_per_s: Speed of the fastest copy.
-        start_s: Time to import, construct and decode in a new process, compiled before [s].
-        stream_bytes: Size of the streams.
-        transfer_bytes: Size of the pieces in which the decoder gets them.
-    """
-
-    fixed: dict[int, Speed]
-    random: dict[int, Speed]
-    frames: Speed
-    memcpy_bytes_per_s: float
-    start_s: float
-    stream_bytes: int
-    transfer_bytes: int
-
-    def as_dict(self) -> dict[str, object]:
-        """Return the figures for JSON."""
-        return {
-            **_figures(self.fixed),
-            'frames_per_s': self.frames.per_s,
-            'frames_memcpy_ratio': self.frames.memcpy_ratio,
-            'random_rows': _figures(self.random),
-            'memcpy_bytes_per_s': self.memcpy_bytes_per_s,
-            'start_s': self.start_s,
-            'stream_bytes': self.stream_bytes,
-            'transfer_bytes': self.transfer_bytes,
-        }
-
-
-def _figures(speeds: dict[int, Speed]) -> dict[str, dict[str, float]]:
-    rows = {str(k): asdict(speed) for k, speed in speeds.items()}
-    names = ('memcpy_ratio', 'output_memcpy_ratio')
-    figures = {'events_per_s': {k: row['per_s'] for k, row in rows.items()}}
-    return figures | {name: {k: row[name] for k, row in rows.items()} for name in names}
 
 
 def _shortest(jobs: list[list[Callable[[], None]]], seconds: float) -> list[float]:
@@ -198,8 +141,8 @@ def _decode(decoder: StreamDecoder, words: NDArray[np.uint16]) -> None:
             pass
 
 
-def _measure(words: NDArray[np.uint16], seconds: float) -> tuple[Speed, Speed, float]:
-    """Return the speeds of events and of frames, and of the copy [B/s]."""
+def _measure(words: NDArray[np.uint16], seconds: float) -> tuple[float, tuple[float, float], float]:
+    """Return events or frames decoded per second, `RATIOS`, and the speed of the copy [B/s]."""
     decoder = StreamDecoder(Geometry(), capacity=TRANSFER_BYTES // 2)
     target = np.empty_like(words)
     _decode(decoder, words)
@@ -216,8 +159,7 @@ def _measure(words: NDArray[np.uint16], seconds: float) -> tuple[Speed, Speed, f
     rate = words.nbytes / copying
     output = counters.events * EVENT_BYTES + counters.frames * FRAME_BYTES
     ratios = (decoding / copying, decoding * rate / output)
-    events, frames = (Speed(n / decoding, *ratios) for n in (counters.events, counters.frames))
-    return events, frames, rate
+    return (counters.events or counters.frames) / decoding, ratios, rate
 
 
 def start_seconds() -> float:
@@ -236,61 +178,57 @@ def start_seconds() -> float:
     return min(times[1:])
 
 
-def run_decode_benchmark(*, seconds: float = 1.5, stream_bytes: int = 128 << 20) -> DecodeReport:
-    """Measure the decoder.
+def measure(seconds: float, stream_bytes: int) -> dict[str, Any]:
+    """Measure the decoder on one core and return the figures for JSON.
 
     Args:
         seconds: Time for each of the seven streams [s].
         stream_bytes: Size of each stream [B]; more than the caches of the processor.
+
+    Returns:
+        Figures by events per row: 1, 2, 8, the same in every row and, in `random_rows`, on average;
+        those of full frames; `memcpy_bytes_per_s` of the fastest copy; `start_s`, see
+        `start_seconds`; sizes of the streams and of the pieces in which the decoder gets them.
     """
-    speeds: dict[bool, dict[int, Speed]] = {False: {}, True: {}}
+    figures: dict[str, Any] = {}
     rates = []
     count = min(SEED_EVENTS, stream_bytes // 4)
-    for random in (False, True):
+    for random, place in ((False, figures), (True, figures.setdefault('random_rows', {}))):
         for k in EVENTS_PER_ROW:
             words = repeated(event_stream(k, count, random=random), stream_bytes)
-            speeds[random][k], _, rate = _measure(words, seconds)
+            per_s, ratios, rate = _measure(words, seconds)
             rates.append(rate)
-    _, frames, _ = _measure(repeated(frame_stream(SEED_FRAMES), stream_bytes), seconds)
-    return DecodeReport(
-        fixed=speeds[False],
-        random=speeds[True],
-        frames=frames,
-        memcpy_bytes_per_s=max(rates),
-        start_s=start_seconds(),
-        stream_bytes=stream_bytes,
-        transfer_bytes=TRANSFER_BYTES,
-    )
+            for name, value in zip(('events_per_s', *RATIOS), (per_s, *ratios), strict=True):
+                place.setdefault(name, {})[str(k)] = value
+    per_s, ratios, _ = _measure(repeated(frame_stream(SEED_FRAMES), stream_bytes), seconds)
+    return figures | {
+        'frames_per_s': per_s,
+        **{f'frames_{name}': value for name, value in zip(RATIOS, ratios, strict=True)},
+        'memcpy_bytes_per_s': max(rates),
+        'start_s': start_seconds(),
+        'stream_bytes': stream_bytes,
+        'transfer_bytes': TRANSFER_BYTES,
+    }
 
 
-def _print(console: Console, report: DecodeReport) -> None:
-    table = Table(title='Decoder, one core', caption='copy: of the same bytes, memory to memory')
-    for name in ('stream', 'speed', 'time over copy', 'over copy of output'):
-        table.add_column(name, justify='left' if name == 'stream' else 'right')
-    for title, speeds in (('events per row', report.fixed), ('on average', report.random)):
-        for k, speed in speeds.items():
-            table.add_row(
-                f'{k} {title}',
-                f'{speed.per_s / 1e6:.0f} Mev/s',
-                f'{speed.memcpy_ratio:.1f}',
-                f'{speed.output_memcpy_ratio:.1f}',
-            )
-    frames = report.frames
-    table.add_row(
-        'frames',
-        f'{frames.per_s:.0f} frames/s',
-        f'{frames.memcpy_ratio:.1f}',
-        f'{frames.output_memcpy_ratio:.1f}',
-    )
-    console.print(table)
-    console.print(f'memory copy {report.memcpy_bytes_per_s / 1e9:.1f} GB/s')
-    console.print(f'start-up of the decoder, compiled before: {report.start_s:.2f} s')
+def _table(figures: dict[str, Any]) -> Table:
+    rows = [
+        (
+            f'{k} {title}',
+            f'{rate / 1e6:.0f} Mev/s',
+            *(f'{each[name][k]:.1f}' for name in RATIOS),
+        )
+        for title, each in (('events per row', figures), ('on average', figures['random_rows']))
+        for k, rate in each['events_per_s'].items()
+    ]
+    frames = (f'{figures[f"frames_{name}"]:.1f}' for name in RATIOS)
+    rows.append(('frames', f'{figures["frames_per_s"]:.0f} frames/s', *frames))
+    headings = ('stream', 'speed', 'time over copy', 'over copy of output')
+    return make_table('Decoder, one core (copy: the same bytes in memory)', headings, rows)
 
 
 def decode(
-    json: Annotated[
-        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
-    ] = None,
+    json: JsonFile = None,
     seconds: Annotated[
         float, typer.Option(min=0, help='Time for each of seven streams [s].')
     ] = 1.5,
@@ -299,10 +237,13 @@ def decode(
     ] = 128,
 ) -> None:
     """Measure the decoding speed of events and frames, relative to a copy of the same bytes."""
-    report = run_decode_benchmark(seconds=seconds, stream_bytes=megabytes << 20)
-    _print(Console(), report)
+    figures = measure(seconds, megabytes << 20)
+    console = Console()
+    console.print(_table(figures))
+    console.print(f'memory copy {figures["memcpy_bytes_per_s"] / 1e9:.1f} GB/s')
+    console.print(f'start-up of the decoder, compiled before: {figures["start_s"]:.2f} s')
     if json is not None:
-        write_json(json, report.as_dict())
+        write_json(json, figures)
 
 
 if __name__ == '__main__':

@@ -9,7 +9,6 @@ import time
 from array import array
 from collections import deque
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Final, Optional
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from mixtac_cli.options import JsonFile, Preset
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_fger.estimator import open_estimator
@@ -217,22 +217,14 @@ def _feed_image(feed: LiveFeed, frame: Frame) -> None:
     feed.image(_ImageFields(height, width, 'mono16', big_endian, 2 * width, data), frame.mid_us)
 
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
-
-
 def infer(
     model: Annotated[
         Optional[str],  # noqa: UP045  (typer evaluates this under Python 3.10)
         typer.Option(help='Weight file, or name of a shipped model.'),
     ] = None,
     seconds: Annotated[float, typer.Option(min=3, max=600, help='Length of the run [s].')] = 20.0,
-    preset: Annotated[
-        str,
-        typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.'),
-    ] = 'paper_like',
-    json: Annotated[
-        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
-    ] = None,
+    preset: Preset = 'paper_like',
+    json: JsonFile = None,
 ) -> None:
     """Measure the estimator on one thread: a simulated trial in real time, frames beside it."""
     console = Console()

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
+from mixtac_cli.options import JsonFile
 from mixtac_node.files import write_json
 from mixtac_sim.arm.controller import JointTrajectoryController, Release
 from mixtac_slip_control.arm.kinematics import SerialArm
@@ -31,7 +31,6 @@ from mixtac_slip_control.errors import ArmError, UnreachableError
 Floats = NDArray[np.float64]
 
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 CYCLE_S = 1e-3
 SLACK = 1e-6
 """Share of a limit that rounding may exceed."""
@@ -72,9 +71,7 @@ class TrialTally:
 def limits(
     trials: Annotated[int, typer.Option(min=1, help='Number of random sequences.')] = 10_000,
     seed: Annotated[int, typer.Option(min=0, help='Random seed.')] = 1,
-    json: Annotated[
-        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
-    ] = None,
+    json: JsonFile = None,
 ) -> None:
     """Send random slips through planner and arm controller; count violated joint limits."""
     console = Console()

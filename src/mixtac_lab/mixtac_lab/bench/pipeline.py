@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
-from pathlib import Path
 from typing import Annotated, Any, Optional
 
 import numpy as np
@@ -24,13 +23,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from mixtac_cli.options import JsonFile
 from mixtac_lab.bench.harness import START_TIMEOUT_S, BenchRun
+from mixtac_lab.figures import make_table
 from mixtac_node.files import write_json
 from mixtac_node.graph import NodeSpec, sensor_graph
 from mixtac_node.process import GraphError, JsonProcess
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
-Json = Annotated[OptionalPath, typer.Option(help='Also write the results to this JSON file.')]
 NAMESPACE = 'mixtac_bench'
 SETTLE_S = 2.0
 FORCE_SETTLE_S = 3.0
@@ -66,13 +65,7 @@ class Load:
 
     def start(self, run: BenchRun) -> tuple[str, dict[str, Any]]:
         """Start a camera with this load; returns as `BenchRun.start_camera`."""
-        return run.start_camera(
-            'pattern',
-            rate=self.rate,
-            per_row=self.per_row,
-            frame_interval=self.frame_interval,
-            reading_interval=self.reading_interval,
-        )
+        return run.start_camera('pattern', **asdict(self))
 
 
 def full_load(rate: float) -> Load:
@@ -181,47 +174,9 @@ def run_pipeline(
     return PipelineRun(load, elapsed_s, figures, stalls, cpu['driver'], cpu['subscriber'])
 
 
-@dataclass(frozen=True, slots=True)
-class PipelineReport:
-    """All runs.
-
-    Attributes:
-        age: Run at 1 Mev/s.
-        loss: Run at 5 Mev/s.
-        ladder: Runs at growing rates with frames and inertial samples, up to the first loss.
-    """
-
-    age: PipelineRun
-    loss: PipelineRun
-    ladder: tuple[PipelineRun, ...]
-
-    @property
-    def max_rate_mev_s(self) -> float:
-        """Largest rate of the ladder without loss [10^6/s], 0 for none."""
-        return max((run.load.rate / 1e6 for run in self.ladder if run.clean), default=0.0)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report for JSON."""
-        return {
-            'age_ms': {
-                'p50': self.age.figures['age_p50_ms'],
-                'p99': self.age.figures['age_p99_ms'],
-            },
-            'lost': self.loss.lost,
-            'max_rate_mev_s': self.max_rate_mev_s,
-            'driver_cpu_per_mev_s': self.loss.driver_cpu / (self.loss.load.rate / 1e6),
-            'simulated_camera': True,
-            'runs': {
-                'age': self.age.as_dict(),
-                'loss': self.loss.as_dict(),
-                'ladder': [run.as_dict() for run in self.ladder],
-            },
-        }
-
-
 def measure(
     seconds: float, loss_seconds: float, start: Callable[[str, float], Callable[[float], None]]
-) -> PipelineReport:
+) -> list[PipelineRun]:
     """Do all runs.
 
     Args:
@@ -229,17 +184,38 @@ def measure(
         loss_seconds: Length of the run at 5 Mev/s [s].
         start: Called with name and length of each run; returns a function that is called with the
             elapsed seconds.
+
+    Returns:
+        Runs at 1 Mev/s, at 5 Mev/s, and at growing rates with frames and inertial samples, up to
+        the first loss.
     """
     age = run_pipeline(Load(AGE_RATE), seconds, progress=start('age at 1 Mev/s', seconds))
     loss = run_pipeline(Load(LOSS_RATE), loss_seconds, progress=start('5 Mev/s', loss_seconds))
-    ladder: list[PipelineRun] = []
+    runs = [age, loss]
     for rate in LADDER:
-        load = full_load(rate)
         name = f'{rate / 1e6:g} Mev/s, frames, IMU'
-        ladder.append(run_pipeline(load, STEP_SECONDS, progress=start(name, STEP_SECONDS)))
-        if not ladder[-1].clean:
+        progress = start(name, STEP_SECONDS)
+        runs.append(run_pipeline(full_load(rate), STEP_SECONDS, progress=progress))
+        if not runs[-1].clean:
             break
-    return PipelineReport(age, loss, tuple(ladder))
+    return runs
+
+
+def summarise_pipeline(age: PipelineRun, loss: PipelineRun, *ladder: PipelineRun) -> dict[str, Any]:
+    """Return the runs of `measure` and their main figures for JSON."""
+    rates = [run.load.rate / 1e6 for run in ladder if run.clean]
+    return {
+        'age_ms': {name: age.figures[f'age_{name}_ms'] for name in ('p50', 'p99')},
+        'lost': loss.lost,
+        'max_rate_mev_s': max(rates, default=0.0),
+        'driver_cpu_per_mev_s': loss.as_dict()['driver_cpu_per_mev_s'],
+        'simulated_camera': True,
+        'runs': {
+            'age': age.as_dict(),
+            'loss': loss.as_dict(),
+            'ladder': [run.as_dict() for run in ladder],
+        },
+    }
 
 
 def pipeline(
@@ -247,7 +223,7 @@ def pipeline(
     loss_seconds: Annotated[
         float, typer.Option(min=2, help='Length of the run at 5 Mev/s [s].')
     ] = 60,
-    json: Json = None,
+    json: JsonFile = None,
 ) -> None:
     """Measure the age of events at a subscriber, losses, and the largest rate without loss."""
     console = Console()
@@ -258,36 +234,34 @@ def pipeline(
             bar = bars.add_task(name, total=length)
             return lambda done: bars.update(bar, completed=done)
 
-        report = measure(seconds, loss_seconds, start)
-    runs = (report.age, report.loss, *report.ladder)
+        runs = measure(seconds, loss_seconds, start)
+    report = summarise_pipeline(*runs)
     console.print(_pipeline_table(runs))
-    console.print(f'largest rate without loss: {report.max_rate_mev_s:g} Mev/s')
+    console.print(f'largest rate without loss: {report["max_rate_mev_s"]:g} Mev/s')
     if json is not None:
-        write_json(json, report.as_dict())
+        write_json(json, report)
 
 
 def _pipeline_table(runs: Sequence[PipelineRun]) -> Table:
-    table = Table(
-        title='Events of a simulated camera at a subscriber in another process',
-        title_justify='left',
-    )
     headings = ('Mev/s', 'frames', 's', 'age p50 ms', 'p99 ms', 'max ms', 'events lost')
-    for heading in (*headings, 'driver CPU', 'subscriber CPU'):
-        table.add_column(heading, justify='right')
-    for run in runs:
-        figures = run.figures
-        table.add_row(
-            f'{run.load.rate / 1e6:g}',
-            'yes' if run.load.frame_interval else 'no',
-            f'{run.seconds:.0f}',
-            f'{figures["age_p50_ms"]:.2f}',
-            f'{figures["age_p99_ms"]:.2f}',
-            f'{figures["age_max_ms"]:.1f}',
-            f'{run.lost}' if not run.camera_stalls else f'{run.lost} + camera',
-            f'{100 * run.driver_cpu:.0f} %',
-            f'{100 * run.probe_cpu:.0f} %',
-        )
-    return table
+    return make_table(
+        'Events of a simulated camera at a subscriber in another process',
+        (*headings, 'driver CPU', 'subscriber CPU'),
+        [
+            (
+                f'{run.load.rate / 1e6:g}',
+                'yes' if run.load.frame_interval else 'no',
+                f'{run.seconds:.0f}',
+                f'{run.figures["age_p50_ms"]:.2f}',
+                f'{run.figures["age_p99_ms"]:.2f}',
+                f'{run.figures["age_max_ms"]:.1f}',
+                f'{run.lost} + camera' if run.camera_stalls else run.lost,
+                f'{run.driver_cpu:.0%}',
+                f'{run.probe_cpu:.0%}',
+            )
+            for run in runs
+        ],
+    )
 
 
 class Kind(Enum):
@@ -305,7 +279,7 @@ def compose(
         Optional[Kind],  # noqa: UP045  (typer evaluates this under Python 3.10)
         typer.Option(help='Run one kind only, for a long measurement.'),
     ] = None,
-    json: Json = None,
+    json: JsonFile = None,
 ) -> None:
     """Measure the age of forces at a subscriber, from separate processes and from one."""
     console = Console()
@@ -372,23 +346,20 @@ def summarise(runs: Sequence[Mapping[str, Any]], rate: float) -> dict[str, Any]:
 
 
 def _runs_table(runs: Sequence[Mapping[str, Any]]) -> Table:
-    table = Table(
-        title='Age of the force at a subscriber: arrival minus the end of its window '
-        '(simulated camera)',
-        title_justify='left',
+    return make_table(
+        'Age of the force at a subscriber: arrival minus the end of its window (simulated camera)',
+        ('processes', 'p50 ms', 'p99 ms', 'max ms', 'Hz', 'windows missing', 'CPU'),
+        [
+            (
+                'one' if run['single_process'] else 'separate',
+                *(f'{run[key]:.2f}' for key in AGES),
+                f'{run["force_rate_hz"]:.1f}',
+                run['windows_missing'],
+                f'{run["cpu_total"]:.0%}',
+            )
+            for run in sorted(runs, key=lambda each: bool(each['single_process']))
+        ],
     )
-    headings = ('processes', 'p50 ms', 'p99 ms', 'max ms', 'Hz', 'windows missing', 'CPU')
-    for heading in headings:
-        table.add_column(heading, justify='left' if heading == 'processes' else 'right')
-    for run in sorted(runs, key=lambda each: bool(each['single_process'])):
-        table.add_row(
-            'one' if run['single_process'] else 'separate',
-            *(f'{run[key]:.2f}' for key in AGES),
-            f'{run["force_rate_hz"]:.1f}',
-            f'{run["windows_missing"]:.0f}',
-            f'{100 * run["cpu_total"]:.0f} %',
-        )
-    return table
 
 
 def two_sensors(
@@ -396,7 +367,7 @@ def two_sensors(
     single_process: Annotated[
         bool, typer.Option(help='Run each driver and its estimator in one process.')
     ] = False,
-    json: Json = None,
+    json: JsonFile = None,
 ) -> None:
     """Measure rates, ages and CPU of two virtual sensors with two estimators at once."""
     console = Console()
@@ -457,23 +428,22 @@ def run_two(seconds: float, *, together: bool) -> dict[str, Any]:
 
 
 def _sensors_table(report: dict[str, Any]) -> Table:
-    title = (
-        f'Two virtual sensors, {report["cpu_count"]} cores, {100 * report["cpu_total"]:.0f} % CPU'
-    )
-    table = Table(title=title, title_justify='left')
-    for heading in ('sensor', 'Hz', 'windows missing', 'age p50 ms', 'p99 ms', 'CPU'):
-        table.add_column(heading, justify='left' if heading == 'sensor' else 'right')
+    rows: list[tuple[object, ...]] = []
     for side in SIDES:
         each = report[side]
         if not each['forces']:
-            table.add_row(side, 'no force')
+            rows.append((side, 'no force'))
             continue
-        table.add_row(
-            side,
-            f'{each["force_rate_hz"]:.1f}',
-            str(each['windows_missing']),
-            f'{each["force_age_p50_ms"]:.2f}',
-            f'{each["force_age_p99_ms"]:.2f}',
-            ', '.join(f'{name} {100 * value:.0f} %' for name, value in each['cpu'].items()),
+        rows.append(
+            (
+                side,
+                f'{each["force_rate_hz"]:.1f}',
+                each['windows_missing'],
+                f'{each["force_age_p50_ms"]:.2f}',
+                f'{each["force_age_p99_ms"]:.2f}',
+                ', '.join(f'{name} {value:.0%}' for name, value in each['cpu'].items()),
+            )
         )
-    return table
+    title = f'Two virtual sensors, {report["cpu_count"]} cores, {report["cpu_total"]:.0%} CPU'
+    headings = ('sensor', 'Hz', 'windows missing', 'age p50 ms', 'p99 ms', 'CPU')
+    return make_table(title, headings, rows)

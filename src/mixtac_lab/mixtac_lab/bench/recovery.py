@@ -15,24 +15,24 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from random import Random
 from types import TracebackType
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import numpy as np
 import psutil
 import typer
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
+from mixtac_cli.options import JsonFile
 from mixtac_driver.camera import CameraBatch, Davis346
 from mixtac_driver.davis346.writes import register_writes
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.arrays import Events
 from mixtac_lab.bench.harness import quantiles
+from mixtac_lab.figures import make_table
 from mixtac_node.files import write_json
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import Fault, FaultKind
@@ -200,22 +200,6 @@ GAP_S = 0.2
 """Pause between data that ends a stream [s]; the camera sends its time every 33 ms."""
 LONGEST_RECOVERY_S = 20.0
 LONGEST_ENDING_S = 10.0
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
-
-
-@dataclass(frozen=True, slots=True)
-class Resources:
-    """Resources of the process.
-
-    Attributes:
-        threads: Number of threads.
-        descriptors: Number of open file descriptors.
-        memory_mib: Resident memory [MiB].
-    """
-
-    threads: int
-    descriptors: int
-    memory_mib: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,50 +216,6 @@ class Recovery:
     fault: str
     seconds: float
     restored: bool
-
-
-@dataclass(frozen=True, slots=True)
-class RecoveryReport:
-    """Result of the benchmark.
-
-    Attributes:
-        seed: Seed of the faults.
-        recoveries: One for each fault, in order.
-        went_back: Number of backward steps of the published time.
-        reconnects: Number of times that the driver reopened the camera.
-        before: Resources while streaming before the first fault.
-        after: Resources after the last fault.
-    """
-
-    seed: int
-    recoveries: tuple[Recovery, ...]
-    went_back: int
-    reconnects: int
-    before: Resources
-    after: Resources
-
-    @property
-    def recovered(self) -> int:
-        """Number of faults after which a lasting stream with all settings returned."""
-        return sum(each.restored for each in self.recoveries)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return values for JSON; times in seconds."""
-        names = sorted({each.fault for each in self.recoveries})
-        return {
-            'faults': len(self.recoveries),
-            'recoveries': self.recovered,
-            'seed': self.seed,
-            'recovery_s': _quantiles(self.recoveries),
-            'by_fault': {
-                name: _quantiles([each for each in self.recoveries if each.fault == name])
-                for name in names
-            },
-            'time_went_back': self.went_back,
-            'reconnects': self.reconnects,
-            'before': dataclasses.asdict(self.before),
-            'after': dataclasses.asdict(self.after),
-        }
 
 
 class _Driver:
@@ -323,12 +263,9 @@ class _Driver:
 
 
 def run_recovery_benchmark(
-    faults: int = 100,
-    seed: int = 0,
-    *,
-    on_fault: Callable[[Recovery], None] = lambda _recovery: None,
-) -> RecoveryReport:
-    """Inject one fault after another into a streaming camera.
+    faults: int = 100, seed: int = 0, *, on_fault: Callable[[], object] = lambda: None
+) -> dict[str, Any]:
+    """Inject one fault after another into a streaming camera; return the figures for JSON.
 
     Args:
         faults: Number of faults; all kinds occur equally often, in random order.
@@ -347,18 +284,34 @@ def run_recovery_benchmark(
             recoveries = []
             for name in fault_names(faults, rng):
                 recoveries.append(_recover_from(name, scene, driver, rng))
-                on_fault(recoveries[-1])
+                on_fault()
             after = _resources(before)
             driver.supervisor.stop()
-    return RecoveryReport(
-        seed, tuple(recoveries), driver.went_back, driver.supervisor.reconnects, before, after
-    )
+    return summarise(recoveries) | {
+        'seed': seed,
+        'time_went_back': driver.went_back,
+        'reconnects': driver.supervisor.reconnects,
+        'before': before,
+        'after': after,
+    }
+
+
+def summarise(recoveries: Sequence[Recovery]) -> dict[str, Any]:
+    """Return numbers and times [s] of recoveries; all with restored settings count as recovered."""
+    by_fault = {
+        name: _quantiles([each for each in recoveries if each.fault == name])
+        for name in sorted({each.fault for each in recoveries})
+    }
+    return {
+        'faults': len(recoveries),
+        'recoveries': sum(each.restored for each in recoveries),
+        'recovery_s': _quantiles(recoveries),
+        'by_fault': by_fault,
+    }
 
 
 def recovery(
-    json: Annotated[
-        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
-    ] = None,
+    json: JsonFile = None,
     faults: Annotated[int, typer.Option(min=1, help='Number of faults.')] = 100,
     seed: Annotated[int, typer.Option(min=0, help='Random seed of the faults.')] = 0,
 ) -> None:
@@ -366,12 +319,23 @@ def recovery(
     console = Console()
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task('faults', total=faults)
-        report = run_recovery_benchmark(
-            faults, seed, on_fault=lambda _recovery: progress.advance(task)
-        )
-    _print(console, report)
+        report = run_recovery_benchmark(faults, seed, on_fault=lambda: progress.advance(task))
+    rows = {**report['by_fault'], 'all': report['recovery_s']}
+    headings = ('fault', 'count', 'p50', 'p95', 'max')
+    values = [(name, *(f'{value:g}' for value in row.values())) for name, row in rows.items()]
+    console.print(make_table('time to recover [s]', headings, values))
+    console.print(
+        f'{report["recoveries"]} of {report["faults"]} recovered with all settings, '
+        f'{report["reconnects"]} reconnects, time went back {report["time_went_back"]} times'
+    )
+    before, after = report['before'], report['after']
+    console.print(
+        f'threads {before["threads"]} -> {after["threads"]}, '
+        f'file descriptors {before["descriptors"]} -> {after["descriptors"]}, '
+        f'memory {before["memory_mib"]:.0f} -> {after["memory_mib"]:.0f} MiB'
+    )
     if json is not None:
-        write_json(json, report.as_dict())
+        write_json(json, report)
 
 
 def fault_names(faults: int, rng: random.Random) -> Iterator[str]:
@@ -404,8 +368,8 @@ def _nothing(*_: object) -> None:
     pass
 
 
-def _resources(before: Resources | None = None) -> Resources:
-    """Return the resources in use, once what was closed has ended.
+def _resources(before: dict[str, float] | None = None) -> dict[str, float]:
+    """Return threads, descriptors and memory in use, once what was closed has ended.
 
     The other end of a socket notices only later that it was closed: a thread of the virtual camera
     and its descriptor last until then. A leak lasts.
@@ -418,11 +382,14 @@ def _resources(before: Resources | None = None) -> Resources:
     deadline_s = time.monotonic() + LONGEST_ENDING_S
     time.sleep(1.0)
     while True:
-        memory = process.memory_info().rss / (1 << 20)
-        now = Resources(process.num_threads(), process.num_fds(), round(memory, 1))
+        now = {
+            'threads': process.num_threads(),
+            'descriptors': process.num_fds(),
+            'memory_mib': round(process.memory_info().rss / (1 << 20), 1),
+        }
         if before is None or time.monotonic() >= deadline_s:
             return now
-        if now.threads <= before.threads and now.descriptors <= before.descriptors:
+        if all(now[name] <= before[name] for name in ('threads', 'descriptors')):
             return now
         time.sleep(0.1)
 
@@ -431,23 +398,3 @@ def _quantiles(recoveries: Sequence[Recovery]) -> dict[str, float]:
     seconds = [each.seconds for each in recoveries]
     found = quantiles(seconds, (0.5, 0.95, 1.0))
     return {'count': len(seconds), **{name: round(value, 3) for name, value in found.items()}}
-
-
-def _print(console: Console, report: RecoveryReport) -> None:
-    figures = report.as_dict()
-    table = Table(title=r'time to recover \[s]', title_justify='left')
-    for heading in ('fault', 'count', 'p50', 'p95', 'max'):
-        table.add_column(heading, justify='left' if heading == 'fault' else 'right')
-    for name, row in {**figures['by_fault'], 'all': figures['recovery_s']}.items():
-        table.add_row(name, *(f'{value:g}' for value in row.values()))
-    console.print(table)
-    console.print(
-        f'{report.recovered} of {len(report.recoveries)} recovered with all settings, '
-        f'{report.reconnects} reconnects, time went back {report.went_back} times'
-    )
-    before, after = report.before, report.after
-    console.print(
-        f'threads {before.threads} -> {after.threads}, '
-        f'file descriptors {before.descriptors} -> {after.descriptors}, '
-        f'memory {before.memory_mib:.0f} -> {after.memory_mib:.0f} MiB'
-    )

@@ -13,14 +13,15 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Optional
+from typing import Annotated, Any, Final
 
 import psutil
 import typer
 from rich.console import Console
-from rich.table import Table
 from rosbags.rosbag2 import Writer
 
+from mixtac_cli.options import JsonFile, Preset
+from mixtac_lab.figures import make_table
 from mixtac_node.files import write_json
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.bags.camera import CameraMessages
@@ -104,7 +105,7 @@ _RUN: Final = (
 
 @dataclass(frozen=True, slots=True)
 class ChainRun:
-    """One run of the chain.
+    """One run of the chain, or of a batch of bags.
 
     Attributes:
         simulated_s: Simulated time [s].
@@ -117,8 +118,8 @@ class ChainRun:
     simulated_s: float
     wall_s: float
     cpu_s: float
-    events: int
-    octets: int
+    events: int = 0
+    octets: int = 0
 
 
 class Chain:
@@ -171,7 +172,6 @@ def running_camera(serial: str) -> VirtualDavis346:
     return camera
 
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 PROFILE: Final = 'dynamic'
 ONLINE_RUNS: Final = 3
 BATCH_JOBS: Final = 2
@@ -180,79 +180,37 @@ WARM_UP_S: Final = 3.0
 STAGE_S: Final = 8.0
 
 
-@dataclass(frozen=True, slots=True)
-class SimulateReport:
-    """Result of the benchmark.
-
-    Attributes:
-        online: Runs of the full chain on one core.
-        batch_s: Simulated time of the batch [s].
-        batch_wall_s: Elapsed time of the batch on two cores [s].
-        batch_cpu_s: Processor time of the batch per process [s].
-        online_stages: Share of time of each stage in the chain.
-        batch_stages: Share of time of each stage in writing a bag.
-    """
-
-    online: tuple[ChainRun, ...]
-    batch_s: float
-    batch_wall_s: float
-    batch_cpu_s: float
-    online_stages: dict[str, float]
-    batch_stages: dict[str, float]
-
-    @property
-    def online_factor(self) -> float:
-        """Ratio of simulated to elapsed time of the chain, median of the runs."""
-        return statistics.median(run.simulated_s / run.wall_s for run in self.online)
-
-    @property
-    def online_cpu_factor(self) -> float:
-        """Ratio of simulated to processor time of the chain, median of the runs."""
-        return statistics.median(run.simulated_s / run.cpu_s for run in self.online)
-
-    @property
-    def batch_factor(self) -> float:
-        """Ratio of simulated to elapsed time of the batch."""
-        return self.batch_s / self.batch_wall_s
-
-    @property
-    def batch_cpu_factor(self) -> float:
-        """Ratio of simulated to processor time of the batch per process, without other load."""
-        return self.batch_s / self.batch_cpu_s
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report for JSON."""
-        simulated_s = sum(run.simulated_s for run in self.online)
-        return {
-            'realtime_factor': {'online': self.online_factor, 'batch': self.batch_factor},
-            'cpu_factor': {'online': self.online_cpu_factor, 'batch': self.batch_cpu_factor},
-            'events_per_s': sum(run.events for run in self.online) / simulated_s,
-            'usb_bytes_per_s': sum(run.octets for run in self.online) / simulated_s,
-            'share_of_time': {'online': self.online_stages, 'batch': self.batch_stages},
-        }
-
-
 def simulate(
-    json: Annotated[
-        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
-    ] = None,
+    json: JsonFile = None,
     seconds: Annotated[float, typer.Option(min=5, max=600, help='Length of a trial [s].')] = 25.0,
-    preset: Annotated[
-        str,
-        typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.'),
-    ] = 'paper_like',
+    preset: Preset = 'paper_like',
 ) -> None:
     """Measure the speed of the virtual sensor: full chain with USB on one core, bags on two."""
     console = Console()
     with console.status('simulating'):
-        report = measure(seconds, preset)
-    print_report(console, report, seconds, preset)
+        figures = measure(seconds, preset)
+    factors = [
+        (f'{what}{how}', f'{figures[key][name]:.2f}')
+        for what, name in (
+            ('online: full chain, USB words, one core', 'online'),
+            (f'batch: bags, {BATCH_JOBS} processes', 'batch'),
+        )
+        for how, key in (('', 'realtime_factor'), (', by processor time', 'cpu_factor'))
+    ]
+    title = f'{PROFILE}, {preset}, {seconds:g} s trials'
+    console.print(make_table(title, ('what', 'times real time'), factors))
+    stages = figures['share_of_time']
+    rows = [
+        (name, *(f'{each[name]:.0%}' if name in each else '' for each in stages.values()))
+        for name in stages['online'] | stages['batch']
+    ]
+    console.print(make_table('where the time goes', ('stage', *stages), rows))
     if json is not None:
-        write_json(json, report.as_dict())
+        write_json(json, figures)
 
 
-def measure(seconds: float, preset: str) -> SimulateReport:
-    """Measure both outputs of the simulator, camera and bags.
+def measure(seconds: float, preset: str) -> dict[str, Any]:
+    """Measure both outputs of the simulator, camera and bags, and return the figures for JSON.
 
     Args:
         seconds: Length of a trial [s].
@@ -262,19 +220,41 @@ def measure(seconds: float, preset: str) -> SimulateReport:
     warm = plan_profile(PROFILE, BATCH_JOBS, WARM_UP_S, preset=preset)
     staged = plan_profile(PROFILE, 1, min(seconds, STAGE_S), preset=preset)[0]
     Chain(warm[0]).run()
-    online = tuple(Chain(spec).run() for spec in specs[:ONLINE_RUNS])
+    online = [Chain(spec).run() for spec in specs[:ONLINE_RUNS]]
     with tempfile.TemporaryDirectory(prefix='mixtac-bench-') as name:
         folder = Path(name)
         _batch(warm, folder / 'warm')
         begin, busy = time.perf_counter(), processor_s()
         _batch(specs, folder / 'bags')
         wall_s, cpu_s = time.perf_counter() - begin, (processor_s() - busy) / BATCH_JOBS
-        chain = Chain(staged)
-        online_stages = time_by_stage(chain.run)
-        batch_stages = time_by_stage(lambda: write_trial(staged, folder / 'staged'))
-    return SimulateReport(
-        online, seconds * BATCH_TRIALS, wall_s, cpu_s, online_stages, batch_stages
-    )
+        stages = {
+            'online': time_by_stage(Chain(staged).run),
+            'batch': time_by_stage(lambda: write_trial(staged, folder / 'staged')),
+        }
+    batch = ChainRun(seconds * BATCH_TRIALS, wall_s, cpu_s)
+    return summarise(online, batch) | {'share_of_time': stages}
+
+
+def summarise(online: Sequence[ChainRun], batch: ChainRun) -> dict[str, Any]:
+    """Return the factors and rates for JSON.
+
+    Args:
+        online: Runs of the full chain on one core; the factors are their medians.
+        batch: The batch of bags, with the processor time per process.
+    """
+    simulated_s = sum(run.simulated_s for run in online)
+    return {
+        'realtime_factor': {
+            'online': statistics.median(run.simulated_s / run.wall_s for run in online),
+            'batch': batch.simulated_s / batch.wall_s,
+        },
+        'cpu_factor': {
+            'online': statistics.median(run.simulated_s / run.cpu_s for run in online),
+            'batch': batch.simulated_s / batch.cpu_s,
+        },
+        'events_per_s': sum(run.events for run in online) / simulated_s,
+        'usb_bytes_per_s': sum(run.octets for run in online) / simulated_s,
+    }
 
 
 def processor_s() -> float:
@@ -288,22 +268,3 @@ def _batch(specs: list[TrialSpec], folder: Path) -> None:
     preset = specs[0].preset
     plan = describe(PROFILE, 0, preset, 'trial', specs)
     generate(plan, folder, jobs=BATCH_JOBS)
-
-
-def print_report(console: Console, report: SimulateReport, seconds: float, preset: str) -> None:
-    """Print the report as tables."""
-    table = Table(title=f'{PROFILE}, {preset}, {seconds:g} s trials', title_justify='left')
-    table.add_column('what')
-    table.add_column('times real time', justify='right')
-    table.add_row('online: full chain, USB words, one core', f'{report.online_factor:.2f}')
-    table.add_row('  by processor time', f'{report.online_cpu_factor:.2f}')
-    table.add_row(f'batch: bags, {BATCH_JOBS} processes', f'{report.batch_factor:.2f}')
-    table.add_row('  by processor time', f'{report.batch_cpu_factor:.2f}')
-    console.print(table)
-    stages = Table(title='where the time goes', title_justify='left')
-    for heading in ('stage', 'online', 'batch'):
-        stages.add_column(heading, justify='left' if heading == 'stage' else 'right')
-    for name in {**report.online_stages, **report.batch_stages}:
-        shares = (report.online_stages.get(name), report.batch_stages.get(name))
-        stages.add_row(name, *('' if share is None else f'{share:.0%}' for share in shares))
-    console.print(stages)

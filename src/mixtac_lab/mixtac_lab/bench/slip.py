@@ -16,13 +16,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
 
+from mixtac_cli.options import JsonFile, OptionalPath, Preset
 from mixtac_lab.bench.harness import START_TIMEOUT_S, BenchRun
 from mixtac_lab.figures import new_figure, save_figure
 from mixtac_lab.slip.detectors import QUIET, count_alarms, curves
@@ -42,7 +43,6 @@ from mixtac_node.process import GraphError, JsonProcess
 from mixtac_sim.arm.plant import Tracking
 from mixtac_slip_control.parameters import SlipControlParameters
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 NAMESPACE = 'mixtac_slip_bench'
 TRAJECTORIES = f'/{NAMESPACE}/joint_trajectory'
 JOINTS = f'/{NAMESPACE}/joint_states'
@@ -261,17 +261,12 @@ def slip(
     dds_seconds: Annotated[
         float, typer.Option(help='Length of the measurement over DDS [s]; 0 for none.')
     ] = 330.0,
-    preset: Annotated[
-        str,
-        typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.'),
-    ] = 'paper_like',
+    preset: Preset = 'paper_like',
     keep: Annotated[
         OptionalPath,
         typer.Option(help='Folder for finished parts; an interrupted run continues there.'),
     ] = None,
-    report: Annotated[
-        OptionalPath, typer.Option('--json', help='Also write the results to this JSON file.')
-    ] = None,
+    report: JsonFile = None,
     figure: Annotated[
         OptionalPath, typer.Option(help='Draw the latency curves to this PNG file.')
     ] = None,
@@ -293,11 +288,10 @@ def slip(
             latency = measure(dds_seconds)
     quiet = []
     if quiet_minutes > 0.0:
-        alarms = [
+        quiet = [
             count_alarms(name, 60.0 * quiet_minutes, settings, preset, store, console)
             for name in QUIET
         ]
-        quiet = [asdict(each) for each in alarms]
     outcome = summarise(results, latency, quiet)
     outcome['conditions'] = {
         'margin': margin,

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, List, Optional  # noqa: UP035
 import numpy as np
 import typer
 
+from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_events.errors import MixtacError
 from mixtac_lab.experiments import report, sizes
 from mixtac_lab.experiments.report import Outcome, Row, Value
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
 GROUP = 'mixtac.experiments'
 """Entry points of all experiments."""
 # typer evaluates these under Python 3.10.
-OptionalPath = Optional[Path]  # noqa: UP045
 OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
 
 
@@ -188,9 +188,7 @@ def experiment(
             quick: Annotated[
                 bool, typer.Option('--quick', help='Takes minutes; the results mean nothing.')
             ] = False,
-            json: Annotated[
-                OptionalPath, typer.Option(help='Also write the results to this JSON file.')
-            ] = None,
+            json: JsonFile = None,
             out: Annotated[
                 OptionalPath,
                 typer.Option(help='Output folder; an interrupted run continues there.'),

@@ -18,6 +18,7 @@ from rich.console import Console
 from mixtac_lab.figures import make_table
 from mixtac_node.files import write_json, write_text
 
+
 @dataclass(frozen=True, slots=True)
 class Value:
     """Mean and spread of measured values.

@@ -9,33 +9,35 @@ their thresholds, in units of the background tail learned at the start of each t
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from scipy.stats import mannwhitneyu
 
-from mixtac_lab.store import Piece, code_version
-from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
+from mixtac_lab.store import Piece, Store, code_version
+from mixtac_sim.grasp.slip_scene import SceneBlock, SlipScene, knock_profile
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.optics.scene import Flicker
 from mixtac_sim.world.effects import preset
 from mixtac_slip_control.detectors import CountDetector, Detectors, FlowDetector
 from mixtac_slip_control.errors import SlipControlError
-from mixtac_slip_control.features import SlipFeatures
+from mixtac_slip_control.features import SlipFeatures, SlipWindow
 from mixtac_slip_control.parameters import DETECTORS, SlipControlParameters
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-    from rich.console import Console
-
-    from mixtac_lab.store import Store
-    from mixtac_sim.grasp.slip_scene import SceneBlock
-    from mixtac_slip_control.features import SlipWindow
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
+SCALES = np.geomspace(0.02, 3.0, 60)
+"""Thresholds of a curve, as multiples of the shipped one."""
+HORIZON_US = 50_000
+"""Detections later than this after the onset are misses [us]."""
+REST_US = 5_000
+"""Two crossings nearer than this are one alarm [us]."""
+SPAN = 5
+"""Windows of which the highest score counts for the area under the ROC curve."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,32 +55,8 @@ class ScoredTrial:
     flow: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DetectorCurve:
-    """One detector at one speed.
-
-    Attributes:
-        scale: Thresholds as multiples of the shipped one [m].
-        false_alarms_per_min: Reported onsets per minute without slip [m].
-        latency_ms: Median time from onset to detection [m]; infinite where most are missed.
-        latency_p99_ms: Its 99th percentile [m].
-        missed: Share of trials without a detection [m].
-        auc: Probability that the highest score in the first windows of a slip exceeds that of as
-            many windows without slip.
-    """
-
-    scale: Floats
-    false_alarms_per_min: Floats
-    latency_ms: Floats
-    latency_p99_ms: Floats
-    missed: Floats
-    auc: float
-
-
 def score_trial(
-    windows: Sequence[SlipWindow],
-    learning: int,
-    settings: SlipControlParameters | None = None,
+    windows: Iterable[SlipWindow], learning: int, settings: SlipControlParameters
 ) -> ScoredTrial:
     """Return the scores of a trial.
 
@@ -90,84 +68,87 @@ def score_trial(
     Raises:
         SlipControlError: Too few windows to learn from.
     """
-    chosen = settings or SlipControlParameters()
-    by_count, by_flow = CountDetector(chosen), FlowDetector(chosen)
-    for window in windows[:learning]:
+    by_count, by_flow = CountDetector(settings), FlowDetector(settings)
+    rows = []
+    for number, window in enumerate(windows):
         by_count.update(window)
         by_flow.update(window)
-        by_count.learn(window)
-        by_flow.learn(window)
-    if not (by_count.learned and by_flow.learned):
+        if number < learning:
+            by_count.learn(window)
+            by_flow.learn(window)
+        elif by_count.learned and by_flow.learned:
+            middle = by_count.background.median
+            count = (window.count - middle) / (by_count.threshold - middle)
+            rows.append((window.end_us, count, by_flow.flow / by_flow.threshold))
+    if not rows:
         raise SlipControlError(
-            f'{min(learning, len(windows))} windows do not suffice to learn the background',
+            f'{learning} windows do not suffice to learn the background',
             remedy='give as many windows as the settings require, with frames',
         )
-    rows = np.empty((2, len(windows) - learning))
-    for column, window in zip(rows.T, windows[learning:], strict=True):
-        by_count.update(window)
-        by_flow.update(window)
-        middle = by_count.background.median
-        column[0] = (window.count - middle) / (by_count.threshold - middle)
-        column[1] = by_flow.flow / by_flow.threshold
-    ends = np.array([window.end_us for window in windows[learning:]], np.int64)
-    return ScoredTrial(ends, rows[0], rows[1])
+    ends, counts, flows = zip(*rows, strict=True)
+    return ScoredTrial(np.array(ends, np.int64), np.array(counts), np.array(flows))
 
 
 def detector_curve(
     detector: str,
     slips: Sequence[tuple[ScoredTrial, int]],
     quiet: Sequence[ScoredTrial],
-    scale: Floats | None = None,
-    *,
-    horizon_us: int = 50_000,
-    rest_us: int = 5_000,
-) -> DetectorCurve:
-    """Return latency versus false alarms of a detector.
+    scales: Floats = SCALES,
+) -> dict[str, Any]:
+    """Return latency versus false alarms of a detector, for JSON.
 
     Args:
         detector: `flow` or `count`.
         slips: Trials with slip and its onset, camera clock [us].
         quiet: Trials without slip, in which every onset of the detector is false.
-        scale: Thresholds to try, as multiples of the shipped one.
-        horizon_us: Detections later than this after the onset are misses [us].
-        rest_us: Two crossings nearer than this are one alarm [us].
+        scales: Thresholds to try, as multiples of the shipped one.
+
+    Returns:
+        By threshold `scale`, reported onsets per minute without slip `false_alarms_per_min`, median
+        time from onset to detection `latency_ms`, None where most are missed, and the share of
+        trials without a detection `missed`; the same and the 99th percentile of the shipped
+        threshold, `shipped`; `auc`, the probability that the highest score in the first windows of
+        a slip exceeds that of as many windows without slip.
 
     Raises:
         SlipControlError: Nothing to evaluate, or an unknown detector.
     """
-    if detector not in ('flow', 'count') or not slips or not quiet:
+    if detector not in DETECTORS or not slips or not quiet:
         raise SlipControlError(
             f'detector {detector!r}, {len(slips)} trials with slip, {len(quiet)} without',
             remedy='give flow or count and at least one trial of each kind',
         )
-    scales = np.geomspace(0.02, 3.0, 60) if scale is None else scale
     calm = [(trial.end_us, getattr(trial, detector)) for trial in quiet]
     minutes = sum(float(end[-1] - end[0]) for end, _ in calm) / 60e6
-    alarms = [sum(_onsets(t, s > k, rest_us) for t, s in calm) / minutes for k in scales]
-    late = np.array(
-        [[_latency(trial, detector, on, k, horizon_us) for trial, on in slips] for k in scales]
-    )
-    return DetectorCurve(
-        scale=np.asarray(scales),
-        false_alarms_per_min=np.array(alarms),
-        latency_ms=np.quantile(late, 0.5, axis=1, method='higher'),
-        latency_p99_ms=np.quantile(late, 0.99, axis=1, method='higher'),
-        missed=np.mean(np.isinf(late), axis=1),
-        auc=_auc(detector, slips, calm),
-    )
+    alarms = [round(sum(_onsets(t, s > k) for t, s in calm) / minutes, 3) for k in scales]
+    late = np.array([[_latency(trial, detector, on, k) for trial, on in slips] for k in scales])
+    median, last = np.quantile(late, [0.5, 0.99], axis=1, method='higher')
+    missed = np.mean(np.isinf(late), axis=1).round(4).tolist()
+    shipped = int(np.argmin(np.abs(np.log(scales))))
+    return {
+        'auc': round(_auc(detector, slips, calm), 4),
+        'shipped': {
+            'latency_p50_ms': _number(median[shipped]),
+            'latency_p99_ms': _number(last[shipped]),
+            'false_alarms_per_min': alarms[shipped],
+            'missed': missed[shipped],
+        },
+        'scale': scales.round(4).tolist(),
+        'false_alarms_per_min': alarms,
+        'latency_ms': [_number(value) for value in median],
+        'missed': missed,
+    }
 
 
-def _onsets(times: NDArray[np.int64], above: NDArray[np.bool_], rest_us: int) -> int:
+def _onsets(times: NDArray[np.int64], above: NDArray[np.bool_]) -> int:
     hits = times[above]
-    return 0 if len(hits) == 0 else 1 + int(np.count_nonzero(np.diff(hits) > rest_us))
+    return 0 if len(hits) == 0 else 1 + int(np.count_nonzero(np.diff(hits) > REST_US))
 
 
-def _latency(
-    trial: ScoredTrial, detector: str, onset_us: int, threshold: float, horizon_us: int
-) -> float:
+def _latency(trial: ScoredTrial, detector: str, onset_us: int, threshold: float) -> float:
     """Return the time from the onset to the end of the first window above the threshold [ms]."""
     scores = getattr(trial, detector)
-    first, last = np.searchsorted(trial.end_us, (onset_us, onset_us + horizon_us), side='right')
+    first, last = np.searchsorted(trial.end_us, (onset_us, onset_us + HORIZON_US), side='right')
     found = np.flatnonzero(scores[first:last] > threshold)
     return float(trial.end_us[first + found[0]] - onset_us) * 1e-3 if len(found) else np.inf
 
@@ -176,21 +157,18 @@ def _auc(
     detector: str,
     slips: Sequence[tuple[ScoredTrial, int]],
     calm: Sequence[tuple[NDArray[np.int64], Floats]],
-    span: int = 5,
 ) -> float:
-    """Return the area under the ROC curve of the maximum of `span` scores (Mann and Whitney)."""
+    """Return the area under the ROC curve of the maximum of `SPAN` scores."""
     positive = []
     for trial, onset in slips:
         first = int(np.searchsorted(trial.end_us, onset, side='right'))
-        part = getattr(trial, detector)[first : first + span]
-        positive.append(float(part.max()) if len(part) else -np.inf)
+        part = getattr(trial, detector)[first : first + SPAN]
+        positive.append(part.max(initial=-np.inf))
     negative = np.concatenate(
-        [s[: len(s) // span * span].reshape(-1, span).max(axis=1) for _, s in calm]
+        [s[: len(s) // SPAN * SPAN].reshape(-1, SPAN).max(axis=1) for _, s in calm]
     )
-    negative.sort()
-    below = np.searchsorted(negative, positive, side='left')
-    tied = np.searchsorted(negative, positive, side='right') - below
-    return float(np.mean((below + 0.5 * tied) / len(negative)))
+    # The statistic is the number of pairs in which the first is higher; half of the ties count.
+    return float(mannwhitneyu(positive, negative).statistic / (len(positive) * len(negative)))
 
 
 QuietName = Literal['hold', 'load', 'flicker']
@@ -290,27 +268,6 @@ QUIET_SEED = 50_000
 SLIP_SEED = 60_000
 
 
-@dataclass(frozen=True, slots=True)
-class Alarms:
-    """False alarms on one kind of quiet scene.
-
-    Attributes:
-        name: Kind of scene.
-        seconds: Simulated time after the background was learned [s].
-        flow: Onsets reported by the flow detector.
-        count: Onsets reported by the count law.
-        mean_count: Mean events per window.
-        saturated: Windows with a saturated sensor, which would stop an arm.
-    """
-
-    name: str
-    seconds: float
-    flow: int
-    count: int
-    mean_count: float
-    saturated: int
-
-
 def count_alarms(
     name: QuietName,
     seconds: float,
@@ -318,8 +275,8 @@ def count_alarms(
     preset_name: str,
     store: Store,
     console: Console,
-) -> Alarms:
-    """Return the false alarms of both detectors with their shipped thresholds.
+) -> dict[str, Any]:
+    """Return the false alarms of both detectors with their shipped thresholds, for JSON.
 
     Args:
         name: Kind of scene.
@@ -328,21 +285,19 @@ def count_alarms(
         preset_name: Difficulty preset of the sensors.
         store: Stored results.
         console: Shows the progress.
+
+    Returns:
+        Kind of scene, `name`; simulated time after the background was learned, `seconds` [s];
+        onsets that each detector reported, `flow` and `count`; `mean_count`, events per window;
+        `saturated`, windows with a saturated sensor, which would stop an arm.
     """
     number = max(round(seconds / PIECE_S), 1)
     version = code_version('mixtac_events', 'mixtac_sim', 'mixtac_slip_control', __name__)
     arguments = [(name, k, seconds / number, settings, preset_name) for k in range(number)]
     pieces = [Piece(f'quiet_{name}_{each[1]}', _quiet_piece, each, version) for each in arguments]
     found = store.run_shown(f'scene without slip: {name}', pieces, console)
-    parts = [Alarms(**each) for each in found]
-    return Alarms(
-        name,
-        sum(p.seconds for p in parts),
-        sum(p.flow for p in parts),
-        sum(p.count for p in parts),
-        float(np.mean([p.mean_count for p in parts])),
-        sum(p.saturated for p in parts),
-    )
+    sums = {key: sum(each[key] for each in found) for key in found[0]}
+    return {'name': name, **sums, 'mean_count': sums['mean_count'] / number}
 
 
 def _quiet_piece(
@@ -368,14 +323,10 @@ def _quiet_piece(
             saturated += window.count >= settings.saturation_count
         before = slipping
     mean = counts / max(windows, 1)
-    return asdict(Alarms(name, seconds, alarms['flow'], alarms['count'], mean, saturated))
+    return {'seconds': seconds, **alarms, 'mean_count': mean, 'saturated': saturated}
 
 
-def curves(
-    trials: int,
-    settings: SlipControlParameters,
-    preset_name: str,
-) -> dict[str, Any]:
+def curves(trials: int, settings: SlipControlParameters, preset_name: str) -> dict[str, Any]:
     """Return latency versus false alarms of both detectors, by speed, for JSON.
 
     Args:
@@ -383,8 +334,13 @@ def curves(
         settings: Settings of the controller.
         preset_name: Difficulty preset of the sensors.
     """
+
+    def scored(blocks: Iterator[SceneBlock]) -> ScoredTrial:
+        learning = round(1e6 * LEARN_S / settings.window_us)
+        return score_trial(windows_of(blocks, settings), learning, settings)
+
     quiet = [
-        _scored_quiet(name, k, settings, preset_name)
+        scored(quiet_blocks(name, LEARN_S + QUIET_TRIAL_S, QUIET_SEED + 100 + k, preset_name))
         for k in range(max(trials // 5, 1))
         for name in QUIET
     ]
@@ -395,42 +351,9 @@ def curves(
             # Windows lie on whole milliseconds; onsets lie anywhere between them.
             onset_s = LEARN_S + 1e-3 * (20.0 + k / trials)
             blocks = slip_blocks(speed, onset_s, SLIP_TRIAL_S, SLIP_SEED + k, preset_name)
-            scored = _scored(list(windows_of(blocks, settings)), settings)
-            slips.append((scored, round(1e6 * onset_s)))
-        result[f'{speed:g}_mm_s'] = {each: _curve(each, slips, quiet) for each in DETECTORS}
+            slips.append((scored(blocks), round(1e6 * onset_s)))
+        result[f'{speed:g}_mm_s'] = {each: detector_curve(each, slips, quiet) for each in DETECTORS}
     return result
-
-
-def _scored_quiet(
-    name: QuietName, number: int, settings: SlipControlParameters, preset_name: str
-) -> ScoredTrial:
-    blocks = quiet_blocks(name, LEARN_S + QUIET_TRIAL_S, QUIET_SEED + 100 + number, preset_name)
-    return _scored(list(windows_of(blocks, settings)), settings)
-
-
-def _scored(windows: list[Any], settings: SlipControlParameters) -> ScoredTrial:
-    learning = round(1e6 * LEARN_S / settings.window_us)
-    return score_trial(windows, learning, settings)
-
-
-def _curve(
-    detector: str, slips: list[tuple[ScoredTrial, int]], quiet: list[ScoredTrial]
-) -> dict[str, Any]:
-    curve = detector_curve(detector, slips, quiet)
-    shipped = int(np.argmin(np.abs(np.log(curve.scale))))
-    return {
-        'auc': round(curve.auc, 4),
-        'shipped': {
-            'latency_p50_ms': _number(curve.latency_ms[shipped]),
-            'latency_p99_ms': _number(curve.latency_p99_ms[shipped]),
-            'false_alarms_per_min': round(float(curve.false_alarms_per_min[shipped]), 3),
-            'missed': round(float(curve.missed[shipped]), 4),
-        },
-        'scale': [round(float(v), 4) for v in curve.scale],
-        'false_alarms_per_min': [round(float(v), 3) for v in curve.false_alarms_per_min],
-        'latency_ms': [_number(v) for v in curve.latency_ms],
-        'missed': [round(float(v), 4) for v in curve.missed],
-    }
 
 
 def _number(value: float) -> float | None:

@@ -34,13 +34,13 @@ def short_faults(monkeypatch):
 
 def test_driver_recovers_from_every_fault_and_leaks_nothing(short_faults):
     report = recovery.run_recovery_benchmark(faults=len(KINDS), seed=1)
-    assert sorted(each.fault for each in report.recoveries) == sorted(KINDS)
-    assert report.recovered == len(KINDS), report.recoveries
-    assert report.went_back == 0
+    assert list(report['by_fault']) == sorted(KINDS)
+    assert report['recoveries'] == len(KINDS), report
+    assert report['time_went_back'] == 0
     # A camera that vanished, one that failed on the bus, one that fell silent, and so on.
-    assert report.reconnects >= 4
-    assert report.after.threads <= report.before.threads
-    assert report.after.descriptors <= report.before.descriptors
+    assert report['reconnects'] >= 4
+    assert report['after']['threads'] <= report['before']['threads']
+    assert report['after']['descriptors'] <= report['before']['descriptors']
 
 
 def test_plan_brings_all_kinds_equally_often():
@@ -49,17 +49,17 @@ def test_plan_brings_all_kinds_equally_often():
 
 
 def test_report_is_written_and_printed(monkeypatch, tmp_path, capsys):
-    resources = recovery.Resources(8, 11, 170.0)
-    report = recovery.RecoveryReport(
-        seed=0,
-        recoveries=tuple(
-            recovery.Recovery('unplugged', seconds, restored=True) for seconds in (0.2, 0.4, 0.3)
-        ),
-        went_back=0,
-        reconnects=3,
-        before=resources,
-        after=resources,
-    )
+    resources = {'threads': 8, 'descriptors': 11, 'memory_mib': 170.0}
+    recoveries = [
+        recovery.Recovery('unplugged', seconds, restored=True) for seconds in (0.2, 0.4, 0.3)
+    ]
+    report = recovery.summarise(recoveries) | {
+        'seed': 0,
+        'time_went_back': 0,
+        'reconnects': 3,
+        'before': resources,
+        'after': resources,
+    }
     monkeypatch.setattr(recovery, 'run_recovery_benchmark', lambda *_args, **_kwargs: report)
     recovery.recovery(json=tmp_path / 'report.json')
     written = json.loads((tmp_path / 'report.json').read_text())

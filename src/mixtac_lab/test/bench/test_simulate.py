@@ -40,11 +40,10 @@ def test_what_is_no_stage_is_other():
 
 
 def test_factors_are_simulated_over_real_time(monkeypatch, tmp_path):
-    online = tuple(ChainRun(10.0, wall, wall / 2, 100, 1000) for wall in (2.0, 4.0, 5.0))
-    report = simulate_report.SimulateReport(
-        online, 100.0, 10.0, 5.0, {'mechanics': 0.4, 'other': 0.6}, {'bag': 0.2, 'other': 0.8}
-    )
-    monkeypatch.setattr(simulate_report, 'measure', lambda *_: report)
+    online = [ChainRun(10.0, wall, wall / 2, 100, 1000) for wall in (2.0, 4.0, 5.0)]
+    stages = {'online': {'mechanics': 0.4, 'other': 0.6}, 'batch': {'bag': 0.2, 'other': 0.8}}
+    report = simulate_report.summarise(online, ChainRun(100.0, 10.0, 5.0))
+    monkeypatch.setattr(simulate_report, 'measure', lambda *_: report | {'share_of_time': stages})
     app = typer.Typer()
     app.command()(simulate_report.simulate)
     path = tmp_path / 'new' / 'figures.json'

@@ -24,9 +24,9 @@ def test_pieces_are_summed_and_stored(tmp_path: Path, monkeypatch: pytest.Monkey
     store, console = Store(tmp_path), Console(quiet=True)
     arguments = ('flicker', 0.1, SlipControlParameters(), 'easy', store, console)
     found = detectors.count_alarms(*arguments)
-    assert found.seconds == pytest.approx(0.1)
-    assert found.flow == 0
-    assert found.mean_count > 0.0
+    assert found['seconds'] == pytest.approx(0.1)
+    assert found['flow'] == 0
+    assert found['mean_count'] > 0.0
     assert len(list(tmp_path.glob('quiet_flicker_*.json'))) == 2
     again = detectors.count_alarms(*arguments)
     assert again == found

@@ -9,7 +9,7 @@ choice, and draws a typical one of each object.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from mixtac_cli.options import JsonFile, OptionalPath, Preset
 from mixtac_events.arrays import Events
 from mixtac_lab.experiments.harness import experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
     from mixtac_sim.grasp.objects import ObjectName
 
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 PAPER_MM = {'cup': 0.90, 'box': 0.71, 'ball': 10.03}
 """Mean displacement in the paper [mm]."""
 PAPER_TRIALS: dict[ObjectName, int] = {'cup': 20, 'box': 15, 'ball': 20}
@@ -70,17 +70,12 @@ def grasps(
     margin: Annotated[
         float, typer.Option(help='Ratio of the grasp force to the smallest force that holds.')
     ] = MARGIN,
-    preset: Annotated[
-        str,
-        typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.'),
-    ] = PRESET,
+    preset: Preset = PRESET,
     keep: Annotated[
         OptionalPath,
         typer.Option(help='Folder for finished trials; an interrupted run continues there.'),
     ] = None,
-    report: Annotated[
-        OptionalPath, typer.Option('--json', help='Also write the results to this JSON file.')
-    ] = None,
+    report: JsonFile = None,
 ) -> None:
     """Hold cup, box and ball against the paper's knock, simulated, beside the paper's values."""
     console, store = Console(), Store(keep)

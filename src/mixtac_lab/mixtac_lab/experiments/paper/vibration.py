@@ -20,7 +20,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -29,6 +29,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from mixtac_cli.options import JsonFile, Preset
 from mixtac_events.arrays import Events
 from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value
@@ -49,7 +50,6 @@ from mixtac_sim.world.profiles import Profile, Segment, Tone
 from mixtac_sim.world.sensor import TactileSensor
 from mixtac_sim.world.training_trials import simulator_digest
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 PRESSED, TAPPING = 'pressed', 'tapping'
 DEPTH_MM = 0.6
 """Mean depth of the vibrating body in a pressed contact [mm]."""
@@ -482,15 +482,10 @@ def _folded(place: float, length: int) -> int:
 
 
 def tones(
-    preset: Annotated[
-        str,
-        typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.'),
-    ] = PRESET,
+    preset: Preset = PRESET,
     devices: Annotated[int, typer.Option(min=1, help='Number of sensors.')] = 3,
     seed: Annotated[int, typer.Option(min=0, help='Random seed of sensors and days.')] = 11,
-    json: Annotated[
-        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
-    ] = None,
+    json: JsonFile = None,
 ) -> None:
     """Show which vibrations stand out in the events, in bins of 1 ms."""
     chosen = named_preset(preset)

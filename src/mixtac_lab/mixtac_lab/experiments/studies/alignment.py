@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Optional
+from typing import Annotated, Any, Final
 
 import numpy as np
 import torch
@@ -23,6 +23,7 @@ from rich.table import Table
 from mixtac_alignment.bags import SensorTiming, pool_sensor
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.refinement import Refinement
+from mixtac_cli.options import JsonFile, Preset
 from mixtac_events.errors import MixtacError
 from mixtac_fger.config import FgerConfig
 from mixtac_lab.bench.align import TrialRecording, fit_impulses, fit_refined
@@ -39,7 +40,6 @@ from mixtac_node.files import write_json
 from mixtac_sim.world.effects import preset as named_preset
 from mixtac_sim.world.trial import Trial, simulate_trial
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 LABELS: Final = ('raw', 'arrival', 'two_impulse', 'refined', 'perfect')
 HOST_S: Final = (1e-3, 8e-3)
 """Time from the first event to its arrival at the host: packets of 1 to 8 ms."""
@@ -109,16 +109,11 @@ def alignment(
     seconds: Annotated[float, typer.Option(min=10, help='Length of a trial [s].')] = 12.0,
     epochs: Annotated[int, typer.Option(min=1, help='Epochs of the recurrent stage.')] = 30,
     seeds: Annotated[int, typer.Option(min=1, help='Number of trainings per kind of clock.')] = 2,
-    preset: Annotated[
-        str,
-        typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.'),
-    ] = PRESET,
+    preset: Preset = PRESET,
     out: Annotated[
         Path, typer.Option(help='Folder for finished trainings; an interrupted run continues.')
     ] = Path('runs/alignment'),
-    json: Annotated[
-        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
-    ] = None,
+    json: JsonFile = None,
 ) -> None:
     """Train on labels with raw, coarse, tapped, refined and perfect clocks; compare the errors."""
     version = f'{learning_version()} {code_version("mixtac_alignment", __name__)}'

@@ -15,8 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -25,6 +24,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from mixtac_cli.options import JsonFile, Preset
 from mixtac_events.arrays import Events
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.sizes import PRESET
@@ -318,11 +318,7 @@ def explained(feature: NDArray[np.floating], truth: NDArray[np.floating]) -> flo
     return float(np.corrcoef(feature, truth)[0, 1] ** 2)
 
 
-OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 ModelName = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
-Preset = Annotated[
-    str, typer.Option(help='Difficulty preset of the virtual sensor: easy, paper_like or hard.')
-]
 Devices = Annotated[int, typer.Option(min=1, help='Number of unseen sensors.')]
 Seconds = Annotated[float, typer.Option(min=6, help='Length of a trial [s].')]
 Seed = Annotated[int, typer.Option(min=3, help='Random seed of sensors and days.')]
@@ -330,7 +326,6 @@ LESSONS = 4
 """Trials of a sensor to which its event integrator is fitted."""
 LESSON = 50
 """Offset of their trial seeds from that of the test trial."""
-Json = Annotated[OptionalPath, typer.Option(help='Also write the results to this JSON file.')]
 
 
 def difficulty(
@@ -339,7 +334,7 @@ def difficulty(
     devices: Devices = 4,
     seconds: Seconds = 20.0,
     seed: Seed = 3,
-    json: Json = None,
+    json: JsonFile = None,
 ) -> None:
     """Show what frames alone, events alone, brightness and event counts reveal of the force."""
     specs, presses = _plans(preset, devices, seconds, seed)
@@ -366,7 +361,7 @@ def ablation(
     devices: Devices = 4,
     seconds: Seconds = 12.0,
     seed: Seed = 3,
-    json: Json = None,
+    json: JsonFile = None,
 ) -> None:
     """Show how the error changes when one effect of the simulated sensor is switched off."""
     specs, presses = _plans(preset, devices, seconds, seed)

@@ -21,6 +21,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from mixtac_cli.options import JsonFile
 from mixtac_fger.config import ConfigError
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.harness import Context
@@ -67,7 +68,6 @@ from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.training_trials import TrialSpec
 
 # typer evaluates these under Python 3.10.
-OptionalPath = Optional[Path]  # noqa: UP045
 OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
 FIRST_TRIAL = 800_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
@@ -244,9 +244,7 @@ def models(
         Path, typer.Option(help='Output folder; an interrupted run continues there.')
     ] = Path('runs/models'),
     jobs: Annotated[int, typer.Option(min=1, help='Number of processes.')] = 2,
-    json: Annotated[
-        OptionalPath, typer.Option(help='Also write the table to this JSON file.')
-    ] = None,
+    json: JsonFile = None,
 ) -> None:
     """Train all models on one simulated sensor and test them on fresh trials: one table."""
     if quick:
@@ -368,9 +366,7 @@ def adaptation(
     ] = DEFAULT_MODEL,
     sensors: Annotated[int, typer.Option(min=1, help='Number of unseen sensors.')] = 6,
     out: Annotated[Path, typer.Option(help='Folder for stored trials.')] = Path('runs/models'),
-    json: Annotated[
-        OptionalPath, typer.Option(help='Also write the results to this JSON file.')
-    ] = None,
+    json: JsonFile = None,
 ) -> None:
     """Test a model on unseen simulated sensors: unchanged, with one gain, and adapted."""
     torch.set_num_threads(1)
