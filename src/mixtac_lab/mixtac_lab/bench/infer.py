@@ -15,16 +15,15 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
 
 from mixtac_cli.options import JsonFile, Preset
-from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.live_feed import LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.bench.harness import quantiles
+from mixtac_lab.figures import make_table
 from mixtac_node.files import write_json
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.world.trial import TrialStream
@@ -65,7 +64,7 @@ class Frame:
     image: NDArray[np.uint16]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Scene:
     """A trial as the driver publishes it.
 
@@ -92,73 +91,45 @@ def make_scene(seconds: float, preset: str, profile: str = 'dynamic') -> Scene:
     """
     spec = TrialSpec('infer', profile, seconds, DEVICE_SEED, TRIAL_SEED, preset, 'test')
     scene = Scene([], [], [], 0)
-    count = 0
     for stretch in TrialStream(spec).stretches():
-        events = stretch.sensor.events
-        count += len(events)
-        _cut(scene, events, stretch.start_us, stretch.end_us)
-        scene.frames.extend(
-            Frame(
-                frame.frame_end_us + EPOCH_US,
-                (frame.exposure_start_us + frame.exposure_end_us) // 2 + EPOCH_US,
-                frame.intensity,
+        scene.events += len(stretch.sensor.events)
+        for start_us in range(stretch.start_us, stretch.end_us, PACKET_US):
+            part = stretch.sensor.events.between(start_us, start_us + PACKET_US)
+            scene.ends_us.append(start_us + PACKET_US + EPOCH_US)
+            packet = encode(part.shifted(EPOCH_US), complete_until=scene.ends_us[-1])
+            scene.packets.append(
+                PacketFields(
+                    seq=len(scene.packets),
+                    time_base=packet.time_base,
+                    encoding=packet.encoding,
+                    events=array('B', packet.payload.tobytes()),
+                )
             )
-            for frame in stretch.sensor.frames
-        )
-    return Scene(scene.ends_us, scene.packets, scene.frames, count)
-
-
-def _cut(scene: Scene, events: Events, start_us: int, end_us: int) -> None:
-    times = np.arange(start_us, end_us + 1, PACKET_US)
-    cuts = np.searchsorted(events.t, times)
-    for first, last, until in zip(cuts[:-1], cuts[1:], times[1:], strict=True):
-        part = events[int(first) : int(last)]
-        moved = Events(part.t + EPOCH_US, part.x, part.y, part.polarity)
-        complete_us = int(until) + EPOCH_US
-        packet = encode(moved, complete_until=complete_us)
-        scene.ends_us.append(complete_us)
-        scene.packets.append(
-            PacketFields(
-                seq=len(scene.packets),
-                time_base=packet.time_base,
-                encoding=packet.encoding,
-                events=array('B', packet.payload.tobytes()),
-            )
-        )
+        for frame in stretch.sensor.frames:
+            middle_us = (frame.exposure_start_us + frame.exposure_end_us) // 2
+            times_us = (frame.frame_end_us + EPOCH_US, middle_us + EPOCH_US)
+            scene.frames.append(Frame(*times_us, frame.intensity))
+    return scene
 
 
 DEADLINE_S: Final = 0.002
 """A force after the end of the next window is late [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class PacedRun:
-    """A run in real time, with frames in the background as in the node.
-
-    Attributes:
-        step_ms: Time of each call that closes a window, including the decoding of the packet [ms].
-        window_cpu_ms: Processor time per window of the thread that computes windows, including the
-            decoding of all packets [ms]; other processes hardly change it.
-        forces: Number of forces.
-        late: Number of forces more than 2 ms after their packet was due.
-        frames_dropped: Frames replaced by a newer one before they were encoded.
-        cpu: Processor time over real time, all threads.
-    """
-
-    step_ms: list[float]
-    window_cpu_ms: float
-    forces: int
-    late: int
-    frames_dropped: int
-    cpu: float
-
-
-def run_paced(model: Model, scene: Scene) -> PacedRun:
-    """Feed every packet and frame at its time.
+def run_paced(model: Model, scene: Scene) -> dict[str, Any]:
+    """Feed every packet and frame at its time, with frames in the background as in the node.
 
     Args:
         model: Content of a weight file whose estimator is warmed up.
         scene: Packets and frames.
+
+    Returns:
+        `step_ms`, the time of each call that closes a window, including the decoding of the packet
+        [ms]; `window_cpu_ms`, the processor time per window of the thread that computes windows,
+        including the decoding of all packets [ms], which other processes hardly change; `windows`,
+        the number of forces; `late`, that of forces more than 2 ms after their packet was due;
+        `frames_dropped`, that of frames replaced by a newer one before they were encoded; `cpu`,
+        processor time over real time, all threads.
     """
     feed = LiveFeed(ForceEstimator(open_estimator(model), background_frames=True))
     steps: list[float] = []
@@ -182,7 +153,14 @@ def run_paced(model: Model, scene: Scene) -> PacedRun:
     dropped = feed.status().estimator.frames_dropped
     feed.close()
     windows = max(len(scene.packets) * PACKET_US // feed.estimator.window_us, 1)
-    return PacedRun(steps, 1e3 * thread_s / windows, count, late, dropped, cpu)
+    return {
+        'step_ms': steps,
+        'window_cpu_ms': 1e3 * thread_s / windows,
+        'windows': count,
+        'late': late,
+        'frames_dropped': dropped,
+        'cpu': cpu,
+    }
 
 
 def frame_times_ms(model: Model, scene: Scene) -> list[float]:
@@ -252,32 +230,27 @@ def measure(model_name: str | None, seconds: float, preset: str) -> dict[str, An
     warm_up(estimator)
     frames_ms = frame_times_ms(model, scene)
     paced = run_paced(model, scene)
-    return {
-        'step_ms': quantiles(paced.step_ms),
+    return paced | {
+        'step_ms': quantiles(paced['step_ms']),
         'frame_ms': quantiles(frames_ms),
         'flops_per_cycle': estimator.operations,
         'parameters': estimator.parameters,
-        'windows': paced.forces,
         'events_per_s': scene.events / seconds,
-        'window_cpu_ms': paced.window_cpu_ms,
-        'late': paced.late,
-        'frames_dropped': paced.frames_dropped,
-        'cpu': paced.cpu,
     }
 
 
 def _print(console: Console, report: dict[str, Any]) -> None:
-    table = Table(title='One estimate, simulated trial in real time')
-    table.add_column('figure')
-    table.add_column('p50', justify='right')
-    table.add_column('p99', justify='right')
-    for name, key in (('window step, packet decoded [ms]', 'step_ms'), ('frame [ms]', 'frame_ms')):
-        table.add_row(name, *(f'{report[key][part]:.3f}' for part in ('p50', 'p99')))
-    console.print(table)
+    names = {'step_ms': 'window step, packet decoded [ms]', 'frame_ms': 'frame [ms]'}
+    rows = [
+        (name, *(f'{report[key][part]:.3f}' for part in ('p50', 'p99')))
+        for key, name in names.items()
+    ]
+    title = 'One estimate, simulated trial in real time'
+    console.print(make_table(title, ('figure', 'p50', 'p99'), rows))
     console.print(
         f'{report["parameters"]:,} parameters, {report["flops_per_cycle"] / 1e6:.1f} MFLOP per'
         f' 40 ms; {report["windows"]} forces, {report["late"]} of them more than 2 ms late,'
-        f' {report["frames_dropped"]} frames skipped, {100 * report["cpu"]:.0f} % of a core at'
+        f' {report["frames_dropped"]} frames skipped, {report["cpu"]:.0%} of a core at'
         f' {report["events_per_s"] / 1e6:.2f} Mev/s; {1e3 * report["window_cpu_ms"]:.0f} us of'
         ' processor time per window'
     )

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -41,6 +42,14 @@ _EXPOSURE_US: Final = 4000
 _READOUT_US: Final = 6000
 _WRAP_WORD: Final = 0x7000
 _MAX_WRAPS: Final = 0xFFF
+_NEAR_US: Final = 128 * STEP_US
+_READOUT: Final = ReadoutSettings(
+    region=(0, 0, WIDTH - 1, HEIGHT - 1),
+    exposure_cycles=120_960,
+    global_shutter=True,
+    orientation=4,
+)
+_UNIT: Final = ImuSettings(accel=True, gyro=True, temperature=True, accel_scale=1, gyro_scale=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,16 +119,52 @@ def make_pattern(
     rng = np.random.default_rng(seed)
     period_us = wraps * WRAP_US
     events = _random_events(rng, events_per_s, events_per_row, period_us)
-    blocks, frames, readings = _readout(rng, frame_interval_us, reading_interval_us, period_us)
-    encoder = WordEncoder(inverted=True)
+    reset = np.full((HEIGHT, WIDTH), _RESET_LEVEL, np.uint16)
+    signal = rng.integers(1, _RESET_LEVEL, (HEIGHT, WIDTH)).astype(np.uint16)
+    frames: list[ApsReadout] = []
+    if frame_interval_us:
+        last_us = period_us - 2 * _READOUT_US - _EXPOSURE_US
+        frames += [_Still(t, reset, signal) for t in range(1000, last_us, frame_interval_us)]
+    readings = []
+    if reading_interval_us:
+        readings = [
+            ImuReading(t, (0.0, -1.0, 0.0), (0.0, 0.0, 0.0), 30.0)
+            for t in range(500, period_us, reading_interval_us)
+        ]
+    return encode_pattern(events, frames, readings, period_us)
+
+
+def encode_pattern(
+    events: Events, frames: Sequence[ApsReadout], readings: Sequence[ImuReading], period_us: int
+) -> Pattern:
+    """Return the words of a period.
+
+    Args:
+        events: Sorted events; those at time 0 are left out, which belongs to the wrap word of the
+            period before.
+        frames: Frames that end within the period.
+        readings: Inertial samples.
+        period_us: Length of the period, whole wraps of the camera's 15-bit time [us].
+    """
     parts = []
+    for frame in frames:
+        ends = (frame.exposure_start_us, frame.exposure_end_us, frame.frame_end_us)
+        times = np.array((frame.frame_start_us, *ends), np.int64)
+        parts.append(frame_blocks(frame, times, _READOUT))
+    parts += [imu_blocks(reading, reading.t_us, _UNIT) for reading in readings]
+    near, waiting = Blocks.empty(), Blocks.merge(parts)
+    events = events.between(1, period_us)
+    encoder = WordEncoder(inverted=True)
+    words = []
     for start in range(0, period_us, STEP_US):
+        if start % _NEAR_US == 0:
+            # A split copies the rest, which is cheap for a few milliseconds.
+            near, waiting = waiting.split(start + _NEAR_US)
         until = start + STEP_US
-        due, blocks = blocks.split(until)
-        first, last = np.searchsorted(events.t, (start, until))
-        parts.append(encoder.encode(events[int(first) : int(last)], due, until).copy())
-    ends = np.cumsum([len(part) for part in parts], dtype=np.int64)
-    return Pattern(np.concatenate(parts), ends, events, frames, readings)
+        due, near = near.split(until)
+        words.append(encoder.encode(events.between(start, until), due, until).copy())
+    ends_at = np.cumsum([len(part) for part in words], dtype=np.int64)
+    return Pattern(np.concatenate(words), ends_at, events, len(frames), len(readings))
 
 
 def _random_events(
@@ -138,33 +183,6 @@ def _random_events(
         np.concatenate(([MARKER[1]], rng.integers(0, HEIGHT, len(t)))).astype(np.uint16),
         np.concatenate(([1], rng.integers(0, 2, len(t)))).astype(np.bool_),
     )
-
-
-def _readout(
-    rng: np.random.Generator, frame_interval_us: int, reading_interval_us: int, period_us: int
-) -> tuple[Blocks, int, int]:
-    parts = []
-    frames = readings = 0
-    region = (0, 0, WIDTH - 1, HEIGHT - 1)
-    settings = ReadoutSettings(
-        region=region, exposure_cycles=120_960, global_shutter=True, orientation=4
-    )
-    length_us = 2 * _READOUT_US + _EXPOSURE_US
-    reset = np.full((HEIGHT, WIDTH), _RESET_LEVEL, np.uint16)
-    signal = rng.integers(1, _RESET_LEVEL, (HEIGHT, WIDTH)).astype(np.uint16)
-    for start in range(1000, period_us - length_us, frame_interval_us or period_us * 2):
-        if frame_interval_us:
-            frame: ApsReadout = _Still(start, reset, signal)
-            times = (start, frame.exposure_start_us, frame.exposure_end_us, frame.frame_end_us)
-            parts.append(frame_blocks(frame, np.array(times, np.int64), settings))
-            frames += 1
-    unit = ImuSettings(accel=True, gyro=True, temperature=True, accel_scale=1, gyro_scale=1)
-    for start in range(500, period_us, reading_interval_us or period_us * 2):
-        if reading_interval_us:
-            reading = ImuReading(start, (0.0, -1.0, 0.0), (0.0, 0.0, 0.0), 30.0)
-            parts.append(imu_blocks(reading, start, unit))
-            readings += 1
-    return Blocks.merge(parts), frames, readings
 
 
 class PatternPlayer:

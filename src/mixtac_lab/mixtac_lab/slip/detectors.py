@@ -17,7 +17,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from scipy.stats import mannwhitneyu
 
 from mixtac_lab.store import Piece, Store, code_version
 from mixtac_sim.grasp.slip_scene import SceneBlock, SlipScene, knock_profile
@@ -159,6 +158,8 @@ def _auc(
     calm: Sequence[tuple[NDArray[np.int64], Floats]],
 ) -> float:
     """Return the area under the ROC curve of the maximum of `SPAN` scores."""
+    from scipy.stats import mannwhitneyu
+
     positive = []
     for trial, onset in slips:
         first = int(np.searchsorted(trial.end_us, onset, side='right'))

@@ -58,8 +58,8 @@ def test_paced_run_gives_a_force_per_window(scene: Scene, model: Model) -> None:
     # The frame is fed before the packet that ends with it, so the window that ends there counts.
     possible = 1 + (SECONDS * 1e6 - first_frame_us) / model.config['window_us']
     # On a busy machine the frame thread may finish the first frame later.
-    assert 0 < len(run.step_ms) <= run.forces <= possible
-    assert 0 <= run.late <= len(run.step_ms)
+    assert 0 < len(run['step_ms']) <= run['windows'] <= possible
+    assert 0 <= run['late'] <= len(run['step_ms'])
 
 
 def test_frame_times_leave_out_the_reference(scene: Scene, model: Model) -> None:

@@ -17,20 +17,23 @@ import argparse
 import ctypes
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from mixtac_events.arrays import Events
 from mixtac_lab.bench.harness import send, stop_event
-from mixtac_lab.bench.pattern import STEP_US as WORD_STEP_US
-from mixtac_lab.bench.pattern import WRAP_US, Pattern, PatternCamera, make_pattern
-from mixtac_sim.grasp.slip_scene import SlipScene
+from mixtac_lab.bench.pattern import (
+    WRAP_US,
+    Pattern,
+    PatternCamera,
+    encode_pattern,
+    make_pattern,
+)
+from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
 from mixtac_sim.grids import STEP_US
-from mixtac_sim.pixels.aps import ApsFrame
-from mixtac_sim.usb.registers import HEIGHT, WIDTH
 from mixtac_sim.usb.server import UsbServer
-from mixtac_sim.usb.words import Blocks, ReadoutSettings, WordEncoder, frame_blocks
 from mixtac_sim.world.effects import preset
 
 QUIET_S = 2.0
@@ -43,32 +46,7 @@ SPREAD_S = 0.25
 """Largest random delay of a knock [s], so that knocks are on no grid."""
 SLIP_S = 0.01
 """Duration of the slip after a knock [s]."""
-RISE_S = 5e-4
-"""Time in which a knock accelerates the object [s]."""
 FRAME_TIMES = ('frame_start_us', 'exposure_start_us', 'exposure_end_us', 'frame_end_us')
-BLOCK_STEPS = 8
-NEAR_US = 128 * WORD_STEP_US
-SETTINGS = ReadoutSettings(
-    region=(0, 0, WIDTH - 1, HEIGHT - 1),
-    exposure_cycles=120_960,
-    global_shutter=True,
-    orientation=4,
-)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SlipPattern:
-    """A stream of knocks and the truth.
-
-    Attributes:
-        pattern: Stream of the camera.
-        onsets_us: Onset of each knock from the start of a period [us].
-        speeds_mm_s: Speed of each knock [mm/s].
-    """
-
-    pattern: Pattern
-    onsets_us: list[int]
-    speeds_mm_s: list[float]
 
 
 def make_slip_pattern(
@@ -77,7 +55,7 @@ def make_slip_pattern(
     speeds_mm_s: tuple[float, float] = (30.0, 100.0),
     preset_name: str = 'paper_like',
     quiet_s: float = QUIET_S,
-) -> SlipPattern:
+) -> tuple[Pattern, dict[str, list[Any]]]:
     """Simulate knocks on one sensor and encode what its camera sends.
 
     Args:
@@ -86,6 +64,10 @@ def make_slip_pattern(
         speeds_mm_s: Range of the speeds.
         preset_name: Difficulty preset of the sensor.
         quiet_s: Rest at the beginning [s].
+
+    Returns:
+        Stream of the camera; `onsets_us`, the onset of each knock from the start of a period [us],
+        and `speeds_mm_s`.
     """
     wraps = max(round(1e6 * seconds / WRAP_US), 1)
     period_us = wraps * WRAP_US
@@ -97,63 +79,24 @@ def make_slip_pattern(
         rest_s = (quiet_s if k == 0 else 0.0) + BEFORE_S
         onset = _on_grid(rest_s + rng.uniform(0.0, SPREAD_S))
         speed = float(rng.uniform(*speeds_mm_s))
-        part = _scene(seed, preset_name, starts[k + 1] - starts[k], onset, speed)
-        shifted = part[0]
-        events.append(Events(shifted.t + starts[k], shifted.x, shifted.y, shifted.polarity))
-        for frame in part[1]:
-            times = {name: getattr(frame, name) + starts[k] for name in FRAME_TIMES}
-            frames.append(replace(frame, **times))
+        length_us = starts[k + 1] - starts[k]
+        profile = knock_profile(speed, 1e-6 * onset, SLIP_S, 1e-6 * length_us)
+        # The events and the whole frames of one knock, from the start of its scene.
+        for block in SlipScene(seed, seed, preset(preset_name)).play(profile):
+            events.append(block.events.between(0, length_us).shifted(starts[k]))
+            for frame in block.frames:
+                if frame.frame_end_us < length_us:
+                    times = {name: getattr(frame, name) + starts[k] for name in FRAME_TIMES}
+                    frames.append(replace(frame, **times))
         onsets.append(starts[k] + onset)
         speeds.append(speed)
-    pattern = _encode(Events.concatenate(events), frames, period_us)
-    return SlipPattern(pattern, onsets, speeds)
+    pattern = encode_pattern(Events.concatenate(events), frames, [], period_us)
+    return pattern, {'onsets_us': onsets, 'speeds_mm_s': speeds}
 
 
 def _on_grid(time_s: float) -> int:
     """Return the nearest step of the simulation [us]."""
     return int(STEP_US * round(1e6 * time_s / STEP_US))
-
-
-def _scene(
-    seed: int, preset_name: str, length_us: int, onset_us: int, speed_mm_s: float
-) -> tuple[Events, list[ApsFrame]]:
-    """Return events and whole frames of one knock, from the start of its scene."""
-    t_us = (np.arange(length_us // STEP_US) + 1) * STEP_US
-    since = 1e-6 * (t_us - onset_us)
-    shape = np.minimum(since / RISE_S, (SLIP_S - since) / RISE_S)
-    scene = SlipScene(seed, seed, preset(preset_name))
-    profile = speed_mm_s * np.clip(shape, 0.0, 1.0)
-    blocks = list(scene.play(profile, block_steps=BLOCK_STEPS))
-    events = Events.concatenate([block.events for block in blocks])
-    frames = [frame for block in blocks for frame in block.frames]
-    events = events[: int(np.searchsorted(events.t, length_us))]
-    return events, [frame for frame in frames if frame.frame_end_us < length_us]
-
-
-def _encode(events: Events, frames: list[ApsFrame], period_us: int) -> Pattern:
-    """Return the words of a period, without frames that end after it."""
-    whole = [f for f in frames if f.frame_end_us < period_us]
-    parts = []
-    for frame in whole:
-        ends = (frame.exposure_start_us, frame.exposure_end_us, frame.frame_end_us)
-        times = np.array((frame.frame_start_us, *ends), np.int64)
-        parts.append(frame_blocks(frame, times, SETTINGS))
-    waiting = Blocks.merge(parts)
-    encoder = WordEncoder(inverted=True)
-    words = []
-    # Time 0 belongs to the wrap word of the previous period.
-    kept = events[int(np.searchsorted(events.t, 1)) :]
-    near = Blocks.merge([])
-    for start in range(0, period_us, WORD_STEP_US):
-        until = start + WORD_STEP_US
-        if start % NEAR_US == 0:
-            # A split copies the rest, which is cheap for a few milliseconds.
-            near, waiting = waiting.split(start + NEAR_US)
-        due, near = near.split(until)
-        first, last = np.searchsorted(kept.t, (start, until))
-        words.append(encoder.encode(kept[int(first) : int(last)], due, until).copy())
-    ends_at = np.cumsum([len(part) for part in words], dtype=np.int64)
-    return Pattern(np.concatenate(words), ends_at, kept, len(whole), 0)
 
 
 POLL_S = 0.02
@@ -187,12 +130,10 @@ def main() -> None:
             reading_interval_us=options.reading_interval,
             wraps=8,
         )
-        truth: dict[str, object] = {'events': len(pattern.events)}
+        truth: dict[str, Any] = {'events': len(pattern.events)}
     else:
         speeds = (options.slowest, options.fastest)
-        slips = make_slip_pattern(options.seconds, options.seed, speeds)
-        pattern = slips.pattern
-        truth = {'onsets_us': slips.onsets_us, 'speeds_mm_s': slips.speeds_mm_s}
+        pattern, truth = make_slip_pattern(options.seconds, options.seed, speeds)
     camera = PatternCamera('PATTERN1', pattern)
     # The camera counts true time from its construction on the monotonic clock, without skew.
     since_us = camera.true_time_us()

@@ -8,26 +8,32 @@ choice, and draws a typical one of each object.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from mixtac_cli.options import JsonFile, OptionalPath, Preset
 from mixtac_events.arrays import Events
-from mixtac_lab.experiments.harness import experiment
+from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import MODELS
-from mixtac_lab.figures import PAPER, mark, new_figure, save_figure
+from mixtac_lab.figures import PAPER, make_table, mark, new_figure, save_figure
+from mixtac_lab.slip.loop import LoopRecord
 from mixtac_lab.slip.trials import (
     COURSE_MS,
     KNOCK_S,
     TrialPlan,
+    TrialResult,
     run_trial,
     stored_trial,
     summary,
@@ -36,19 +42,8 @@ from mixtac_lab.slip.trials import (
 from mixtac_lab.store import Store
 from mixtac_learning.train.config import OURS
 from mixtac_node.files import write_json
+from mixtac_sim.grasp.objects import ObjectName
 from mixtac_sim.grids import HEIGHT, WIDTH
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from matplotlib.axes import Axes
-    from numpy.typing import NDArray
-
-    from mixtac_lab.experiments.harness import Context
-    from mixtac_lab.slip.loop import LoopRecord
-    from mixtac_lab.slip.trials import TrialResult
-    from mixtac_sim.grasp.objects import ObjectName
-
 
 PAPER_MM = {'cup': 0.90, 'box': 0.71, 'ball': 10.03}
 """Mean displacement in the paper [mm]."""
@@ -59,6 +54,7 @@ FIRST_SEED = 86_000
 GRASPS_FIRST_SEED = 80_000
 MARGIN = 1.05
 """Ratio of the grasp force to the smallest force that holds the object."""
+TITLE = 'Slip control in closed loop'
 _PLACE = 'section IV-F, Fig. 8'
 _COLOUR = MODELS[OURS].colour
 Results = dict[str, list[dict[str, Any]]]
@@ -100,47 +96,46 @@ def grasps(
             'each': [result.as_dict() for result in results],
         }
     if figures is not None:
-        draw_objects(figures / 'slip_objects.png', courses, PAPER_MM)
+        draw_objects(figures / 'slip_objects.png', courses)
     console.print(_table({name: outcome[name] for name in PAPER_TRIALS}))
     if report is not None:
         write_json(report, outcome)
 
 
 def _table(rows: Mapping[str, dict[str, Any]]) -> Table:
-    table = Table(title='Displacement, simulated; the paper measured 0.32 mm in 13 ms with one box')
     headings = ('object', 'trials', 'held', 'without control', 'mean mm', 'median mm', 'paper mean')
-    for heading in (*headings, 'lower bound mm', 'arrest ms', 'lower bound ms'):
-        table.add_column(heading)
-    for name, row in rows.items():
-        cells = (
-            row['trials'],
-            f'{100 * row["held_fraction"]:.0f} %',
-            f'{100 * row["open_loop_held_fraction"]:.0f} %',
-            row['slip_mm']['mean'],
-            row['slip_mm']['median'],
-            row['paper_mean_mm'],
-            row['floor_slip_mm']['median'],
-            row['arrest_ms']['median'],
-            row['floor_arrest_ms']['median'],
-        )
-        table.add_row(name, *(str(cell) for cell in cells))
-    return table
+    return make_table(
+        'Displacement, simulated; the paper measured 0.32 mm in 13 ms with one box',
+        (*headings, 'lower bound mm', 'arrest ms', 'lower bound ms'),
+        [
+            (
+                name,
+                row['trials'],
+                f'{row["held_fraction"]:.0%}',
+                f'{row["open_loop_held_fraction"]:.0%}',
+                row['slip_mm']['mean'],
+                row['slip_mm']['median'],
+                row['paper_mean_mm'],
+                row['floor_slip_mm']['median'],
+                row['arrest_ms']['median'],
+                row['floor_arrest_ms']['median'],
+            )
+            for name, row in rows.items()
+        ],
+    )
 
 
 @experiment(order=6)
 def slip(context: Context) -> Outcome:
     """Objects that are knocked, in closed loop."""
-    title, paper = (
-        'Slip control in closed loop',
-        (
-            'Cup (20 trials), box (15) and ball (20) pressed against a wall at the critical force,'
-            ' struck by a falling weight; a laser tracker measures the displacement.'
-        ),
+    paper = (
+        'Cup (20 trials), box (15) and ball (20) pressed against a wall at the critical force,'
+        ' struck by a falling weight; a laser tracker measures the displacement.'
     )
     if context.bags is not None:
         return Outcome(
             'slip',
-            title,
+            TITLE,
             paper,
             'none',
             skipped='A closed loop cannot be replayed from bags: the motion of the arm changes what'
@@ -160,7 +155,7 @@ def slip(context: Context) -> Outcome:
     trials = ', '.join(f'{count} x {name}' for name, count in grasped.items())
     return Outcome(
         name='slip',
-        title=title,
+        title=TITLE,
         paper=paper,
         data=f'virtual sensor, preset {PRESET}, and simulated grasp; {trials}; every trial draws'
         f' object, sensor and knock (seeds from {FIRST_SEED}); grasp force {MARGIN:g} times the'
@@ -185,40 +180,45 @@ def slip(context: Context) -> Outcome:
     )
 
 
-def _rows(results: Mapping[str, list[dict[str, Any]]]) -> list[Row]:
+def _rows(results: Results) -> list[Row]:
     rows = []
     for name, trials in results.items():
         text = f'{len(trials)} trials; spread over trials'
-
-        def value(key: str, trials: list[dict[str, Any]] = trials) -> Value:
-            return Value.of((float(t[key]) for t in trials if t[key] is not None), 'trials')
-
+        slip_mm, held, open_held, detection_ms = (
+            Value.of(_values(trials, key), 'trials')
+            for key in ('slip_mm', 'held', 'open_held', 'detection_ms')
+        )
         rows += [
-            Row(f'{name}: mean displacement', value('slip_mm'), PAPER_MM[name], _PLACE, 'mm', text),
-            Row(f'{name}: share held', value('held'), 1.0, _PLACE, '', text),
-            Row(f'{name}: share held without control', value('open_held'), 0.0, _PLACE, '', text),
-            Row(f'{name}: onset to detection', value('detection_ms'), None, '', 'ms', text),
+            Row(f'{name}: mean displacement', slip_mm, PAPER_MM[name], _PLACE, 'mm', text),
+            Row(f'{name}: share held', held, 1.0, _PLACE, '', text),
+            Row(f'{name}: share held without control', open_held, 0.0, _PLACE, '', text),
+            Row(f'{name}: onset to detection', detection_ms, None, '', 'ms', text),
         ]
         if name == 'box':
             one = f'{text}; paper: one trial'
-            middle = {key: _median(trials, key) for key in ('slip_mm', 'arrest_ms', 'floor_mm')}
-            time, bound = middle['arrest_ms'], middle['floor_mm']
+            middle, time, bound = (
+                _median(trials, key) for key in ('slip_mm', 'arrest_ms', 'floor_mm')
+            )
             rows += [
-                Row('box: median displacement', middle['slip_mm'], PAPER_BOX_MM, _PLACE, 'mm', one),
+                Row('box: median displacement', middle, PAPER_BOX_MM, _PLACE, 'mm', one),
                 Row('box: median time from the knock to rest', time, PAPER_MS, _PLACE, 'ms', one),
                 Row('box: median lower bound of the displacement', bound, None, '', 'mm', text),
             ]
     return rows
 
 
-def _median(trials: list[dict[str, Any]], key: str) -> Value:
-    values = [float(t[key]) for t in trials if t[key] is not None]
-    spread = Value.of(values, 'trials')
-    middle = float(np.median(values)) if values else float('nan')
-    return Value(middle, spread.spread, spread.count, 'trials')
+def _values(trials: Sequence[Mapping[str, Any]], key: str) -> NDArray[np.float64]:
+    """Return a result of each trial; one that does not exist is NaN."""
+    return np.array([trial[key] for trial in trials], np.float64)
 
 
-def _draw(path: Path, results: Mapping[str, list[dict[str, Any]]]) -> Path:
+def _median(trials: Sequence[Mapping[str, Any]], key: str) -> Value:
+    values = _values(trials, key)
+    found = Value.of(values, 'trials')
+    return replace(found, mean=float(np.nanmedian(values))) if found.count else found
+
+
+def _draw(path: Path, results: Results) -> Path:
     figure, (left, right) = new_figure(columns=2, width=9.0, height=3.8)
     for k, trial in enumerate(results.get('box', [])):
         left.plot(COURSE_MS, trial['course_mm'], color=_COLOUR, lw=1.8 if k == 0 else 0.5)
@@ -229,14 +229,8 @@ def _draw(path: Path, results: Mapping[str, list[dict[str, Any]]]) -> Path:
     random = np.random.default_rng(0)
     for k, (name, trials) in enumerate(results.items()):
         values = [trial['slip_mm'] for trial in trials]
-        right.plot(
-            k + random.uniform(-0.15, 0.15, len(values)),
-            values,
-            'o',
-            color=_COLOUR,
-            ms=4,
-            alpha=0.6,
-        )
+        places = k + random.uniform(-0.15, 0.15, len(values))
+        right.plot(places, values, 'o', color=_COLOUR, ms=4, alpha=0.6)
         right.hlines(np.mean(values), k - 0.25, k + 0.25, _COLOUR, lw=2)
         right.plot(k + 0.32, PAPER_MM[name], 'D', color=PAPER)
     right.set_xticks(range(len(results)), list(results))
@@ -264,73 +258,62 @@ def draw_trial(path: Path, result: TrialResult, record: LoopRecord) -> None:
         record: Course of the trial.
     """
     figure = Figure(figsize=(9.0, 7.0), layout='constrained')
-    grid = figure.add_gridspec(3, 3)
+    key_frames = ['first', 'second', 'last']
+    axes = figure.subplot_mosaic(
+        [['object', 'object', 'force'], ['counts', 'counts', 'advance'], key_frames]
+    )
     t_ms = 1e-3 * record.t_us - 1e3 * KNOCK_S
     seen = (t_ms >= SPAN_MS[0]) & (t_ms <= SPAN_MS[1])
     start = record.object_mm[np.searchsorted(t_ms, 0.0)]
-    place = figure.add_subplot(grid[0, :2])
-    place.plot(t_ms[seen], record.object_mm[seen] - start)
-    place.set(ylabel='object [mm], downwards', title=f'{result.name}, simulated')
-    _counts(figure.add_subplot(grid[1, :2]), record)
-    force = figure.add_subplot(grid[0, 2])
-    force.plot(t_ms[seen], record.normal_n[seen])
-    force.set(ylabel='normal force [N]')
-    advance = figure.add_subplot(grid[1, 2])
-    advance.plot(t_ms[seen], record.advance_mm[seen])
-    advance.set(xlabel='after the knock [ms]', ylabel='fingertip [mm]')
+    axes['object'].plot(t_ms[seen], record.object_mm[seen] - start)
+    axes['object'].set(ylabel='object [mm], downwards', title=f'{result.name}, simulated')
+    axes['force'].plot(t_ms[seen], record.normal_n[seen])
+    axes['force'].set(ylabel='normal force [N]')
+    axes['advance'].plot(t_ms[seen], record.advance_mm[seen])
+    axes['advance'].set(xlabel='after the knock [ms]', ylabel='fingertip [mm]')
+    _draw_counts(axes['counts'], record)
     last = result.arrest_ms if np.isfinite(result.arrest_ms) else SPAN_MS[1]
-    for k, at in enumerate((*KEY_MS, last)):
-        _key_frame(figure.add_subplot(grid[2, k]), record, at)
+    for name, at_ms in zip(key_frames, (*KEY_MS, last), strict=True):
+        _draw_key_frame(axes[name], record, at_ms)
     save_figure(figure, path)
 
 
-def draw_objects(
-    path: Path, courses: Mapping[str, Sequence[NDArray[np.float64]]], paper_mm: Mapping[str, float]
-) -> None:
+def _draw_counts(ax: Axes, record: LoopRecord) -> None:
+    t_ms = 1e-3 * np.array([step.end_us for step in record.steps]) - 1e3 * KNOCK_S
+    seen = (t_ms >= SPAN_MS[0]) & (t_ms <= SPAN_MS[1])
+    for label, values in (
+        ('events per ms', [step.count for step in record.steps]),
+        ('threshold of the count law', [step.threshold for step in record.steps]),
+    ):
+        ax.step(t_ms[seen], np.array(values)[seen], label=label)
+    ax.set(xlabel='after the knock [ms]')
+    ax.legend()
+
+
+def _draw_key_frame(ax: Axes, record: LoopRecord, at_ms: float) -> None:
+    """Show ON minus OFF events per pixel in a few milliseconds."""
+    first = round(1e6 * KNOCK_S + 1e3 * at_ms)
+    events = Events.concatenate(record.events).between(first, first + round(1e3 * FRAME_MS))
+    picture = np.zeros((HEIGHT, WIDTH))
+    np.add.at(picture, (events.y, events.x), np.where(events.polarity, 1.0, -1.0))
+    ax.imshow(picture, cmap='gray', vmin=-1, vmax=1)
+    ax.set(xticks=[], yticks=[], title=f'{at_ms:.0f} to {at_ms + FRAME_MS:.0f} ms')
+
+
+def draw_objects(path: Path, courses: Mapping[str, Sequence[NDArray[np.float64]]]) -> None:
     """Draw the displacement of every object after the knock, one panel per kind.
 
     Args:
         path: Image file.
         courses: Displacement at `COURSE_MS` of each trial [180] [mm], by kind.
-        paper_mm: Mean displacement in the paper [mm], by kind.
     """
     figure, axes = new_figure(columns=len(courses), width=4.0 * len(courses))
     for ax, (name, ways) in zip(axes, courses.items(), strict=True):
         for way in ways:
             ax.plot(COURSE_MS, way, color=_COLOUR, alpha=0.3, linewidth=0.8)
         ax.plot(COURSE_MS, np.mean(ways, axis=0), color=_COLOUR, label='mean')
-        ax.axhline(paper_mm[name], color=PAPER, linestyle=':', label="the paper's mean")
+        ax.axhline(PAPER_MM[name], color=PAPER, linestyle=':', label="the paper's mean")
         ax.set(xlabel='after the knock [ms]', title=f'{name}, {len(ways)} trials, simulated')
         ax.legend()
     axes[0].set_ylabel('displacement [mm]')
     save_figure(figure, path)
-
-
-def _counts(ax: Axes, record: LoopRecord) -> None:
-    t_ms = 1e-3 * np.array([step.end_us for step in record.steps]) - 1e3 * KNOCK_S
-    seen = (t_ms >= SPAN_MS[0]) & (t_ms <= SPAN_MS[1])
-    ax.step(t_ms[seen], np.array([s.count for s in record.steps])[seen], label='events per ms')
-    threshold = np.array([s.threshold for s in record.steps])
-    ax.step(t_ms[seen], threshold[seen], label='threshold of the count law')
-    ax.set(xlabel='after the knock [ms]')
-    ax.legend()
-
-
-def _key_frame(ax: Axes, record: LoopRecord, at_ms: float) -> None:
-    """Show the events of a few milliseconds."""
-    first = 1e6 * KNOCK_S + 1e3 * at_ms
-    events = Events.concatenate(record.events)
-    chosen = events[
-        int(np.searchsorted(events.t, first)) : int(
-            np.searchsorted(events.t, first + 1e3 * FRAME_MS)
-        )
-    ]
-    ax.imshow(_picture(chosen), cmap='gray', vmin=-1, vmax=1)
-    ax.set(xticks=[], yticks=[], title=f'{at_ms:.0f} to {at_ms + FRAME_MS:.0f} ms')
-
-
-def _picture(events: Events) -> NDArray[np.float64]:
-    """Return ON minus OFF events per pixel [260, 346]."""
-    picture = np.zeros((HEIGHT, WIDTH))
-    np.add.at(picture, (events.y, events.x), np.where(events.polarity, 1.0, -1.0))
-    return picture

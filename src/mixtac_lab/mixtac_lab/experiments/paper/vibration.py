@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,7 +27,6 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from mixtac_cli.options import JsonFile, Preset
 from mixtac_events.arrays import Events
@@ -35,16 +34,14 @@ from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import is_simulated
-from mixtac_lab.figures import mark, new_figure, save_figure
+from mixtac_lab.figures import make_table, mark, new_figure, save_figure
 from mixtac_lab.store import Piece, files_version
 from mixtac_learning.trials.bags import bag_sources
 from mixtac_node.files import write_json
 from mixtac_recordings.camera_stream import BagRecording
 from mixtac_recordings.recording import NONE, RecordingError, Selection
 from mixtac_sim import SimulationError
-from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.world.effects import Preset
 from mixtac_sim.world.effects import preset as named_preset
 from mixtac_sim.world.profiles import Profile, Segment, Tone
 from mixtac_sim.world.sensor import TactileSensor
@@ -97,7 +94,7 @@ def shake(
     seed: int,
     *,
     device_seed: int | None = None,
-    preset: Preset | None = None,
+    preset: str = PRESET,
 ) -> Shaken:
     """Return a vibration of the simulated sensor.
 
@@ -107,7 +104,7 @@ def shake(
         size_mm: Amplitude, or depth of the indentation; see `SIZES_MM` [mm].
         seed: Seed of the day.
         device_seed: Seed of the sensor; None for that of the day.
-        preset: Preset of the sensor; None for `paper_like`.
+        preset: Difficulty preset of the sensor.
 
     Raises:
         SimulationError: The body would leave the skin of a pressed contact.
@@ -129,8 +126,8 @@ def shake(
         Segment(SETTLED_S, end + 0.1, Mode.POSITION, (0.0,), (middle,), (tone,)),
     )
     device = seed if device_seed is None else device_seed
-    effects = preset or named_preset(PRESET)
-    sensor = TactileSensor(device, seed, Profile('vibration', end, segments), preset=effects)
+    profile = Profile('vibration', end, segments)
+    sensor = TactileSensor(device, seed, profile, preset=named_preset(preset))
     output = sensor.advance(_us(end))
     still = [f.intensity for f in output.frames if f.frame_end_us < _us(SETTLED_S)]
     return Shaken(output.events, still[-1], SHAKEN_S)
@@ -185,47 +182,59 @@ def _us(seconds: float) -> int:
     return round(1e6 * seconds)
 
 
-def binned(
-    events: Events, frame: NDArray[np.integer], span_s: tuple[float, float], bin_us: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return number, ON minus OFF, and flow of the events in each bin of a span.
+def cell_sums(
+    events: Events, image: NDArray[Any], span_us: tuple[int, int], bin_us: int, cell_px: int
+) -> NDArray[np.float64]:
+    """Return sums over the events of each bin and each square cell of the image.
 
     Args:
         events: Sorted events; times [us].
-        frame: Image from before the span [260, 346] [DN].
-        span_s: Start and end [s].
+        image: Image from before the span [DN].
+        span_us: Start and end of the bins [us]; a rest shorter than a bin does not count.
+        bin_us: Length of a bin [us].
+        cell_px: Side of a cell [px].
+
+    Returns:
+        Polarity times the gradient of the logarithm of the image in x and in y, ON and OFF events,
+        float64 [4, bins, cells].
+    """
+    rows, columns = image.shape
+    wide = -(-columns // cell_px)
+    cells = wide * -(-rows // cell_px)
+    bins = (span_us[1] - span_us[0]) // bin_us
+    inside = events.between(span_us[0], span_us[0] + bins * bin_us)
+    x, y = inside.x.astype(np.int64), inside.y.astype(np.int64)
+    place = (inside.t - span_us[0]) // bin_us * cells + y // cell_px * wide + x // cell_px
+    slope_y, slope_x = np.gradient(np.log(np.maximum(image.astype(np.float64), 1.0)))
+    sign = np.where(inside.polarity, 1.0, -1.0)
+    weights = (sign * slope_x[y, x], sign * slope_y[y, x], sign > 0.0, sign < 0.0)
+    sums = [np.bincount(place, weight, bins * cells) for weight in weights]
+    return np.reshape(sums, (4, bins, cells))
+
+
+def binned(shaken: Shaken, bin_us: int) -> dict[str, NDArray[np.float64]]:
+    """Return count, ON minus OFF, and flow of the events in each bin of a vibration.
+
+    Args:
+        shaken: The vibration.
         bin_us: Length of a bin [us].
     """
-    first, last = _us(span_s[0]), _us(span_s[1])
-    bins = (last - first) // bin_us
-    inside = events.between(first, first + bins * bin_us)
-    which = (inside.t - first) // bin_us
-    sign = np.where(inside.polarity, 1.0, -1.0)
-    counts = np.bincount(which, minlength=bins).astype(np.float64)
-    balance = np.bincount(which, sign, minlength=bins).astype(np.float64)
-    slopes = np.gradient(np.log(np.maximum(frame.astype(np.float64), 1.0)))
-    wide = -(-WIDTH // CELL_PX)
-    cells = wide * -(-HEIGHT // CELL_PX)
-    cell = which * cells + (inside.y // CELL_PX).astype(np.int64) * wide + inside.x // CELL_PX
+    span_us = (_us(shaken.span_s[0]), _us(shaken.span_s[1]))
+    across, down, on, off = cell_sums(shaken.events, shaken.frame, span_us, bin_us, CELL_PX)
     # An edge that moves along its gradient darkens the pixel: the sign does not matter here.
-    sums = [
-        np.bincount(cell, sign * slope[inside.y, inside.x], minlength=bins * cells)
-        for slope in slopes
-    ]
-    table = np.concatenate([each.reshape(bins, cells) for each in sums], axis=1)
+    table = np.concatenate([across, down], axis=1)
     left, strength, _ = np.linalg.svd(table - table.mean(axis=0), full_matrices=False)
-    return counts, balance, left[:, 0] * strength[0]
+    return {
+        COUNT: (on + off).sum(axis=1),
+        POLARITY: (on - off).sum(axis=1),
+        FLOW: left[:, 0] * strength[0],
+    }
 
 
 def spectra(shaken: Shaken) -> dict[str, Any]:
     """Return, per signal, `dominant_hz` and `spectrum`, one value per Hz, largest is 1."""
-    found = {}
-    for bin_us in sorted(set(BINS_US.values())):
-        count, polarity, flow = binned(shaken.events, shaken.frame, shaken.span_s, bin_us)
-        for name, signal in ((COUNT, count), (POLARITY, polarity), (FLOW, flow)):
-            if BINS_US[name] == bin_us:
-                found[name] = spectrum_of(signal, bin_us)
-    return found
+    signals = {bin_us: binned(shaken, bin_us) for bin_us in set(BINS_US.values())}
+    return {name: spectrum_of(signals[bin_us][name], bin_us) for name, bin_us in BINS_US.items()}
 
 
 def spectrum_of(signal: NDArray[np.float64], bin_us: int) -> dict[str, Any]:
@@ -297,13 +306,13 @@ def _simulated(context: Context) -> Outcome:
         for kind, tone, size, seed in cases
     ]
     results = context.run('vibration', pieces)
-    found = dict(zip(cases, results, strict=True))
+    found: dict[Any, list[list[Found]]] = {
+        contact: [[] for _ in range(context.seeds)] for contact in contacts
+    }
+    for (kind, tone, size, seed), result in zip(cases, results, strict=True):
+        found[kind, size][seed - FIRST_SEED].append((tone, result))
     rows: list[Row] = []
-    for kind, size in contacts:
-        by_seed = [
-            [(tone, each) for (k, tone, s, seed), each in found.items() if (k, s, seed) == case]
-            for case in ((kind, size, FIRST_SEED + seed) for seed in range(context.seeds))
-        ]
+    for (kind, size), by_seed in found.items():
         for signal in SIGNALS:
             rows += _rows(kind, size, signal, by_seed, sizes.tones_hz)
         if kind == PRESSED and sizes.fast_tones_hz:
@@ -311,8 +320,9 @@ def _simulated(context: Context) -> Outcome:
     panels = {
         f'{kind}, {1e3 * size:g} um:\n{SIGNALS[signal]}': [
             (tone, each[signal])
-            for (k, tone, s, _), each in found.items()
-            if (k, s) == (kind, size) and (signal == FLOW or tone <= sizes.tones_hz[-1])
+            for by_seed in found[kind, size]
+            for tone, each in by_seed
+            if signal == FLOW or tone <= sizes.tones_hz[-1]
         ]
         for kind, signal in ((TAPPING, COUNT), (PRESSED, COUNT), (PRESSED, FLOW))
         for size in SIZES_MM[kind][:1]
@@ -440,45 +450,33 @@ TONE_BIN_US = 1000
 TONE_SIGNALS = {COUNT: 'count', POLARITY: 'ON - OFF', FLOW: 'flow'}
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
-    """A tone in the spectrum of one signal.
-
-    Attributes:
-        drive: Ratio of the amplitude at the tone to the median of all frequencies.
-        twice: The same at twice the tone, or at its alias.
-        peak_hz: Frequency of the largest amplitude, from 30 Hz on [Hz].
-        clear: Whether that is the tone, twice the tone, or its alias.
-    """
-
-    drive: float
-    twice: float
-    peak_hz: float
-    clear: bool
-
-
-def find_line(signal: NDArray[np.float64], frequency_hz: float, bin_us: int) -> Line:
+def find_line(signal: NDArray[np.float64], frequency_hz: float, bin_us: int) -> dict[str, Any]:
     """Return the prominence of a frequency in the spectrum of a signal.
 
     Args:
         signal: One value per bin; its length should be a whole number of periods.
         frequency_hz: Frequency to look for [Hz].
         bin_us: Length of a bin [us].
+
+    Returns:
+        `drive`, the ratio of the amplitude at the tone to the median of all frequencies; `twice`,
+        the same at twice the tone, or at its alias; `peak_hz`, the frequency of the largest
+        amplitude, from 30 Hz on [Hz]; `clear`, whether that is the tone, twice the tone, or its
+        alias.
     """
     spectrum = np.abs(np.fft.rfft(signal - signal.mean()))
     per_hz = 1e-6 * bin_us * len(signal)
-    places = [_folded(times * frequency_hz * per_hz, len(signal)) for times in (1, 2)]
+    aliases = [round(times * frequency_hz * per_hz) % len(signal) for times in (1, 2)]
+    places = [min(alias, len(signal) - alias) for alias in aliases]
     lowest = int(LOWEST_HZ * per_hz)
     peak = lowest + int(np.argmax(spectrum[lowest:]))
     floor = max(float(np.median(spectrum[1:])), 1e-12)
-    drive, twice = (float(spectrum[place] / floor) for place in places)
-    return Line(drive, twice, peak / per_hz, min(abs(peak - place) for place in places) <= 1)
-
-
-def _folded(place: float, length: int) -> int:
-    """Return the index in a spectrum of real values at which a frequency appears."""
-    alias = round(place) % length
-    return min(alias, length - alias)
+    return {
+        'drive': float(spectrum[places[0]] / floor),
+        'twice': float(spectrum[places[1]] / floor),
+        'peak_hz': peak / per_hz,
+        'clear': min(abs(peak - place) for place in places) <= 1,
+    }
 
 
 def tones(
@@ -488,36 +486,35 @@ def tones(
     json: JsonFile = None,
 ) -> None:
     """Show which vibrations stand out in the events, in bins of 1 ms."""
-    chosen = named_preset(preset)
+    named_preset(preset)
     cases = [(f, a) for a in AMPLITUDES for f in FREQUENCIES]
     rows = [
-        [tone_lines(f, a, seed, seed + k, chosen) for k in range(devices)]
+        [tone_lines(f, a, seed, seed + k, preset) for k in range(devices)]
         for f, a in track(cases, 'simulating vibrations', transient=True)
     ]
-    table = Table(
-        title=f'vibration, {preset}, simulated: mean over {devices} sensors', title_justify='left'
-    )
-    headings = (r'peak \[um]', 'tone [Hz]', 'events above rest [1/s]', *TONE_SIGNALS.values())
-    for heading in headings:
-        table.add_column(heading, justify='right')
+    shown = []
     for row in rows:
         above = sum(each['rate'] - each['rest_rate'] for each in row) / devices
-        amplitude, frequency = row[0]['amplitude_mm'], row[0]['frequency_hz']
-        cells = [f'{1e3 * amplitude:.0f}', f'{frequency:.0f}', f'{above:.0f}']
-        for name in TONE_SIGNALS:
-            lines = [each[name] for each in row]
-            strength = sum(max(line['drive'], line['twice']) for line in lines) / devices
-            cells.append(f'{strength:.0f} ({sum(line["clear"] for line in lines)})')
-        table.add_row(*cells)
-    Console().print(table)
-    Console().print('line over median; in brackets: sensors on which it is the largest peak')
+        cells = [1e3 * row[0]['amplitude_mm'], row[0]['frequency_hz'], above]
+        lines = [[each[name] for each in row] for name in TONE_SIGNALS]
+        strengths = [sum(max(each['drive'], each['twice']) for each in part) for part in lines]
+        clear = [sum(each['clear'] for each in part) for part in lines]
+        shown.append(
+            [f'{cell:.0f}' for cell in cells]
+            + [f'{s / devices:.0f} ({c})' for s, c in zip(strengths, clear, strict=True)]
+        )
+    headings = ('peak [um]', 'tone [Hz]', 'events above rest [1/s]', *TONE_SIGNALS.values())
+    title = f'vibration, {preset}, simulated: mean over {devices} sensors'
+    console = Console()
+    console.print(make_table(title, headings, shown))
+    console.print('line over median; in brackets: sensors on which it is the largest peak')
     if json is not None:
         flat = [each for row in rows for each in row]
         write_json(json, {'preset': preset, 'devices': devices, 'seed': seed, 'rows': flat})
 
 
 def tone_lines(
-    frequency_hz: float, amplitude_mm: float, seed: int, device_seed: int, preset: Preset
+    frequency_hz: float, amplitude_mm: float, seed: int, device_seed: int, preset: str
 ) -> dict[str, Any]:
     """Press a simulated sensor with a vibrating body and look for the tone in each signal.
 
@@ -526,11 +523,11 @@ def tone_lines(
         amplitude_mm: Amplitude, zero to peak [mm].
         seed: Seed of the day.
         device_seed: Seed of the sensor.
-        preset: Preset of the sensor.
+        preset: Difficulty preset of the sensor.
 
     Returns:
         `frequency_hz`, `amplitude_mm`; `rest_rate` and `rate`, events per second at rest and during
-        the vibration; `count`, `polarity` and `flow` with the fields of `Line`.
+        the vibration; `count`, `polarity` and `flow` with what `find_line` returns.
 
     Raises:
         SimulationError: The body would leave the skin.
@@ -540,12 +537,11 @@ def tone_lines(
         len(seen.events.between(_us(start), _us(end))) / (end - start)
         for start, end in (REST_S, SHAKEN_S)
     ]
-    signals = binned(seen.events, seen.frame, seen.span_s, TONE_BIN_US)
-    lines = [asdict(find_line(signal, frequency_hz, TONE_BIN_US)) for signal in signals]
+    signals = binned(seen, TONE_BIN_US)
     return {
         'frequency_hz': frequency_hz,
         'amplitude_mm': amplitude_mm,
         'rest_rate': rates[0],
         'rate': rates[1],
-        **dict(zip(TONE_SIGNALS, lines, strict=True)),
+        **{name: find_line(signals[name], frequency_hz, TONE_BIN_US) for name in TONE_SIGNALS},
     }

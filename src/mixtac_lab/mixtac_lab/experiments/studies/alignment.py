@@ -29,6 +29,7 @@ from mixtac_fger.config import FgerConfig
 from mixtac_lab.bench.align import TrialRecording, fit_impulses, fit_refined
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import learning_version
+from mixtac_lab.figures import make_table
 from mixtac_lab.store import Piece, Store, code_version
 from mixtac_learning.train.batches import MemoryGroups, stack
 from mixtac_learning.train.config import TrainingSettings
@@ -233,14 +234,12 @@ def _table(plan: dict[str, Any], figures: dict[str, Any]) -> Table:
         f'FGER-Net on {plan["preset"]}, simulated: {plan["trials"]} trials of'
         f' {plan["seconds"]:g} s, {plan["epochs"]} epochs, {plan["seeds"]} trainings'
     )
-    table = Table(title=title, title_justify='left')
-    table.add_column('clocks')
-    for heading in ('time error [ms]', 'MAE [N]', 'RMSE [N]', *(f'{p} RMSE' for p in PROFILES)):
-        table.add_column(heading, justify='right')
+    rows = []
     for name, row in figures.items():
         runs = list(row['trainings'].values())
         cells = [[run[key] for run in runs] for key in ('mae', 'rmse')]
         cells += [[r['rmse_by_profile'].get(p, np.nan) for r in runs] for p in PROFILES]
-        shown = [f'{np.mean(cell):.4f} +- {np.std(cell):.4f}' for cell in cells]
-        table.add_row(name, f'{row["time_error_ms"]:.2f}', *shown)
-    return table
+        shown = (f'{np.mean(cell):.4f} +- {np.std(cell):.4f}' for cell in cells)
+        rows.append((name, f'{row["time_error_ms"]:.2f}', *shown))
+    headings = ('time error [ms]', 'MAE [N]', 'RMSE [N]', *(f'{p} RMSE' for p in PROFILES))
+    return make_table(title, ('clocks', *headings), rows)

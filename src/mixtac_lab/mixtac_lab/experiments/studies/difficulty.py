@@ -22,12 +22,13 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
 from mixtac_cli.options import JsonFile, Preset
-from mixtac_events.arrays import Events
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
+from mixtac_lab.experiments.harness import pooled
+from mixtac_lab.experiments.paper.vibration import cell_sums
 from mixtac_lab.experiments.sizes import PRESET
+from mixtac_lab.figures import make_table
 from mixtac_learning.judge.estimators import TrialEstimate, stream
 from mixtac_learning.judge.metrics import fit_scale, measure
 from mixtac_learning.trials.simulated import SimulatedSource
@@ -76,31 +77,13 @@ def increments(trial: TrialArrays, label: ForceLabel, reference_frames: int) -> 
     Raises:
         DatasetError: The trial ends before its reference frames do.
     """
-    begin = int(trial.exposure_end_us[reference_frames - 1])
-    edges = np.arange(begin, int(label.t_us[-1]) + 1, WINDOW_US)
+    span_us = int(trial.exposure_end_us[reference_frames - 1]), int(label.t_us[-1])
+    edges = np.arange(span_us[0], span_us[1] + 1, WINDOW_US)
     if len(edges) < 3:
         raise DatasetError(f'trial ends {edges.size * WINDOW_US} us after its reference frames')
     image = trial.frames[:reference_frames].mean(axis=0)
-    features = _sums(trial.events, image, edges)
+    features = np.hstack(list(cell_sums(trial.events, image, span_us, WINDOW_US, CELL_PX)))
     return Increments(edges[1:], features, label.at(edges).astype(np.float64))
-
-
-def _sums(
-    events: Events, image: NDArray[np.floating], edges: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return the features of the windows between edges [us]."""
-    rows, columns = image.shape
-    wide, high = -(-columns // CELL_PX), -(-rows // CELL_PX)
-    inside = events[np.searchsorted(events.t, edges[0]) : np.searchsorted(events.t, edges[-1])]
-    window = (inside.t - edges[0]) // WINDOW_US
-    x, y = inside.x.astype(np.int64), inside.y.astype(np.int64)
-    place = (window * high + y // CELL_PX) * wide + x // CELL_PX
-    slope_y, slope_x = np.gradient(np.log(np.maximum(image, 1.0)))
-    sign = np.where(inside.polarity, 1.0, -1.0)
-    weights = (sign * slope_x[y, x], sign * slope_y[y, x], sign > 0.0, sign < 0.0)
-    size = (len(edges) - 1) * wide * high
-    sums = [np.bincount(place, weight, size).reshape(-1, wide * high) for weight in weights]
-    return np.concatenate(sums, axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,8 +159,7 @@ def judge_integrator(
         quarters.append([part.mean() for part in np.array_split(error, 4)])
         truth.append(np.diff(trial.force))
         found.append(integrator.changes(trial))
-    whole, rest = np.concatenate(truth), np.concatenate(truth) - np.concatenate(found)
-    return np.array(quarters), 1.0 - float(np.sum(rest**2) / np.sum((whole - whole.mean()) ** 2))
+    return np.array(quarters), measure(np.concatenate(truth), np.concatenate(found)).r2
 
 
 def summarise_integrator(quarters: NDArray[np.float64], r2: float) -> dict[str, float]:
@@ -204,27 +186,17 @@ def summarise_integrator(quarters: NDArray[np.float64], r2: float) -> dict[str, 
     }
 
 
-@dataclass(frozen=True, slots=True)
-class Scales:
-    """Gains of a sensor for both estimators, each fitted to its own estimates of one press.
+def sensor_scales(press: TrialEstimate) -> tuple[float, float]:
+    """Return the gains of a sensor that one calibration press gives.
 
-    Attributes:
-        fused: Gain of the whole network.
-        frames: Gain of its frames-only force.
+    Returns:
+        Gain of the whole network, and that of its frames-only force.
+
+    Raises:
+        CalibrationError: The trial is not a press.
     """
-
-    fused: float
-    frames: float
-
-    @classmethod
-    def fit(cls, press: TrialEstimate) -> Scales:
-        """Return the scales that one calibration press gives.
-
-        Raises:
-            CalibrationError: The trial is not a press.
-        """
-        fused = fit_scale(press.force, press.known)
-        return cls(fused, fit_scale(_frames_only(press), press.known))
+    fused = fit_scale(press.force, press.known)
+    return fused, fit_scale(_frames_only(press), press.known)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,22 +222,22 @@ def _frames_only(estimate: TrialEstimate) -> NDArray[np.float64]:
     return estimate.frames_only
 
 
-def judge(model: Model, trial: TrialArrays, scales: Scales) -> Judged:
+def judge(model: Model, trial: TrialArrays, scales: tuple[float, float]) -> Judged:
     """Run all estimators on a trial.
 
     Args:
         model: Content of a weight file of FGER-Net.
         trial: A simulated trial.
-        scales: Gains of the sensor.
+        scales: Gains of the sensor, from `sensor_scales`.
     """
     kept = model.config['reference_frames']
     run = stream(model, trial)
     blind = stream(model, trial, frames=kept)
     brightness = _brightness(trial, run.t_us, kept)
     cuts = np.searchsorted(trial.events.t, [run.t_us[0] - model.config['window_us'], *run.t_us])
-    frames_only = scales.frames * _frames_only(run)
-    both = replace(run.scaled(scales.fused), frames_only=frames_only)
-    return Judged(both, blind.scaled(scales.fused), brightness, np.diff(cuts).astype(np.float64))
+    fused, frames = scales
+    both = replace(run.scaled(fused), frames_only=frames * _frames_only(run))
+    return Judged(both, blind.scaled(fused), brightness, np.diff(cuts).astype(np.float64))
 
 
 def _brightness(trial: TrialArrays, t_us: NDArray[np.int64], kept: int) -> NDArray[np.float64]:
@@ -284,8 +256,9 @@ def summarise(judged: Sequence[Judged]) -> dict[str, float]:
         R2 of the best straight line through all trials.
     """
     truth = np.concatenate([each.run.known for each in judged])
-    fused = measure(truth, np.concatenate([each.run.force for each in judged])).mae
-    frames = measure(truth, np.concatenate([_frames_only(each.run) for each in judged])).mae
+    fused = pooled([each.run for each in judged]).mae
+    framed = [replace(each.run, force=_frames_only(each.run)) for each in judged]
+    frames = pooled(framed).mae
     early, late, slope = _drift([each.blind for each in judged])
     return {
         'trials': len(judged),
@@ -345,12 +318,8 @@ def difficulty(
         figures = _judge_all(loaded, specs, presses, lambda: progress.advance(bar))
         kept = loaded.config['reference_frames']
         figures |= _integrate_all(kept, specs, lambda: progress.advance(bar))
-    table = Table(title=f'dynamic, {preset}, simulated', title_justify='left')
-    table.add_column('figure')
-    table.add_column('value', justify='right')
-    for name, value in figures.items():
-        table.add_row(name.replace('_', ' '), f'{value:.4g}')
-    Console().print(table)
+    shown = [(name.replace('_', ' '), f'{value:.4g}') for name, value in figures.items()]
+    Console().print(make_table(f'dynamic, {preset}, simulated', ('figure', 'value'), shown))
     if json is not None:
         write_json(json, {'preset': preset, 'model': str(find_model(model)), **figures})
 
@@ -378,15 +347,17 @@ def ablation(
                 loaded, dynamic, press, lambda: progress.advance(bar)
             )
     whole = rows['all effects']['fused_mae']
-    table = Table(title=f'dynamic, {preset}, simulated: one effect off', title_justify='left')
-    for heading in ('off', 'MAE [N]', 'share of the error', 'frames only [N]'):
-        table.add_column(heading, justify='left' if heading == 'off' else 'right')
-    for name, row in rows.items():
-        share = 1.0 - row['fused_mae'] / whole
-        table.add_row(
-            name, f'{row["fused_mae"]:.4f}', f'{share:+.1%}', f'{row["frames_only_mae"]:.4f}'
+    shown = [
+        (
+            name,
+            f'{row["fused_mae"]:.4f}',
+            f'{1.0 - row["fused_mae"] / whole:+.1%}',
+            f'{row["frames_only_mae"]:.4f}',
         )
-    Console().print(table)
+        for name, row in rows.items()
+    ]
+    headings = ('off', 'MAE [N]', 'share of the error', 'frames only [N]')
+    Console().print(make_table(f'dynamic, {preset}, simulated: one effect off', headings, shown))
     if json is not None:
         write_json(json, {'preset': preset, 'model': str(find_model(model)), 'rows': rows})
 
@@ -407,7 +378,7 @@ def _judge_all(
 ) -> dict[str, float]:
     scales = {}
     for spec in presses:
-        scales[spec.device_seed] = Scales.fit(stream(model, SimulatedSource(spec).load()))
+        scales[spec.device_seed] = sensor_scales(stream(model, SimulatedSource(spec).load()))
         advance()
     judged = []
     for spec in specs:

@@ -19,7 +19,6 @@ import torch
 import typer
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
 from mixtac_cli.options import JsonFile
 from mixtac_fger.config import ConfigError
@@ -42,6 +41,7 @@ from mixtac_lab.experiments.sizes import (
     run_config,
 )
 from mixtac_lab.experiments.training import learning_version, train
+from mixtac_lab.figures import make_table
 from mixtac_lab.store import Piece
 from mixtac_learning.adapt.adaptation import adapt
 from mixtac_learning.adapt.presses import gather_presses
@@ -261,15 +261,10 @@ def models(
         context = Context(TABLE_SIZES[size], out, seeds, jobs, None, progress)
         found = train_and_test(context, [name for name in ALL_ROWS if name in chosen])
     table = aggregate(found)
-    shown = Table(
-        title=f'MAE [N], simulated, {PRESET}, {size}, {seeds} seeds', title_justify='left'
-    )
-    shown.add_column('tested on')
-    for name in table:
-        shown.add_column(name.replace('_', ' '), justify='right')
-    for column, row in cells(table).items():
-        shown.add_row(column, *row)
-    console.print(shown)
+    headings = ('tested on', *(name.replace('_', ' ') for name in table))
+    rows = [(column, *row) for column, row in cells(table).items()]
+    title = f'MAE [N], simulated, {PRESET}, {size}, {seeds} seeds'
+    console.print(make_table(title, headings, rows))
     file = f'table_{size}_choices.md' if choices else f'table_{size}.md'
     write_text(out / file, as_markdown(table))
     if json is not None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_lab.experiments.studies.difficulty import Judged, Scales, explained, summarise
+from mixtac_lab.experiments.studies.difficulty import Judged, explained, sensor_scales, summarise
 from mixtac_learning.judge.estimators import TrialEstimate
 
 T_US = np.arange(0, 8_000_000, 2000)
@@ -20,9 +20,9 @@ def run(force, frames_only=TRUTH):
 
 
 def test_each_estimator_gets_its_own_scale():
-    scales = Scales.fit(run(TRUTH / 2, TRUTH / 4))
-    assert scales.fused == pytest.approx(2.0)
-    assert scales.frames == pytest.approx(4.0)
+    fused, frames = sensor_scales(run(TRUTH / 2, TRUTH / 4))
+    assert fused == pytest.approx(2.0)
+    assert frames == pytest.approx(4.0)
 
 
 def test_errors_ratio_and_drift():
