@@ -18,7 +18,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -34,8 +33,8 @@ START_TIMEOUT_S = 300.0
 """Time to wait for a process to start [s]; on a loaded machine a start takes long."""
 
 
-class BenchRun:
-    """The processes of a benchmark, in a `with` block that ends them.
+class BenchRun(contextlib.ExitStack):
+    """The processes of a benchmark, in a `with` block that ends them, the last one first.
 
     Attributes:
         folder: Temporary folder for sockets.
@@ -43,28 +42,14 @@ class BenchRun:
     """
 
     def __init__(self) -> None:
+        super().__init__()
+        self.folder = Path(self.enter_context(tempfile.TemporaryDirectory(prefix='mixtac-')))
         self.processes: dict[str, JsonProcess] = {}
-        self._stack = contextlib.ExitStack()
         self._env = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-
-    def __enter__(self) -> BenchRun:
-        """Make the folder."""
-        folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix='mixtac-'))
-        self.folder = Path(folder)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End all processes, the last one first, and remove the folder."""
-        self._stack.close()
 
     def start(self, name: str, command: list[str]) -> JsonProcess:
         """Start a process under a name."""
-        process = self._stack.enter_context(JsonProcess(name, command, self._env))
+        process = self.enter_context(JsonProcess(name, command, self._env))
         self.processes[name] = process
         return process
 

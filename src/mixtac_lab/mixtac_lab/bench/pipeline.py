@@ -136,17 +136,13 @@ def pattern_of(run: BenchRun, sent: Mapping[str, Any], origin: Mapping[str, Any]
 
 
 def run_pipeline(
-    load: Load,
-    seconds: float,
-    parameters: Mapping[str, object] | None = None,
-    progress: Callable[[float], None] = lambda _seconds: None,
+    load: Load, seconds: float, progress: Callable[[float], None] = lambda _seconds: None
 ) -> PipelineRun:
     """Run camera, driver and subscriber, and measure.
 
     Args:
         load: Load of the camera.
         seconds: Length of the measurement [s].
-        parameters: Driver parameters that differ from the shipped ones.
         progress: Called repeatedly with the elapsed seconds.
 
     Raises:
@@ -156,8 +152,7 @@ def run_pipeline(
         device, sent = load.start(run)
         probe = run.start_program('subscriber', 'probe_node')
         probe.expect('ready', START_TIMEOUT_S)
-        overrides = {'device': device, **(parameters or {})}
-        driver = NodeSpec('mixtac_driver', 'driver_node', 'driver', overrides=overrides)
+        driver = NodeSpec('mixtac_driver', 'driver_node', 'driver', overrides={'device': device})
         run.start_node('driver', driver, NAMESPACE)
         camera = run.processes['camera']
         origin = camera.expect('origin_ns', START_TIMEOUT_S)

@@ -7,16 +7,13 @@ Camera object and supervisor are those of the driver node; the camera is virtual
 
 from __future__ import annotations
 
-import dataclasses
 import gc
-import random
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from random import Random
-from types import TracebackType
 from typing import Annotated, Any
 
 import numpy as np
@@ -155,12 +152,7 @@ class RecoveryScene:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the clock and remove the camera."""
         self._stopping.set()
         self._thread.join()
@@ -272,7 +264,7 @@ def run_recovery_benchmark(
         seed: Seed of their order, lengths and contents.
         on_fault: Called after each fault.
     """
-    rng = random.Random(seed)  # noqa: S311 - not for secrets
+    rng = Random(seed)  # noqa: S311 - not for secrets
     with tempfile.TemporaryDirectory() as folder:
         path = f'{folder}/camera.sock'
         with RecoveryScene(path, seed) as scene:
@@ -338,7 +330,7 @@ def recovery(
         write_json(json, report)
 
 
-def fault_names(faults: int, rng: random.Random) -> Iterator[str]:
+def fault_names(faults: int, rng: Random) -> Iterator[str]:
     """Yield names of faults in random order, each kind equally often."""
     names: list[str] = []
     for _ in range(faults):
@@ -347,10 +339,10 @@ def fault_names(faults: int, rng: random.Random) -> Iterator[str]:
         yield names.pop()
 
 
-def _recover_from(name: str, scene: RecoveryScene, driver: _Driver, rng: random.Random) -> Recovery:
+def _recover_from(name: str, scene: RecoveryScene, driver: _Driver, rng: Random) -> Recovery:
     camera = driver.camera
     exposure_us = rng.randrange(1000, 20_000)
-    camera.apply(dataclasses.replace(driver.parameters, aps_exposure=exposure_us))
+    camera.apply(replace(driver.parameters, aps_exposure=exposure_us))
     driver.expect(float('inf'))
     driver.expect(OUTAGES[name](scene.device, rng))
     seconds = driver.recovery_s()

@@ -13,8 +13,8 @@ microsecond. Latencies end at the arrival at the probe and include the transport
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -61,60 +61,20 @@ STIFFNESSES = (10.0, 5.0, 2.0, 1.0)
 FIRST_SEED = 70_000
 
 
-@dataclass(frozen=True, slots=True)
-class DdsLatency:
-    """Latencies over DDS.
-
-    Attributes:
-        speeds_mm_s: Speed of each knock in the measurement [mm/s].
-        detection_ms: Time from the onset of each knock to the arrival of `slip` [ms]; NaN for none.
-        publish_ms: Time from the onset to the arrival of the first trajectory [ms], for knocks
-            before which slip control was enabled and quiet; NaN for none.
-        not_ready: Number of knocks before which it was not enabled and quiet.
-        missed_detections: Number of knocks without a detection.
-        missed_answers: Number of knocks in `publish_ms` without a trajectory.
-        false_alarms: Number of reported slips without a knock.
-        seconds: Length of the measurement [s].
-        camera_stalls: Number of buffer overflows of the camera.
-        windows: Number of windows of 1 ms that slip control reported.
-        stops: Number of interlock stops; the watchdogs cause some on a busy host.
-        cpu_shares: CPU time of each process over the length of the measurement.
-    """
-
-    speeds_mm_s: list[float]
-    detection_ms: list[float]
-    publish_ms: list[float]
-    not_ready: int
-    missed_detections: int
-    missed_answers: int
-    false_alarms: int
-    seconds: float
-    camera_stalls: int
-    windows: int
-    stops: int
-    cpu_shares: dict[str, float]
-
-
-def measure(
-    seconds: float,
-    seed: int = 0,
-    speeds_mm_s: tuple[float, float] = (30.0, 100.0),
-    progress: Callable[[float], None] = lambda _seconds: None,
-) -> DdsLatency:
+def measure(seconds: float) -> dict[str, Any]:
     """Run the processes and measure; there are about 40 knocks in a minute.
 
     Args:
         seconds: Length of the measurement [s].
-        seed: Seed of sensor, day, times and speeds.
-        speeds_mm_s: Range of the speeds.
-        progress: Called repeatedly with the elapsed seconds.
+
+    Returns:
+        What `match_knocks` returns.
 
     Raises:
         GraphError: A process did not start, or slip control could not be enabled.
     """
-    slowest, fastest = speeds_mm_s
     with BenchRun() as run:
-        device, scene = run.start_camera('knocks', seed=seed, slowest=slowest, fastest=fastest)
+        device, scene = run.start_camera('knocks')
         probe = run.start_program('probe', 'probe_node')
         probe.expect('ready', START_TIMEOUT_S)
         for name, node in _nodes(device).items():
@@ -127,7 +87,7 @@ def measure(
         origin_ns = int(camera.latest('monotonic_ns', first)['monotonic_ns'])
         run.measure(WARM_UP_S)
         began_ns = time.monotonic_ns()
-        elapsed_s, cpu = run.measure(seconds, progress)
+        elapsed_s, cpu = run.measure(seconds)
         probe.stop()
         noted = probe.expect('slips_ns', START_TIMEOUT_S)
         camera.stop()
@@ -180,8 +140,8 @@ def match_knocks(
     span_ns: tuple[int, int],
     stalls: int,
     shares: dict[str, float],
-) -> DdsLatency:
-    """Return the latencies of the knocks between two times.
+) -> dict[str, Any]:
+    """Return the latencies of the knocks between two times, for JSON.
 
     Args:
         scene: Description by the camera: `period_us`, `onsets_us`, `speeds_mm_s`.
@@ -190,6 +150,16 @@ def match_knocks(
         span_ns: First and last time.
         stalls: Number of buffer overflows of the camera.
         shares: CPU time of each process over time.
+
+    Returns:
+        `speeds_mm_s` of all knocks; `detection_ms`, the time from the onset of each to the arrival
+        of `slip` [ms]; `publish_ms`, the time to the arrival of the first trajectory [ms], for
+        knocks before which slip control was enabled and quiet, NaN for none; `not_ready`, the
+        number of knocks before which it was not; `missed_detections` and `missed_answers`, the
+        numbers of NaN; `false_alarms`, the number of reported slips without a knock; `seconds`, the
+        length of the measurement [s]; `camera_stalls`; `windows` of 1 ms that slip control
+        reported; `stops`, the number of interlock stops, of which the watchdogs cause some on a
+        busy host; `cpu_shares`.
     """
     period_ns = 1000 * int(scene['period_us'])
     periods = range(
@@ -207,22 +177,21 @@ def match_knocks(
     starts = np.array([at for at, _ in knocks], np.int64)
     ready = np.array([_ready(at, noted['enabled_spans_ns'], sent) for at in starts], np.bool_)
     detection_ms, publish_ms = _after(starts, slips), _after(starts[ready], sent)
-    return DdsLatency(
-        speeds_mm_s=[speed for _, speed in knocks],
-        detection_ms=detection_ms,
-        publish_ms=publish_ms,
-        not_ready=int(np.count_nonzero(~ready)),
-        missed_detections=int(np.count_nonzero(np.isnan(detection_ms))),
-        missed_answers=int(np.count_nonzero(np.isnan(publish_ms))),
-        false_alarms=int(
-            sum(not np.any((at >= starts) & (at - starts < HORIZON_NS)) for at in seen)
-        ),
-        seconds=1e-9 * (span_ns[1] - span_ns[0]),
-        camera_stalls=stalls,
-        windows=int(noted['windows']),
-        stops=int(noted['stops']),
-        cpu_shares=shares,
-    )
+    alarms = [not np.any((at >= starts) & (at - starts < HORIZON_NS)) for at in seen]
+    return {
+        'speeds_mm_s': [speed for _, speed in knocks],
+        'detection_ms': detection_ms,
+        'publish_ms': publish_ms,
+        'not_ready': int(np.count_nonzero(~ready)),
+        'missed_detections': int(np.count_nonzero(np.isnan(detection_ms))),
+        'missed_answers': int(np.count_nonzero(np.isnan(publish_ms))),
+        'false_alarms': sum(alarms),
+        'seconds': 1e-9 * (span_ns[1] - span_ns[0]),
+        'camera_stalls': stalls,
+        'windows': noted['windows'],
+        'stops': noted['stops'],
+        'cpu_shares': shares,
+    }
 
 
 def _ready(at_ns: int, spans_ns: Sequence[Sequence[int]], sent_ns: NDArray[np.int64]) -> bool:
@@ -311,7 +280,7 @@ def slip(
 
 
 def summarise(
-    results: Sequence[TrialResult], latency: DdsLatency | None, quiet: Sequence[dict[str, Any]]
+    results: Sequence[TrialResult], latency: dict[str, Any] | None, quiet: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
     """Return the results for JSON; the latencies are those over DDS if they were measured."""
     box = summary(results)
@@ -331,11 +300,11 @@ def summarise(
         'quiet': list(quiet),
     }
     if latency is not None:
-        outcome['detection_ms'] = latency_quantiles(latency.detection_ms)
-        outcome['publish_ms'] = latency_quantiles(latency.publish_ms)
+        outcome['detection_ms'] = latency_quantiles(latency['detection_ms'])
+        outcome['publish_ms'] = latency_quantiles(latency['publish_ms'])
         outcome['latency_from'] = 'DDS, measured at a subscriber'
-        outcome['dds'] = asdict(latency)
-        outcome['false_alarms'] += latency.false_alarms
+        outcome['dds'] = latency
+        outcome['false_alarms'] += latency['false_alarms']
     return outcome
 
 
@@ -349,7 +318,7 @@ def draw_curves(path: Path, curves: Mapping[str, Any]) -> None:
     figure, axes = new_figure(columns=len(curves), width=4.0 * len(curves), height=3.6)
     for ax, (speed, both) in zip(axes, curves.items(), strict=True):
         for name, curve in both.items():
-            late = [np.nan if v is None else v for v in curve['latency_ms']]
+            late = np.array(curve['latency_ms'], np.float64)
             (line,) = ax.plot(np.array(curve['false_alarms_per_min']) + 0.01, late, label=name)
             shipped = curve['shipped']
             if shipped['latency_p50_ms'] is not None:

@@ -36,6 +36,9 @@ from mixtac_sim.grids import STEP_US
 from mixtac_sim.usb.server import UsbServer
 from mixtac_sim.world.effects import preset
 
+PERIOD_S = 12.0
+SPEEDS_MM_S = (30.0, 100.0)
+"""Range of the speeds of the object after a knock."""
 QUIET_S = 2.0
 """Rest at the beginning of each period, for the background to be learned [s]."""
 SPACING_S = 1.3
@@ -50,9 +53,8 @@ FRAME_TIMES = ('frame_start_us', 'exposure_start_us', 'exposure_end_us', 'frame_
 
 
 def make_slip_pattern(
-    seconds: float,
-    seed: int,
-    speeds_mm_s: tuple[float, float] = (30.0, 100.0),
+    seconds: float = PERIOD_S,
+    seed: int = 0,
     preset_name: str = 'paper_like',
     quiet_s: float = QUIET_S,
 ) -> tuple[Pattern, dict[str, list[Any]]]:
@@ -61,7 +63,6 @@ def make_slip_pattern(
     Args:
         seconds: Length of a period, rounded to time wraps of the camera [s].
         seed: Seed of the sensor, the day, the times and the speeds.
-        speeds_mm_s: Range of the speeds.
         preset_name: Difficulty preset of the sensor.
         quiet_s: Rest at the beginning [s].
 
@@ -78,7 +79,7 @@ def make_slip_pattern(
     for k in range(count):
         rest_s = (quiet_s if k == 0 else 0.0) + BEFORE_S
         onset = _on_grid(rest_s + rng.uniform(0.0, SPREAD_S))
-        speed = float(rng.uniform(*speeds_mm_s))
+        speed = float(rng.uniform(*SPEEDS_MM_S))
         length_us = starts[k + 1] - starts[k]
         profile = knock_profile(speed, 1e-6 * onset, SLIP_S, 1e-6 * length_us)
         # The events and the whole frames of one knock, from the start of its scene.
@@ -113,10 +114,6 @@ def main() -> None:
     parser.add_argument('--per-row', type=float, default=1.0, help='events per row')
     parser.add_argument('--frame-interval', type=int, default=0, help='in us, 0 for none')
     parser.add_argument('--reading-interval', type=int, default=0, help='in us, 0 for none')
-    parser.add_argument('--seconds', type=float, default=12.0, help='length of a period of knocks')
-    parser.add_argument('--seed', type=int, default=0, help='random seed of the knocks')
-    parser.add_argument('--slowest', type=float, default=30.0, help='in mm/s')
-    parser.add_argument('--fastest', type=float, default=100.0, help='in mm/s')
     options = parser.parse_args()
     stopping = stop_event()
     # By default Linux wakes sleeping threads 50 us late; a camera is never late.
@@ -132,8 +129,7 @@ def main() -> None:
         )
         truth: dict[str, Any] = {'events': len(pattern.events)}
     else:
-        speeds = (options.slowest, options.fastest)
-        pattern, truth = make_slip_pattern(options.seconds, options.seed, speeds)
+        pattern, truth = make_slip_pattern()
     camera = PatternCamera('PATTERN1', pattern)
     # The camera counts true time from its construction on the monotonic clock, without skew.
     since_us = camera.true_time_us()
