@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -181,13 +182,13 @@ def damage(recording: TrialRecording, kind: str, rng: np.random.Generator) -> Tr
 
 def _cut(recording: TrialRecording, start_s: float, end_s: float) -> TrialRecording:
     """Keep a part of the recording, on both clocks."""
-    t, frames = recording.events.t_us * 1e-6, recording.frames
+    frames = recording.frames
     kept = (frames.start_us * 1e-6 > start_s) & (frames.end_us * 1e-6 < end_s)
     shown = (recording.force_t_s - recording.offset_s) / recording.rate
     inside = (shown > start_s) & (shown < end_s)
     return replace(
         recording,
-        events=_only(recording.events, (t > start_s) & (t < end_s)),
+        events=recording.events.between(round(1e6 * start_s), round(1e6 * end_s)),
         frames=FrameFeatures(frames.start_us[kept], frames.end_us[kept], frames.values[kept]),
         force_t_s=recording.force_t_s[inside],
         force=recording.force[inside],
@@ -197,12 +198,11 @@ def _cut(recording: TrialRecording, start_s: float, end_s: float) -> TrialRecord
 def _double(recording: TrialRecording, apart_s: float) -> TrialRecording:
     """Repeat the first tap shortly after it, in both streams."""
     first = recording.taps_s[0]
-    all_events = recording.events
-    t = all_events.t_us * 1e-6
-    tap = _only(all_events, (t > first - 0.03) & (t < first + 0.05))
-    times = np.concatenate([all_events.t_us, tap.t_us + round(apart_s * 1e6)])
-    cells = np.concatenate([all_events.cell, tap.cell])
-    polarity = np.concatenate([all_events.on, tap.on])
+    whole = recording.events
+    tap = whole.between(round(1e6 * (first - 0.03)), round(1e6 * (first + 0.05)))
+    times = np.concatenate([whole.t_us, tap.t_us + round(apart_s * 1e6)])
+    cells = np.concatenate([whole.cell, tap.cell])
+    polarity = np.concatenate([whole.on, tap.on])
     events = _only(CellEvents(times, cells, polarity), np.argsort(times, kind='stable'))
     at = recording.rate * first + recording.offset_s
     source = recording.force_t_s - apart_s
@@ -370,18 +370,17 @@ def fit_refined(
 
 @dataclass(slots=True)
 class DamageScores:
-    """Results on damaged recordings, by kind of damage.
+    """Results on damaged recordings.
 
     Attributes:
-        refused: Number refused with a reason.
-        right: Number solved with at most 2 ms of error over the whole trial.
-        wrong: Number solved with a larger error.
+        numbers: By result and kind of damage: `refused` with a reason, `right`, solved with at most
+            2 ms of error over the whole trial, or `wrong`, solved with a larger error.
         worst_ms: Largest error of a solved recording [ms].
     """
 
-    refused: dict[str, int] = field(default_factory=dict)
-    right: dict[str, int] = field(default_factory=dict)
-    wrong: dict[str, int] = field(default_factory=dict)
+    numbers: dict[str, Counter[str]] = field(
+        default_factory=lambda: {name: Counter() for name in ('refused', 'right', 'wrong')}
+    )
     worst_ms: float = 0.0
 
     def add(self, recording: TrialRecording, number: int) -> None:
@@ -401,13 +400,12 @@ class DamageScores:
             )
             fit, _ = align_recording(whole)
         except MixtacError:
-            self.refused[kind] = self.refused.get(kind, 0) + 1
+            self.numbers['refused'][kind] += 1
             return
         times = _times(recording)
         worst = float(np.abs(fit.to_reference(times) - recording.true_s(times)).max())
         self.worst_ms = max(self.worst_ms, 1e3 * worst)
-        tally = self.right if worst <= WRONG_S else self.wrong
-        tally[kind] = tally.get(kind, 0) + 1
+        self.numbers['right' if worst <= WRONG_S else 'wrong'][kind] += 1
 
 
 def summarise(
@@ -417,13 +415,8 @@ def summarise(
     result: dict[str, Any] = {f'{name}_ms': each.summary() for name, each in scores.items()}
     result['coverage_95'] = result['refined_ms'].get('coverage_95')
     result['by_preset_ms'] = {name: each.summary() for name, each in groups.items()}
-    result['silently_wrong'] = sum(faults.wrong.values())
-    result['damaged'] = {
-        'refused': faults.refused,
-        'right': faults.right,
-        'wrong': faults.wrong,
-        'worst_ms': round(faults.worst_ms, 3),
-    }
+    result['silently_wrong'] = sum(faults.numbers['wrong'].values())
+    result['damaged'] = faults.numbers | {'worst_ms': round(faults.worst_ms, 3)}
     return result
 
 

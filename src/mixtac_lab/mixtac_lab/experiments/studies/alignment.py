@@ -79,11 +79,14 @@ def clock_maps(trials: list[Trial], seed: int) -> dict[str, list[Map]]:
         first, refined = _fit(trial, known)
         rate, offset_us = trial.clock
         late_us = 1e6 * (rng.uniform(*REFERENCE_HOST_S) - rng.uniform(*HOST_S))
-        maps['raw'].append(_rated(1.0, 0.0, trial))
-        maps['arrival'].append(_rated(1.0, offset_us - late_us, trial))
-        maps['two_impulse'].append(_rated(*_plain(first), trial))
-        maps['refined'].append(_rated(*_plain(refined.fit), trial))
-        maps['perfect'].append(_rated(rate, offset_us + trial.reference_delay_us, trial))
+        clocks = (
+            (1.0, 0.0),
+            (1.0, offset_us - late_us),
+            *((fit.a, 1e6 * fit.paper_offset_s) for fit in (first, refined.fit)),
+            (rate, offset_us + trial.reference_delay_us),
+        )
+        for name, clock in zip(LABELS, clocks, strict=True):
+            maps[name].append(_rated(*clock, trial))
     return maps
 
 
@@ -91,10 +94,6 @@ def _fit(trial: Trial, known: SensorTiming | None) -> tuple[ClockFit, Refinement
     recording = TrialRecording.of(trial)
     first = fit_impulses(recording, known)
     return first, fit_refined(recording, first, known)
-
-
-def _plain(fit: ClockFit) -> tuple[float, float]:
-    return fit.a, 1e6 * fit.paper_offset_s
 
 
 def _rated(rate: float, offset_us: float, trial: Trial) -> Map:
