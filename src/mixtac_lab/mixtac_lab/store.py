@@ -14,21 +14,18 @@ import functools
 import hashlib
 import json
 import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import joblib
+from rich.console import Console
 from rich.progress import Progress
 
 from mixtac_events.errors import MixtacError
 from mixtac_node.files import write_json
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from rich.console import Console
 
 
 @functools.cache

@@ -15,6 +15,7 @@ import math
 import os
 import platform
 import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -22,26 +23,21 @@ from typing import TYPE_CHECKING, Annotated, Any, List, Optional  # noqa: UP035
 
 import numpy as np
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_events.errors import MixtacError
 from mixtac_lab.experiments import report, sizes
 from mixtac_lab.experiments.report import Outcome, Row, Value
-from mixtac_lab.store import Store
-from mixtac_learning.judge.metrics import measure, peak_error
+from mixtac_lab.experiments.sizes import Sizes
+from mixtac_lab.store import Piece, Store
+from mixtac_learning.judge.metrics import Metrics, measure, peak_error
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.world.training_trials import simulator_digest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from mixtac_lab.experiments.sizes import Sizes
-    from mixtac_lab.store import Piece
     from mixtac_learning.judge.estimators import TrialEstimate
-    from mixtac_learning.judge.metrics import Metrics
 
 
 GROUP = 'mixtac.experiments'
@@ -208,8 +204,6 @@ def experiment(
                 int, typer.Option(min=0, help='Number of processes; 0: one per core.')
             ] = 0,
         ) -> None:
-            from rich.console import Console
-
             names = select([function.__name__, *(more or [])])
             run_experiments(
                 Console(), names, quick=quick, json=json, out=out, bags=bags, seeds=seeds, jobs=jobs
@@ -279,15 +273,12 @@ def run_experiments(
     Raises:
         MixtacError: An experiment failed; finished pieces stay stored.
     """
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bars
-
     chosen = sizes.QUICK if quick else sizes.FULL
     where = f'experiments_{chosen.name}' + ('' if bags is None else '_bags')
     folder = out or Path('runs') / where
     started = time.monotonic()
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn())
-    with Bars(*columns, TimeElapsedColumn(), console=console) as progress:
+    with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
         context = Context(
             chosen,
             folder,

@@ -10,34 +10,26 @@ bound that no controller can beat: the same grasp and knock with the best motion
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mixtac_events.arrays import Events
 from mixtac_sim.arm.controller import JointTrajectoryController
 from mixtac_sim.arm.fr3 import READY, violations
-from mixtac_sim.arm.plant import FingertipAdvance, Tracking
+from mixtac_sim.arm.plant import FingertipAdvance, MujocoArm, Tracking
+from mixtac_sim.grasp.grasp import Grasp, GraspBlock
 from mixtac_sim.grids import STEP_US
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
-from mixtac_slip_control.arm.planner import AdvancePlanner
-from mixtac_slip_control.controller import SlipController
+from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
+from mixtac_slip_control.arm.trajectory import PlannedTrajectory
+from mixtac_slip_control.controller import SlipController, SlipStep
+from mixtac_slip_control.parameters import SlipControlParameters
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_sim.arm.plant import MujocoArm
-    from mixtac_sim.grasp.grasp import Grasp, GraspBlock
-    from mixtac_sim.pixels.aps import ApsFrame
-    from mixtac_slip_control.arm.planner import StreamSettings
-    from mixtac_slip_control.arm.trajectory import PlannedTrajectory
-    from mixtac_slip_control.controller import SlipStep
-    from mixtac_slip_control.parameters import SlipControlParameters
-
-    Floats = NDArray[np.float64]
-
-
+Floats = NDArray[np.float64]
 GRID_S = 1e-6 * STEP_US
 AFTER_S = 0.3
 """Time for the object to come to rest [s]."""
@@ -86,8 +78,8 @@ STILL_S = 0.02
 
 def arrest_of(
     t_us: NDArray[np.int64],
-    object_mm: NDArray[np.float64],
-    speed_mm_s: NDArray[np.float64],
+    object_mm: Floats,
+    speed_mm_s: Floats,
     onset_us: float,
 ) -> Arrest:
     """Return how an object comes to rest after a knock.
@@ -124,7 +116,7 @@ def best_arrest(grasp: Grasp, reach: ArmReach, delay_s: float) -> Arrest:
     return arrest_of(block.t_us, block.object_mm, block.speed_mm_s, 1e6 * grasp.setup.knock_s)
 
 
-def fastest_way(distance_mm: float, reach: ArmReach, count: int) -> NDArray[np.float64]:
+def fastest_way(distance_mm: float, reach: ArmReach, count: int) -> Floats:
     """Return the fastest rest-to-rest motion within acceleration and jerk, lagged [count] [mm].
 
     Full acceleration, then full braking, each with jerk-limited ramps: the convolution of a
@@ -367,7 +359,5 @@ def _tip(setup: ArmSetup, grasp: Grasp) -> FingertipAdvance | MujocoArm:
     normal, tracking = np.array(setup.normal), setup.tracking
     if setup.plant == 'lag':
         return FingertipAdvance(READY, normal, tracking, CYCLE_S)
-    from mixtac_sim.arm.plant import MujocoArm
-
     contact = {'n_per_mm': grasp.stiffness_n_per_mm, 'preload_n': grasp.grasp_n}
     return MujocoArm(READY, normal, tracking.lag_s, CYCLE_S, **contact)
