@@ -88,8 +88,9 @@ def _read(table: str) -> dict[str, Sizes]:
     }
 
 
-FULL, QUICK = _read('paper').values()
+PAPER_SIZES = _read('paper')
 """Sizes of the experiments of the paper."""
+FULL, QUICK = PAPER_SIZES['full'], PAPER_SIZES['quick']
 TABLE_SIZES = _read('table')
 """Sizes of the table of all models (`mixtac experiments models --size`)."""
 TABLE_FULL = TABLE_SIZES['full']

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -282,51 +282,36 @@ def latency_quantiles(values: Iterable[float]) -> dict[str, float | None]:
 def summary(results: Sequence[TrialResult]) -> dict[str, Any]:
     """Return statistics of trials for JSON."""
     count = len(results)
+    names = [each.name for each in fields(TrialResult)]
+    values = {name: [getattr(each, name) for each in results] for name in names}
+    latencies = ('detection_ms', 'count_ms', 'flow_ms', 'publish_ms')
+    medians = ('arrest_ms', 'knock_mm_s', 'stiffness_n_per_mm', 'grasp_n', 'knock_share', 'peak_n')
+    totals = ('false_alarms', 'limit_violations', 'rejected')
+    mean = round(float(np.mean(values['slip_mm'])), 4)
     return {
         'trials': count,
-        'held_fraction': round(sum(r.held for r in results) / count, 4),
-        'open_loop_held_fraction': round(sum(r.open_held for r in results) / count, 4),
-        'slip_mm': {
-            'mean': _mean(r.slip_mm for r in results),
-            **_median(r.slip_mm for r in results),
-        },
-        'arrest_ms': _median(r.arrest_ms for r in results),
-        'floor_slip_mm': _median(r.floor_mm for r in results),
-        'floor_arrest_ms': _median(r.floor_ms for r in results),
-        'chain_floor_slip_mm': _median(r.chain_mm for r in results),
-        'chain_floor_arrest_ms': _median(r.chain_ms for r in results),
-        'detection_ms': latency_quantiles(r.detection_ms for r in results),
-        'count_ms': latency_quantiles(r.count_ms for r in results),
-        'flow_ms': latency_quantiles(r.flow_ms for r in results),
-        'publish_ms': latency_quantiles(r.publish_ms for r in results),
-        'knock_mm_s': _median(r.knock_mm_s for r in results),
-        'stiffness_n_per_mm': _median(r.stiffness_n_per_mm for r in results),
-        'grasp_n': _median(r.grasp_n for r in results),
-        'knock_share': _median(r.knock_share for r in results),
-        'peak_n': _median(r.peak_n for r in results),
-        'false_alarms': sum(r.false_alarms for r in results),
-        'limit_violations': sum(r.limit_violations for r in results),
-        'rejected': sum(r.rejected for r in results),
-        'stopped': sum(bool(r.stopped) for r in results),
+        'held_fraction': round(sum(values['held']) / count, 4),
+        'open_loop_held_fraction': round(sum(values['open_held']) / count, 4),
+        'slip_mm': {'mean': mean, **_median(values['slip_mm'])},
+        'floor_slip_mm': _median(values['floor_mm']),
+        'floor_arrest_ms': _median(values['floor_ms']),
+        'chain_floor_slip_mm': _median(values['chain_mm']),
+        'chain_floor_arrest_ms': _median(values['chain_ms']),
+        **{key: latency_quantiles(values[key]) for key in latencies},
+        **{key: _median(values[key]) for key in medians},
+        **{key: sum(values[key]) for key in totals},
+        'stopped': sum(map(bool, values['stopped'])),
     }
 
 
-def _mean(values: Iterable[float]) -> float:
-    return round(float(np.mean(list(values))), 4)
-
-
-def _median(values: Iterable[float]) -> dict[str, float | None]:
-    """Return the median, the 10th and the 90th percentile."""
-    array = np.array(list(values), np.float64)
-    good = array[np.isfinite(array)]
+def _median(values: Sequence[float]) -> dict[str, float | None]:
+    """Return the median, the 10th and the 90th percentile; None without finite values."""
+    array = np.array(values, np.float64)
+    good, names = array[np.isfinite(array)], ('median', 'p10', 'p90')
     if not len(good):
-        return {'median': None, 'p10': None, 'p90': None}
-    low, middle, high = np.quantile(good, [0.1, 0.5, 0.9])
-    return {
-        'median': round(float(middle), 3),
-        'p10': round(float(low), 3),
-        'p90': round(float(high), 3),
-    }
+        return dict.fromkeys(names)
+    found = np.quantile(good, [0.5, 0.1, 0.9]).round(3).tolist()
+    return dict(zip(names, found, strict=True))
 
 
 COURSE_MS: Final = np.arange(-10.0, 80.0, 0.5)
@@ -350,8 +335,8 @@ def _trial(_base: Path, plan: TrialPlan) -> dict[str, Any]:
 
 def stored_trial(found: dict[str, Any]) -> tuple[TrialResult, NDArray[np.float64]]:
     """Return the result of a trial piece, and the displacement at `COURSE_MS` [180] [mm]."""
-    fields: dict[str, Any] = {
+    values: dict[str, Any] = {
         key: np.nan if value is None else value for key, value in found.items()
     }
-    course = np.array(fields.pop('course_mm'))
-    return TrialResult(**fields), course
+    course = np.array(values.pop('course_mm'))
+    return TrialResult(**values), course
