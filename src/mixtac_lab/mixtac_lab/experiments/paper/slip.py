@@ -259,7 +259,7 @@ def draw_trial(path: Path, result: TrialResult, record: LoopRecord) -> None:
     """
     figure = Figure(figsize=(9.0, 7.0), layout='constrained')
     key_frames = ['first', 'second', 'last']
-    axes = figure.subplot_mosaic(
+    axes: dict[str, Axes] = figure.subplot_mosaic(
         [['object', 'object', 'force'], ['counts', 'counts', 'advance'], key_frames]
     )
     t_ms = 1e-3 * record.t_us - 1e3 * KNOCK_S
