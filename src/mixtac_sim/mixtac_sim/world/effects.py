@@ -4,14 +4,18 @@
 
 A range is (low, high) of a uniform draw unless the field says otherwise; equal ends mean no
 spread. Spreads are estimates wherever the modules that use them do not name a source. Defaults
-are those of the preset `easy`; `OFF` holds what an effect becomes when it is switched off.
+are those of the preset `easy`; ``presets.yaml`` beside this file holds the other presets, and what
+an effect becomes when it is switched off.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
+
+import yaml
 
 from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.indenters import IndenterName
@@ -234,18 +238,6 @@ class DeviceEffects:
     vary: bool = True
 
 
-Effects = (
-    PixelEffects
-    | GelEffects
-    | TimingEffects
-    | CreepEffects
-    | OpticsEffects
-    | BandwidthEffects
-    | LightEffects
-    | ContactEffects
-    | ImpactEffects
-    | DeviceEffects
-)
 EFFECTS: Mapping[str, str] = MappingProxyType(
     {
         'pixels': 'event thresholds, ON/OFF imbalance, mismatch, noise that depends on the light',
@@ -261,22 +253,6 @@ EFFECTS: Mapping[str, str] = MappingProxyType(
     }
 )
 """The ten effects, most likely to break transfer to a real sensor first, with a line on each."""
-OFF: Mapping[str, Effects] = MappingProxyType(
-    {
-        'pixels': PixelEffects(0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0),
-        'gel': GelEffects(0.0, (4.25, 4.25), (5.5, 5.5), (1.0, 1.0)),
-        'timing': TimingEffects(0.0, 0.0, (1.6e-3, 1.6e-3), (0.0, 0.0), 0.0, 0.0, 0.0, 0.0),
-        'creep': CreepEffects(slow=(0.0, 0.0)),
-        'optics': OpticsEffects((1e3, 1e3), refraction=False, wire=0.0, apart_mm=0.95),
-        'bandwidth': BandwidthEffects((1e3, 1e3), (1e3, 1e3), (0.0, 0.0), 0, 0, 0.0),
-        'light': LightEffects((1.0, 1.0), (0.0, 0.0), hot_pixels=(0, 1), frame_burst=(0.0, 0.0)),
-        'contact': ContactEffects(0.0, 0.0, (0.85, 0.85)),
-        'impact': ImpactEffects(fast=(0.375, 0.375)),
-        'devices': DeviceEffects(vary=False),
-    }
-)
-"""Each effect without its difficulty."""
-__all__ = ['EASY', 'EFFECTS', 'PRESETS', 'Preset', 'preset']
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,75 +296,28 @@ class Preset:
             msg = f'effect {unknown[0]!r} is unknown; choose among {", ".join(EFFECTS)}'
             raise SimulationError(msg)
         name = ' without '.join([self.name, *effects])
-        changes = {effect: OFF[effect] for effect in effects}
-        return replace(self, name=name, **changes)  # type: ignore[arg-type]
+        changes = {effect: getattr(OFF, effect) for effect in effects}
+        return replace(self, name=name, **changes)
 
 
 EASY = Preset('easy')
 """One shape, clean optics and a rigid mount: for a first look and quick tests."""
-PAPER_LIKE = Preset(
-    'paper_like',
-    pixels=PixelEffects(common_log_sd=0.18, skew_log_sd=0.1, mismatch=(0.1, 0.2), threshold=1.15),
-    gel=GelEffects(modulus_log_sd=0.3, thickness_mm=(3.0, 6.0), mesh_n_per_mm=(1.5, 10.0)),
-    timing=TimingEffects(
-        noise_n=(10e-3, 30e-3),
-        coupling=0.01,
-        slope_n=0.0,
-        wave_n=0.0,
-        wander_n=12e-3,
-    ),
-    creep=CreepEffects(slow=(0.02, 0.06), times_log_sd=0.3, long=(0.01, 0.03)),
-    optics=OpticsEffects(mesh_moves=True, beads=(380, 500), shift_px=1.0, roll_deg=0.3),
-    bandwidth=BandwidthEffects(follower=(0.35, 1.3), per_lux=(4.0, 16.0), refractory=(0.03, 5.0)),
-    light=LightEffects(day=(0.92, 1.08), exposure=(0.8, 1.2), ripple=(0.002, 0.01)),
-    contact=ContactEffects(
-        place_mm=2.5,
-        friction=(0.5, 1.3),
-        friction_day=(0.7, 1.1),
-        friction_load=1.0 / 3.0,
-        partial_slip=True,
-        staircase=True,
-    ),
-    impact=ImpactEffects(stiffening=(0.5, 2.0), ringing_hz=(250.0, 1300.0)),
-)
-"""The paper's bench as far as it is known: one hemisphere, the rest as uncertain as it is."""
-HARD = Preset(
-    'hard',
-    pixels=PixelEffects(0.25, 0.15, (0.12, 0.25), (-0.7, 1.4), 2.0, threshold=1.15),
-    gel=GelEffects(0.35, (3.0, 6.0), (1.0, 10.0), (0.88, 1.12)),
-    timing=TimingEffects(
-        delay_s=(1.6e-3, 5e-3),
-        noise_n=(15e-3, 40e-3),
-        cross_talk=0.02,
-        coupling=0.02,
-        slope_n=0.0,
-        wave_n=0.0,
-        wander_n=25e-3,
-    ),
-    creep=CreepEffects((0.03, 0.09), 0.4, (0.02, 0.06)),
-    optics=OpticsEffects((1.6, 2.4), mesh_moves=True, beads=(350, 600), shift_px=3.0, roll_deg=1.0),
-    bandwidth=BandwidthEffects((0.17, 1.3), (2.8, 16.0), (0.03, 5.0)),
-    light=LightEffects(
-        (0.8, 1.2),
-        (-4e-4, 1e-4),
-        (0.5, 1.8),
-        (0.005, 0.03),
-        hot_pixels=(50, 200),
-        frame_burst=(2e-4, 2e-3),
-    ),
-    contact=ContactEffects(
-        4.0,
-        0.1,
-        (0.4, 1.4),
-        (0.5, 1.2),
-        1.0 / 3.0,
-        partial_slip=True,
-        indenters=('hemisphere', 'small sphere', 'flat', 'edge'),
-        staircase=True,
-    ),
-    impact=ImpactEffects((0.15, 0.6), (0.5, 3.0), (250.0, 600.0), (0.01, 0.04)),
-)
-"""Worse than a laboratory: any indenter, poor light, a loose mount."""
+
+
+def _read_presets() -> tuple[Preset, ...]:
+    """Return the presets of ``presets.yaml``, in order: all effects off, paper_like, hard."""
+    text = Path(__file__).with_name('presets.yaml').read_text(encoding='utf-8')
+    presets = []
+    for name, effects in yaml.load(text, yaml.CSafeLoader).items():
+        changes = {}
+        for effect, values in effects.items():
+            ranges = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+            changes[effect] = replace(getattr(EASY, effect), **ranges)
+        presets.append(replace(EASY, name=name, **changes))
+    return tuple(presets)
+
+
+OFF, PAPER_LIKE, HARD = _read_presets()
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {each.name: each for each in (EASY, PAPER_LIKE, HARD)}
 )

@@ -179,7 +179,7 @@ def stiffness(spec: TrialSpec, *, known_sensor: bool = False) -> float:
 
 _MAKES_TRIALS = ('mechanics', 'optics', 'pixels', 'world', 'bags')
 """Folders of the simulator on which trials and their bags depend."""
-_ALSO = ('grids.py', 'random_streams.py', 'usb/words.py', 'usb/stream.py')
+_ALSO = ('grids.py', 'random_streams.py', 'usb/words.py', 'usb/stream.py', 'world/presets.yaml')
 """Further files on which they depend."""
 
 
