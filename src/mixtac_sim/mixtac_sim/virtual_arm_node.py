@@ -17,7 +17,7 @@ from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp, stamp_to_ns
 from mixtac_sim.arm.controller import JointTrajectoryController, Release, Trajectory
 from mixtac_sim.arm.fr3 import JOINT_NAMES, READY, violations
-from mixtac_sim.arm.plant import JointLag, MujocoArm, Tracking
+from mixtac_sim.arm.plant import LaggingArm, MujocoArm
 from mixtac_sim.parameters import VirtualArmParameters
 
 BEFORE_S = 100.0
@@ -42,7 +42,9 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
         release: Release = 'humble' if parameters.release == 'humble' else 'jazzy'
         self._period_s = 1.0 / parameters.update_rate
         self._controller = JointTrajectoryController(parameters.update_rate, release=release)
-        self._plant = _plant(parameters, self._period_s)
+        plant: type[LaggingArm | MujocoArm]
+        plant = MujocoArm if parameters.plant == 'mujoco' else LaggingArm
+        self._plant = plant(READY, SIDEWAYS, parameters.tracking_lag, self._period_s)
         self._recent: list[NDArray[np.float64]] = []
         self._first_s, self._cycles = BEFORE_S, 0
         self._accepted = self._rejected = self._violations = 0
@@ -127,14 +129,6 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
                 'limit_violations': self._violations,
             },
         )
-
-
-def _plant(parameters: VirtualArmParameters, period_s: float) -> JointLag | MujocoArm:
-    """Return what follows the commands."""
-    lag_s = parameters.tracking_lag
-    if parameters.plant == 'mujoco':
-        return MujocoArm(READY, SIDEWAYS, lag_s, period_s)
-    return JointLag(READY, Tracking(lag_s), period_s)
 
 
 def _fields(message: JointTrajectory, start_s: float) -> Trajectory:

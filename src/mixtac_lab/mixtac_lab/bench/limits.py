@@ -21,7 +21,7 @@ from rich.progress import Progress
 
 from mixtac_cli.options import JsonFile
 from mixtac_node.files import write_json
-from mixtac_sim.arm.controller import JointTrajectoryController, Release
+from mixtac_sim.arm.controller import JointTrajectoryController, Release, Trajectory
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.planner import MAX_ADVANCE, AdvancePlanner, StreamSettings
@@ -197,7 +197,8 @@ class _Trial:
 
     def _deliver(self, until_s: float) -> None:
         while self._on_the_way and self._on_the_way[0][0] <= until_s:
-            arrival, trajectory = self._on_the_way.pop(0)
+            arrival, t = self._on_the_way.pop(0)
+            trajectory = Trajectory(t.stamp_s, t.times_s, t.q, t.dq, t.ddq)
             self.rejected += self._controller.accept(trajectory, arrival) is not None
 
 

@@ -40,7 +40,6 @@ from mixtac_lab.store import Store
 from mixtac_node.files import write_json
 from mixtac_node.graph import NodeSpec
 from mixtac_node.process import GraphError, JsonProcess
-from mixtac_sim.arm.plant import Tracking
 from mixtac_slip_control.parameters import SlipControlParameters
 
 NAMESPACE = 'mixtac_slip_bench'
@@ -243,7 +242,7 @@ def slip(
     """Measure slip control: held objects, latency, limits, false alarms. Simulated results."""
     console, store = Console(), Store(keep)
     settings = SlipControlParameters()
-    arm = ArmSetup(Tracking(lag))
+    arm = ArmSetup(lag_s=lag)
     plan = TrialPlan(margin=margin, knock_mm_s=knock, preset=preset, arm=arm, settings=settings)
     pieces = []
     for k in range(trials):

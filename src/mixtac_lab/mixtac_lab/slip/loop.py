@@ -9,16 +9,16 @@ bound that no controller can beat: the same grasp and knock with the best motion
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
-from mixtac_sim.arm.controller import JointTrajectoryController
+from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
 from mixtac_sim.arm.fr3 import READY, violations
-from mixtac_sim.arm.plant import FingertipAdvance, MujocoArm, Tracking
+from mixtac_sim.arm.plant import TRACKING_LAG_S, LaggingArm, MujocoArm
 from mixtac_sim.grasp.grasp import Grasp, GraspBlock
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.pixels.aps import ApsFrame
@@ -173,14 +173,14 @@ class ArmSetup:
     """The arm and its settings.
 
     Attributes:
-        tracking: How the arm follows its commands.
+        lag_s: Time constant with which the arm follows its commands [s].
         normal: Contact normal in the base frame.
         stream: Settings of the stream of advances; None for the defaults of the planner.
         plant: Model of the arm: a lag of each joint, or MuJoCo with servos of that lag, pressing a
             gel with the stiffness of the contact.
     """
 
-    tracking: Tracking = field(default_factory=Tracking)
+    lag_s: float = TRACKING_LAG_S
     normal: tuple[float, float, float] = SIDEWAYS
     stream: StreamSettings | None = None
     plant: Literal['lag', 'mujoco'] = 'lag'
@@ -290,7 +290,8 @@ class ClosedLoop:
         now_s = EPOCH_S + self._cycle * CYCLE_S
         due = [item for item in self._under_way if item[0] <= now_s]
         self._under_way = self._under_way[len(due) :]
-        for arrival_s, trajectory in due:
+        for arrival_s, t in due:
+            trajectory = Trajectory(t.stamp_s, t.times_s, t.q, t.dq, t.ddq)
             self._rejected += self._arm.accept(trajectory, arrival_s) is not None
         command = self._arm.sample(now_s)[0]
         way = self._tip.follow(command, STEPS)
@@ -354,10 +355,10 @@ class ClosedLoop:
         )
 
 
-def _tip(setup: ArmSetup, grasp: Grasp) -> FingertipAdvance | MujocoArm:
+def _tip(setup: ArmSetup, grasp: Grasp) -> LaggingArm | MujocoArm:
     """Return the model of the arm."""
-    normal, tracking = np.array(setup.normal), setup.tracking
+    normal = np.array(setup.normal)
     if setup.plant == 'lag':
-        return FingertipAdvance(READY, normal, tracking, CYCLE_S)
+        return LaggingArm(READY, normal, setup.lag_s, CYCLE_S)
     contact = {'n_per_mm': grasp.stiffness_n_per_mm, 'preload_n': grasp.grasp_n}
-    return MujocoArm(READY, normal, tracking.lag_s, CYCLE_S, **contact)
+    return MujocoArm(READY, normal, setup.lag_s, CYCLE_S, **contact)

@@ -88,7 +88,7 @@ class TrialPlan:
         planner.reset(READY, np.array(self.arm.normal), self.settings.max_total)
         motion = planner.motion_limits
         assert motion is not None  # noqa: S101  (known after a reset with a normal)
-        lag = 0.0 if ideal else self.arm.tracking.lag_s
+        lag = 0.0 if ideal else self.arm.lag_s
         force = self.settings.max_force
         return ArmReach(motion.acceleration, motion.jerk, lag, force)
 

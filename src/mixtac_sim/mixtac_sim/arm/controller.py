@@ -11,13 +11,14 @@ velocity by cubics, else by lines; after the last point that point is held.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_sim import SimulationError
+from mixtac_sim.arm.fr3 import READY
 
 
 @njit(cache=True, nogil=True)
@@ -74,33 +75,17 @@ Jazzy and later command it one period ahead."""
 START_EPSILON_S = 1e-12
 
 
-class TrajectoryFields(Protocol):
-    """The fields of a JointTrajectory that matter here; the joints are in the arm's order."""
-
-    @property
-    def stamp_s(self) -> float:
-        """Return the start [s] on the controller's clock; 0 means when it is first sampled."""
-
-    @property
-    def times_s(self) -> NDArray[np.float64]:
-        """Return the times of the points since the start [n] [s], increasing."""
-
-    @property
-    def q(self) -> NDArray[np.float64]:
-        """Return joint positions [n, joint] [rad]."""
-
-    @property
-    def dq(self) -> NDArray[np.float64] | None:
-        """Return joint velocities [n, joint] [rad/s]; None if the points have none."""
-
-    @property
-    def ddq(self) -> NDArray[np.float64] | None:
-        """Return joint accelerations [n, joint] [rad/s2]; None if the points have none."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """A plain trajectory; see ``TrajectoryFields``."""
+    """What matters here of a JointTrajectory, with the joints in the arm's order.
+
+    Attributes:
+        stamp_s: Start [s] on the controller's clock; 0 means when it is first sampled.
+        times_s: Times of the points since the start [n] [s], increasing.
+        q: Joint positions [n, joint] [rad].
+        dq: Joint velocities [n, joint] [rad/s]; None if the points have none.
+        ddq: Joint accelerations [n, joint] [rad/s2]; None if the points have none.
+    """
 
     stamp_s: float
     times_s: NDArray[np.float64]
@@ -112,34 +97,22 @@ class Trajectory:
 class JointTrajectoryController:
     """A controller with a position command interface, cycle by cycle.
 
+    New trajectories start from the last command (``interpolate_from_desired_state``), and those
+    that end in motion are rejected.
+
     Args:
         update_rate_hz: Cycles per second.
-        joints: Number of joints.
         release: Whose behaviour.
-        interpolate_from_desired_state: Start new trajectories from the last command; otherwise
-            from the measured state given to ``measure``.
-        nonzero_end_velocity: Accept trajectories that end in motion.
     """
 
-    def __init__(
-        self,
-        update_rate_hz: float = 1000.0,
-        joints: int = 7,
-        *,
-        release: Release = 'jazzy',
-        interpolate_from_desired_state: bool = True,
-        nonzero_end_velocity: bool = False,
-    ) -> None:
+    def __init__(self, update_rate_hz: float = 1000.0, *, release: Release = 'jazzy') -> None:
         if not update_rate_hz > 0.0:
             msg = f'update rate of {update_rate_hz} Hz: give a positive one'
             raise SimulationError(msg)
         self._period_s = 1.0 / update_rate_hz
         self._ahead_s = 0.0 if release == 'humble' else self._period_s
         self._late = release == 'humble'
-        self._desired_start = interpolate_from_desired_state
-        self._nonzero_end = nonzero_end_velocity
-        self._joints = joints
-        self.reset(np.zeros(joints), 0.0)
+        self.reset(READY, 0.0)
 
     def reset(self, q: NDArray[np.float64], now_s: float) -> None:
         """Hold still at a position, as after activation.
@@ -148,20 +121,14 @@ class JointTrajectoryController:
             q: Joint positions [joint] [rad].
             now_s: Time of the first cycle after this [s].
         """
-        rest = np.zeros(self._joints)
-        self._command = np.stack([np.asarray(q, np.float64), rest, rest])
-        self._measured = self._command.copy()
+        self._command = np.stack([q, np.zeros(len(q)), np.zeros(len(q))])
         self._command_s = now_s
         self._first_cycle_s = now_s
         self._cycles = 0
-        self._pending: TrajectoryFields | None = None
+        self._pending: Trajectory | None = None
         self._active: _Active | None = None
 
-    def measure(self, q: NDArray[np.float64], dq: NDArray[np.float64]) -> None:
-        """Set the measured joint state [joint] [rad], [rad/s]."""
-        self._measured = np.stack([q, dq, np.zeros(self._joints)])
-
-    def accept(self, trajectory: TrajectoryFields, now_s: float) -> str | None:
+    def accept(self, trajectory: Trajectory, now_s: float) -> str | None:
         """Receive a message; it takes effect at the next cycle, unless another overtakes it.
 
         Args:
@@ -199,9 +166,8 @@ class JointTrajectoryController:
     def _cycle(self, now_s: float) -> None:
         """Run one control cycle."""
         if self._pending is not None:
-            desired = self._command, now_s if self._late else self._command_s
-            before = desired if self._desired_start else (self._measured, now_s)
-            self._active = _Active(self._pending, before[0].copy(), before[1], now_s)
+            before_s = now_s if self._late else self._command_s
+            self._active = _Active(self._pending, self._command.copy(), before_s, now_s)
             self._pending = None
         if self._active is None:
             # Since its activation it holds a position, which is a trajectory like any other.
@@ -211,20 +177,20 @@ class JointTrajectoryController:
         if sampled is not None:
             self._command, self._command_s = sampled, now_s + self._ahead_s
 
-    def _reason_against(self, trajectory: TrajectoryFields, now_s: float) -> str | None:
+    def _reason_against(self, trajectory: Trajectory, now_s: float) -> str | None:
         """Return why the controller would reject a message."""
-        times, count = trajectory.times_s, len(trajectory.times_s)
-        if count == 0:
+        times, shape = trajectory.times_s, (len(trajectory.times_s), self._command.shape[1])
+        if shape[0] == 0:
             return 'empty trajectory'
         for name, values in (('q', trajectory.q), ('dq', trajectory.dq), ('ddq', trajectory.ddq)):
-            if values is not None and values.shape != (count, self._joints):
-                return f'{name} has the shape {values.shape}, not ({count}, {self._joints})'
+            if values is not None and values.shape != shape:
+                return f'{name} has the shape {values.shape}, not {shape}'
         if np.any(np.diff(times) <= 0.0):
             return 'times of the points do not increase'
         if trajectory.stamp_s != 0.0 and trajectory.stamp_s + times[-1] < now_s:
             return f'ends at {trajectory.stamp_s + times[-1]:.6f} s, in the past of {now_s:.6f} s'
         moving = trajectory.dq is not None and np.any(np.abs(trajectory.dq[-1]) > 1e-6)
-        return 'velocity at the end is not zero' if moving and not self._nonzero_end else None
+        return 'velocity at the end is not zero' if moving else None
 
 
 class _Active:
@@ -239,7 +205,7 @@ class _Active:
 
     def __init__(
         self,
-        fields: TrajectoryFields,
+        fields: Trajectory,
         before: NDArray[np.float64],
         before_s: float,
         now_s: float,

@@ -2,16 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models of the arm behind its controller: a lag of each joint, or MuJoCo.
 
-`JointLag` and `FingertipAdvance` are a transport delay and a first-order lag. `MujocoArm` is an
-independent model: the lag of its servos is a setting, too, while inertia, coupling of the joints,
-saturation of the torques and the reaction of the gel are computed by MuJoCo. The servos of the real
-control unit are not public.
+`LaggingArm` is a first-order lag of each joint. `MujocoArm` is an independent model: the lag of its
+servos is a setting, too, while inertia, coupling of the joints, saturation of the torques and the
+reaction of the gel are computed by MuJoCo. The servos of the real control unit are not public.
 """
 
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,79 +21,46 @@ from mixtac_sim.arm.fr3 import STEP_S, TORQUE_MAX_NM, GelContact, Servo, flange_
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Tracking:
-    """Constants of the arm's own position control.
-
-    Attributes:
-        lag_s: Time constant [s]; 3 to 4 ms were seen on libfranka's wire protocol in simulation,
-            40 ms with the effort controller that franka_ros2 ships.
-    """
-
-    lag_s: float = 3.5e-3
-
-    def __post_init__(self) -> None:
-        """Refuse a negative lag.
-
-        Raises:
-            SimulationError: The lag is negative.
-        """
-        if self.lag_s < 0.0:
-            msg = f'tracking lag of {self.lag_s} s; give 0 or more'
-            raise SimulationError(msg)
+TRACKING_LAG_S = 3.5e-3
+"""Time constant of the arm's own position control [s]: 3 to 4 ms were seen on libfranka's wire
+protocol in simulation, 40 ms with the effort controller that franka_ros2 ships."""
 
 
-class JointLag:
+class LaggingArm:
     """Joints that follow their commands with a first-order lag.
 
     Args:
         q: Joint positions at the start [7] [rad].
-        tracking: Tracking of the arm.
+        normal: Direction of the fingertip's advance in the base frame [3], of length 1.
+        lag_s: Time constant of the lag [s].
         period_s: Period of the commands [s].
-    """
 
-    def __init__(self, q: NDArray[np.float64], tracking: Tracking, period_s: float = 1e-3) -> None:
-        self._q = np.array(q, np.float64)
-        self._keep = float(np.exp(-period_s / tracking.lag_s)) if tracking.lag_s > 0.0 else 0.0
-
-    @property
-    def q(self) -> NDArray[np.float64]:
-        """Return the joint positions [7] [rad]."""
-        return self._q.copy()
-
-    def track(self, command: NDArray[np.float64]) -> None:
-        """Advance one period towards commanded joint positions [7] [rad]."""
-        self._q = command + self._keep * (self._q - command)
-
-
-class FingertipAdvance:
-    """The fingertip's place along the contact normal while joints follow their commands.
-
-    Args:
-        q: Joint positions at the start [7] [rad].
-        normal: Direction of the advance in the base frame [3], of length 1.
-        tracking: Tracking of the arm.
-        period_s: Period of the commands [s].
+    Raises:
+        SimulationError: The lag is negative.
     """
 
     def __init__(
-        self,
-        q: NDArray[np.float64],
-        normal: NDArray[np.float64],
-        tracking: Tracking,
-        period_s: float = 1e-3,
+        self, q: Floats, normal: Floats, lag_s: float = TRACKING_LAG_S, period_s: float = 1e-3
     ) -> None:
-        self._joints = JointLag(q, tracking, period_s)
+        if lag_s < 0.0:
+            msg = f'tracking lag of {lag_s} s; give 0 or more'
+            raise SimulationError(msg)
+        self._q = np.array(q, np.float64)
+        self._keep = float(np.exp(-period_s / lag_s)) if lag_s > 0.0 else 0.0
         self._normal = normal
-        self._start = flange_place(self._joints.q)
+        self._start = flange_place(self._q)
         self._last_mm = 0.0
 
     @property
-    def q(self) -> NDArray[np.float64]:
+    def q(self) -> Floats:
         """Return the joint positions [7] [rad]."""
-        return self._joints.q
+        return self._q.copy()
 
-    def follow(self, command: NDArray[np.float64], points: int) -> NDArray[np.float64]:
+    def track(self, command: Floats) -> None:
+        """Advance one period towards commanded joint positions [7] [rad]."""
+        self._q = command + self._keep * (self._q - command)
+
+    def follow(self, command: Floats, points: int) -> Floats:
         """Advance one period of the commands.
 
         Args:
@@ -103,10 +68,11 @@ class FingertipAdvance:
             points: Number of places to return.
 
         Returns:
-            Places of the fingertip at the ends of as many equal parts of the period [mm].
+            Places of the fingertip along the normal, at the ends of as many equal parts of the
+            period [mm] from the start.
         """
-        self._joints.track(command)
-        place_mm = 1e3 * float((flange_place(self._joints.q) - self._start) @ self._normal)
+        self.track(command)
+        place_mm = 1e3 * float((flange_place(self._q) - self._start) @ self._normal)
         way = np.linspace(self._last_mm, place_mm, points + 1)[1:]
         self._last_mm = place_mm
         return way
@@ -153,7 +119,7 @@ class MujocoArm:
         self,
         q: Floats,
         normal: Floats,
-        lag_s: float = 3.5e-3,
+        lag_s: float = TRACKING_LAG_S,
         period_s: float = 1e-3,
         *,
         n_per_mm: float = 0.0,

@@ -88,16 +88,6 @@ def test_a_new_message_replaces_the_one_before() -> None:
     assert controller.sample(0.05)[0] == pytest.approx(-np.ones(7))
 
 
-def test_measured_state_is_where_trajectories_start_when_so_configured() -> None:
-    controller = JointTrajectoryController(
-        RATE_HZ, release='humble', interpolate_from_desired_state=False
-    )
-    controller.reset(np.zeros(7), 0.0)
-    controller.measure(np.full(7, 0.2), np.zeros(7))
-    controller.accept(Trajectory(0.001, np.array([0.01]), np.ones((1, 7))), 0.0)
-    assert controller.sample(0.0)[0] == pytest.approx(np.full(7, 0.2))
-
-
 @pytest.mark.parametrize(
     ('trajectory', 'reason'),
     [

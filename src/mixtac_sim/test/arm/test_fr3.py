@@ -7,7 +7,7 @@ import pytest
 
 from mixtac_sim import SimulationError
 from mixtac_sim.arm.fr3 import READY, flange_place, violations
-from mixtac_sim.arm.plant import FingertipAdvance, Tracking
+from mixtac_sim.arm.plant import LaggingArm
 
 
 def test_flange_of_the_ready_pose() -> None:
@@ -42,7 +42,7 @@ def test_a_motion_within_limits_has_no_violations_and_a_jump_has() -> None:
 
 def test_fingertip_follows_with_the_lag() -> None:
     normal = np.array([0.0, 1.0, 0.0])
-    tip = FingertipAdvance(READY, normal, Tracking(5e-3))
+    tip = LaggingArm(READY, normal, 5e-3)
     target = READY + np.array([1e-3, 0, 0, 0, 0, 0, 0])
     way = np.concatenate([tip.follow(target, 4) for _ in range(5)])
     full = 1e3 * (flange_place(target) - flange_place(READY)) @ normal
@@ -52,4 +52,4 @@ def test_fingertip_follows_with_the_lag() -> None:
 
 def test_no_negative_lag() -> None:
     with pytest.raises(SimulationError):
-        Tracking(-1e-3)
+        LaggingArm(READY, np.array([0.0, 1.0, 0.0]), -1e-3)
