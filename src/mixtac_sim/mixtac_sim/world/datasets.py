@@ -77,72 +77,52 @@ class DatasetPlan:
 
     Attributes:
         profiles: Force profiles, in turn for the trials of a sensor.
+        summary: Purpose, with its source.
         trials: Number of trials.
         seconds: Length of each trial [s].
         devices: Number of different sensors; trials go round them.
-        split_by: `trial` or `device`.
-        summary: Purpose, with its source.
     """
 
     profiles: tuple[str, ...]
-    trials: int
-    seconds: float
-    devices: int
-    split_by: str
-    summary: str
+    summary: str = ''
+    trials: int = 30
+    seconds: float = 25.0
+    devices: int = 1
+
+    @property
+    def split_by(self) -> str:
+        """Return what goes to training or test as a whole: `trial` or `device`."""
+        return 'device' if self.devices > 1 else 'trial'
 
 
 DATASETS: Final = {
     'static': DatasetPlan(
-        ('static',),
-        trials=30,
-        seconds=25.0,
-        devices=1,
-        split_by='trial',
-        summary='Slow presses of 0 to 1 N, held (paper, section 4.4: 30 trials of 25 s).',
+        ('static',), 'Slow presses of 0 to 1 N, held (paper, section 4.4: 30 trials of 25 s).'
     ),
     'long_term': DatasetPlan(
         ('long_term',),
+        'One hold over the whole trial, for drift (paper, section 4.2: 25 s).',
         trials=10,
-        seconds=25.0,
-        devices=1,
-        split_by='trial',
-        summary='One hold over the whole trial, for drift (paper, section 4.2: 25 s).',
     ),
     'dynamic': DatasetPlan(
-        ('dynamic',),
-        trials=30,
-        seconds=25.0,
-        devices=1,
-        split_by='trial',
-        summary='Forces of 0 to 1 N at all paces; number and length as in static.',
+        ('dynamic',), 'Forces of 0 to 1 N at all paces; number and length as in static.'
     ),
     'impact': DatasetPlan(
         ('impact',),
-        trials=30,
+        '20 g from 5 cm, one drop per trial, with bounces and rest (paper, section 4.5: 30 drops).',
         seconds=4.25,
-        devices=1,
-        split_by='trial',
-        summary='20 g from 5 cm, one drop per trial, with bounces and rest (paper, section 4.5: '
-        '30 drops).',
     ),
     'vibration': DatasetPlan(
         ('vibration',),
-        trials=30,
+        'Vibrations of 50 to 250 Hz on a press (paper, section 4.1; its number of trials is not '
+        'stated).',
         seconds=10.0,
-        devices=1,
-        split_by='trial',
-        summary='Vibrations of 50 to 250 Hz on a press (paper, section 4.1; its number of trials '
-        'is not stated).',
     ),
     'new_gel': DatasetPlan(
         ('dynamic', 'static', 'impact'),
-        trials=30,
-        seconds=25.0,
+        'Ten sensors with gel, mesh, beads, lens, lamp and pixels of their own, three trials '
+        'each; the test sensors are never trained on.',
         devices=10,
-        split_by='device',
-        summary='Ten sensors with gel, mesh, beads, lens, lamp and pixels of their own, three '
-        'trials each; the test sensors are never trained on.',
     ),
 }
 """Data sets by name."""
@@ -182,7 +162,7 @@ def plan_profile(
     if profile not in PROFILES:
         known = ', '.join(sorted(PROFILES))
         raise SimulationError(f'profile {profile!r} is unknown: choose one of {known}')
-    plan = DatasetPlan((profile,), trials, seconds, 1, 'trial', '')
+    plan = DatasetPlan((profile,), trials=trials, seconds=seconds)
     # By the name alone: profiles that are added later do not move the seeds.
     return plan_trials(plan, len(DATASETS) + crc32(profile.encode()) % 10_000, seed, preset)
 

@@ -50,23 +50,16 @@ class Mount:
         self._state = np.zeros((2, 6))
         self._last_us: float | None = None
 
-    def transmit(self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what of a wrench [n, 6] arrives; at rest before the first call.
+    def swing(
+        self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return what of a wrench arrives and what of it accelerates the head, both [n, 6].
+
+        The mount is at rest before the first call.
 
         Args:
             t_us: Times [n] [us], increasing from call to call.
             wrench: Force [N] and torque [Nm] up to each time [n, 6].
-        """
-        if self.resonance_hz <= 0.0:
-            return wrench
-        return self.swing(t_us, wrench)[0]
-
-    def swing(
-        self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return what arrives and what accelerates the head, both as wrenches [n, 6].
-
-        Arguments are those of ``transmit``.
         """
         arrived, left = np.empty_like(wrench), np.zeros_like(wrench)
         if self.resonance_hz <= 0.0 or not len(t_us):
@@ -146,6 +139,9 @@ class Wander:
         self._knots = np.stack(knots)
 
 
+REFERENCE_HZ = 800.0
+"""Samples per second of the reference clock."""
+PERIOD_S = 1.0 / REFERENCE_HZ
 FILTER_US = 1_600.0
 """Half width of the triangular filter [us]: -3 dB at 0.319 / 1.6 ms = 200 Hz."""
 FILTER_TAPS = 33
@@ -168,11 +164,6 @@ class ReferenceSamples:
     t_ns: NDArray[np.int64]
     wrench: NDArray[np.float64]
 
-    @property
-    def t_s(self) -> NDArray[np.float64]:
-        """Return the stamps [n] [s]."""
-        return np.asarray(1e-9 * self.t_ns)
-
 
 class ReferenceSensor:
     """Turns the true wrench into what the reference sensor reports.
@@ -183,7 +174,6 @@ class ReferenceSensor:
 
     Args:
         seed: Seed of the trial.
-        rate_hz: Samples per second of the reference clock.
         preset: Difficulty: sizes of the errors.
 
     Attributes:
@@ -193,15 +183,11 @@ class ReferenceSensor:
         mount: Mount of the sensor.
     """
 
-    def __init__(self, seed: int, rate_hz: float = 800.0, preset: Preset = EASY) -> None:
-        if not 10.0 <= rate_hz <= 8000.0:
-            msg = f'reference rate {rate_hz} Hz is outside 10 to 8000 Hz; choose another'
-            raise SimulationError(msg)
+    def __init__(self, seed: int, preset: Preset = EASY) -> None:
         rng, timing = stream(seed, 'reference sensor'), preset.timing
         self.offset_s = rng.uniform(-timing.offset_s, timing.offset_s)
         self.drift_ppm = rng.uniform(-timing.drift_ppm, timing.drift_ppm)
         self.delay_s = rng.uniform(*timing.delay_s)
-        self._period_s = 1.0 / rate_hz
         self._mix = _mixing(rng, timing) + _coupling(stream(seed, 'reference coupling'), timing)
         self._noise = rng.uniform(*timing.noise_n) * REFERENCE_UNITS
         self._drift = rng.normal(0.0, 1.0, (2, 6)) * np.outer(
@@ -212,8 +198,11 @@ class ReferenceSensor:
         more = stream(seed, 'reference wander')
         self._wander_n = timing.wander_n
         self._wander = Wander(more, more.uniform(*timing.wander_s))
-        self.mount = _draw_mount(stream(seed, 'reference mount'), preset)
-        self._next = int(np.ceil((self.offset_s + FILTER_US * 2e-6) * rate_hz))
+        mount, impact = stream(seed, 'reference mount'), preset.impact
+        self.mount = Mount(
+            log_uniform(mount, impact.ringing_hz), mount.uniform(*impact.ringing_damping)
+        )
+        self._next = int(np.ceil((self.offset_s + FILTER_US * 2e-6) * REFERENCE_HZ))
         self._past_us = np.array([-1e9])
         self._past = np.zeros((1, 6))
 
@@ -228,10 +217,10 @@ class ReferenceSensor:
             SimulationError: Times that do not increase, or arrays that do not pair up.
         """
         self._append(t_us, wrench)
-        last = int(np.floor(self._stamp_s(1e-6 * self._past_us[-1]) / self._period_s))
+        last = int(np.floor(self._stamp_s(1e-6 * self._past_us[-1]) / PERIOD_S))
         ticks = np.arange(self._next, last + 1)
         self._next = max(self._next, last + 1)
-        stamps_s = ticks.astype(np.float64) * self._period_s
+        stamps_s = ticks.astype(np.float64) * PERIOD_S
         true_s = (stamps_s - self.offset_s) / (1.0 + 1e-6 * self.drift_ppm)
         values = self._filtered(1e6 * (true_s - self.delay_s)) @ self._mix.T
         values += self._slow(true_s) + self._noise * self._samples.standard_normal(values.shape)
@@ -250,7 +239,7 @@ class ReferenceSensor:
                 'times, later than those before, and [n, 6] forces and torques'
             )
             raise SimulationError(msg)
-        arrived = self.mount.transmit(t_us, wrench)
+        arrived, _ = self.mount.swing(t_us, wrench)
         self._past_us, self._past = times, np.concatenate([self._past, arrived])
 
     def _filtered(self, centre_us: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -272,7 +261,7 @@ class ReferenceSensor:
 
     def _forget(self) -> None:
         """Drop what no coming sample needs."""
-        keep_us = self._past_us[-1] - 1e6 * (self.delay_s + self._period_s) - 2.0 * FILTER_US
+        keep_us = self._past_us[-1] - 1e6 * (self.delay_s + PERIOD_S) - 2.0 * FILTER_US
         first = max(int(np.searchsorted(self._past_us, keep_us)) - 1, 0)
         self._past_us, self._past = self._past_us[first:], self._past[first:]
 
@@ -293,12 +282,6 @@ def _coupling(rng: Generator, timing: TimingEffects) -> NDArray[np.float64]:
         ratio = np.outer(REFERENCE_UNITS[rows], 1.0 / REFERENCE_UNITS[columns])
         coupling[rows, columns] = rng.normal(0.0, timing.coupling, (3, 3)) * ratio
     return coupling
-
-
-def _draw_mount(rng: Generator, preset: Preset) -> Mount:
-    """Return the mount that the sensor stands on in this trial."""
-    impact = preset.impact
-    return Mount(log_uniform(rng, impact.ringing_hz), rng.uniform(*impact.ringing_damping))
 
 
 ACCELERATION_NOISE_G = 0.004

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from mixtac_events.arrays import Events
     from mixtac_recordings.dataset import TrialSpec
-    from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
-    from mixtac_sim.pixels.biases import PixelSettings
     from mixtac_sim.usb.words import ImuReading
     from mixtac_sim.world.effects import Preset
     from mixtac_sim.world.instruments import ReferenceSamples
@@ -77,8 +75,6 @@ def simulate_trial(
     duration_s: float,
     *,
     sync: bool | None = None,
-    aps: ApsSettings | None = None,
-    pixels: PixelSettings | None = None,
     preset: Preset = EASY,
 ) -> Trial:
     """Return a simulated trial; equal arguments give equal trials.
@@ -89,30 +85,26 @@ def simulate_trial(
         profile_name: As in ``make_profile``.
         duration_s: Length [s].
         sync: Synchronising impulses, as in ``make_profile``.
-        aps: Settings of the frames.
-        pixels: Settings of the DVS pixels.
         preset: Difficulty of the sensor.
 
     Raises:
         SimulationError: Unknown profile or a duration that is too short for it.
     """
     profile = make_profile(profile_name, trial_seed, duration_s, sync=sync, preset=preset)
-    sensor = TactileSensor(device_seed, trial_seed, profile, aps, pixels, preset=preset)
+    sensor = TactileSensor(device_seed, trial_seed, profile, preset=preset)
     output = sensor.advance(round(1e6 * duration_s))
-    return _assemble(profile, output, trial_seed, preset)
-
-
-def _assemble(profile: Profile, output: SensorOutput, trial_seed: int, preset: Preset) -> Trial:
-    """Return the trial of a sensor's output, with the reference sensor's readings."""
-    reference = ReferenceSensor(trial_seed, preset=preset)
+    reference = ReferenceSensor(trial_seed, preset)
     samples = reference.process(output.wrench_us, output.wrench)
     frames = output.frames
+    images = np.empty((len(frames), HEIGHT, WIDTH), np.uint16)
+    for image, frame in zip(images, frames, strict=True):
+        image[:] = frame.intensity
     ends = np.array([frame.frame_end_us for frame in frames], np.int64)
     transfer = stream(trial_seed, 'frame transfer').integers(*TRANSFER_US, len(frames))
     return Trial(
         profile=profile,
         events=output.events,
-        frames=_images(frames),
+        frames=images,
         exposure_start_us=np.array([frame.exposure_start_us for frame in frames], np.int64),
         exposure_end_us=np.array([frame.exposure_end_us for frame in frames], np.int64),
         arrival_us=ends + transfer,
@@ -122,14 +114,6 @@ def _assemble(profile: Profile, output: SensorOutput, trial_seed: int, preset: P
         clock=(1.0 + 1e-6 * reference.drift_ppm, 1e6 * reference.offset_s),
         reference_delay_us=1e6 * reference.delay_s,
     )
-
-
-def _images(frames: list[ApsFrame]) -> NDArray[np.uint16]:
-    """Return the intensities of frames as one array."""
-    images = np.empty((len(frames), HEIGHT, WIDTH), np.uint16)
-    for image, frame in zip(images, frames, strict=True):
-        image[:] = frame.intensity
-    return images
 
 
 STRETCH_US: Final = 100_000
@@ -180,7 +164,7 @@ class TrialStream:
         )
         self.sensor = TactileSensor(spec.device_seed, spec.trial_seed, self.profile, preset=level)
         self.contact_mm = draw_conditions(spec.trial_seed, level).contact_mm
-        self.reference = ReferenceSensor(spec.trial_seed, preset=level)
+        self.reference = ReferenceSensor(spec.trial_seed, level)
         self._inertial = InertialUnit(spec.trial_seed)
 
     def stretches(self) -> Iterator[Stretch]:

