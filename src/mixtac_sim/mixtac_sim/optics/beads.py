@@ -108,7 +108,7 @@ class BeadMotion:
         """Return the largest displacement in the image [px] of any bead, per row of a table."""
         start = np.stack(self._lens.project(*self._rest))
         moved = [
-            np.hypot(*(np.stack(self._lens.project(*_moved(self._rest, row))) - start)).max()
+            np.hypot(*(np.stack(self._lens.project(*(self._rest + row.T))) - start)).max()
             for row in table
         ]
         return np.array(moved)
@@ -129,49 +129,27 @@ class BeadMotion:
         return np.asarray(np.interp(row, np.arange(ROWS), self._reach[indenter]))
 
     def place(
-        self, indenter: int, elastic_n: float, shear_mm: tuple[float, float]
+        self,
+        indenter: int,
+        elastic_n: float,
+        shear: tuple[float, float],
+        share: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
         """Return the images of all beads: column, row, radius, edge width [n, 4] [px].
 
         The array is reused by the next call.
-        """
-        row = float(self.row_of(indenter, np.array(elastic_n)))
-        _place(
-            self._tables[indenter],
-            row,
-            shear_mm[0],
-            shear_mm[1],
-            self._shear,
-            self._rest,
-            self._optics,
-            self.spots,
-        )
-        return self.spots
-
-    def place_sheared(
-        self,
-        indenter: int,
-        elastic_n: float,
-        direction: tuple[float, float],
-        amount_mm: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Return the images as ``place`` does, with a separate shear displacement for each bead.
 
         Args:
             indenter: Number of the indenter.
             elastic_n: Elastic force [N].
-            direction: Direction of the shear, right and down, of length 1.
-            amount_mm: Shear displacement of each bead along it [n] [mm].
+            shear: Shear displacement of the skin, right and down [mm].
+            share: How much of it each bead follows [n]; by default what the contact's width and
+                the bead's height make of it.
         """
         row = float(self.row_of(indenter, np.array(elastic_n)))
-        table = self._tables[indenter]
-        _place(table, row, *direction, amount_mm, self._rest, self._optics, self.spots)
+        follow = self._shear if share is None else share
+        _place(self._tables[indenter], row, *shear, follow, self._rest, self._optics, self.spots)
         return self.spots
-
-
-def _moved(rest: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return displaced places; inwards is deeper below the skin."""
-    return np.asarray(rest + row.T)
 
 
 def _optics_row(lens: Lens) -> NDArray[np.float64]:

@@ -121,9 +121,7 @@ def build_scene(lens: Lens, lighting: Lighting) -> Scene:
 
     The mesh lies on the camera's side of the beads and hides them.
     """
-    slopes = lens.pixel_slopes()
-    light = _light(lens, lighting, *slopes)
-    return _lit(lighting, light, _open_share(lens, lighting, *slopes))
+    return build_sagging(lens, lighting, (0.0, 0.0), np.zeros(1), 1.0)[0]
 
 
 def build_sagging(
@@ -147,18 +145,14 @@ def build_sagging(
     far = float(lens.distance_mm(lens.thickness_mm))
     away = np.hypot(far * slope_x - contact_mm[0], far * slope_y - contact_mm[1])
     shape = np.exp(-((away / reach_mm) ** 2))
-    return [
-        _lit(lighting, light, _open_share(lens, lighting, slope_x, slope_y, sag * shape))
-        for sag in sags_mm
-    ]
-
-
-def _lit(lighting: Lighting, light: NDArray[np.float64], open_share: NDArray[np.float64]) -> Scene:
-    """Return the light on the array behind the mesh."""
-    wires = lighting.wire * (1.0 - open_share)
-    floor = light * (open_share * lighting.skin + wires) + lighting.lux * lighting.glare
-    gain = light * open_share * (lighting.bead - lighting.skin)
-    return Scene(_padded(floor), _padded(gain))
+    scenes = []
+    for sag in sags_mm:
+        open_share = _open_share(lens, lighting, slope_x, slope_y, sag * shape)
+        wires = lighting.wire * (1.0 - open_share)
+        floor = light * (open_share * lighting.skin + wires) + lighting.lux * lighting.glare
+        gain = light * open_share * (lighting.bead - lighting.skin)
+        scenes.append(Scene(_padded(floor), _padded(gain)))
+    return scenes
 
 
 def _padded(image: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -188,7 +182,7 @@ def _open_share(
     lighting: Lighting,
     slope_x: NDArray[np.float64],
     slope_y: NDArray[np.float64],
-    sag_mm: NDArray[np.float64] | float = 0.0,
+    sag_mm: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return the share of each pixel's view that the mesh leaves open."""
     distance = lens.distance_mm(lens.thickness_mm) - sag_mm

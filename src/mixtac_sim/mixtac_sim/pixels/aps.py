@@ -129,8 +129,8 @@ class Aps:
 
     def _window(self, start_us: float, end_us: float) -> tuple[float, float]:
         """Return how long [us] the light at start and at end of a step counts for the exposure."""
-        opened = max(start_us, float(self._next_us))
-        closed = min(end_us, float(self._next_us + self._settings.exposure_us))
+        opens, closes = self.exposure_us
+        opened, closed = max(start_us, float(opens)), min(end_us, float(closes))
         if closed <= opened or not self._settings.enabled:
             return 0.0, 0.0
         late = (0.5 * (opened + closed) - start_us) / (end_us - start_us)
@@ -153,8 +153,7 @@ class Aps:
         """Return the resets and readouts between two times [us] that may make pixels fire."""
         if not self._settings.enabled:
             return []
-        times = (self._next_us, self._next_us + self._settings.exposure_us)
-        return [t for t in times if start_us <= t < end_us]
+        return [t for t in self.exposure_us if start_us <= t < end_us]
 
     @property
     def exposure_us(self) -> tuple[int, int]:
@@ -168,7 +167,7 @@ class Aps:
             until_us: End of the last step [us].
             brightness: Light over that of the scene: lamps age and warm.
         """
-        start, end = self._next_us, self._next_us + self._settings.exposure_us
+        start, end = self.exposure_us
         if not self._settings.enabled or end > until_us:
             return None
         reset, signal = self._convert(brightness)

@@ -26,6 +26,7 @@ from mixtac_sim.optics.scene import Flicker
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mixtac_sim.optics.renderer import MeshMotion
     from mixtac_sim.optics.scene import Scene
     from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
 
@@ -251,7 +252,7 @@ def _due(values: NDArray[np.float32], end_ns: int) -> int:
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def blend(
+def _blend(
     values: NDArray[np.float32],
     floors: NDArray[np.float32],
     gains: NDArray[np.float32],
@@ -354,11 +355,6 @@ class Dvs:
         """Return the present light on the array [tiles, 64] [lx], as a view."""
         return self._row(LIGHT)
 
-    @property
-    def lost(self) -> int:
-        """Return how many crossings did not fit into ``CAPACITY``."""
-        return int(self._crossings.tally[1])
-
     def configure(self, settings: PixelSettings) -> None:
         """Change the settings from the next step on."""
         self._corners = Corners(
@@ -427,22 +423,9 @@ class Dvs:
             self._crossings,
         )
 
-    def blend(
-        self,
-        floors: NDArray[np.float32],
-        gains: NDArray[np.float32],
-        tiles: NDArray[np.int64],
-        place: float,
-    ) -> None:
-        """Move the light of some tiles to a place in a series of scenes; they are dirty then.
-
-        Args:
-            floors: Light without beads [scene, tile, 64] [lx].
-            gains: Change from no bead to bead [scene, tile, 64] [lx].
-            tiles: Tiles that change [n].
-            place: Number of the scene; between two, a blend of them.
-        """
-        blend(self._state.values, floors, gains, tiles, place)
+    def blend(self, mesh: MeshMotion, level: float) -> None:
+        """Show the mesh at a place among its levels; the tiles in which it moves are dirty then."""
+        _blend(self._state.values, mesh.floors, mesh.gains, mesh.tiles, level)
 
     def take(self) -> NDArray[np.int64]:
         """Return the crossings since the last call, unsorted, packed as in ``readout``."""

@@ -146,11 +146,6 @@ class NoiseSource:
         self._frame_burst = frame_burst
         self._streams = BlockStreams(seed, 'noise events')
 
-    @property
-    def shot_total_hz(self) -> float:
-        """Return the rate of shot-noise events of the whole array [Hz]."""
-        return float(self._cumulative[-1])
-
     def block(self, index: int, span_ns: int, bursts_ns: Sequence[int]) -> NDArray[np.int64]:
         """Return the packed noise events of one block.
 

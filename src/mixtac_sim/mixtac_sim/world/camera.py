@@ -85,11 +85,6 @@ class Camera:
             self._rest_light, settings, device.spread, device.frame_burst, self._seed
         )
 
-    @property
-    def lost(self) -> int:
-        """Number of events that pixels and readout had to drop so far."""
-        return self._dvs.lost + self._readout.lost
-
     def configure_pixels(self, nominal: PixelSettings) -> None:
         """Change the DVS settings from the next block on, as new biases would."""
         settings = self._device.pixel_settings(nominal)
@@ -149,7 +144,7 @@ class Camera:
         self._renderer.draw(spots)
         level = self._mesh.level(elastic_n) if self._mesh is not None else None
         if self._mesh is not None and level is not None:
-            self._dvs.blend(self._mesh.floors, self._mesh.gains, self._mesh.tiles, level)
+            self._dvs.blend(self._mesh, level)
             self._renderer.dirty[self._mesh.tiles] = 1
 
     def _brightness(self, now_us: int) -> float:

@@ -67,13 +67,6 @@ class Conditions:
     camera_roll_rad: float = 0.0
     exposure: float = 1.0
 
-    def lens(self, lens: Lens) -> Lens:
-        """Return a device's lens where it is on that day."""
-        x, y = lens.centre_px
-        shift_x, shift_y = self.camera_shift_px
-        centre = (x + shift_x, y + shift_y)
-        return replace(lens, centre_px=centre, roll_rad=lens.roll_rad + self.camera_roll_rad)
-
 
 def draw_conditions(trial_seed: int, preset: Preset = EASY) -> Conditions:
     """Return the conditions of a trial."""
@@ -152,7 +145,12 @@ class DeviceModel:
 
     def on_day(self, conditions: Conditions) -> DeviceModel:
         """Return the sensor with its camera where it is on the day of a trial."""
-        lens = conditions.lens(self.lens)
+        (x, y), (right, down) = self.lens.centre_px, conditions.camera_shift_px
+        lens = replace(
+            self.lens,
+            centre_px=(x + right, y + down),
+            roll_rad=self.lens.roll_rad + conditions.camera_roll_rad,
+        )
         if lens == self.lens:
             return self
         return replace(self, lens=lens, scene=build_scene(lens, self.lighting))

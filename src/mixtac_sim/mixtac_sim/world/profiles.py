@@ -253,14 +253,12 @@ def tremor(rng: Generator, force_n: float) -> tuple[Tone, ...]:
     )
 
 
-def press_and_hold(
-    rng: Generator, start_s: float, span_s: float, force_n: float | None = None
-) -> list[Segment]:
+def press_and_hold(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     """Return a press that is held and released, with a rest after it.
 
     Half of the presses hold the force, half hold the position, so that the force relaxes.
     """
-    force = rng.uniform(0.15, 1.0) if force_n is None else force_n
+    force = rng.uniform(0.15, 1.0)
     rise = min(rng.uniform(0.08, 0.6), 0.2 * span_s)
     fall = min(rng.uniform(0.06, 0.4), 0.15 * span_s)
     rest = span_s * rng.uniform(0.1, 0.25)

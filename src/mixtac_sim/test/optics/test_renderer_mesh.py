@@ -54,7 +54,7 @@ def parts():
 
 
 def show(mesh, dvs, dirty, elastic_n):
-    dvs.blend(mesh.floors, mesh.gains, mesh.tiles, mesh.level(elastic_n))
+    dvs.blend(mesh, mesh.level(elastic_n))
     dirty[mesh.tiles] = 1
 
 
