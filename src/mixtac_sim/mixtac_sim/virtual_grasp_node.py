@@ -28,7 +28,7 @@ from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp, stamp_to_us
 from mixtac_sim import SimulationError
 from mixtac_sim.arm.fr3 import JOINT_NAMES, flange_place
-from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock, PacedSimulation
+from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock
 from mixtac_sim.grasp.objects import OBJECTS, ObjectName, draw_setup
 from mixtac_sim.live.virtual_sensor import VirtualSensor, WrenchBatch, make_virtual_sensor
 from mixtac_sim.parameters import VirtualGraspParameters
@@ -199,13 +199,13 @@ def _make(settings: VirtualGraspParameters, clock: PacedClock) -> tuple[LiveGras
     level = preset(settings.preset)
     rng = stream(settings.seed, 'virtual grasp')
     setup = draw_setup(name, rng, margin=settings.margin)
-    grasp = LiveGrasp(setup, settings.device_seed, settings.seed, level)
+    grasp = LiveGrasp(setup, settings.device_seed, settings.seed, level, clock)
     sensor = make_virtual_sensor(
         device_seed=settings.device_seed,
         seed=settings.seed,
         skew_ppm=settings.skew_ppm,
         preset=level,
-        simulation=PacedSimulation(grasp, clock),
+        simulation=grasp,
         clock=clock,
     )
     return grasp, sensor

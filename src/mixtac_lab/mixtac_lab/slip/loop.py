@@ -322,7 +322,6 @@ class ClosedLoop:
     def _send_events(self, block: GraspBlock, controller: SlipController) -> None:
         """Pass the events to the controller and send its trajectories."""
         now_s = self._now_s
-        assert block.events is not None  # noqa: S101  (a loop has a camera)
         steps = controller.on_events(block.events, int(block.t_us[-1]), now_s)
         now_us = 1e6 * (now_s - EPOCH_S)
         self._answered += [now_us] * len(steps)
@@ -351,7 +350,7 @@ class ClosedLoop:
             violations=violations(q, CYCLE_S),
             q=q,
             stopped=self._stopped,
-            events=[b.events for b in blocks if b.events is not None],
+            events=[b.events for b in blocks],
         )
 
 

@@ -9,7 +9,7 @@ force that does so, times a margin.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -18,110 +18,13 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import OBJECTS, GraspSetup
-from mixtac_sim.grasp.skin import Skin, SkinCamera, slide
+from mixtac_sim.grasp.skin import SETTLE_S, Press, Skin, SkinCamera, slide
 from mixtac_sim.grids import STEP_US
-from mixtac_sim.mechanics.contact import Contact, Mode
-from mixtac_sim.mechanics.elastomer import ForceLaw, Layer, force_law
-from mixtac_sim.mechanics.indenters import Indenter
+from mixtac_sim.mechanics.elastomer import Layer, force_law
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.random_streams import stream
 from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device
 from mixtac_sim.world.effects import PAPER_LIKE, Preset
-
-SETTLE_S = 3.0
-"""Time for which the force is held before anything happens [s]."""
-
-
-class Press:
-    """A fingertip that presses an object against a wall.
-
-    Args:
-        device: The sensor.
-        layer: The layer on the day.
-        face: The object's face.
-        object_n_per_mm: Stiffness of the object itself [N/mm].
-        force_n: Force of the grasp [N], held for 3 s before the start.
-        stiffness_n_per_mm: Stiffness of gel, mesh and object together at that force, if it is to
-            be a given one [N/mm]; the gel is then taken as stiff or soft enough for it.
-
-    Attributes:
-        law: Elastic force over the travel of the fingertip.
-        stiffness_n_per_mm: Slope of the law at the force of the grasp [N/mm].
-    """
-
-    def __init__(
-        self,
-        device: DeviceModel,
-        layer: Layer,
-        face: Indenter,
-        object_n_per_mm: float,
-        force_n: float,
-        stiffness_n_per_mm: float | None = None,
-    ) -> None:
-        gel = force_law(layer, face, device.mesh_n_per_mm, device.stiffening)
-        self.gel = gel
-        self.law = _in_series(gel, object_n_per_mm)
-        if stiffness_n_per_mm is not None:
-            scale = _slope(self.law, force_n) / stiffness_n_per_mm
-            self.law = replace(self.law, step_mm=self.law.step_mm * scale)
-        self.stiffness_n_per_mm = _slope(self.law, force_n)
-        self._contact = Contact([self.law], [0.0], device.prony)
-        settle = np.full(round(1e6 * SETTLE_S / STEP_US), force_n)
-        path = self._contact.advance(
-            np.full(len(settle), Mode.FORCE, np.int8), settle, np.zeros(len(settle), np.int8)
-        )
-        self._start_mm = float(path.position_mm[-1])
-        self.elastic_n = float(path.elastic_n[-1])
-        if self.elastic_n >= 0.98 * self.law.force_n[-1]:
-            msg = (
-                f'a grasp of {force_n:.2f} N is beyond what this gel model bears under '
-                f'{face}, {self.law.force_n[-1]:.2f} N; press less'
-            )
-            raise SimulationError(msg)
-
-    def radius_mm(self) -> float:
-        """Return the contact radius at the start [mm]."""
-        return float(self.gel.radius_at(self.elastic_n))
-
-    def advance(
-        self, advance_mm: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Move the fingertip; return force and its elastic part [n] [N] on the 125 us grid.
-
-        Args:
-            advance_mm: Its place at the end of each step, inwards from the start [n] [mm].
-        """
-        count = len(advance_mm)
-        path = self._contact.advance(
-            np.full(count, Mode.POSITION, np.int8),
-            self._start_mm + advance_mm,
-            np.zeros(count, np.int8),
-        )
-        return path.force_n, path.elastic_n
-
-    def hold_force(
-        self, force_n: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Press with given forces [n] [N] on the grid; return force and its elastic part."""
-        count = len(force_n)
-        path = self._contact.advance(
-            np.full(count, Mode.FORCE, np.int8), force_n, np.zeros(count, np.int8)
-        )
-        return path.force_n, path.elastic_n
-
-
-def _in_series(gel: ForceLaw, object_n_per_mm: float) -> ForceLaw:
-    """Return the force law of gel and object in series, over their travel together."""
-    travel = gel.depths_mm + gel.force_n / object_n_per_mm
-    even = np.linspace(0.0, travel[-1], len(travel))
-    force = np.interp(even, travel, gel.force_n)
-    return ForceLaw(float(even[1]), force, np.interp(even, travel, gel.radius_mm))
-
-
-def _slope(law: ForceLaw, force_n: float) -> float:
-    """Return the stiffness at a force [N/mm]."""
-    return float(np.interp(force_n, law.force_n, np.gradient(law.force_n, law.step_mm)))
-
 
 FALL_SUBSTEPS = 8
 """Steps per grid step of 125 us while the object moves; a step at rest is one."""
@@ -257,7 +160,7 @@ class GraspBlock:
         normal_n: Normal force [n] [N].
         pull_n: Pull of the skin on it [n] [N].
         slipped_mm: Mean slip over the skin at the end [mm].
-        events: Events that left the chip; none without a camera.
+        events: Events that left the chip; empty without a camera.
         frames: Frames whose exposure ended.
     """
 
@@ -267,7 +170,7 @@ class GraspBlock:
     normal_n: NDArray[np.float64]
     pull_n: NDArray[np.float64]
     slipped_mm: float
-    events: Events | None
+    events: Events
     frames: list[ApsFrame]
 
 
@@ -320,17 +223,7 @@ class Grasp:
         self.camera: SkinCamera | None = None
         if camera:
             self.camera = SkinCamera(
-                device,
-                conditions,
-                preset,
-                seed,
-                layer,
-                face,
-                self._press.gel,
-                self._press.elastic_n,
-                self._skin,
-                radius,
-                DOWN,
+                device, conditions, preset, seed, self._press, self._skin, DOWN
             )
         self.device: DeviceModel = device
 
@@ -357,16 +250,16 @@ class Grasp:
         """
         count = len(advance_mm)
         first_us = round(1e6 * self._body[0])
-        normal, elastic = self._press.advance(advance_mm)
+        contact = self._press.move(advance_mm)
+        normal = contact.force_n
         path, patches = np.empty((count, 3)), np.empty((count, len(self._skin.shear_mm)))
         state, gel, law = self._skin.arrays()
         advance_object(
             self._body, self._fixed, state, gel, self._skin.surface, law, normal, path, patches
         )
-        events: Events | None = None
-        frames: list[ApsFrame] = []
+        events, frames = Events.empty(), list[ApsFrame]()
         if self.camera is not None:
-            events, frames = self.camera.advance(elastic, patches)
+            events, frames = self.camera.advance(contact.elastic_n, patches)
         return GraspBlock(
             first_us + (np.arange(count, dtype=np.int64) + 1) * STEP_US,
             path[:, 0],

@@ -12,20 +12,20 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
-from mixtac_sim.grasp.grasp import Grasp, GraspBlock
+from mixtac_sim.grasp.grasp import Grasp
 from mixtac_sim.grasp.objects import GraspSetup
 from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US
-from mixtac_sim.live.virtual_sensor import Simulation, SimulationClock
+from mixtac_sim.live.virtual_sensor import SimulationClock
 from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.world.effects import Preset
-from mixtac_sim.world.sensor import SensorOutput, truth_rows
+from mixtac_sim.world.sensor import NOTHING, SensorOutput, truth_rows
 
 RESTART_US = 500_000
 """Step of the camera clock against simulated time that counts as a new origin [us]."""
@@ -140,33 +140,6 @@ class PacedClock(SimulationClock):
         return np.asarray(self.start_epoch_ns + t_us * 1000, np.int64)
 
 
-class PacedSimulation:
-    """Reports the progress of a simulation to its clock.
-
-    Args:
-        simulation: The simulation.
-        clock: The clock that waits for it.
-    """
-
-    def __init__(self, simulation: Simulation, clock: PacedClock) -> None:
-        self._simulation = simulation
-        self._clock = clock
-
-    def advance(self, until_us: int) -> SensorOutput:
-        """Simulate up to a time [us]."""
-        output = self._simulation.advance(until_us)
-        self._clock.reached(until_us)
-        return output
-
-    def configure_aps(self, settings: ApsSettings) -> None:
-        """Change the settings of the next frames."""
-        self._simulation.configure_aps(settings)
-
-    def configure_pixels(self, nominal: PixelSettings) -> None:
-        """Change the event pixels, as new biases would."""
-        self._simulation.configure_pixels(nominal)
-
-
 LOST_MM = 50.0
 """Fall after which the object is put back [mm]."""
 
@@ -179,10 +152,14 @@ class LiveGrasp:
         device_seed: Seed of the sensor.
         seed: Seed of the trial.
         preset: Difficulty of the sensor.
+        clock: Clock that waits for the simulation.
     """
 
-    def __init__(self, setup: GraspSetup, device_seed: int, seed: int, preset: Preset) -> None:
+    def __init__(
+        self, setup: GraspSetup, device_seed: int, seed: int, preset: Preset, clock: PacedClock
+    ) -> None:
         self._grasp = Grasp(setup.knocked(0.0), device_seed, seed, preset)
+        self._clock = clock
         self._lock = Lock()
         self._wanted_mm = self._place_mm = 0.0
         self._strike_mm_s = 0.0
@@ -228,20 +205,18 @@ class LiveGrasp:
 
     def advance(self, until_us: int) -> SensorOutput:
         """Return what happens until a time, in whole blocks of 4 ms [us]."""
-        blocks = []
+        parts = [NOTHING]
         while (self._block + 1) * BLOCK_US <= until_us:
-            blocks.append(self._advance_block())
+            parts.append(self._advance_block())
             self._block += 1
-        events = Events.concatenate([b.events for b in blocks if b.events is not None])
-        ready = [frame for frame in self._frames if frame.frame_end_us < until_us]
-        self._frames = self._frames[len(ready) :]
-        times = [b.t_us for b in blocks] or [np.empty(0, np.int64)]
-        wrenches = [_wrench(b) for b in blocks] or [np.empty((0, 6))]
-        t_us, wrench = np.concatenate(times), np.concatenate(wrenches)
-        truth = truth_rows(t_us, wrench, np.full(len(t_us), np.nan))
-        return SensorOutput(events, ready, truth, t_us, wrench)
+        output = SensorOutput.join(parts)
+        frames = self._frames + output.frames
+        ready = [frame for frame in frames if frame.frame_end_us < until_us]
+        self._frames = frames[len(ready) :]
+        self._clock.reached(until_us)
+        return replace(output, frames=ready)
 
-    def _advance_block(self) -> GraspBlock:
+    def _advance_block(self) -> SensorOutput:
         with self._lock:
             wanted, strike, back = self._wanted_mm, self._strike_mm_s, self._back
             self._strike_mm_s, self._back = 0.0, False
@@ -252,13 +227,9 @@ class LiveGrasp:
         way = np.linspace(self._place_mm, wanted, BLOCK_STEPS + 1)[1:]
         self._place_mm = wanted
         block = self._grasp.advance(way)
-        self._frames += block.frames
         self._object_mm = float(block.object_mm[-1])
-        return block
-
-
-def _wrench(block: GraspBlock) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Return force [N] and torque [N m] on the skin [n, 6]: the object drags it down."""
-    wrench = np.zeros((len(block.t_us), 6))
-    wrench[:, 1], wrench[:, 2] = block.pull_n, block.normal_n
-    return wrench
+        # The object drags the skin down.
+        wrench = np.zeros((BLOCK_STEPS, 6))
+        wrench[:, 1], wrench[:, 2] = block.pull_n, block.normal_n
+        truth = truth_rows(block.t_us, wrench, np.full(BLOCK_STEPS, np.nan))
+        return SensorOutput(block.events, block.frames, truth, block.t_us, wrench)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The skin under a held object: patches that stick and slip, and the beads that move with them.
+"""The skin under a held object: its press, patches that stick and slip, beads that move with them.
 
 The gel under each patch is a shear spring to the mesh, neighbours pull at each other through the
 skin, and a skin that moves sends a shear wave into the gel, which resists its speed (the
@@ -11,14 +11,18 @@ against the weakening over the stiffness, patches stick and slip; otherwise they
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
+from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
 from mixtac_sim.grids import STEP_US
-from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
+from mixtac_sim.mechanics.contact import Contact, ContactPath, Mode
+from mixtac_sim.mechanics.elastomer import ForceLaw, Layer, force_law
 from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.optics.scene import Flicker, Markers
 from mixtac_sim.pixels.aps import ApsFrame
@@ -58,6 +62,7 @@ class Skin:
         rng: Draws the object's surface.
 
     Attributes:
+        radius_mm: Contact radius [mm].
         places_mm: Centres of the patches [16, 2] [mm] from the contact's.
         shear_mm: Displacement of each patch along the pull [16] [mm].
         age_s: State theta of each patch [16] [s].
@@ -76,7 +81,7 @@ class Skin:
         *,
         round_face: bool = False,
     ) -> None:
-        self.friction = friction
+        self.friction, self.radius_mm = friction, radius_mm
         self.places_mm = patch_places(radius_mm)
         count = len(self.places_mm)
         away = np.hypot(*self.places_mm.T) / radius_mm
@@ -248,6 +253,92 @@ def _drag(
         slide(state, gel, surface, law, normal_n[k], speeds_mm_s[k], step_s)
 
 
+SETTLE_S = 3.0
+"""Time for which the force is held before anything happens [s]."""
+
+
+class Press:
+    """A fingertip that presses an object against a wall.
+
+    Args:
+        device: The sensor.
+        layer: The layer on the day.
+        face: The object's face.
+        object_n_per_mm: Stiffness of the object itself [N/mm].
+        force_n: Force of the grasp [N], held for 3 s before the start.
+        stiffness_n_per_mm: Stiffness of gel, mesh and object together at that force, if it is to
+            be a given one [N/mm]; the gel is then taken as stiff or soft enough for it.
+
+    Attributes:
+        layer: The layer on the day.
+        face: The object's face.
+        gel: Elastic force of layer and mesh alone under that face.
+        elastic_n: Elastic part of the force at the start [N].
+        stiffness_n_per_mm: Slope of the force over the travel of the fingertip at the start [N/mm].
+
+    Raises:
+        SimulationError: The gel model does not bear that force.
+    """
+
+    def __init__(
+        self,
+        device: DeviceModel,
+        layer: Layer,
+        face: Indenter,
+        object_n_per_mm: float,
+        force_n: float,
+        stiffness_n_per_mm: float | None = None,
+    ) -> None:
+        self.layer, self.face = layer, face
+        self.gel = force_law(layer, face, device.mesh_n_per_mm, device.stiffening)
+        law = _in_series(self.gel, object_n_per_mm)
+        if stiffness_n_per_mm is not None:
+            scale = _slope(law, force_n) / stiffness_n_per_mm
+            law = replace(law, step_mm=law.step_mm * scale)
+        self.stiffness_n_per_mm = _slope(law, force_n)
+        self._contact = Contact([law], [0.0], device.prony)
+        path = self.hold(np.full(round(1e6 * SETTLE_S / STEP_US), force_n))
+        self._start_mm = float(path.position_mm[-1])
+        self.elastic_n = float(path.elastic_n[-1])
+        if self.elastic_n >= 0.98 * law.force_n[-1]:
+            msg = (
+                f'a grasp of {force_n:.2f} N is beyond what this gel model bears under '
+                f'{face}, {law.force_n[-1]:.2f} N; press less'
+            )
+            raise SimulationError(msg)
+
+    def move(self, advance_mm: NDArray[np.float64]) -> ContactPath:
+        """Move the fingertip; return the contact on the 125 us grid.
+
+        Args:
+            advance_mm: Its place at the end of each step, inwards from the start [n] [mm].
+        """
+        return self._run(Mode.POSITION, self._start_mm + advance_mm)
+
+    def hold(self, force_n: NDArray[np.float64]) -> ContactPath:
+        """Press with given forces [n] [N] on the grid; return the contact."""
+        return self._run(Mode.FORCE, force_n)
+
+    def _run(self, mode: Mode, targets: NDArray[np.float64]) -> ContactPath:
+        count = len(targets)
+        return self._contact.advance(
+            np.full(count, mode, np.int8), targets, np.zeros(count, np.int8)
+        )
+
+
+def _in_series(gel: ForceLaw, object_n_per_mm: float) -> ForceLaw:
+    """Return the force law of gel and object in series, over their travel together."""
+    travel = gel.depths_mm + gel.force_n / object_n_per_mm
+    even = np.linspace(0.0, travel[-1], len(travel))
+    force = np.interp(even, travel, gel.force_n)
+    return ForceLaw(float(even[1]), force, np.interp(even, travel, gel.radius_mm))
+
+
+def _slope(law: ForceLaw, force_n: float) -> float:
+    """Return the stiffness at a force [N/mm]."""
+    return float(np.interp(force_n, law.force_n, np.gradient(law.force_n, law.step_mm)))
+
+
 REACH = 0.6
 """Distance over which shear decays outside the contact, in thicknesses (as in ``Shear``)."""
 SMALLEST_MM = 1.0
@@ -264,35 +355,25 @@ class SkinBeads:
         beads: The beads at rest.
         layer: The layer on the day.
         contact_mm: Centre of the contact from the optical axis [mm].
-        places_mm: Centres of the patches from the contact's [patch, 2] [mm].
-        radius_mm: Contact radius [mm].
+        skin: The skin at the start, in steady state.
     """
 
     def __init__(
-        self,
-        beads: Markers,
-        layer: Layer,
-        contact_mm: tuple[float, float],
-        places_mm: NDArray[np.float64],
-        radius_mm: float,
+        self, beads: Markers, layer: Layer, contact_mm: tuple[float, float], skin: Skin
     ) -> None:
         at = np.stack([beads.x_mm, beads.y_mm], axis=1) - np.array(contact_mm)
-        width = max(0.35 * radius_mm, 0.5 * layer.thickness_mm, SMALLEST_MM)
-        distance = np.linalg.norm(at[:, None] - places_mm, axis=2)
+        width = max(0.35 * skin.radius_mm, 0.5 * layer.thickness_mm, SMALLEST_MM)
+        distance = np.linalg.norm(at[:, None] - skin.places_mm, axis=2)
         near = np.exp(-0.5 * (distance / width) ** 2) + 1e-12
-        outside = np.maximum(np.hypot(*at.T) - radius_mm, 0.0) / (REACH * layer.thickness_mm)
+        outside = np.maximum(np.hypot(*at.T) - skin.radius_mm, 0.0) / (REACH * layer.thickness_mm)
         height = 1.0 - beads.depth_mm / layer.thickness_mm
         share = near / near.sum(axis=1, keepdims=True)
         self._weights = share * (height * np.exp(-(outside**2)))[:, None]
         late = np.rint(beads.depth_mm / wave_speed_mm_s(layer) * 1e6 / STEP_US).astype(np.int64)
         self._late = np.maximum(late, 0)
-        self._past = np.zeros((int(self._late.max()) + 1, len(places_mm)))
+        self._past = np.tile(skin.shear_mm, (int(self._late.max()) + 1, 1))
         self._rows = [np.flatnonzero(self._late == k) for k in range(len(self._past))]
         self.amount_mm = np.zeros(len(height))
-
-    def settle(self, patches_mm: NDArray[np.float64]) -> None:
-        """Set displacements of the patches [patch] [mm] as in steady state."""
-        self._past[:] = patches_mm
 
     def push(self, patches_mm: NDArray[np.float64]) -> None:
         """Advance one grid step to displacements of the patches [patch] [mm]."""
@@ -316,12 +397,8 @@ class SkinCamera:
         conditions: Conditions of the trial.
         preset: Difficulty of the sensor.
         seed: Seed of the trial.
-        layer: The layer on the day.
-        face: Face of the object.
-        law: Force law of that face on the gel.
-        elastic_n: Elastic part of the normal force at the start [N].
+        press: The fingertip on the object.
         skin: The skin at the start.
-        radius_mm: Contact radius [mm].
         direction: Direction of the pull on the skin in the image, right and down, of length 1.
         flicker: Flicker of the lamp; drawn from the preset by default.
     """
@@ -332,23 +409,19 @@ class SkinCamera:
         conditions: Conditions,
         preset: Preset,
         seed: int,
-        layer: Layer,
-        face: Indenter,
-        law: ForceLaw,
-        elastic_n: float,
+        press: Press,
         skin: Skin,
-        radius_mm: float,
         direction: tuple[float, float],
         flicker: Flicker | None = None,
     ) -> None:
         device, contact_mm = device.on_day(conditions), conditions.contact_mm
-        self._beads = device.beads(layer, contact_mm, [face], [law])
-        self._moved = SkinBeads(device.markers, layer, contact_mm, skin.places_mm, radius_mm)
-        self._moved.settle(skin.shear_mm)
+        self._beads = device.beads(press.layer, contact_mm, [press.face], [press.gel])
+        self._moved = SkinBeads(device.markers, press.layer, contact_mm, skin)
         self._direction = direction
-        self._elastic_n, self._patches_mm = elastic_n, skin.shear_mm.copy()
+        self._elastic_n, self._patches_mm = press.elastic_n, skin.shear_mm.copy()
+        spots = self._place(press.elastic_n)
         self._camera = Camera(
-            device, conditions, preset, seed, self._place(elastic_n), elastic_n, flicker=flicker
+            device, conditions, preset, seed, spots, press.elastic_n, flicker=flicker
         )
         self.configure_aps = self._camera.configure_aps
         self.configure_pixels = self._camera.configure_pixels
@@ -358,13 +431,8 @@ class SkinCamera:
         """Time up to which it has been advanced [us of true time]."""
         return self._camera.now_us
 
-    @property
-    def lost(self) -> int:
-        """Number of events that pixels and readout had to drop so far."""
-        return self._camera.lost
-
     def _place(self, elastic_n: float) -> NDArray[np.float64]:
-        return self._beads.place_sheared(0, elastic_n, self._direction, self._moved.amounts())
+        return self._beads.place(0, elastic_n, self._direction, self._moved.amounts())
 
     def advance(
         self, elastic_n: NDArray[np.float64], patches_mm: NDArray[np.float64]

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_sim import SimulationError
-from mixtac_sim.grasp.grasp import SETTLE_S, Press
-from mixtac_sim.grasp.objects import Friction, draw_friction
-from mixtac_sim.grasp.skin import Skin, SkinCamera
+from mixtac_sim.grasp.objects import draw_friction
+from mixtac_sim.grasp.skin import SETTLE_S, Press, Skin, SkinCamera
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.elastomer import Layer
 from mixtac_sim.mechanics.indenters import Indenter
@@ -28,7 +27,7 @@ from mixtac_sim.world.device import draw_conditions, draw_device
 from mixtac_sim.world.effects import PAPER_LIKE, Preset
 
 FACE = Indenter('flat', 6.0)
-"""Face of the object where none is given: 12 mm wide (choice)."""
+"""Face of the object: 12 mm wide (choice)."""
 STIFF_N_PER_MM = 100.0
 """Stiffness of a rigid object [N/mm]."""
 FRICTION_RATIO = 0.95
@@ -68,8 +67,6 @@ class SlipScene:
         seed: Seed of the trial: conditions, surface of the object, direction of the slip, noise.
         preset: Difficulty of the sensor.
         force_n: Normal force [N].
-        friction: Friction of the object; drawn around ``Friction()`` by default.
-        face: Face of the object.
         flicker: Flicker of the lamp; drawn from the preset by default.
         load_ratio: Pull at the start over what friction holds.
     """
@@ -81,8 +78,6 @@ class SlipScene:
         preset: Preset = PAPER_LIKE,
         *,
         force_n: float = 0.7,
-        friction: Friction | None = None,
-        face: Indenter = FACE,
         flicker: Flicker | None = None,
         load_ratio: float = FRICTION_RATIO,
     ) -> None:
@@ -90,26 +85,16 @@ class SlipScene:
         device = draw_device(device_seed, preset)
         layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
         rng = stream(seed, 'slip scene')
-        law = friction or draw_friction(rng)
-        self._press = Press(device, layer, face, STIFF_N_PER_MM, force_n)
-        radius = self._press.radius_mm()
-        self._skin = Skin(layer, radius, law, rng, round_face=face.shape == 'sphere')
+        law = draw_friction(rng)
+        self._press = Press(device, layer, FACE, STIFF_N_PER_MM, force_n)
+        radius = float(self._press.gel.radius_at(self._press.elastic_n))
+        self._skin = Skin(layer, radius, law, rng)
         self._skin.rest(load_ratio * law.static(SETTLE_S) * force_n, SETTLE_S)
         angle = rng.normal(0.5 * np.pi, 0.15)
         self._force_n, self._object_mm = force_n, 0.0
+        direction = (float(np.cos(angle)), float(np.sin(angle)))
         self._camera = SkinCamera(
-            device,
-            conditions,
-            preset,
-            seed,
-            layer,
-            face,
-            self._press.gel,
-            self._press.elastic_n,
-            self._skin,
-            radius,
-            (float(np.cos(angle)), float(np.sin(angle))),
-            flicker=flicker,
+            device, conditions, preset, seed, self._press, self._skin, direction, flicker
         )
 
     def advance(
@@ -129,22 +114,20 @@ class SlipScene:
         if len(wanted) != count:
             msg = f'{count} speeds and {len(wanted)} forces; give one of each per 125 us'
             raise SimulationError(msg)
-        normal, elastic = self._press.hold_force(wanted)
+        path = self._press.hold(wanted)
         patches = np.empty((count, len(self._skin.shear_mm)))
         for k in range(count):
-            speeds, forces = (
-                np.full(SCENE_SUBSTEPS, speed_mm_s[k]),
-                np.full(SCENE_SUBSTEPS, normal[k]),
-            )
+            speeds = np.full(SCENE_SUBSTEPS, speed_mm_s[k])
+            forces = np.full(SCENE_SUBSTEPS, path.force_n[k])
             self._skin.drag(speeds, forces, 1e-6 * STEP_US / SCENE_SUBSTEPS)
             patches[k] = self._skin.shear_mm
         self._object_mm += 1e-6 * STEP_US * float(np.sum(speed_mm_s))
-        events, frames = self._camera.advance(elastic, patches)
+        events, frames = self._camera.advance(path.elastic_n, patches)
         return SceneBlock(
             self._camera.now_us,
             events,
             frames,
-            float(normal[-1]),
+            float(path.force_n[-1]),
             self._skin.pull_n,
             self._object_mm,
             float(np.mean(self._skin.slid_mm)),

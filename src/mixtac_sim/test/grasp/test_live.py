@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from mixtac_sim.grasp.live import LiveGrasp
+from mixtac_sim.grasp.live import LiveGrasp, PacedClock
 from mixtac_sim.grasp.objects import draw_setup
 from mixtac_sim.pixels.aps import ApsSettings
 from mixtac_sim.world.effects import EASY
@@ -13,7 +13,19 @@ from mixtac_sim.world.effects import EASY
 
 @pytest.fixture
 def grasp() -> LiveGrasp:
-    return LiveGrasp(draw_setup('box', np.random.default_rng(0)), 1, 1, EASY)
+    return LiveGrasp(draw_setup('box', np.random.default_rng(0)), 1, 1, EASY, PacedClock())
+
+
+def test_its_clock_waits_for_it() -> None:
+    host_ns = 0
+    clock = PacedClock((), lambda: host_ns, lambda: 0)
+    clock.start()
+    grasp = LiveGrasp(draw_setup('box', np.random.default_rng(0)), 1, 1, EASY, clock)
+    host_ns = 9_000_000
+    assert clock.now_us() == 0
+    grasp.advance(4_000)
+    host_ns = 18_000_000
+    assert clock.now_us() == 4_000
 
 
 def test_holds_until_it_is_struck_and_can_be_put_back(grasp: LiveGrasp) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_sim.grasp.live import AnswerPace, PacedClock, PacedSimulation
+from mixtac_sim.grasp.live import AnswerPace, PacedClock
 
 EPOCH_NS = 1_700_000_000_000_000_000
 ORIGIN_US = 1_700_000_001_234_567
@@ -48,21 +48,6 @@ def test_goes_with_the_host_as_far_as_it_is_simulated_and_counts_the_rest() -> N
     assert clock.now_us() == 14_000
     assert clock.epoch_now_ns() == EPOCH_NS + 14_000_000
     assert clock.to_epoch_ns(np.array([14_000])).tolist() == [clock.epoch_now_ns()]
-
-
-def test_a_simulation_tells_how_far_it_has_come() -> None:
-    host = Host()
-    clock = make(host)
-
-    class Simulation:
-        def advance(self, until_us: int) -> str:
-            return f'until {until_us}'
-
-    host.us = 9_000
-    assert clock.now_us() == 0
-    assert PacedSimulation(Simulation(), clock).advance(4_000) == 'until 4000'  # type: ignore[arg-type, comparison-overlap]
-    host.us = 18_000
-    assert clock.now_us() == 4_000
 
 
 def test_waits_for_answers_only_while_somebody_answers() -> None:
