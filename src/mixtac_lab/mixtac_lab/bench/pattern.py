@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb import endpoints
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.registers import HEIGHT, WIDTH, Module, Usb
 from mixtac_sim.usb.words import (
-    ApsReadout,
     Blocks,
     ImuReading,
     ImuSettings,
@@ -76,27 +76,6 @@ class Pattern:
         return len(self.ends) * STEP_US
 
 
-@dataclass(frozen=True, slots=True)
-class _Still:
-    """A frame that shows the same at all times."""
-
-    frame_start_us: int
-    reset: NDArray[np.uint16]
-    signal: NDArray[np.uint16]
-
-    @property
-    def exposure_start_us(self) -> int:
-        return self.frame_start_us + _READOUT_US
-
-    @property
-    def exposure_end_us(self) -> int:
-        return self.exposure_start_us + _EXPOSURE_US
-
-    @property
-    def frame_end_us(self) -> int:
-        return self.exposure_end_us + _READOUT_US
-
-
 def make_pattern(
     events_per_s: float,
     *,
@@ -121,10 +100,14 @@ def make_pattern(
     events = _random_events(rng, events_per_s, events_per_row, period_us)
     reset = np.full((HEIGHT, WIDTH), _RESET_LEVEL, np.uint16)
     signal = rng.integers(1, _RESET_LEVEL, (HEIGHT, WIDTH)).astype(np.uint16)
-    frames: list[ApsReadout] = []
+    frames = []
     if frame_interval_us:
-        last_us = period_us - 2 * _READOUT_US - _EXPOSURE_US
-        frames += [_Still(t, reset, signal) for t in range(1000, last_us, frame_interval_us)]
+        opens_us, closes_us = _READOUT_US, _READOUT_US + _EXPOSURE_US
+        length_us = closes_us + _READOUT_US
+        frames = [
+            ApsFrame(t, t + opens_us, t + closes_us, t + length_us, reset, signal)
+            for t in range(1000, period_us - length_us, frame_interval_us)
+        ]
     readings = []
     if reading_interval_us:
         readings = [
@@ -135,7 +118,7 @@ def make_pattern(
 
 
 def encode_pattern(
-    events: Events, frames: Sequence[ApsReadout], readings: Sequence[ImuReading], period_us: int
+    events: Events, frames: Sequence[ApsFrame], readings: Sequence[ImuReading], period_us: int
 ) -> Pattern:
     """Return the words of a period.
 
@@ -146,12 +129,8 @@ def encode_pattern(
         readings: Inertial samples.
         period_us: Length of the period, whole wraps of the camera's 15-bit time [us].
     """
-    parts = []
-    for frame in frames:
-        ends = (frame.exposure_start_us, frame.exposure_end_us, frame.frame_end_us)
-        times = np.array((frame.frame_start_us, *ends), np.int64)
-        parts.append(frame_blocks(frame, times, _READOUT))
-    parts += [imu_blocks(reading, reading.t_us, _UNIT) for reading in readings]
+    parts = [frame_blocks(frame, _READOUT) for frame in frames]
+    parts += [imu_blocks(reading, _UNIT) for reading in readings]
     near, waiting = Blocks.empty(), Blocks.merge(parts)
     events = events.between(1, period_us)
     encoder = WordEncoder(inverted=True)

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mixtac_sim.usb.words import ApsReadout, ImuReading
+    from mixtac_sim.pixels.aps import ApsFrame
+    from mixtac_sim.usb.words import ImuReading
 
     Buffer = array[int] | bytearray | memoryview
 
@@ -254,7 +255,7 @@ class VirtualDavis346:
     def submit(
         self,
         events: Events | None = None,
-        frames: Iterable[ApsReadout] = (),
+        frames: Iterable[ApsFrame] = (),
         readings: Iterable[ImuReading] = (),
     ) -> None:
         """Hand over data that the camera sends when `advance` reaches its time.

@@ -8,13 +8,13 @@ A `Fault` is handed to `mixtac_sim.usb.device.VirtualDavis346.inject`, or from a
 
 from __future__ import annotations
 
-import errno
 import json
 import math
 import random
 import time
 from dataclasses import asdict, dataclass
 from enum import Enum
+from errno import EBUSY, EINVAL, EIO, ENODEV, EOVERFLOW, EPIPE, ETIMEDOUT
 from threading import Condition
 from typing import Final
 
@@ -22,46 +22,55 @@ from mixtac_events.errors import MixtacError
 
 
 class VirtualUsbError(MixtacError):
-    """Base of all failures of the virtual USB device and its transports."""
+    """Base of all failures of the virtual USB device and its transports.
+
+    Attributes:
+        errno: The error as a host sees it.
+    """
+
+    errno = EIO
 
 
 class UsbStall(VirtualUsbError):  # noqa: N818 - the USB term
-    """The device refuses a request (STALL handshake); a host sees ``EPIPE``."""
+    """The device refuses a request (STALL handshake)."""
+
+    errno = EPIPE
 
 
 class UsbTimeout(VirtualUsbError):  # noqa: N818 - the USB term
-    """No data before the time-out; a host sees ``ETIMEDOUT``."""
+    """No data before the time-out."""
+
+    errno = ETIMEDOUT
 
 
 class UsbGone(VirtualUsbError):  # noqa: N818 - the USB term
-    """The device was unplugged or its server ended; a host sees ``ENODEV``."""
+    """The device was unplugged or its server ended."""
+
+    errno = ENODEV
 
 
 class UsbBusy(VirtualUsbError):  # noqa: N818 - the USB term
-    """Another session has claimed the interface; a host sees ``EBUSY``."""
+    """Another session has claimed the interface."""
+
+    errno = EBUSY
 
 
 class UsbOverflow(VirtualUsbError):  # noqa: N818 - the USB term
-    """The device sent more than requested (babble); a host sees ``EOVERFLOW``."""
+    """The device sent more than requested (babble)."""
+
+    errno = EOVERFLOW
 
 
 class FaultError(VirtualUsbError):
     """A fault that cannot be injected."""
 
+    errno = EINVAL
+
 
 class NoVirtualSensorError(VirtualUsbError):
     """No virtual sensor listens on the socket."""
 
-
-ERRNO: Final = {
-    UsbStall: errno.EPIPE,
-    UsbTimeout: errno.ETIMEDOUT,
-    UsbBusy: errno.EBUSY,
-    UsbGone: errno.ENODEV,
-    UsbOverflow: errno.EOVERFLOW,
-    FaultError: errno.EINVAL,
-}
-"""The errors as a host sees them; all others are ``EIO``."""
+    errno = ENODEV
 
 
 class FaultKind(str, Enum):

@@ -22,10 +22,12 @@ from usb.core import USBError, USBTimeoutError
 
 from mixtac_sim.usb import endpoints, wire
 from mixtac_sim.usb.faults import (
-    ERRNO,
     FaultError,
     NoVirtualSensorError,
+    UsbBusy,
     UsbGone,
+    UsbOverflow,
+    UsbStall,
     UsbTimeout,
     VirtualUsbError,
 )
@@ -39,24 +41,22 @@ if TYPE_CHECKING:
     from mixtac_sim.usb.faults import Fault
 
 
+Setup = tuple[int, int, int, int]
+
+
 class Link(Protocol):
     """A connection of one host session to one camera.
 
     All methods raise `UsbStall`, `UsbTimeout`, `UsbGone` or `UsbBusy` where USB would fail so.
     """
 
-    def control(
-        self,
-        request_type: int,
-        request: int,
-        value: int,
-        index: int,
-        data: bytes | int,
-        timeout_ms: int = 0,
-    ) -> bytes:
-        """Make a control request (see `mixtac_sim.usb.device.VirtualDavis346.control`).
+    def control(self, setup: Setup, data: bytes | int, timeout_ms: int = 0) -> bytes:
+        """Make a control request.
 
-        A timeout of 0 waits without limit.
+        Args:
+            setup: ``bmRequestType``, ``bRequest``, ``wValue`` and ``wIndex``.
+            data: Bytes to the device, or how many are wanted from it.
+            timeout_ms: Longest wait [ms], 0 without limit.
         """
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
@@ -77,6 +77,8 @@ class Link(Protocol):
 
 _GET_DESCRIPTOR: Final = 6
 _SUPER_SPEED: Final = 4
+# Bus number to show; no real bus has it.
+_BUS: Final = 346
 # Error codes of libusb; -1 for all others.
 _LIBUSB: Final = {errno.ENODEV: -4, errno.EBUSY: -6, errno.EOVERFLOW: -8, errno.EPIPE: -9}
 # libusb and the kernel wait this long for the answers to standard requests.
@@ -89,11 +91,8 @@ def _as_usb_errors() -> Iterator[None]:
         yield
     except UsbTimeout as error:
         raise USBTimeoutError(str(error), -7, errno.ETIMEDOUT) from error
-    except NoVirtualSensorError as error:
-        raise USBError(str(error), _LIBUSB[errno.ENODEV], errno.ENODEV) from error
     except VirtualUsbError as error:
-        number = ERRNO.get(type(error), errno.EIO)
-        raise USBError(str(error), _LIBUSB.get(number, -1), number) from error
+        raise USBError(str(error), _LIBUSB.get(error.errno, -1), error.errno) from error
 
 
 class VirtualBackend(IBackend):  # type: ignore[misc]
@@ -104,12 +103,10 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
 
     Args:
         connect: Opens a link to the camera, or raises `VirtualUsbError` when there is none.
-        bus: Bus number to show.
     """
 
-    def __init__(self, connect: Callable[[], Link], *, bus: int = 346) -> None:
+    def __init__(self, connect: Callable[[], Link]) -> None:
         self._connect = connect
-        self._bus = bus
         self._lock = threading.Lock()
         self._parsed: list[SimpleNamespace] | None = None
 
@@ -125,8 +122,8 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
         with self._lock:
             link = self._connect()
             try:
-                device = link.control(0x80, _GET_DESCRIPTOR, 0x0100, 0, 18)
-                configuration = link.control(0x80, _GET_DESCRIPTOR, 0x0200, 0, 4096)
+                device = link.control((0x80, _GET_DESCRIPTOR, 0x0100, 0), 18)
+                configuration = link.control((0x80, _GET_DESCRIPTOR, 0x0200, 0), 4096)
             finally:
                 link.close()
             self._parsed = endpoints.parse(device + configuration)
@@ -140,7 +137,7 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
     def get_device_descriptor(self, dev: object) -> SimpleNamespace:
         """Return the device descriptor and where the device sits."""
         found = self._of_type(1)[0]
-        found.bus, found.address, found.speed = self._bus, 1, _SUPER_SPEED
+        found.bus, found.address, found.speed = _BUS, 1, _SUPER_SPEED
         found.port_number, found.port_numbers = 1, (1,)
         return found
 
@@ -179,17 +176,17 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
     def set_configuration(self, dev_handle: Link, config_value: int) -> None:
         """Choose a configuration."""
         with _as_usb_errors():
-            dev_handle.control(0x00, 9, config_value, 0, b'', _STANDARD_MS)
+            dev_handle.control((0x00, 9, config_value, 0), b'', _STANDARD_MS)
 
     def get_configuration(self, dev_handle: Link) -> int:
         """Return the value of the active configuration."""
         with _as_usb_errors():
-            return dev_handle.control(0x80, 8, 0, 0, 1, _STANDARD_MS)[0]
+            return dev_handle.control((0x80, 8, 0, 0), 1, _STANDARD_MS)[0]
 
     def set_interface_altsetting(self, dev_handle: Link, intf: int, altsetting: int) -> None:
         """Choose an alternate setting; there is only 0."""
         with _as_usb_errors():
-            dev_handle.control(0x01, 11, altsetting, intf, b'', _STANDARD_MS)
+            dev_handle.control((0x01, 11, altsetting, intf), b'', _STANDARD_MS)
 
     def claim_interface(self, dev_handle: Link, intf: int) -> None:
         """Claim the interface for this session."""
@@ -204,16 +201,12 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
     def bulk_read(
         self, dev_handle: Link, ep: int, intf: int, buff: array[int], timeout: int
     ) -> int:
-        """Read from the data endpoint into the buffer; return the number of bytes."""
+        """Read from an endpoint into the buffer; return the number of bytes."""
         with _as_usb_errors():
             return dev_handle.read(ep, buff, timeout)
 
-    def intr_read(
-        self, dev_handle: Link, ep: int, intf: int, size: array[int], timeout: int
-    ) -> int:
-        """Read from the debug endpoint into the buffer; return the number of bytes."""
-        with _as_usb_errors():
-            return dev_handle.read(ep, size, timeout)
+    # The debug endpoint is read like the data endpoint.
+    intr_read = bulk_read
 
     def ctrl_transfer(
         self,
@@ -228,18 +221,18 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
         """Make a control request; return the number of bytes moved."""
         with _as_usb_errors():
             view: Any = memoryview(data).cast('B')
+            setup = (bmRequestType, bRequest, wValue, wIndex)
             if not bmRequestType & 0x80:
-                dev_handle.control(bmRequestType, bRequest, wValue, wIndex, bytes(view), timeout)
+                dev_handle.control(setup, bytes(view), timeout)
                 return len(view)
-            wanted = len(view)
-            answer = dev_handle.control(bmRequestType, bRequest, wValue, wIndex, wanted, timeout)
+            answer = dev_handle.control(setup, len(view), timeout)
             view[: len(answer)] = answer
             return len(answer)
 
     def clear_halt(self, dev_handle: Link, ep: int) -> None:
         """Clear a halted endpoint."""
         with _as_usb_errors():
-            dev_handle.control(0x02, 1, 0, ep, b'', _STANDARD_MS)
+            dev_handle.control((0x02, 1, 0, ep), b'', _STANDARD_MS)
 
     def reset_device(self, dev_handle: Link) -> None:
         """Reset the camera to its power-up state."""
@@ -268,19 +261,10 @@ class InProcessLink:
         self._device = device
         self._plugs = device.plugs
 
-    def control(
-        self,
-        request_type: int,
-        request: int,
-        value: int,
-        index: int,
-        data: bytes | int,
-        timeout_ms: int = 0,
-    ) -> bytes:
+    def control(self, setup: Setup, data: bytes | int, timeout_ms: int = 0) -> bytes:
         """Make a control request; a timeout of 0 waits without limit."""
         self._device.check_present(self._plugs)
-        limit_s = timeout_ms / 1000 or None
-        return self._device.control(request_type, request, value, index, data, limit_s)
+        return self._device.control(*setup, data, timeout_ms / 1000 or None)
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
         """Read up to a full buffer; a timeout of 0 waits without limit."""
@@ -316,7 +300,9 @@ _CONTROL_CHANNEL: Final = 0
 _GRACE_S: Final = 5.0
 # Longest wait for requests that the server answers without the camera.
 _QUICK_MS: Final = 100
-_ERRORS: Final = {number: kind for kind, number in ERRNO.items()}
+_ERRORS: Final = {
+    kind.errno: kind for kind in (UsbStall, UsbTimeout, UsbGone, UsbBusy, UsbOverflow, FaultError)
+}
 
 
 class SocketLink:
@@ -337,18 +323,9 @@ class SocketLink:
         self._channels: dict[int, tuple[socket.socket, threading.Lock]] = {}
         self._channel(_CONTROL_CHANNEL)
 
-    def control(
-        self,
-        request_type: int,
-        request: int,
-        value: int,
-        index: int,
-        data: bytes | int,
-        timeout_ms: int = 0,
-    ) -> bytes:
+    def control(self, setup: Setup, data: bytes | int, timeout_ms: int = 0) -> bytes:
         """Make a control request; a timeout of 0 waits without limit."""
         sent, wanted = (b'', data) if isinstance(data, int) else (data, 0)
-        setup = (request_type, request, value, index)
         return self._call(wire.CONTROL, setup, sent, wanted, timeout_ms)
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
@@ -395,7 +372,7 @@ class SocketLink:
     def _call(
         self,
         operation: int,
-        setup: tuple[int, int, int, int] = (0, 0, 0, 0),
+        setup: Setup = (0, 0, 0, 0),
         data: bytes = b'',
         wanted: int = 0,
         timeout_ms: int = _QUICK_MS,
@@ -468,14 +445,12 @@ def inject(path: str, fault: Fault) -> None:
         NoVirtualSensorError: No virtual sensor listens there.
         FaultError: It refused the fault.
     """
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+    with _connect(path) as connection:
         try:
-            connection.connect(path)
             wire.call(connection, wire.FAULT, data=fault.to_json())
         except wire.TransferError as error:
             raise FaultError(f'the virtual sensor on {path} refused {fault}: {error}') from error
         except OSError as error:
             raise NoVirtualSensorError(
-                f'no virtual sensor listens on {path} ({error}); '
-                'start one with "ros2 run mixtac_sim virtual_sensor_node"'
+                f'the virtual sensor on {path} is gone: {error}', remedy='start it again'
             ) from error

@@ -99,7 +99,6 @@ class Imu(IntEnum):
     RUN_GYRO = 3
     RUN_TEMPERATURE = 4
     SAMPLE_RATE_DIVIDER = 5
-    ACCEL_DLPF = 6
     ACCEL_FULL_SCALE = 7
     GYRO_FULL_SCALE = 10
 
@@ -161,7 +160,7 @@ class Board:
 def _read_only(board: Board) -> dict[tuple[int, int], int]:
     dvs_size = (HEIGHT, WIDTH) if board.dvs_inverted else (WIDTH, HEIGHT)
     aps_size = (HEIGHT, WIDTH) if board.aps_inverted else (WIDTH, HEIGHT)
-    values: dict[tuple[Module, int], int] = {
+    return {
         (Module.SYSINFO, SysInfo.LOGIC_VERSION): 18,
         (Module.SYSINFO, SysInfo.CHIP): 5,
         (Module.SYSINFO, SysInfo.IS_MASTER): 1,
@@ -191,7 +190,6 @@ def _read_only(board: Board) -> dict[tuple[int, int], int]:
         (Module.IMU, Imu.ORIENTATION): 0,
         (Module.EXTINPUT, 10): 0,
     }
-    return {(int(module), int(param)): value for (module, param), value in values.items()}
 
 
 def _power_up(board: Board) -> dict[tuple[int, int], int]:
@@ -210,11 +208,11 @@ def _power_up(board: Board) -> dict[tuple[int, int], int]:
     for k in range(8):
         values[Module.DVS, Dvs.FIRST_PIXEL_ROW + 2 * k] = HEIGHT
         values[Module.DVS, Dvs.FIRST_PIXEL_ROW + 2 * k + 1] = WIDTH
-    return {(int(module), int(param)): value for (module, param), value in values.items()}
+    return values
 
 
-_STATISTICS = {
-    (int(module), int(param) + half): ((int(module), int(param)), 32 if half == 0 else 0)
+_STATISTICS: dict[tuple[int, int], tuple[tuple[int, int], int]] = {
+    (module, param + half): ((module, param), 32 if half == 0 else 0)
     for module, param in (
         (Module.MUX, Mux.DVS_DROPPED),
         (Module.DVS, Dvs.ROW_EVENTS),

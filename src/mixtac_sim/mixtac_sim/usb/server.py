@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
 import os
 import select
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from mixtac_sim.usb import wire
-from mixtac_sim.usb.faults import ERRNO, Fault, UsbTimeout, VirtualUsbError
+from mixtac_sim.usb.faults import Fault, UsbTimeout, VirtualUsbError
 
 if TYPE_CHECKING:
     from mixtac_sim.usb.device import VirtualDavis346
@@ -150,7 +149,7 @@ class UsbServer:
                 size = len(answer)
                 reply[start : start + size] = answer
         except VirtualUsbError as error:
-            status = ERRNO.get(type(error), errno.EIO)
+            status = error.errno
         wire.REPLY.pack_into(reply, 0, status, size)
         with memoryview(reply) as view:
             connection.sendall(view[: start + size])

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.registers import (
     HEIGHT,
     WIDTH,
@@ -32,7 +33,6 @@ from mixtac_sim.usb.registers import (
 )
 from mixtac_sim.usb.words import (
     TIMESTAMP_RESET_WORD,
-    ApsReadout,
     Blocks,
     ImuReading,
     ImuSettings,
@@ -226,7 +226,7 @@ class StreamAssembler:
         self._encoder = WordEncoder(inverted=board.dvs_inverted)
         self._filter = EventFilter.from_registers(registers)
         self._events: deque[Events] = deque(maxlen=_MAX_WAITING)
-        self._frames: deque[ApsReadout] = deque(maxlen=_MAX_WAITING)
+        self._frames: deque[ApsFrame] = deque(maxlen=_MAX_WAITING)
         self._readings: deque[ImuReading] = deque(maxlen=_MAX_WAITING)
         self._readout = Blocks.empty()
         self._stalled = False
@@ -254,7 +254,7 @@ class StreamAssembler:
         self._snapshot |= on
 
     def submit(
-        self, events: Events, frames: Iterable[ApsReadout], readings: Iterable[ImuReading]
+        self, events: Events, frames: Iterable[ApsFrame], readings: Iterable[ImuReading]
     ) -> None:
         """Hand over data [us, true time] that goes out when `advance` reaches it."""
         if len(events):
@@ -319,31 +319,26 @@ class StreamAssembler:
         while self._readings and self._readings[0].t_us < true_us:
             reading = self._readings.popleft()
             if settings.running and reading.t_us >= self._oscillator.origin_us:
-                samples.append(imu_blocks(reading, reading.t_us, settings))
+                samples.append(imu_blocks(reading, settings))
         return samples
 
-    def _begin_frame(self, frame: ApsReadout) -> Blocks:
+    def _begin_frame(self, frame: ApsFrame) -> Blocks:
         run = self._registers.read(Module.APS, Aps.RUN)
         if not (run or self._snapshot) or frame.frame_start_us < self._oscillator.origin_us:
             return Blocks.empty()
         self._snapshot = False
         self.late_frames += frame.frame_start_us < self._done_us
-        times = (
-            *(frame.frame_start_us, frame.exposure_start_us),
-            *(frame.exposure_end_us, frame.frame_end_us),
-        )
-        return frame_blocks(frame, np.array(times, np.int64), self._readout_settings())
+        return frame_blocks(frame, self._readout_settings())
 
     def _readout_settings(self) -> ReadoutSettings:
         def read(param: int) -> int:
             return self._registers.read(Module.APS, param)
 
-        region = (
-            *(min(read(Aps.START_COLUMN), WIDTH - 1), min(read(Aps.START_ROW), HEIGHT - 1)),
-            *(min(read(Aps.END_COLUMN), WIDTH - 1), min(read(Aps.END_ROW), HEIGHT - 1)),
-        )
         return ReadoutSettings(
-            region=region,
+            region=(
+                *(min(read(Aps.START_COLUMN), WIDTH - 1), min(read(Aps.START_ROW), HEIGHT - 1)),
+                *(min(read(Aps.END_COLUMN), WIDTH - 1), min(read(Aps.END_ROW), HEIGHT - 1)),
+            ),
             exposure_cycles=read(Aps.EXPOSURE),
             global_shutter=bool(read(Aps.GLOBAL_SHUTTER)),
             orientation=self._board.aps_orientation,

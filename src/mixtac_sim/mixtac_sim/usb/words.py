@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
+from mixtac_sim.pixels.aps import ApsFrame
 
 TIMESTAMP_RESET_WORD: Final = 0x0001
 _WRAP_US: Final = 0x8000
@@ -323,18 +324,17 @@ def raw_values(reading: ImuReading, settings: ImuSettings) -> list[int]:
     return values
 
 
-def imu_blocks(reading: ImuReading, camera_us: int, settings: ImuSettings) -> Blocks:
-    """Lay one sample out: start, info byte, big-endian values, end.
+def imu_blocks(reading: ImuReading, settings: ImuSettings) -> Blocks:
+    """Lay one sample out at its time: start, info byte, big-endian values, end.
 
     Args:
         reading: The sample.
-        camera_us: Its time [us, camera clock].
         settings: Registers now; at least one group runs.
     """
     values = raw_values(reading, settings)
     data = struct.pack(f'>{len(values)}h', *values)
     words = [_START, _INFO | settings.info, *(_BYTE | byte for byte in data)]
-    return Blocks.from_lists([camera_us, camera_us], [True, True], [words, [_END]])
+    return Blocks.from_lists([reading.t_us] * 2, [True, True], [words, [_END]])
 
 
 _GLOBAL_START: Final = 8
@@ -352,27 +352,6 @@ _REGION_LOW: Final = 0x5200
 # Event words come between the samples of a column on the real bus; pieces of this many samples
 # keep that true without a block per sample.
 _SAMPLES_PER_BLOCK: Final = 58
-
-
-class ApsReadout(Protocol):
-    """One exposure of the sensor (see `mixtac_sim.pixels.aps.ApsFrame`).
-
-    Times are integer microseconds of true time; ``reset`` and ``signal`` are 10-bit ADC samples,
-    ``uint16 [260, 346]``.
-    """
-
-    @property
-    def frame_start_us(self) -> int: ...  # noqa: D102
-    @property
-    def exposure_start_us(self) -> int: ...  # noqa: D102
-    @property
-    def exposure_end_us(self) -> int: ...  # noqa: D102
-    @property
-    def frame_end_us(self) -> int: ...  # noqa: D102
-    @property
-    def reset(self) -> NDArray[np.uint16]: ...  # noqa: D102
-    @property
-    def signal(self) -> NDArray[np.uint16]: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True)
@@ -438,20 +417,18 @@ def _single(t: int, *words: int) -> Blocks:
     return Blocks.from_lists([t], [True], [list(words)])
 
 
-def frame_blocks(
-    frame: ApsReadout, times_us: NDArray[np.int64], settings: ReadoutSettings
-) -> Blocks:
-    """Lay a frame out as the camera reads it.
+def frame_blocks(frame: ApsFrame, settings: ReadoutSettings) -> Blocks:
+    """Lay a frame out as the camera reads it; times are those of the frame.
 
     Args:
         frame: The samples.
-        times_us: Frame start, exposure start, exposure end, frame end [us, camera clock].
         settings: Registers at the start of the frame.
 
     Returns:
         Blocks in readout order; an empty region gives a frame without columns.
     """
-    start, exposed, closed, end = (int(t) for t in times_us)
+    start, exposed = frame.frame_start_us, frame.exposure_start_us
+    closed, end = frame.exposure_end_us, frame.frame_end_us
     resets = _column_words(_columns(frame.reset, settings), _RESET_COLUMN)
     signals = _column_words(_columns(frame.signal, settings), _SIGNAL_COLUMN)
     count = len(resets)
