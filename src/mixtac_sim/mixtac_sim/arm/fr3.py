@@ -4,9 +4,8 @@
 
 Written independently of the controller's own geometry. Modified Denavit-Hartenberg parameters,
 positions and torques: Franka's documentation and franka_description; speeds: joint speed at mid
-range; acceleration and jerk: libfranka. The MuJoCo model has no meshes, position servos and a gel
-at its flange; link masses are Franka's, inertias are those of balls of 6 cm, as none are
-published; armature and joint damping are estimates.
+range; acceleration and jerk: libfranka. The MuJoCo model (``fr3.xml``) gets position servos and a
+gel at its flange.
 """
 
 from __future__ import annotations
@@ -14,6 +13,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from string import Template
 from typing import Final
 
 import numpy as np
@@ -83,14 +84,7 @@ def violations(q: NDArray[np.float64], period_s: float, reserve: float = 1e-3) -
     return int(sum(np.count_nonzero(each) for each in broken))
 
 
-MASSES_KG: Final = (2.397, 2.927, 2.936, 2.245, 2.616, 2.327, 1.817, 0.627)
-"""Masses of links 0 to 7 [kg]."""
 TORQUE_MAX_NM: Final = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
-RADIUS_M: Final = 0.06
-ARMATURE_KG_M2: Final = 0.1
-DAMPING_NM_S: Final = 1.0
-STEP_S: Final = 2.5e-4
-"""Step of the simulation."""
 GEL_KG: Final = 0.1
 """Mass that moves with the surface of the gel [kg]; a smaller one would need smaller steps."""
 GEL_DAMPING_RATIO: Final = 0.05
@@ -142,47 +136,12 @@ def fr3_mjcf(contact: GelContact | None = None, servo: Servo | None = None) -> s
         contact: Contact of the flange; None for free motion.
         servo: Servos of the joints; None for no actuators.
     """
-    # At MuJoCo's own settings a loaded contact creeps by millimetres per second.
-    option = (
-        f'<option timestep="{STEP_S}" integrator="implicitfast" cone="elliptic" impratio="100" '
-        'noslip_iterations="10"/>'
+    model = Template(Path(__file__).with_name('fr3.xml').read_text(encoding='utf-8'))
+    return model.substitute(
+        wall=_wall(contact) if contact else '',
+        gel=_gel(contact) if contact else '',
+        actuators=_actuators(servo) if servo else '',
     )
-    lines = [
-        '<mujoco model="fr3"><compiler angle="radian"/>',
-        option,
-        '<worldbody>',
-        _wall(contact) if contact else '',
-        _body(0, '0 0 0', '1 0 0 0', contact),
-        '</body>' * len(MASSES_KG),
-        '</worldbody>',
-        _actuators(servo) if servo else '',
-        '</mujoco>',
-    ]
-    return '\n'.join(lines)
-
-
-def _body(k: int, place: str, turn: str, contact: GelContact | None) -> str:
-    """Return link k and all behind it, not closed."""
-    mass = MASSES_KG[k]
-    inertia = 0.4 * mass * RADIUS_M**2
-    # MuJoCo reads gravcomp when it compiles; set later it does nothing.
-    text = (
-        f'<body name="fr3_link{k}" pos="{place}" quat="{turn}" gravcomp="1">'
-        f'<inertial pos="0 0 0" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>'
-    )
-    if k > 0:
-        low, high = Q_LOWER[k - 1], Q_UPPER[k - 1]
-        text += (
-            f'<joint name="{JOINT_NAMES[k - 1]}" axis="0 0 1" range="{low} {high}" limited="true" '
-            f'damping="{DAMPING_NM_S}" armature="{ARMATURE_KG_M2}"/>'
-        )
-    if k == len(A_M):
-        site = f'<site name="flange" pos="0 0 {FLANGE_M}"/>'
-        return text + site + (_gel(contact) if contact else '')
-    half = 0.5 * ALPHA[k]
-    c, s = math.cos(ALPHA[k]), math.sin(ALPHA[k])
-    place = f'{A_M[k]} {-s * D_M[k]} {c * D_M[k]}'
-    return text + _body(k + 1, place, f'{math.cos(half)} {math.sin(half)} 0 0', contact)
 
 
 def _gel(contact: GelContact) -> str:

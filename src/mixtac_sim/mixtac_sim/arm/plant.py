@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_sim import SimulationError
-from mixtac_sim.arm.fr3 import STEP_S, TORQUE_MAX_NM, GelContact, Servo, flange_place, fr3_mjcf
+from mixtac_sim.arm.fr3 import TORQUE_MAX_NM, GelContact, Servo, flange_place, fr3_mjcf
 
 Floats = NDArray[np.float64]
 
@@ -131,13 +131,14 @@ class MujocoArm:
         self._mujoco = load_mujoco()
         self._start_q = np.array(q, np.float64)
         self._normal = np.asarray(normal, np.float64)
-        self._steps = round(period_s / STEP_S)
         contact = self._contact(n_per_mm, preload_n) if n_per_mm > 0.0 else None
         self._model, self._data = self._posed(fr3_mjcf(contact, self._servo(lag_s)))
+        step_s = self._model.opt.timestep
+        self._steps = round(period_s / step_s)
         self._touches = contact is not None
         self.saturated = 0
         self._data.ctrl[:] = self._start_q
-        for _ in range(round(SETTLE_S / STEP_S)):
+        for _ in range(round(SETTLE_S / step_s)):
             self._step()
         self.saturated = 0
         self._origin = self.flange
