@@ -70,13 +70,6 @@ class PronySeries:
         decay = np.exp(-step_s / times)
         return np.stack([decay, np.array(self.weights) * times / step_s * (1.0 - decay)])
 
-    def loss_tangent(self, frequency_hz: float) -> float:
-        """Return tan delta under a small sinusoid."""
-        phase = 2.0 * np.pi * frequency_hz * np.array(self.times_s)
-        weights = np.array(self.weights)
-        storage = 1.0 + np.sum(weights * phase**2 / (1.0 + phase**2))
-        return float(np.sum(weights * phase / (1.0 + phase**2)) / storage)
-
 
 @njit(cache=True, nogil=True)
 def force_terms(

@@ -58,13 +58,20 @@ def test_held_depth_relaxes_to_the_elastic_force():
     assert forces[-1] == pytest.approx(1.0, abs=1e-6)
 
 
+def loss_tangent(series, frequency_hz):
+    """Return tan delta of a Prony series under a small sinusoid."""
+    turn = 2j * np.pi * frequency_hz * np.array(series.times_s)
+    modulus = 1.0 + np.sum(np.array(series.weights) * turn / (1.0 + turn))
+    return modulus.imag / modulus.real
+
+
 def test_loss_tangent_is_the_lag_of_a_sinusoid():
     frequency, step = 20.0, 1e-5
     t = step * np.arange(1, 100_001)
     force = respond(np.sin(2 * np.pi * frequency * t), step)[50_000:]
     wave = np.exp(2j * np.pi * frequency * t[50_000:])
     lag = np.angle(np.mean(force * wave)) - np.angle(np.mean(np.imag(wave) * wave))
-    assert abs(np.tan(lag)) == pytest.approx(SERIES.loss_tangent(frequency), rel=0.01)
+    assert abs(np.tan(lag)) == pytest.approx(loss_tangent(SERIES, frequency), rel=0.01)
 
 
 @settings(max_examples=50, deadline=None)
