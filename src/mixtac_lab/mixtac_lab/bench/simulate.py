@@ -27,6 +27,8 @@ from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.bags.camera import CameraMessages
 from mixtac_sim.bags.generation import generate
 from mixtac_sim.bags.trial_bag import TruthMessages, write_trial
+from mixtac_sim.mechanics.contact import Contact
+from mixtac_sim.mechanics.elastomer import Shear
 from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.optics.renderer import Renderer
 from mixtac_sim.pixels.aps import Aps
@@ -39,11 +41,14 @@ from mixtac_sim.usb.faults import UsbTimeout
 from mixtac_sim.usb.registers import Module, Mux, Usb
 from mixtac_sim.world.datasets import describe, plan_profile
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
-from mixtac_sim.world.sensor import Touch
+from mixtac_sim.world.profiles import Profile
 from mixtac_sim.world.trial import Stretch, TrialStream
 
 STAGES: Final[dict[str, tuple[Any, ...]]] = {
-    'mechanics': (Touch.block, BeadMotion.place),
+    'mechanics': (
+        *(Profile.commands, Contact.advance, Shear.at),
+        *(BeadMotion.reach_px, BeadMotion.place),
+    ),
     'rendering': (Renderer.draw,),
     'event pixels': (Dvs.step,),
     'event noise': (NoiseSource.block,),
