@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 MPU9250: Final = 2
 SIZE: Final = (WIDTH, HEIGHT)
 _ANGULAR, _LINEAR = slice(13, 16), slice(25, 28)
+"""Places of the two vectors in the doubles of `sensor_msgs/msg/Imu`."""
 
 
 def decoded_samples(readings: list[ImuReading], camera_us: NDArray[np.int64]) -> InertialSamples:
@@ -52,19 +53,6 @@ def decoded_samples(readings: list[ImuReading], camera_us: NDArray[np.int64]) ->
     raw[:, :14] = np.array(values, '>i2').view(np.uint8)
     raw[:, 14] = settings.info
     return inertial_samples(camera_us, raw, (False, False, False), MPU9250)
-
-
-def imu_numbers(samples: InertialSamples, example: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the doubles of `sensor_msgs/msg/Imu` from the orientation on [n, 37].
-
-    Args:
-        samples: The samples.
-        example: The doubles of a message whose two vectors are to be replaced [37].
-    """
-    numbers = np.tile(example, (len(samples.t), 1))
-    numbers[:, _ANGULAR] = samples.angular_velocity
-    numbers[:, _LINEAR] = samples.acceleration
-    return numbers
 
 
 TRANSFER_US: Final = 1_000
@@ -190,7 +178,9 @@ class CameraMessages:
         received = arrivals[np.searchsorted(ends, true_us, side='right')] + PUBLISH_NS
         rows = self._imu_rows
         stamps_ns = 1000 * (samples.t + self._clocks.origin_us)
-        data = rows.make(stamps_ns, imu_numbers(samples, rows.numbers))
+        numbers = np.tile(rows.numbers, (len(samples.t), 1))
+        numbers[:, _ANGULAR], numbers[:, _LINEAR] = samples.angular_velocity, samples.acceleration
+        data = rows.make(stamps_ns, numbers)
         self._sink.put_rows(received.tolist(), 'imu', data)
         self._add_temperatures(samples, received)
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import joblib
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from mixtac_recordings.dataset import FILE_NAME, DatasetDescription, TrialSpec
+from mixtac_recordings.dataset import FILE_NAME, DatasetDescription
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.trial_bag import UNFINISHED, is_finished, write_trial
 
@@ -83,8 +83,8 @@ def generate(
         description: The data set.
         folder: Its folder; new, empty, or that of an earlier run of the same data set.
         jobs: Processes.
-        backend: As in `cluster.workers`.
-        scheduler: As in `cluster.workers`.
+        backend: As in `workers`.
+        scheduler: As in `workers`.
         compress: Compress the bags (zstd).
         on_progress: Called with the number of finished trials and of all.
 
@@ -101,33 +101,22 @@ def generate(
         total = len(description.trials)
         on_progress(total - len(waiting), total)
         if waiting:
-            finished = _written(waiting, folder, jobs, backend, scheduler, compress=compress)
-            for done, _ in enumerate(finished, total - len(waiting) + 1):
-                on_progress(done, total)
+            calls = [
+                joblib.delayed(write_trial)(spec, folder, compress=compress) for spec in waiting
+            ]
+            try:
+                with workers(backend, jobs, scheduler):
+                    written = joblib.Parallel(return_as='generator_unordered', batch_size=1)(calls)
+                    for done, _ in enumerate(written, total - len(waiting) + 1):
+                        on_progress(done, total)
+            except TerminatedWorkerError as error:
+                raise RecordingError(
+                    'a worker process was killed, probably out of memory; finished bags are kept',
+                    remedy='use fewer jobs',
+                ) from error
         shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
         description.completed().write(folder)
     return len(waiting)
-
-
-def _written(
-    specs: list[TrialSpec],
-    folder: Path,
-    jobs: int,
-    backend: str,
-    scheduler: str,
-    *,
-    compress: bool,
-) -> Iterator[int]:
-    """Yield once per bag, as they are finished."""
-    calls = [joblib.delayed(write_trial)(spec, folder, compress=compress) for spec in specs]
-    try:
-        with workers(backend, jobs, scheduler):
-            yield from joblib.Parallel(return_as='generator_unordered', batch_size=1)(calls)
-    except TerminatedWorkerError as error:
-        raise RecordingError(
-            'a worker process was killed, probably out of memory; finished bags are kept',
-            remedy='use fewer jobs',
-        ) from error
 
 
 @contextlib.contextmanager

@@ -80,10 +80,6 @@ class TrialClocks:
         arrivals = self.to_host_ns(end_us) + np.round(1000 * delays_us).astype(np.int64)
         return np.asarray(np.maximum.accumulate(arrivals), np.int64)
 
-    def reference_stamps_ns(self, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Convert times on the reference sensor's clock [ns] to its published stamps [ns]."""
-        return np.asarray(self.epoch_ns + t_ns, np.int64)
-
     def reference_rate(self, reference: ReferenceSensor) -> float:
         """Return the true rate of the reference sensor's clock over the camera's."""
         return (1.0 + 1e-6 * reference.drift_ppm) / (1.0 + 1e-6 * self.skew_ppm)

@@ -100,8 +100,7 @@ class TruthMessages:
         true_ns = (samples.t_ns - 1e9 * sensor.offset_s) / (1.0 + 1e-6 * sensor.drift_ppm)
         taken_ns = self._clocks.epoch_ns + true_ns.astype(np.int64)
         received = np.minimum(-(-taken_ns // BATCH_NS) * BATCH_NS, latest_ns).tolist()
-        stamps_ns = self._clocks.reference_stamps_ns(samples.t_ns)
-        data = self._reference.make(stamps_ns, samples.wrench)
+        data = self._reference.make(self._clocks.epoch_ns + samples.t_ns, samples.wrench)
         self._sink.put_rows(received, topics.REFERENCE, data)
 
 
@@ -157,37 +156,33 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
     """
     if is_finished(folder, spec.name):
         return 0
-    partial = folder / UNFINISHED / spec.name
+    partial, count = folder / UNFINISHED / spec.name, 0
+    trial = TrialStream(spec)
     try:
         shutil.rmtree(partial, ignore_errors=True)
         partial.parent.mkdir(parents=True, exist_ok=True)
-        count = _write(spec, partial, compress=compress)
+        writer = McapBag(partial, compressed=compress)
+        writer.set_custom_data('mixtac.simulated', 'true')
+        writer.set_custom_data('mixtac.trial', json.dumps(spec.to_dict()))
+        with writer:
+            connections = {
+                each.name: writer.add_connection(
+                    each.resolved(NAMESPACE),
+                    each.type_name,
+                    typestore=typestore(),
+                    offered_qos_profiles=(
+                        offered_qos(reliable=each.reliable, latched=each.latched),
+                    ),
+                )
+                for each in BAG_TOPICS
+            }
+            for message in trial_messages(trial):
+                count += 1
+                writer.write(connections[message.topic], message.received_ns, message.data)
         partial.rename(folder / spec.name)
     except OSError as error:
         raise RecordingError(
             f'cannot write bag {folder / spec.name}: {error}',
             remedy='free some space, or choose another folder',
         ) from error
-    return count
-
-
-def _write(spec: TrialSpec, path: Path, *, compress: bool) -> int:
-    trial = TrialStream(spec)
-    store, count = typestore(), 0
-    writer = McapBag(path, compressed=compress)
-    writer.set_custom_data('mixtac.simulated', 'true')
-    writer.set_custom_data('mixtac.trial', json.dumps(spec.to_dict()))
-    with writer:
-        connections = {
-            each.name: writer.add_connection(
-                each.resolved(NAMESPACE),
-                each.type_name,
-                typestore=store,
-                offered_qos_profiles=(offered_qos(reliable=each.reliable, latched=each.latched),),
-            )
-            for each in BAG_TOPICS
-        }
-        for message in trial_messages(trial):
-            writer.write(connections[message.topic], message.received_ns, message.data)
-            count += 1
     return count

@@ -108,7 +108,8 @@ def hold(
         The skin as it then is, and whether the object held.
     """
     rng = np.random.default_rng(surface_seed)
-    skin = Skin(layer, radius_mm, setup.friction, rng, round_face=setup.round_face)
+    is_round = OBJECTS[setup.name].face.shape == 'sphere'
+    skin = Skin(layer, radius_mm, setup.friction, rng, round_face=is_round)
     static = setup.friction.static(SETTLE_S)
     skin.rest(setup.weight_n * static / (static + setup.wall_mu), SETTLE_S)
     body = np.zeros(3)

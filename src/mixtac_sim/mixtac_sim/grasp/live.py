@@ -158,7 +158,7 @@ class LiveGrasp:
     def __init__(
         self, setup: GraspSetup, device_seed: int, seed: int, preset: Preset, clock: PacedClock
     ) -> None:
-        self._grasp = Grasp(setup.knocked(0.0), device_seed, seed, preset)
+        self._grasp = Grasp(replace(setup, knock_mm_s=0.0), device_seed, seed, preset)
         self._clock = clock
         self._lock = Lock()
         self._wanted_mm = self._place_mm = 0.0

@@ -16,7 +16,7 @@ No constants for black Shore A-5 silicone are published; every number here is an
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
@@ -64,18 +64,10 @@ class Friction:
             msg = f'{self}: mu, rate, slip_mm, grain_mm must be > 0, ageing and roughness >= 0'
             raise SimulationError(msg)
 
-    def steady(self, slip_mm_s: float) -> float:
-        """Return the coefficient in steady sliding at a slip speed [mm/s]."""
-        return self.mu + (self.rate - self.ageing) * float(np.log(slip_mm_s / REFERENCE_MM_S))
-
     def static(self, rest_s: float) -> float:
         """Return the coefficient up to which a contact that rested for a time [s] holds."""
         aged = self.ageing * float(np.log(REFERENCE_MM_S * rest_s / self.slip_mm))
         return self.mu + aged + self.rate * float(np.log(CREEP_MM_S / REFERENCE_MM_S))
-
-    def row(self) -> tuple[float, float, float, float]:
-        """Return mu, rate, ageing and slip_mm for the kernels."""
-        return self.mu, self.rate, self.ageing, self.slip_mm
 
 
 ObjectName = Literal['box', 'cup', 'ball']
@@ -169,11 +161,6 @@ class GraspSetup:
         """Return the object's weight [N]."""
         return 1e-3 * self.mass_g * GRAVITY
 
-    @property
-    def round_face(self) -> bool:
-        """Return whether the object touches the skin with a round face."""
-        return OBJECTS[self.name].face.shape == 'sphere'
-
     def constants(self) -> tuple[float, float, float, float, float, float, float]:
         """Return the constants of ``advance_object``."""
         return (
@@ -190,10 +177,6 @@ class GraspSetup:
     def transmitted(self) -> float:
         """Return the share of the falling weight's momentum that the object got."""
         return 1e-6 * self.mass_g * self.knock_mm_s / WEIGHT_IMPULSE_N_S
-
-    def knocked(self, speed_mm_s: float) -> GraspSetup:
-        """Return this grasp with another knock."""
-        return replace(self, knock_mm_s=speed_mm_s)
 
 
 def draw_setup(

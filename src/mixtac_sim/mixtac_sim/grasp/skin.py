@@ -126,11 +126,11 @@ class Skin:
         tuple[float, float, float, float, float, float],
     ]:
         """Return state, gel and friction as the kernel ``slide`` takes them."""
-        nodes_per_mm = 3.0 / self.friction.grain_mm
+        law = self.friction
         return (
             (self.shear_mm, self.age_s, self.slid_mm),
             (self.stiffness, self.shares),
-            (*self.friction.row(), nodes_per_mm, self._resistance),
+            (law.mu, law.rate, law.ageing, law.slip_mm, 3.0 / law.grain_mm, self._resistance),
         )
 
 

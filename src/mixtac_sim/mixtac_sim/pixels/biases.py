@@ -155,28 +155,18 @@ class PixelSettings:
             msg = f'{self}: thresholds, corners and shot_lux must be > 0, times and rates >= 0'
             raise SimulationError(msg)
 
-    @classmethod
-    def from_biases(
-        cls, registers: Mapping[int, int], nominal: PixelSettings | None = None
-    ) -> PixelSettings:
+    @staticmethod
+    def from_biases(registers: Mapping[int, int], nominal: PixelSettings) -> PixelSettings:
         """Return the settings of a chip with some bias registers.
 
         Args:
             registers: Values by address, module 5 of the camera; defaults where one is missing.
             nominal: Settings of the chip at the default registers, which are then scaled by what
-                the formulas say of the change; without it, the formulas' own values.
+                the formulas say of the change.
 
         Shot noise grows with the bandwidth and with the inverse of the threshold (estimate).
         """
         now, usual = PixelBiases.from_registers(registers), PixelBiases.from_registers({})
-        if nominal is None:
-            nominal = replace(
-                cls(),
-                threshold_on=usual.threshold_on,
-                threshold_off=usual.threshold_off,
-                source_follower_hz=usual.source_follower_hz,
-                refractory_us=usual.refractory_us,
-            )
         on, off = now.threshold_on / usual.threshold_on, now.threshold_off / usual.threshold_off
         speed = now.source_follower_hz / usual.source_follower_hz
         return replace(

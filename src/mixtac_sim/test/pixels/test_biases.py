@@ -61,7 +61,7 @@ def test_defaults_leave_a_chip_as_it_is():
 
 def test_thresholds_go_with_the_logarithm_of_the_current():
     settings = [
-        PixelSettings.from_biases({ON: register(c, 39), OFF: register(4, 1)}) for c in (5, 6, 7)
+        PixelBiases.from_registers({ON: register(c, 39), OFF: register(4, 1)}) for c in (5, 6, 7)
     ]
     on = [s.threshold_on for s in settings]
     assert np.diff(on) == pytest.approx(np.log(8.0) / 14.0, rel=0.02)
@@ -69,8 +69,8 @@ def test_thresholds_go_with_the_logarithm_of_the_current():
 
 
 def test_follower_and_refractory_follow_their_currents():
-    slow = PixelSettings.from_biases({FOLLOWER: register(1, 4), REFRACTORY: register(3, 25)})
-    usual = PixelSettings.from_biases({})
+    registers, usual = {FOLLOWER: register(1, 4), REFRACTORY: register(3, 25)}, PixelSettings()
+    slow = PixelSettings.from_biases(registers, usual)
     assert usual.source_follower_hz / slow.source_follower_hz == pytest.approx(4.0)
     assert slow.refractory_us / usual.refractory_us == pytest.approx(8.0, rel=0.01)
     assert slow.shot_hz == pytest.approx(0.25 * usual.shot_hz)
@@ -84,6 +84,6 @@ def test_follower_stops_at_half_the_photoreceptor():
 
 @given(st.dictionaries(st.sampled_from(sorted(DEFAULT_REGISTERS)), st.integers(0, 0xFFFF)))
 def test_any_registers_give_possible_settings(registers):
-    settings = PixelSettings.from_biases(registers)
+    settings = PixelSettings.from_biases(registers, PixelSettings())
     assert settings.threshold_on > 0.0
     assert settings.threshold_off > 0.0
