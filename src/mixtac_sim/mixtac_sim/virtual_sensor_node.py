@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
-from mixtac_node.base_node import QOS_FORCE, BaseNode, declare, run
+from mixtac_node.base_node import QOS_FORCE, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp
 from mixtac_sim.live.virtual_sensor import TouchControl, WrenchBatch, make_virtual_sensor
@@ -62,12 +62,10 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             topics.REFERENCE_WRENCH, name=self._settings.reference_topic
         )
         self._truth = self.publish_topic(topics.TRUTH_WRENCH)
-        self._service = self.create_service(Trigger, '~/play', self._on_play)
         self._touch = TouchControl(self._sensor)
-        self._touch_services = [
-            self.create_service(Trigger, f'~/{name}', partial(self._on_gesture, gesture))
-            for name, gesture in self._touch.gestures.items()
-        ]
+        self.create_service(Trigger, '~/play', answering(lambda _: self._play()))
+        for name, gesture in self._touch.gestures.items():
+            self.create_service(Trigger, f'~/{name}', answering(partial(self._act, gesture)))
         self._commands_refused = 0
         self._command = self.create_subscription(
             WrenchStamped, '~/force_command', self._on_force, QOS_FORCE
@@ -101,33 +99,15 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         self._scenario(parameters)
         self._settings = parameters
 
-    def _play(self) -> None:
-        lead_us = round(self._settings.lead_seconds * 1e6)
-        self._sensor.play(self._scenario(self._settings), lead_us=lead_us)
+    def _play(self) -> str:
+        settings = self._settings
+        lead_us = round(settings.lead_seconds * 1e6)
+        self._sensor.play(self._scenario(settings), lead_us=lead_us)
         self._plays += 1
+        return f'playing {settings.scenario} for {settings.seconds} s in {settings.lead_seconds} s'
 
-    def _on_play(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            self._play()
-        except MixtacError as error:
-            response.success, response.message = False, str(error)
-        else:
-            seconds, name = self._settings.seconds, self._settings.scenario
-            response.success = True
-            response.message = f'playing {name} for {seconds} s in {self._settings.lead_seconds} s'
-        return response
-
-    def _on_gesture(
-        self,
-        gesture: Callable[[TouchParameters], str],
-        _request: Trigger.Request,
-        response: Trigger.Response,
-    ) -> Trigger.Response:
-        try:
-            response.success, response.message = True, gesture(self._settings)
-        except MixtacError as error:
-            response.success, response.message = False, str(error)
-        return response
+    def _act(self, gesture: Callable[[TouchParameters], str], _request: Trigger.Request) -> str:
+        return gesture(self._settings)
 
     def _on_force(self, message: WrenchStamped) -> None:
         try:

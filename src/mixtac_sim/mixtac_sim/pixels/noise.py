@@ -20,13 +20,6 @@ from mixtac_sim.grids import PADDED, PIXELS, WIDTH
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
 from mixtac_sim.random_streams import BlockStreams
 
-SERVICE_NS = 80
-"""Time to read one event [ns]: 12 Mev/s (user guide; readout-delay article, 357)."""
-LATENCY_NS = 20_000
-"""Shortest time from crossing to request [ns] (data sheet: best case about 20 us)."""
-JITTER_NS = 15_000.0
-"""Standard deviation of the additional latency [ns] (estimate; ICNS model: 10 us)."""
-
 
 def pack(
     time_ns: NDArray[np.int64], pixel: NDArray[np.int64], on: NDArray[np.int64]
@@ -47,12 +40,7 @@ class Readout:
         lost: Events of pixels that were still waiting to be read.
     """
 
-    def __init__(
-        self,
-        service_ns: int = SERVICE_NS,
-        latency_ns: int = LATENCY_NS,
-        jitter_ns: float = JITTER_NS,
-    ) -> None:
+    def __init__(self, service_ns: int, latency_ns: int, jitter_ns: float) -> None:
         self._service_ns, self._latency_ns, self._jitter_ns = service_ns, latency_ns, jitter_ns
         self._free_ns = np.zeros(1, np.int64)
         self._busy_ns = np.zeros(PADDED, np.int64)

@@ -8,6 +8,9 @@ from hypothesis import strategies as st
 
 from mixtac_sim.pixels.noise import Readout, pack
 
+# Service time, latency and jitter [ns].
+QUEUE = (80, 20_000, 15_000.0)
+
 
 def keys(times, pixels):
     times, pixels = np.asarray(times, np.int64), np.asarray(pixels, np.int64)
@@ -26,7 +29,7 @@ class Still(np.random.Generator):
 
 def test_simultaneous_events_take_80_ns_each_row_by_row():
     pixels = np.random.default_rng(0).permutation(89_960)[:10_000]
-    events = Readout().read(keys(np.zeros(10_000), pixels), 0, 4_000_000, Still())
+    events = Readout(*QUEUE).read(keys(np.zeros(10_000), pixels), 0, 4_000_000, Still())
     assert len(events) == 10_000
     assert events.t[-1] - events.t[0] == 10_000 * 80 // 1000
     assert np.all(np.diff(events.t) >= 0)
@@ -34,7 +37,7 @@ def test_simultaneous_events_take_80_ns_each_row_by_row():
 
 
 def test_full_flash_never_exceeds_the_pace():
-    readout, rng = Readout(), np.random.default_rng(1)
+    readout, rng = Readout(*QUEUE), np.random.default_rng(1)
     everyone = keys(np.zeros(89_960), np.arange(89_960))
     parts = [readout.read(everyone, 0, 4_000_000, rng)]
     parts += [readout.read(keys([], []), k * 4_000_000, 4_000_000, rng) for k in (1, 2)]
@@ -47,7 +50,7 @@ def test_full_flash_never_exceeds_the_pace():
 def test_lone_events_come_after_the_latency():
     rng = np.random.default_rng(2)
     times = np.arange(1_000) * 3_000
-    events = Readout().read(keys(times, np.arange(1_000)), 0, 4_000_000, rng)
+    events = Readout(*QUEUE).read(keys(times, np.arange(1_000)), 0, 4_000_000, rng)
     late = events.t - times[np.argsort(events.x + 346 * events.y.astype(int))] // 1000
     order = np.argsort(events.x.astype(int) + 346 * events.y.astype(int))
     late = events.t[order] - times // 1000
@@ -56,7 +59,7 @@ def test_lone_events_come_after_the_latency():
 
 
 def test_pixel_that_waits_cannot_fire_again():
-    readout = Readout()
+    readout = Readout(*QUEUE)
     crowd = keys(np.zeros(20_000), np.arange(20_000))
     again = keys([500_000], [19_999])
     events = readout.read(np.concatenate([crowd, again]), 0, 4_000_000, Still())
@@ -70,7 +73,7 @@ def test_pixel_that_waits_cannot_fire_again():
     st.integers(0, 1_000),
 )
 def test_blocks_join_without_disorder(requests, seed):
-    readout = Readout()
+    readout = Readout(*QUEUE)
     rng = np.random.default_rng(seed)
     parts = []
     for block in (0, 1, 2):
