@@ -106,17 +106,25 @@ class Skin:
         return float(np.dot(self.stiffness, self.shear_mm))
 
     def drag(
-        self, speeds_mm_s: NDArray[np.float64], normal_n: NDArray[np.float64], step_s: float
-    ) -> None:
-        """Move an object over the skin at given speeds [n] under normal forces [n] [N].
+        self,
+        speeds_mm_s: NDArray[np.float64],
+        normal_n: NDArray[np.float64],
+        step_s: float,
+        substeps: int = 1,
+    ) -> NDArray[np.float64]:
+        """Move an object over the skin; return the shear of the patches after each step [n, 16].
 
         Args:
             speeds_mm_s: Speed of the object over each step [n] [mm/s].
             normal_n: Normal force over each step [n] [N].
             step_s: Length of a step [s].
+            substeps: Parts in which a step is computed.
         """
         state, gel, law = self.arrays()
-        _drag(state, gel, self.surface, law, normal_n, speeds_mm_s, step_s)
+        patches = np.empty((len(speeds_mm_s), len(self.shear_mm)))
+        part_s = step_s / substeps
+        _drag(state, gel, self.surface, law, normal_n, speeds_mm_s, part_s, substeps, patches)
+        return patches
 
     def arrays(
         self,
@@ -246,11 +254,15 @@ def _drag(
     law: tuple[float, float, float, float, float, float],
     normal_n: NDArray[np.float64],
     speeds_mm_s: NDArray[np.float64],
-    step_s: float,
+    part_s: float,
+    substeps: int,
+    patches: NDArray[np.float64],
 ) -> None:
     """Run several steps; see ``Skin.drag``."""
     for k in range(speeds_mm_s.size):
-        slide(state, gel, surface, law, normal_n[k], speeds_mm_s[k], step_s)
+        for _ in range(substeps):
+            slide(state, gel, surface, law, normal_n[k], speeds_mm_s[k], part_s)
+        patches[k] = state[0]
 
 
 SETTLE_S = 3.0

@@ -115,12 +115,7 @@ class SlipScene:
             msg = f'{count} speeds and {len(wanted)} forces; give one of each per 125 us'
             raise SimulationError(msg)
         path = self._press.hold(wanted)
-        patches = np.empty((count, len(self._skin.shear_mm)))
-        for k in range(count):
-            speeds = np.full(SCENE_SUBSTEPS, speed_mm_s[k])
-            forces = np.full(SCENE_SUBSTEPS, path.force_n[k])
-            self._skin.drag(speeds, forces, 1e-6 * STEP_US / SCENE_SUBSTEPS)
-            patches[k] = self._skin.shear_mm
+        patches = self._skin.drag(speed_mm_s, path.force_n, 1e-6 * STEP_US, SCENE_SUBSTEPS)
         self._object_mm += 1e-6 * STEP_US * float(np.sum(speed_mm_s))
         events, frames = self._camera.advance(path.elastic_n, patches)
         return SceneBlock(
