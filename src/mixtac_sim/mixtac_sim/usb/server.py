@@ -53,10 +53,27 @@ class UsbServer:
         self._connections: set[socket.socket] = set()
         self._sessions: dict[int, _Session] = {}
         self._closing = threading.Event()
-        self._owned = _OwnedSocket(path)
-        self._listener = self._owned.listener
+        self._listen()
         self._threads = [threading.Thread(target=self._accept, name='usb-accept', daemon=True)]
         self._threads[0].start()
+
+    def _listen(self) -> None:
+        """Make the socket, and take the lock that shows who made it."""
+        check_free(self.path)
+        self._handle = _take_lock(self.path)
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            Path(self.path).unlink(missing_ok=True)
+            self._listener.bind(self.path)
+            self._inode = os.lstat(self.path).st_ino
+            Path(self.path).chmod(0o600)
+            self._listener.listen(_BACKLOG)
+        except OSError as error:
+            self._listener.close()
+            _release_lock(self.path, self._handle, remove=True)
+            raise VirtualUsbError(
+                f'cannot listen on {self.path}: {error.strerror}; choose another socket'
+            ) from error
 
     def close(self) -> None:
         """Unplug the camera, end all connections and remove the socket."""
@@ -72,7 +89,11 @@ class UsbServer:
         for connection in connections:
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
-        self._owned.remove()
+        # Another program may have replaced the socket.
+        with contextlib.suppress(OSError):
+            if os.lstat(self.path).st_ino == self._inode:
+                Path(self.path).unlink()
+        _release_lock(self.path, self._handle, remove=True)
         for thread in self._threads:
             thread.join(2.0)
 
@@ -230,45 +251,6 @@ def check_free(path: str) -> None:
     handle = _take_lock(path)
     # Without a socket behind it the lock file shows nothing.
     _release_lock(path, handle, remove=not os.path.lexists(path))
-
-
-class _OwnedSocket:
-    """A listening socket, and the lock that shows who made it.
-
-    Args:
-        path: Socket to listen on.
-
-    Attributes:
-        listener: The socket.
-
-    Raises:
-        VirtualUsbError: As `UsbServer`.
-    """
-
-    def __init__(self, path: str) -> None:
-        check_free(path)
-        self._path = path
-        self._handle = _take_lock(path)
-        self.listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            Path(path).unlink(missing_ok=True)
-            self.listener.bind(path)
-            self._inode = os.lstat(path).st_ino
-            Path(path).chmod(0o600)
-            self.listener.listen(_BACKLOG)
-        except OSError as error:
-            self.listener.close()
-            _release_lock(path, self._handle, remove=True)
-            raise VirtualUsbError(
-                f'cannot listen on {path}: {error.strerror}; choose another socket'
-            ) from error
-
-    def remove(self) -> None:
-        """Remove socket and lock, unless another program has replaced the socket."""
-        with contextlib.suppress(OSError):
-            if os.lstat(self._path).st_ino == self._inode:
-                Path(self._path).unlink()
-        _release_lock(self._path, self._handle, remove=True)
 
 
 def _lock_path(path: str) -> str:
