@@ -42,7 +42,7 @@ def test_projection_is_opencvs(seed):
 @pytest.mark.parametrize('name', ['paper_like', 'hard'])
 def test_moved_camera_is_opencvs(name):
     device, day = draw_device(2, preset(name)), draw_conditions(5, preset(name))
-    lens, m = day.lens(device.lens), device.markers
+    lens, m = device.on_day(day).lens, device.markers
     assert lens != device.lens
     expected = opencv(lens, m.x_mm, m.y_mm, m.depth_mm, day.camera_roll_rad)
     found = np.stack(lens.project(m.x_mm, m.y_mm, m.depth_mm))
