@@ -56,7 +56,7 @@ def test_moved_camera_is_opencvs(name):
 
 
 def test_rays_of_a_rolled_camera_undo_its_projection():
-    lens = draw_conditions(5, preset('hard')).lens(draw_device(2).lens)
+    lens = draw_device(2).on_day(draw_conditions(5, preset('hard'))).lens
     slope_x, slope_y = lens.pixel_slopes()
     distance = float(lens.distance_mm(1.0))
     x, y = lens.project(slope_x * distance, slope_y * distance, np.ones_like(slope_x))
