@@ -183,7 +183,7 @@ class Profile:
         targets = np.zeros(count)
         tools = np.zeros(count, np.int8)
         indenters = self.indenters
-        begin = max(int(np.searchsorted(self._starts, times[0], side='right')) - 1, 0)
+        begin = max(int(np.searchsorted(self._starts, times[0])) - 1, 0)
         for segment in self.segments[begin:]:
             if segment.start_s > times[-1]:
                 break

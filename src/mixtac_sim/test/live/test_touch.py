@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mixtac_sim import SimulationError
@@ -110,6 +110,7 @@ def test_a_vibration_has_its_frequency_and_amplitude(sensor, control):
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.floats(0.0, LARGEST_N), st.integers(1, 400)), min_size=2, max_size=12))
+@example([(1.0, 10), (0.0, 9)])  # the second comes when the first has just been reached
 def test_commanded_forces_are_followed_without_a_gap(steps):
     sensor = Sensor()
     control = TouchControl(sensor)
