@@ -308,7 +308,7 @@ def _read_presets() -> tuple[Preset, ...]:
     """Return the presets of ``presets.yaml``, in order: all effects off, paper_like, hard."""
     text = Path(__file__).with_name('presets.yaml').read_text(encoding='utf-8')
     presets = []
-    for name, effects in yaml.load(text, yaml.CSafeLoader).items():
+    for name, effects in yaml.CSafeLoader(text).get_single_data().items():
         changes = {}
         for effect, values in effects.items():
             ranges = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
