@@ -140,7 +140,7 @@ def examine(
     """
     check_device(device)
     files = HostFiles(root)
-    software = [*check_ros(os.environ), check_model()]
+    software = [check_ros(os.environ), check_domain(os.environ), check_model()]
     if is_real(device):
         yield 'software', [*software, check_virtual_sensor()]
         attached = check_attached(files, serial)
@@ -172,16 +172,12 @@ def table(section: str, findings: list[Finding]) -> Table:
     return result
 
 
-def check_ros(environment: Mapping[str, str]) -> list[Finding]:
-    """Check which ROS is installed and how nodes discover each other.
+def check_ros(environment: Mapping[str, str]) -> Finding:
+    """Check which ROS is installed.
 
     Args:
         environment: Variables of the process.
     """
-    return [_check_rclpy(environment), check_domain(environment)]
-
-
-def _check_rclpy(environment: Mapping[str, str]) -> Finding:
     name, remedy = 'ROS 2', 'source the workspace: `. tools/env.sh` or `. install/setup.bash`'
     command = [sys.executable, '-c', PROBE]
     try:

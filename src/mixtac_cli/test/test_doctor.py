@@ -126,14 +126,14 @@ def test_ros_domain(domain, level):
 
 def test_ros_is_named():
     pytest.importorskip('rclpy', reason='needs ROS 2')
-    finding = doctor.check_ros(os.environ)[0]
+    finding = doctor.check_ros(os.environ)
     assert finding.level is Level.OK
     assert str(finding.values['rmw']).startswith('rmw_')
 
 
 def test_ros_that_cannot_be_imported(monkeypatch):
     monkeypatch.setattr(doctor, 'PROBE', 'import no_such_module_at_all')
-    finding = doctor.check_ros(os.environ)[0]
+    finding = doctor.check_ros(os.environ)
     assert finding.level is Level.ERROR
     assert 'no_such_module_at_all' in finding.found
     assert sys.executable not in finding.remedy

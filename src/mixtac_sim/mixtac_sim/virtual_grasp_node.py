@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from mixtac_node import topics
-from mixtac_node.base_node import QOS_SENSOR, BaseNode, declare, run
+from mixtac_node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp, stamp_to_us
 from mixtac_sim import SimulationError
@@ -94,8 +94,8 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         self.create_subscription(
             JointState, settings.joint_state_topic, self._on_joints, QOS_SENSOR
         )
-        self.create_service(Trigger, '~/knock', self._on_knock)
-        self.create_service(Trigger, '~/put_back', self._on_put_back)
+        self.create_service(Trigger, '~/knock', answering(self._on_knock))
+        self.create_service(Trigger, '~/put_back', answering(self._on_put_back))
 
     def close(self) -> None:
         """End threads, remove the socket."""
@@ -130,19 +130,15 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         self._grasp.strike(self._settings.knock)
         self._knocks += 1
 
-    def _on_knock(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_knock(self, _request: Trigger.Request) -> str:
         self._strike()
-        response.success, response.message = True, f'{self._settings.knock:g} mm/s'
-        return response
+        return f'{self._settings.knock:g} mm/s'
 
-    def _on_put_back(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _on_put_back(self, _request: Trigger.Request) -> str:
         # The wall moves with the fingertip: the object is held as at the start.
         self._start_m = None
         self._grasp.put_back()
-        response.success = True
-        return response
+        return ''
 
     def _publish_all(self) -> None:
         while not self._stop.wait(PUBLISH_PERIOD_S):
