@@ -307,8 +307,10 @@ EASY = Preset('easy')
 def _read_presets() -> tuple[Preset, ...]:
     """Return the presets of ``presets.yaml``, in order: all effects off, paper_like, hard."""
     text = Path(__file__).with_name('presets.yaml').read_text(encoding='utf-8')
+    # Eight times as fast, where the library was built with it.
+    loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
     presets = []
-    for name, effects in yaml.CSafeLoader(text).get_single_data().items():
+    for name, effects in yaml.load(text, Loader=loader).items():  # noqa: S506
         changes = {}
         for effect, values in effects.items():
             ranges = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
