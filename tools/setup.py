@@ -171,9 +171,9 @@ def build(venv: Path, steps: Steps, distro: str, *, robot: bool) -> None:
     if not distro:
         env['AMENT_PREFIX_PATH'] = env['CMAKE_PREFIX_PATH'] = str(venv)
         env['ROS_DISTRO'], env['ROS_VERSION'], env['ROS_PYTHON_VERSION'] = 'jazzy', '2', '3'
-    if not has_package(env, 'event_camera_msgs'):
-        paths.append('compat/event_camera_msgs')
-    selected = ['--packages-select', 'event_camera_msgs', *ROBOT_PACKAGES] if robot else []
+    stand_ins = sorted(path.name for path in (ROOT / 'compat').iterdir() if path.is_dir())
+    paths += [f'compat/{name}' for name in stand_ins if not has_package(env, name)]
+    selected = ['--packages-select', *stand_ins, *ROBOT_PACKAGES] if robot else []
     # Through the environment's own interpreter, so that the nodes start with it.
     program = shutil.which('colcon', path=env['PATH'])
     if program is None:

@@ -10,6 +10,7 @@ from collections import deque
 import numpy as np
 from event_camera_msgs.msg import EventPacket
 from geometry_msgs.msg import WrenchStamped
+from message_filters import Subscriber, TimeSynchronizer
 from rclpy.node import Node
 from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
@@ -38,6 +39,10 @@ from mixtac_node.images import ImageConversionError, grey
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 
 MOST_EDGES = 10_000
+WAITING = 32
+"""Frames, or exposures, that wait for each other."""
+RESTART_NS = 1_000_000_000
+"""A larger step back is a restarted clock [ns]."""
 
 
 class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
@@ -58,14 +63,21 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self._reference_edges: deque[float] = deque(maxlen=MOST_EDGES)
         self._fit: ClockFit | None = None
         self._packets = SequenceCounter()
+        self._halves, self._newest_ns, self._paired = 0, 0, 0
         self._undecodable = 0
         warm_up()
         signals.warm_up()
         self.subscribe_topic(topics.EVENTS, self._on_events)
         self.subscribe_topic(topics.REFERENCE_WRENCH, self._on_force, name=p.reference_topic)
         # Deeper queues than those of a display: no frame or edge may be missing.
-        self.create_subscription(Image, 'image_raw', self._on_image, QOS_FORCE)
-        self.create_subscription(FrameExposure, 'image_exposure', self._on_exposure, QOS_FORCE)
+        halves = [
+            Subscriber(self, Image, 'image_raw', qos_profile=QOS_FORCE),
+            Subscriber(self, FrameExposure, 'image_exposure', qos_profile=QOS_FORCE),
+        ]
+        for half in halves:
+            half.registerCallback(self._on_half)
+        self._pairs = TimeSynchronizer(halves, WAITING)
+        self._pairs.registerCallback(self._on_frame)
         self.create_subscription(ExternalEdge, 'external_edges', self._on_edge, QOS_FORCE)
         self.create_subscription(
             TimeReference, 'reference_edges', self._on_reference_edge, QOS_FORCE
@@ -99,23 +111,27 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             message.header.stamp = us_to_stamp(int(self._fit.to_camera(seconds)))
             self._aligned.publish(message)
 
-    def _on_image(self, message: Image) -> None:
+    def _on_half(self, message: Image | FrameExposure) -> None:
+        self._halves += 1
+        stamp_ns = stamp_to_ns(message.header.stamp)
+        if stamp_ns < self._newest_ns - RESTART_NS:
+            # What waits is of the clock before, and would push out all that is new.
+            for queue in self._pairs.queues:
+                queue.clear()
+        self._newest_ns = stamp_ns
+
+    def _on_frame(self, image: Image, exposure: FrameExposure) -> None:
+        self._paired += 1
         if not self._settings.use_frames:
             return
         try:
-            pixels = grey(message)
+            pixels = grey(image)
         except ImageConversionError as error:
             self.get_logger().warning(f'frame left out: {error}', once=True)
             return
         values = reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
-        self._frames.push_image(stamp_to_ns(message.header.stamp), values)
-
-    def _on_exposure(self, message: FrameExposure) -> None:
-        self._frames.push_exposure(
-            stamp_to_ns(message.header.stamp),
-            stamp_to_us(message.exposure_start),
-            stamp_to_us(message.exposure_end),
-        )
+        start, end = exposure.exposure_start, exposure.exposure_end
+        self._frames.push(stamp_to_us(start), stamp_to_us(end), values)
 
     def _on_edge(self, message: ExternalEdge) -> None:
         self._camera_edges.append(stamp_to_us(message.header.stamp))
@@ -142,6 +158,10 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self._publisher.publish(message)
         return self._fit.summary()
 
+    def _unmatched(self) -> int:
+        waiting = sum(len(queue) for queue in self._pairs.queues)
+        return max(0, self._halves - 2 * self._paired - waiting)
+
     def _status(self) -> Status:
         values: dict[str, object] = {
             'packets': self._packets.received,
@@ -149,7 +169,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             'undecodable packets': self._undecodable,
             'remembered event bins': len(self._rate.snapshot().counts),
             'reference samples out of order': self._force.out_of_order,
-            'frames and exposure messages without a match': self._frames.unmatched,
+            'frames and exposure messages without a match': self._unmatched(),
             'events dropped: history buffer full': self._history.dropped,
             'external edges': len(self._camera_edges),
             'clock restarts': self._rate.restarts + self._force.restarts,

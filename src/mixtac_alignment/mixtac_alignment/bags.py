@@ -176,6 +176,8 @@ def read_recording(
     events, image, exposure, edge, other = (f'{namespace}/{name}' for name in names)
     needed = () if edges_only else (events, reference)
     packets, frames = PacketCollector(LONGEST_S), FrameHistory(LONGEST_S)
+    images: dict[int, NDArray[np.float32]] = {}
+    spans: dict[int, tuple[int, int]] = {}
     edges: list[int] = []
     reference_edges: list[float] = []
     stamps: list[int] = []
@@ -191,14 +193,16 @@ def read_recording(
                 stamps.append(stamp)
                 force.append(normal)
             elif topic == image:
-                frames.push_image(_ns(message.header.stamp), _features(message))
+                images[_ns(message.header.stamp)] = _features(message)
             elif topic == exposure:
                 start, end = _ns(message.exposure_start), _ns(message.exposure_end)
-                frames.push_exposure(_ns(message.header.stamp), start // 1000, end // 1000)
+                spans[_ns(message.header.stamp)] = start // 1000, end // 1000
             elif topic == edge:
                 edges.append(_ns(message.header.stamp) // 1000)
             else:
                 reference_edges.append(_ns(message.time_ref) / 1e9)
+    for stamp in sorted(images.keys() & spans.keys()):
+        frames.push(*spans[stamp], images[stamp])
     return Recording(
         counts=EMPTY if edges_only else packets.counts(f'{path} topic {events}'),
         events=packets.events(),

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 
@@ -32,42 +31,19 @@ class ForceErrorParameters:
     )
 
 
-class ForcePairing:
-    """Pairs estimates with the reference interpolated to their time, and keeps running errors.
-
-    Both streams are on the camera clock. An estimate waits until the reference has passed it.
-
-    Attributes:
-        unpaired: Estimates without reference samples close enough on both sides.
+class RunningError:
+    """Errors of the latest pairs of estimate and reference.
 
     Args:
-        window: Pairs over which errors run.
-        longest_gap_ns: Reference samples further apart than this are not interpolated [ns].
+        window: Number of pairs.
     """
 
-    def __init__(self, window: int = 5000, longest_gap_ns: int = 20_000_000) -> None:
-        self.unpaired = 0
-        self._gap_ns = longest_gap_ns
+    def __init__(self, window: int) -> None:
         self._errors: deque[float] = deque(maxlen=window)
-        self._waiting: deque[tuple[int, float]] = deque(maxlen=window)
-        self._times: deque[int] = deque(maxlen=window)
-        self._forces: deque[float] = deque(maxlen=window)
 
-    def push_estimate(self, t_ns: int, force: float) -> None:
-        """Add an estimated normal force [N] at a camera time [ns]."""
-        if len(self._waiting) == self._waiting.maxlen:
-            self.unpaired += 1
-        self._waiting.append((t_ns, force))
-        self._pair()
-
-    def push_reference(self, t_ns: int, force: float) -> None:
-        """Add a reference normal force [N] at a camera time [ns]; one that steps back restarts."""
-        if self._times and t_ns <= self._times[-1]:
-            self._times.clear()
-            self._forces.clear()
-        self._times.append(t_ns)
-        self._forces.append(force)
-        self._pair()
+    def push(self, estimate_n: float, reference_n: float) -> None:
+        """Add a pair of normal forces [N]."""
+        self._errors.append(estimate_n - reference_n)
 
     @property
     def pairs(self) -> int:
@@ -84,19 +60,3 @@ class ForcePairing:
         """Return the root mean square error [N]; 0 without pairs."""
         mean = sum(error * error for error in self._errors) / max(1, len(self._errors))
         return float(mean**0.5)
-
-    def _pair(self) -> None:
-        while self._waiting and self._times and self._waiting[0][0] <= self._times[-1]:
-            t_ns, force = self._waiting.popleft()
-            k = bisect_left(self._times, t_ns)
-            if k == 0 and self._times[0] != t_ns:
-                self.unpaired += 1
-                continue
-            before = max(0, k - 1)
-            span = self._times[k] - self._times[before]
-            if span > self._gap_ns:
-                self.unpaired += 1
-                continue
-            part = (t_ns - self._times[before]) / span if span else 0.0
-            low = self._forces[before]
-            self._errors.append(force - low - part * (self._forces[k] - low))

@@ -6,14 +6,19 @@ from __future__ import annotations
 
 import sys
 
+from message_filters import ApproximateTimeSynchronizer, Subscriber
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
-from mixtac_alignment.force_error import ForceErrorParameters, ForcePairing
+from mixtac_alignment.force_error import ForceErrorParameters, RunningError
 from mixtac_node import topics
-from mixtac_node.base_node import BaseNode, declare, run
+from mixtac_node.base_node import BaseNode, declare, qos, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from mixtac_node.stamps import stamp_to_ns
+
+WAITING = 50
+"""Estimates, or samples of the reference, that wait for each other; 0.1 s of estimates."""
+SLOP_S = 0.001
+"""Largest difference of the stamps in a pair [s]."""
 
 
 class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
@@ -23,37 +28,46 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
         super().__init__('force_error')
         p = declare(self, ForceErrorParameters)
         self._sign = p.sign or 1
-        self._pairing = ForcePairing(p.window)
-        self.subscribe_topic(topics.FORCE, self._on_force, name=p.force_topic)
-        self.subscribe_topic(topics.ALIGNMENT_REFERENCE, self._on_reference, name=p.reference_topic)
+        self._error = RunningError(p.window)
+        self._estimates, self._paired = 0, 0
+        force, reference = (
+            Subscriber(self, topics.message_class(topic.type_name), name, qos_profile=qos(topic))
+            for topic, name in (
+                (topics.FORCE, p.force_topic),
+                (topics.ALIGNMENT_REFERENCE, p.reference_topic),
+            )
+        )
+        force.registerCallback(self._on_force)
+        self._pairs = ApproximateTimeSynchronizer([force, reference], WAITING, SLOP_S)
+        self._pairs.registerCallback(self._on_pair)
         self._mae = self.publish_topic(topics.FORCE_ERROR_MAE, name='~/mae')
         self._rmse = self.publish_topic(topics.FORCE_ERROR_RMSE, name='~/rmse')
         self.create_timer(0.1, self._publish)
         self._diagnostics = DiagnosticsPublisher(self, 'force error', self._status)
 
-    def _on_force(self, message: topics.ForceMessage) -> None:
-        self._pairing.push_estimate(stamp_to_ns(message.header.stamp), topics.normal_force(message))
+    def _on_force(self, _message: topics.ForceMessage) -> None:
+        self._estimates += 1
 
-    def _on_reference(self, message: topics.ForceMessage) -> None:
-        force = self._sign * topics.normal_force(message)
-        self._pairing.push_reference(stamp_to_ns(message.header.stamp), force)
+    def _on_pair(self, force: topics.ForceMessage, reference: topics.ForceMessage) -> None:
+        self._paired += 1
+        self._error.push(topics.normal_force(force), self._sign * topics.normal_force(reference))
 
     def _publish(self) -> None:
-        if self._pairing.pairs:
-            self._mae.publish(Float64(data=self._pairing.mae))
-            self._rmse.publish(Float64(data=self._pairing.rmse))
+        if self._error.pairs:
+            self._mae.publish(Float64(data=self._error.mae))
+            self._rmse.publish(Float64(data=self._error.rmse))
 
     def _status(self) -> Status:
-        pairing = self._pairing
+        error = self._error
         values: dict[str, object] = {
-            'pairs': pairing.pairs,
-            'unpaired estimates': pairing.unpaired,
-            'mae [N]': pairing.mae,
-            'rmse [N]': pairing.rmse,
+            'pairs': error.pairs,
+            'unpaired estimates': self._estimates - self._paired,
+            'mae [N]': error.mae,
+            'rmse [N]': error.rmse,
         }
-        if not pairing.pairs:
+        if not error.pairs:
             return Status(WARN, 'no pairs: fit the clocks first (alignment/fit)', values)
-        return Status(OK, f'MAE {pairing.mae:.3f} N, RMSE {pairing.rmse:.3f} N', values)
+        return Status(OK, f'MAE {error.mae:.3f} N, RMSE {error.rmse:.3f} N', values)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -310,7 +310,7 @@ def _read_presets() -> tuple[Preset, ...]:
     # Eight times as fast, where the library was built with it.
     loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
     presets = []
-    for name, effects in yaml.load(text, Loader=loader).items():  # noqa: S506
+    for name, effects in loader(text).get_single_data().items():
         changes = {}
         for effect, values in effects.items():
             ranges = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
