@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -70,6 +71,34 @@ def checked_config(model: Model) -> FgerConfig:
                 remedy=MODEL_REMEDY,
             )
     return config
+
+
+def with_gain(model: Model, gain: float) -> Model:
+    """Return an FGER-Net model whose forces are `gain` times those of `model`, deviations as well.
+
+    Everything that makes a force is multiplied, everything that reads one is divided, so that the
+    recurrent state runs through the same values as before.
+
+    Args:
+        model: Not changed.
+        gain: Above 0.
+
+    Raises:
+        ModelError: The gain is no such number, or as `checked_config`.
+    """
+    if not 0.0 < gain < float('inf'):
+        raise ModelError(f'a gain of {gain} is impossible', remedy='check the known forces')
+    checked_config(model)
+    tensors = {name: np.array(tensor) for name, tensor in model.tensors.items()}
+    for layer in ('increment.2', 'correction.2', 'frame.head'):
+        for kind in ('weight', 'bias'):
+            tensors[f'{layer}.{kind}'] *= np.float32(gain)
+    tensors['gates_force.weight'] /= np.float32(gain)
+    tensors['correction.0.weight'][:, 0] /= np.float32(gain)
+    if 'deviation.scale' in tensors:
+        tensors['deviation.hidden.weight'][:, -1] /= np.float32(gain)
+        tensors['deviation.scale'] *= np.float32(gain)
+    return replace(model, tensors=tensors)
 
 
 class FgerEstimator:

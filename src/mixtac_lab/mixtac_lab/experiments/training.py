@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from mixtac_fger.config import FgerConfig
+from mixtac_fger.model_card import save_model
 from mixtac_fger.weights import read_model
 from mixtac_lab.experiments.harness import Context, constant_row
 from mixtac_lab.experiments.report import Outcome, Row
@@ -37,7 +38,6 @@ from mixtac_lab.experiments.sizes import (
 )
 from mixtac_lab.store import Piece, code_version, files_version
 from mixtac_learning.judge.estimators import TrialEstimate, trial_estimator
-from mixtac_learning.model_card import save_model
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.samples import PaperRecipe
 from mixtac_learning.train.config import OURS, DataConfig, RunConfig, SimulatedData

@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from torch import Tensor, nn
 
+from mixtac_fger import fger_net
 from mixtac_fger.estimator import SERIAL_KEY
+from mixtac_fger.model_card import save_model
 from mixtac_fger.weights import ModelCard, read_model
 from mixtac_learning.adapt.presses import PressSet, folds, gather_presses, parse_load
 from mixtac_learning.judge.metrics import SMALLEST_FORCE_N, CalibrationError, fit_scale
-from mixtac_learning.model_card import save_model
 from mixtac_learning.network import FgerNetwork, model_of, network_of
 from mixtac_learning.train.batches import MemoryGroups, Sequences, stack
 from mixtac_learning.train.config import TrainingSettings
@@ -46,33 +47,17 @@ from mixtac_node.topics import REFERENCE
 Report = Callable[[str], None]
 
 
-@torch.no_grad()
 def with_gain(network: FgerNetwork, gain: float) -> FgerNetwork:
-    """Return a network whose forces are `gain` times those of `network`, deviations as well.
-
-    Everything that makes a force is multiplied, everything that reads one is divided, so that the
-    recurrent state runs through the same values as before.
+    """Return a network whose forces are `gain` times those of `network`; see `fger_net.with_gain`.
 
     Args:
         network: Not changed.
         gain: Above 0.
 
     Raises:
-        CalibrationError: The gain is no such number.
+        ModelError: The gain is no such number.
     """
-    if not 0.0 < gain < float('inf'):
-        raise CalibrationError(f'a gain of {gain} is impossible: check the known forces')
-    scaled = copy.deepcopy(network)
-    for layer in (scaled.increment[2], scaled.correction[2], scaled.frame.head):
-        for parameter in layer.parameters():
-            parameter.mul_(gain)
-    scaled.gates_force.weight /= gain
-    first = scaled.correction.get_parameter('0.weight')
-    first[:, 0] /= gain
-    if scaled.deviation is not None:
-        scaled.deviation.hidden.weight[:, -1] /= gain
-        scaled.deviation.scale *= gain
-    return scaled
+    return network_of(fger_net.with_gain(model_of(network, ModelCard()), gain))
 
 
 SETTINGS = TrainingSettings(

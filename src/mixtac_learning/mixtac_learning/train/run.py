@@ -17,11 +17,11 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from mixtac_fger.config import FgerConfig, from_mapping
+from mixtac_fger.model_card import save_model
 from mixtac_fger.weights import Model, ModelCard
 from mixtac_learning.judge.estimators import trial_estimator
 from mixtac_learning.judge.evaluation import judge_devices
 from mixtac_learning.judge.report import show_figures, show_skipped
-from mixtac_learning.model_card import save_model
 from mixtac_learning.network import model_of
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import paper_model_of

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from mixtac_fger.config import ModelError
 from mixtac_learning.adapt import adaptation
 from mixtac_learning.adapt.adaptation import adapt, choose, side_by_side, tuned, with_gain
 from mixtac_learning.adapt.presses import (
@@ -90,9 +91,26 @@ def test_a_folded_gain_multiplies_forces_and_deviations(network, sample, gain):
     assert outputs(network, sample)[0] == pytest.approx(force, abs=0.0)
 
 
+@pytest.mark.parametrize('gain', [0.3, 2.5])
+def test_the_gain_without_torch_is_that_of_the_network(network, sample, gain):
+    scaled = copy.deepcopy(network)
+    with torch.no_grad():
+        for layer in (scaled.increment[2], scaled.correction[2], scaled.frame.head):
+            for parameter in layer.parameters():
+                parameter.mul_(gain)
+        scaled.gates_force.weight /= gain
+        scaled.correction.get_parameter('0.weight')[:, 0] /= gain
+        scaled.deviation.hidden.weight[:, -1] /= gain
+        scaled.deviation.scale *= gain
+    force, deviation = outputs(scaled, sample)
+    found_force, found_deviation = outputs(with_gain(network, gain), sample)
+    assert found_force == pytest.approx(force, abs=1e-6)
+    assert found_deviation == pytest.approx(deviation, abs=1e-6)
+
+
 def test_impossible_gains_are_refused(network):
     for gain in (0.0, -1.0, float('nan'), float('inf')):
-        with pytest.raises(CalibrationError):
+        with pytest.raises(ModelError):
             with_gain(network, gain)
 
 

@@ -1,0 +1,629 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The gain of a sensor from known loads: plateaus of a force series, a fit, and its checks.
+
+No image shows how stiff a gel is, so the estimate e of an uncalibrated sensor is off by a factor.
+Known loads F_i are put on one after the other. Each holds long enough for a plateau; the mean of
+the estimate there, less the zero before and after it, is e_i. The model of the fit is
+
+    F_i = g * e_i + r_i,    Var r_i = s_i^2 + g^2 (n_i^2 + z_i^2) + (m F_i)^2
+
+with the stated uncertainty s_i of the load, the noise n_i of the mean, the uncertainty z_i of the
+zero, and the part m by which the estimate differs from load to load: place, object, history. The
+line goes through the origin, because the zero is known:
+
+    g = sum(w_i F_i e_i) / sum(w_i e_i^2),    w_i = 1 / Var r_i,
+    sd(g)^2 = max(1, chi^2 / (n - 1)) / sum(w_i e_i^2),    chi^2 = sum(w_i r_i^2).
+
+Nothing here needs ROS: a live sensor and a recording give the same series.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from mixtac_events.errors import MixtacError
+
+F64 = NDArray[np.float64]
+Reason = Literal['contact', 'rocking', 'creep', 'zero', 'units', 'loads', 'few', 'order', 'changed']
+GRAVITY = 9.80665
+"""Standard gravity [m/s^2]."""
+
+
+class ForceCalibrationError(MixtacError):
+    """Loads or a force series by which a sensor cannot be calibrated.
+
+    Args:
+        message: What is wrong, with the value.
+        remedy: What the user can do about it.
+        reason: See below.
+
+    Attributes:
+        reason: `contact` (no load arrived), `rocking` (not held still), `creep`, `zero` (the
+            sensor moved), `units` (a gain that no gel explains), `loads` (they disagree), `few`
+            (too few loads), `order` (more plateaus than loads) or `changed` (a check failed).
+    """
+
+    def __init__(self, message: str, *, remedy: str, reason: Reason) -> None:
+        super().__init__(message, remedy=remedy)
+        self.reason = reason
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """A known force.
+
+    Attributes:
+        force_n: Normal force [N].
+        sd_n: Its standard uncertainty [N].
+    """
+
+    force_n: float
+    sd_n: float
+
+
+def load_of(grams: float, sd_grams: float) -> Load:
+    """Return the load of a mass and its standard uncertainty, in grams."""
+    return Load(1e-3 * GRAVITY * grams, 1e-3 * GRAVITY * sd_grams)
+
+
+BIN_S = 0.04
+"""The series is averaged over these steps [s]; frames correct the estimate as often."""
+REACH_S = 0.4
+"""Means over this time are compared, so far before and after a moment [s]."""
+STEADY_N = 0.02
+"""Change between them up to which the force is steady [N] (estimate)."""
+STEADY_PART = 0.08
+"""The same, as a part of the force (estimate)."""
+SHORTEST_S = 0.8
+"""Shortest steady stretch [s]."""
+LONGEST_S = 4.0
+"""More of a stretch is not used [s]: a gel creeps."""
+CONTACT_N = 0.04
+"""Estimates further than this from zero are contact [N] (estimate)."""
+
+
+class Stretch(NamedTuple):
+    """A steady stretch of a force series.
+
+    Attributes:
+        start_s: Its start [s].
+        end_s: Its end [s].
+        mean_n: Mean force [N].
+        sd_n: Standard deviation of the means over `BIN_S` about a line [N].
+        error_n: Standard error of the mean [N].
+        creep_n_per_s: Slope of that line [N/s].
+    """
+
+    start_s: float
+    end_s: float
+    mean_n: float
+    sd_n: float
+    error_n: float
+    creep_n_per_s: float
+
+
+def steady_stretches(t_s: F64, force_n: F64) -> list[Stretch]:
+    """Return the stretches in which a force is steady, in the order of time.
+
+    Steady is where the means over `REACH_S` before and after a moment are equal, but for a slow
+    creep. The ends of a change are thus left out by themselves. Before its start and after its end
+    the series is taken to go on as it is there. A gap in it ends a stretch.
+
+    Args:
+        t_s: Times, increasing [s].
+        force_n: Forces at these times [N].
+    """
+    times, means = binned(t_s, force_n)
+    reach = round(REACH_S / BIN_S)
+    if len(means) < reach:
+        return []
+    ends = [np.full(reach, part.mean()) for part in (means[: reach // 2], means[-reach // 2 :])]
+    # A gap makes NaN of all that it touches, which is never steady.
+    moving = sliding_window_view(np.concatenate([ends[0], means, ends[1]]), reach).mean(axis=1)
+    before, after = moving[: -reach - 1], moving[reach + 1 :]
+    level = np.maximum(np.abs(before), np.abs(after))
+    steady = np.abs(after - before) <= np.maximum(STEADY_N, STEADY_PART * level)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], steady.astype(np.int8), [0]])))
+    runs = [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= SHORTEST_S / BIN_S]
+    return [_stretch(times[a:b], means[a:b]) for a, b in runs]
+
+
+def binned(t_s: F64, force_n: F64) -> tuple[F64, F64]:
+    """Return the middles of steps of `BIN_S` and the mean force in each, NaN where there is none.
+
+    A series with long gaps should be cut before: the steps between are all there.
+    """
+    if not len(t_s):
+        return np.zeros(0), np.zeros(0)
+    index = ((t_s - t_s[0]) / BIN_S).astype(np.int64)
+    count = np.bincount(index)
+    with np.errstate(invalid='ignore'):
+        means = np.bincount(index, force_n) / np.where(count > 0, count, np.nan)
+    # The last step may have just begun.
+    return (t_s[0] + BIN_S * (np.arange(len(means)) + 0.5))[:-1], means[:-1]
+
+
+def _stretch(times: F64, means: F64) -> Stretch:
+    """Describe a run of steps of which each is there."""
+    kept = slice(0, round(LONGEST_S / BIN_S))
+    times, means = times[kept], means[kept]
+    slope, _ = np.polyfit(times - times.mean(), means, 1)
+    rest = means - means.mean() - slope * (times - times.mean())
+    # Steps err together for as long as the estimate remembers: blocks of REACH_S do less so.
+    block = round(REACH_S / BIN_S)
+    blocks = rest[: len(rest) // block * block].reshape(-1, block).mean(axis=1)
+    error = max(blocks.std(), rest.std() / np.sqrt(block)) / np.sqrt(len(blocks))
+    return Stretch(
+        float(times[0]),
+        float(times[-1]),
+        float(means.mean()),
+        float(rest.std(ddof=2)),
+        float(error),
+        float(slope),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Plateau:
+    """The estimate under one load.
+
+    Attributes:
+        start_s: Start of the stretch that was used [s].
+        end_s: Its end [s].
+        estimate_n: Mean estimate above zero [N].
+        sd_n: Standard deviation about a line [N]: hand, noise.
+        error_n: Standard uncertainty of the estimate, that of the zero included [N].
+        creep_n_per_s: Slope [N/s].
+        zero_shift_n: Zero after the load less zero before it [N]; NaN where one is not known.
+        unloading: It was reached from a larger load.
+    """
+
+    start_s: float
+    end_s: float
+    estimate_n: float
+    sd_n: float
+    error_n: float
+    creep_n_per_s: float
+    zero_shift_n: float = float('nan')
+    unloading: bool = False
+
+
+ROCKING_N, ROCKING_PART = 0.03, 0.06
+"""Larger deviations about the line of a plateau are a load that moves [N], [part] (estimate)."""
+CREEP_N_PER_S, CREEP_PART_PER_S = 0.01, 0.05
+"""Larger slopes of a plateau are no rest [N/s], [1/s] (estimate)."""
+ZERO_N, ZERO_PART = 0.03, 0.10
+"""Larger differences of the zero before and after are a sensor that moved [N], [part]."""
+
+
+def plateau_of(
+    load: Stretch, before: Stretch, after: Stretch | None, *, unloading: bool = False
+) -> Plateau:
+    """Return the plateau of a load, measured from the zero before and after it.
+
+    Args:
+        load: Steady stretch with the load on.
+        before: Steady stretch without a load, before.
+        after: The same, after; None where the load is still on.
+        unloading: It was reached from a larger load.
+
+    Raises:
+        ForceCalibrationError: No contact is seen, the load moves or creeps, or the zero is not
+            back.
+    """
+    zeros = [before] if after is None else [before, after]
+    zero = float(np.mean([each.mean_n for each in zeros]))
+    # Between two zeros it may have walked in any way.
+    walked = 0.0 if after is None else after.mean_n - before.mean_n
+    errors = [load.error_n, *(each.error_n / len(zeros) for each in zeros), walked / np.sqrt(12.0)]
+    force = load.mean_n - zero
+    where = f'the plateau at {load.start_s:.1f} to {load.end_s:.1f} s'
+    if force < CONTACT_N:
+        raise no_contact(f'the estimate changes by {force:.3f} N only under the load')
+    if load.sd_n > max(ROCKING_N, ROCKING_PART * force):
+        raise ForceCalibrationError(
+            f'{where} has a standard deviation of {load.sd_n:.3f} N at {force:.3f} N: the load is'
+            ' still rocking',
+            remedy='let it rest, do not touch the table, and try again',
+            reason='rocking',
+        )
+    if abs(load.creep_n_per_s) > max(CREEP_N_PER_S, CREEP_PART_PER_S * force):
+        raise creeps(f'{where} changes by {load.creep_n_per_s:+.3f} N/s at {force:.3f} N')
+    if abs(walked) > max(ZERO_N, ZERO_PART * force):
+        raise zero_lost(before.mean_n, zeros[-1].mean_n)
+    return Plateau(
+        load.start_s,
+        load.end_s,
+        force,
+        load.sd_n,
+        float(np.hypot.reduce(errors)),
+        load.creep_n_per_s,
+        float('nan') if after is None else walked,
+        unloading,
+    )
+
+
+def no_contact(found: str) -> ForceCalibrationError:
+    """Return the refusal of a load that never arrived; `found` is what was seen."""
+    return ForceCalibrationError(
+        f'{found}: no load arrived, or it lies off the gel',
+        remedy='put it on the middle of the gel, and nothing else',
+        reason='contact',
+    )
+
+
+def creeps(found: str) -> ForceCalibrationError:
+    """Return the refusal of a load under which the force does not come to rest."""
+    return ForceCalibrationError(
+        f'{found}: creep dominates',
+        remedy='use smaller loads, let the gel rest for a minute, and let the lamp warm up',
+        reason='creep',
+    )
+
+
+def zero_lost(before_n: float, after_n: float) -> ForceCalibrationError:
+    """Return the refusal of a sensor that reads another zero after a load than before [N]."""
+    return ForceCalibrationError(
+        f'the sensor reads {after_n:.3f} N after a load and read {before_n:.3f} N before it: it'
+        ' was moved, something still touches it, or it had no time to recover',
+        remedy='fasten it, tare, start over, and leave it alone for 2 s after each load',
+        reason='zero',
+    )
+
+
+def find_plateaus(t_s: F64, force_n: F64, loads: Sequence[Load]) -> list[Plateau]:
+    """Find the plateaus of loads in a recording of the whole procedure.
+
+    It begins and ends without a load. A smaller load may follow a larger one without a release.
+
+    Args:
+        t_s: Times, increasing [s].
+        force_n: Estimates before the calibration [N].
+        loads: The loads in their order; empty where they are not known.
+
+    Raises:
+        ForceCalibrationError: A plateau cannot be used, or their number is not that of the loads.
+    """
+    stretches = steady_stretches(t_s, force_n)
+    if not stretches:
+        raise unsteady(t_s, force_n)
+    zero = stretches[0].mean_n
+    touched = [abs(each.mean_n - zero) > CONTACT_N for each in stretches]
+    plateaus: list[Plateau] = []
+    for index in _chosen(stretches, touched):
+        free = [i for i, contact in enumerate(touched) if not contact]
+        before = stretches[max(i for i in free if i < index)]
+        after = next((stretches[i] for i in free if i > index), None)
+        if after is None:
+            raise zero_lost(before.mean_n, float(binned(t_s, force_n)[1][-5:].mean()))
+        unloading = touched[index - 1] and stretches[index - 1].mean_n > stretches[index].mean_n
+        plateaus.append(plateau_of(stretches[index], before, after, unloading=unloading))
+    if not plateaus or 0 < len(plateaus) < len(loads):
+        raise unsteady(t_s, force_n, [(each.start_s, each.end_s) for each in stretches], zero)
+    if loads and len(plateaus) > len(loads):
+        raise ForceCalibrationError(
+            f'{len(plateaus)} plateaus for {len(loads)} loads',
+            remedy='name each load that was put on, in this order, or record again',
+            reason='order',
+        )
+    return plateaus
+
+
+SAME_PART = 0.15
+"""Stretches of one contact that differ by less are one load that was touched (estimate)."""
+
+
+def _chosen(stretches: Sequence[Stretch], touched: Sequence[bool]) -> list[int]:
+    """Return which stretches are plateaus: of those of one load, the longest."""
+    chosen: list[int] = []
+    for index, stretch in enumerate(stretches):
+        if not touched[index]:
+            continue
+        same = (
+            chosen
+            and chosen[-1] == index - 1
+            and abs(stretches[index - 1].mean_n - stretch.mean_n) < SAME_PART * abs(stretch.mean_n)
+        )
+        if not same:
+            chosen.append(index)
+        elif _length(stretch) > _length(stretches[chosen[-1]]):
+            chosen[-1] = index
+    return chosen
+
+
+def _length(stretch: Stretch) -> float:
+    return stretch.end_s - stretch.start_s
+
+
+def unsteady(
+    t_s: F64, force_n: F64, known: Sequence[tuple[float, float]] = (), zero_n: float = 0.0
+) -> ForceCalibrationError:
+    """Return why a load made no plateau: it crept, it rocked, or there was none.
+
+    Args:
+        t_s: Times [s].
+        force_n: Estimates [N].
+        known: Spans in which the force is steady [s].
+        zero_n: Estimate without a load [N].
+    """
+    times, means = binned(t_s, force_n)
+    reach_s = 2.0 * REACH_S
+    loose = np.abs(means - zero_n) > CONTACT_N
+    for start_s, end_s in known:
+        loose &= (times < start_s - reach_s) | (times > end_s + reach_s)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], loose.astype(np.int8), [0]])))
+    runs = edges.reshape(-1, 2)
+    if not len(runs) or (runs[:, 1] - runs[:, 0]).max() * BIN_S < SHORTEST_S:
+        return no_contact(f'{len(known)} steady stretches, and no contact between them')
+    start, stop = runs[(runs[:, 1] - runs[:, 0]).argmax()].tolist()
+    part, at_s = means[start:stop], times[start:stop]
+    # The flanks of a load are no part of what it does.
+    flank = len(part) // 6
+    part, at_s = part[flank : len(part) - flank], at_s[flank : len(at_s) - flank]
+    slope, offset = np.polyfit(at_s, part, 1)
+    swing = float((part - offset - slope * at_s).std())
+    drift = float(abs(slope) * np.ptp(at_s))
+    where = f'the force is never steady from {times[start]:.1f} to {times[stop - 1]:.1f} s'
+    if drift > 4.0 * swing:
+        return creeps(f'{where}; it changes by {slope:+.3f} N/s')
+    return ForceCalibrationError(
+        f'{where}; it swings by {swing:.3f} N: the load is still rocking',
+        remedy=f'keep each load still for {2 * reach_s + SHORTEST_S:.0f} s or more',
+        reason='rocking',
+    )
+
+
+MODEL_PART = 0.03
+"""Standard deviation of the estimate from load to load, as a part of it (simulated: 0.02)."""
+OUTLIER = 3.0
+"""Residuals beyond so many standard deviations are loads that disagree."""
+DOUBT = 2.0
+"""Residuals beyond so many are worth a second look."""
+GAINS = (0.2, 5.0)
+"""Limits of a gain that a gel can explain (estimate)."""
+FEWEST = 2
+"""Loads that a calibration needs: one fits, another one checks."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForceCalibration:
+    """A fitted gain.
+
+    Attributes:
+        loads: Known loads.
+        plateaus: Plateau of each.
+        gain: Known force over estimate.
+        gain_sd: Its standard uncertainty.
+        residual_n: Known force less calibrated estimate, per load [N].
+        allowed_n: Largest residual that noise, load and place explain, per load [N].
+        hysteresis_n: Largest difference between unloading and loading of one load, calibrated
+            [N]; None where no load was reached from both sides.
+    """
+
+    loads: tuple[Load, ...]
+    plateaus: tuple[Plateau, ...]
+    gain: float
+    gain_sd: float
+    residual_n: tuple[float, ...]
+    allowed_n: tuple[float, ...]
+    hysteresis_n: float | None
+
+    @property
+    def doubtful(self) -> tuple[bool, ...]:
+        """Which loads are off by more than two standard deviations: perhaps other grams."""
+        limits = zip(self.residual_n, self.allowed_n, strict=True)
+        return tuple(abs(residual) > DOUBT / OUTLIER * allowed for residual, allowed in limits)
+
+    @property
+    def mae_before_n(self) -> float:
+        """Mean absolute error of the estimates as they were [N]."""
+        pairs = zip(self.loads, self.plateaus, strict=True)
+        return float(np.mean([abs(load.force_n - p.estimate_n) for load, p in pairs]))
+
+    @property
+    def mae_after_n(self) -> float:
+        """Mean absolute residual [N]."""
+        return float(np.mean(np.abs(self.residual_n)))
+
+
+def fit_gain(loads: Sequence[Load], plateaus: Sequence[Plateau]) -> ForceCalibration:
+    """Fit the gain to known loads; see the module for the model.
+
+    Args:
+        loads: Known loads.
+        plateaus: Plateau of each.
+
+    Raises:
+        ForceCalibrationError: There are too few loads, or the gain is impossible, or the loads
+            disagree.
+    """
+    if len({load.force_n for load in loads}) < FEWEST:
+        raise ForceCalibrationError(
+            f'{len(loads)} loads of {len({load.force_n for load in loads})} values: one fits the'
+            ' gain, and another one checks it',
+            remedy='give two loads or more, such as 20,50,100',
+            reason='few',
+        )
+    force, seen, gain, variance = _regression(loads, plateaus)
+    if not GAINS[0] < gain < GAINS[1]:
+        raise ForceCalibrationError(
+            f'the loads are {gain:.3g} times the estimates, and a gel explains'
+            f' {GAINS[0]} to {GAINS[1]}: check the unit',
+            remedy='give grams: 50 for a weight of 50 g, which is 0.49 N',
+            reason='units',
+        )
+    residual = force - gain * seen
+    weight = 1.0 / variance
+    allowed = OUTLIER * np.sqrt(variance)
+    if (np.abs(residual) > allowed).any():
+        raise _disagreement(loads, plateaus, residual, allowed)
+    chi2 = float((weight * residual**2).sum())
+    sd = np.sqrt(max(1.0, chi2 / (len(force) - 1)) / (weight * seen**2).sum())
+    return ForceCalibration(
+        tuple(loads),
+        tuple(plateaus),
+        gain,
+        float(sd),
+        tuple(residual.tolist()),
+        tuple(allowed.tolist()),
+        _hysteresis(loads, plateaus, gain),
+    )
+
+
+def _regression(loads: Sequence[Load], plateaus: Sequence[Plateau]) -> tuple[F64, F64, float, F64]:
+    """Return loads, estimates, gain and variances of the residuals."""
+    force = np.array([load.force_n for load in loads])
+    seen = np.array([each.estimate_n for each in plateaus])
+    load_sd = np.array([load.sd_n for load in loads])
+    noise = np.array([each.error_n for each in plateaus])
+    gain = float((force * seen).sum() / (seen**2).sum())
+    variance = np.ones(len(force))
+    for _ in range(3):
+        variance = load_sd**2 + (gain * noise) ** 2 + (MODEL_PART * gain * seen) ** 2
+        gain = float((force * seen / variance).sum() / (seen**2 / variance).sum())
+    return force, seen, gain, variance
+
+
+def _disagreement(
+    loads: Sequence[Load], plateaus: Sequence[Plateau], residual: F64, allowed: F64
+) -> ForceCalibrationError:
+    worst = int(np.argmax(np.abs(residual) / allowed))
+    text = (
+        f'the loads disagree: that of {loads[worst].force_n:.3f} N is off by'
+        f' {residual[worst]:+.3f} N, and {allowed[worst]:.3f} N can be explained'
+    )
+    remedy = 'check the grams of each load and that nothing else touches the gel'
+    for a, b in combinations(range(len(loads)), 2):
+        swapped = list(loads)
+        swapped[a], swapped[b] = swapped[b], swapped[a]
+        force, seen, gain, variance = _regression(swapped, plateaus)
+        if (
+            loads[a] != loads[b]
+            and (np.abs(force - gain * seen) < OUTLIER * np.sqrt(variance)).all()
+        ):
+            remedy = f'loads {a + 1} and {b + 1} seem to be swapped: put them on in their order'
+            break
+    return ForceCalibrationError(text, remedy=remedy, reason='loads')
+
+
+def _hysteresis(loads: Sequence[Load], plateaus: Sequence[Plateau], gain: float) -> float | None:
+    differences = [
+        gain * (down.estimate_n - up.estimate_n)
+        for (load, up), (other, down) in combinations(zip(loads, plateaus, strict=True), 2)
+        if load.force_n == other.force_n and up.unloading < down.unloading
+    ]
+    return max(differences, key=abs, default=None)
+
+
+RELATIVE_LIMIT = 0.03
+"""Relative uncertainty of the gain below which a further load tells nothing."""
+LEAST_IMPROVEMENT = 0.1
+"""Smallest part by which a further load has to reduce it."""
+
+
+def next_load_tells(
+    calibration: ForceCalibration, load: Load, limit: float = RELATIVE_LIMIT
+) -> bool:
+    """Return whether a further load would tell anything about the gain.
+
+    It would not where the relative uncertainty is below the limit, or where the load would reduce
+    it by less than a tenth: 1/sd'^2 = 1/sd^2 + e^2/Var r.
+
+    Args:
+        calibration: Fit of the loads so far.
+        load: The next one.
+        limit: Relative uncertainty that is enough.
+    """
+    gain, sd = calibration.gain, calibration.gain_sd
+    if sd <= limit * gain:
+        return False
+    seen = load.force_n / gain
+    noise = float(np.median([each.error_n for each in calibration.plateaus]))
+    variance = load.sd_n**2 + (gain * noise) ** 2 + (MODEL_PART * load.force_n) ** 2
+    after = 1.0 / np.sqrt(1.0 / sd**2 + seen**2 / variance)
+    return bool(after < (1.0 - LEAST_IMPROVEMENT) * sd)
+
+
+CHECK_TOLERANCE = 0.1
+"""Relative change that another place on the gel and another day make (simulated: 0.06)."""
+
+
+class GainCheck(NamedTuple):
+    """Whether a calibrated sensor still reads a known load.
+
+    Attributes:
+        ratio: Known force over estimate, 1 for a sensor that did not change.
+        ratio_sd: Its standard uncertainty.
+        allowed: Largest difference from 1 that passes.
+        passed: Whether it does.
+    """
+
+    ratio: float
+    ratio_sd: float
+    allowed: float
+    passed: bool
+
+
+def check_gain(
+    load: Load, plateau: Plateau, relative_sd: float, tolerance: float = CHECK_TOLERANCE
+) -> GainCheck:
+    """Check a calibrated sensor with one known load.
+
+    It passes within the tolerance and twice the uncertainty of load, plateau and calibration.
+
+    Args:
+        load: The load.
+        plateau: Its plateau, estimated by the calibrated model.
+        relative_sd: Relative uncertainty of the calibration's gain.
+        tolerance: Relative change that is accepted in addition.
+    """
+    _, _, ratio, variance = _regression([load], [plateau])
+    sd = float(np.sqrt(variance[0])) / plateau.estimate_n
+    allowed = tolerance + 2.0 * float(np.hypot(sd, relative_sd))
+    return GainCheck(ratio, sd, allowed, abs(ratio - 1.0) <= allowed)
+
+
+def reference_loads(
+    t_s: F64, reference_n: F64, plateaus: Sequence[Plateau], zeros: Sequence[Stretch]
+) -> list[Load]:
+    """Return what a reference sensor measured during plateaus.
+
+    Args:
+        t_s: Times on the clock of the plateaus [s]; to a tenth of a second is enough.
+        reference_n: Normal forces of the reference sensor [N].
+        plateaus: Plateaus of the estimate.
+        zeros: Stretches without a load, for the zero of the reference sensor.
+
+    Raises:
+        ForceCalibrationError: The reference is silent during a plateau, or without a load.
+    """
+
+    def mean(spans: Sequence[Plateau | Stretch]) -> tuple[float, float]:
+        inside = np.zeros(len(t_s), np.bool_)
+        for each in spans:
+            inside |= (t_s >= each.start_s) & (t_s <= each.end_s)
+        if np.count_nonzero(inside) < FEWEST_SAMPLES:
+            raise ForceCalibrationError(
+                f'the reference sensor sent {np.count_nonzero(inside)} samples from'
+                f' {spans[0].start_s:.1f} to {spans[-1].end_s:.1f} s',
+                remedy='check its driver, or give --loads',
+                reason='contact',
+            )
+        values = reference_n[inside]
+        return float(values.mean()), float(values.std() / np.sqrt(len(values)))
+
+    zero, zero_sd = mean(zeros)
+    found = [mean([plateau]) for plateau in plateaus]
+    return [Load(force - zero, float(np.hypot(sd, zero_sd))) for force, sd in found]
+
+
+FEWEST_SAMPLES = 10
+"""Samples of a reference sensor that a plateau needs."""
