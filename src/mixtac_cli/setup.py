@@ -32,6 +32,7 @@ setup(
         'mixtac.commands': [
             'align = mixtac_cli.align:align',
             'calibrate = mixtac_cli.calibrate.command:calibrate',
+            'calibrate-force = mixtac_cli.calibrate_force.command:calibrate_force',
             'demo = mixtac_cli.demo.command:demo',
             'doctor = mixtac_cli.doctor:doctor',
             'export = mixtac_cli.export:export',

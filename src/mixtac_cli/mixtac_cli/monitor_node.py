@@ -11,12 +11,15 @@ from __future__ import annotations
 import math
 import threading
 import time
-from typing import TYPE_CHECKING, TypeVar
+from array import array
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import rclpy
+from rcl_interfaces.srv import SetParameters
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
@@ -27,7 +30,7 @@ from mixtac_node.process import GraphError
 from mixtac_node.stamps import stamp_to_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from diagnostic_msgs.msg import DiagnosticArray
     from numpy.typing import NDArray
@@ -92,7 +95,7 @@ class Monitor(Receiver):
     Attributes:
         diagnostics: Latest values by node name and key.
         reference_n: Latest reference force [N], NaN before the first.
-        reference_count: Reference samples received.
+        serial: Serial number of the camera, empty before its first clock message.
     """
 
     def __init__(self, namespace: str, seconds: float) -> None:
@@ -104,7 +107,10 @@ class Monitor(Receiver):
         self._count = 0
         self.diagnostics: dict[str, dict[str, str]] = {}
         self.reference_n = float('nan')
-        self.reference_count = 0
+        self._clients: dict[str, Any] = {}
+        self._reference_ns = array('q')
+        self._reference = array('d')
+        self.serial = ''
         self._clock_pairs: list[tuple[int, int]] = []
 
     def bring_up(self, name: str, processes: ProcessGroup) -> None:
@@ -138,10 +144,35 @@ class Monitor(Receiver):
         Raises:
             GraphError: It is absent or refuses.
         """
-        client = self._node.create_client(Trigger, service)
+        reply = self._call(Trigger, service, Trigger.Request(), alive)
+        if not reply.success:
+            raise GraphError(f'{self._namespace}/{service}: {reply.message}')
+
+    def set_parameters(
+        self, node: str, values: Mapping[str, object], alive: Callable[[], None]
+    ) -> None:
+        """Set parameters of a node of the sensor; before `listen` or while listening.
+
+        Raises:
+            GraphError: The node is absent or refuses.
+        """
+        request = SetParameters.Request()
+        request.parameters = [
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+        ]
+        service = f'{node}/set_parameters'
+        for result in self._call(SetParameters, service, request, alive).results:
+            if not result.successful:
+                raise GraphError(f'{self._namespace}/{node}: {result.reason}')
+
+    def _call(self, kind: Any, service: str, request: Any, alive: Callable[[], None]) -> Any:  # noqa: ANN401
+        # One client for all calls: the answer to a new one can get lost while it is discovered.
+        if service not in self._clients:
+            self._clients[service] = self._node.create_client(kind, service)
+        client = self._clients[service]
         if not client.wait_for_service(timeout_sec=SERVICE_TIMEOUT_S):
             raise GraphError(f'service {self._namespace}/{service} did not appear')
-        future = client.call_async(Trigger.Request())
+        future = client.call_async(request)
         deadline = time.monotonic() + SERVICE_TIMEOUT_S
         while not future.done():
             alive()
@@ -151,9 +182,7 @@ class Monitor(Receiver):
                 rclpy.spin_once(self._node, timeout_sec=0.1)
             if time.monotonic() > deadline:
                 raise GraphError(f'service {self._namespace}/{service} did not answer')
-        reply = future.result()
-        if not reply.success:
-            raise GraphError(f'{self._namespace}/{service}: {reply.message}')
+        return future.result()
 
     def wait_for_force(self, check: Callable[[], None]) -> None:
         """Wait, while listening, until the estimator publishes.
@@ -188,6 +217,16 @@ class Monitor(Receiver):
         n = self._count
         return self._arrival_ns[:n], self._stamp_ns[:n], self._force[:n]
 
+    @property
+    def reference_count(self) -> int:
+        """Return the number of reference samples received."""
+        return len(self._reference)
+
+    def reference(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return arrival [ns, host clock] and reference force [N]."""
+        n = len(self._reference)
+        return np.array(self._reference_ns[:n]), np.array(self._reference[:n])
+
     def clock_pairs(self) -> NDArray[np.int64]:
         """Return (host, camera) clock pairs [ns], shape (N, 2), as the driver published them."""
         return np.array(self._clock_pairs, np.int64).reshape(-1, 2)
@@ -208,9 +247,11 @@ class Monitor(Receiver):
 
     def _on_reference(self, message: topics.ForceMessage) -> None:
         self.reference_n = topics.normal_force(message)
-        self.reference_count += 1
+        self._reference_ns.append(time.time_ns())
+        self._reference.append(self.reference_n)
 
     def _on_clock(self, message: TimeReference) -> None:
+        self.serial = message.source
         self._clock_pairs.append((stamp_to_ns(message.header.stamp), stamp_to_ns(message.time_ref)))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

@@ -1,0 +1,332 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac calibrate-force`: options, result, weight file and picture."""
+
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from mixtac_cli.calibrate_force.session import LiveProcedure, Session, from_bag
+from mixtac_cli.options import JsonFile, Namespace, OptionalPath, ParamsFile, ReferenceTopic
+from mixtac_fger.config import ModelError
+from mixtac_fger.estimator import SERIAL_KEY
+from mixtac_fger.force_calibration import (
+    GRAVITY,
+    ForceCalibration,
+    ForceCalibrationError,
+    check_gain,
+    fit_gain,
+    load_of,
+)
+from mixtac_fger.weights import DEFAULT_MODEL, SUFFIX, Model, ModelCard, find_model, read_model
+from mixtac_node.files import write_json
+from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE
+
+DEFAULT_LOADS, CHECK_LOADS = '20,50,100', '50'
+LOAD_SD_G, SCALE_SD_G = 1.0, 2.0
+"""Standard uncertainty of a load unless it is stated: household weights, a hand on a scale [g]."""
+KEY = 'calibrated'
+"""Entry of the model card that describes the calibration."""
+
+
+def calibrate_force(
+    device: Annotated[str, typer.Option(help='davis346 or virtual.')] = 'davis346',
+    loads: Annotated[
+        str,
+        typer.Option(
+            help='Loads (g) in their order, such as 20,50,100. A smaller one after a larger one is '
+            'reached by taking weight off. If empty, a reference force sensor is used if one '
+            'publishes, else 20,50,100 (50 with --check).'
+        ),
+    ] = '',
+    scale: Annotated[
+        bool,
+        typer.Option('--scale', help='Press until a kitchen scale shows the grams: no weights.'),
+    ] = False,
+    load_sd: Annotated[
+        Optional[float],  # noqa: UP045  (typer evaluates this under Python 3.10)
+        typer.Option(min=0, help='Standard uncertainty of a load (g); 1, or 2 with --scale.'),
+    ] = None,
+    model: Annotated[
+        str, typer.Option(help='Model to calibrate: a weight file or the name of a shipped one.')
+    ] = DEFAULT_MODEL,
+    out: Annotated[
+        OptionalPath, typer.Option(help='Weight file to write (.safetensors), with a card.')
+    ] = None,
+    gel: Annotated[str, typer.Option(help='Name of the gel, for the card.')] = '',
+    check: Annotated[
+        bool,
+        typer.Option('--check', help='Check a calibrated --model with known loads; write nothing.'),
+    ] = False,
+    bag: Annotated[
+        OptionalPath,
+        typer.Option(help='Recording of the procedure instead of a live sensor.', exists=True),
+    ] = None,
+    yes: Annotated[
+        bool,
+        typer.Option('--yes', help='Do not wait for the Enter key; operate the virtual sensor.'),
+    ] = False,
+    reference: ReferenceTopic = REFERENCE,
+    json: JsonFile = None,
+    figure: Annotated[OptionalPath, typer.Option(help='Draw the result to this file.')] = None,
+    namespace: Namespace = DEFAULT_NAMESPACE,
+    params_file: ParamsFile = None,
+) -> None:
+    """Calibrate the force of a sensor by weights or a kitchen scale; no force sensor needed."""
+    start = find_model(model)
+    content = read_model(start)
+    card_sd = _checked(content, start, out, check=check)
+    sd_g = load_sd if load_sd is not None else SCALE_SD_G if scale else LOAD_SD_G
+    known = [load_of(grams, sd_g) for grams in parse_loads(loads)] if loads else []
+    console = Console()
+    default = [load_of(g, sd_g) for g in parse_loads(CHECK_LOADS if check else DEFAULT_LOADS)]
+    if bag is not None:
+        session = from_bag(bag, content, known, reference, default)
+    else:
+        live = LiveProcedure(
+            console, namespace, device, scale=scale, yes=yes, fewest=1 if check else 2
+        )
+        session = live.run(start, known, default, params_file)
+    if scale and session.known_by == 'weights':
+        session.known_by = 'scale'
+    if check:
+        _check(console, session, card_sd, {'model': str(start), 'device': device}, json)
+        return
+    assert out is not None  # noqa: S101  (checked above)
+    calibration = fit_gain(session.loads, session.plateaus)
+    entry = card_entry(calibration, session, gel, start.name)
+    _report(console, calibration)
+    if figure is not None:
+        draw(figure, session, calibration, entry)
+        console.print(f'drawn: {figure}')
+    save_calibrated(out, content, calibration, entry)
+    console.print(f'wrote {out}; name it as `model` of fger in a parameter file')
+    if json is not None:
+        write_json(json, {'model': str(start), 'out': str(out), 'device': device} | entry)
+
+
+def parse_loads(text: str) -> list[float]:
+    """Return the grams of a text like `20,50,100`.
+
+    Raises:
+        ForceCalibrationError: One is no number above 0.
+    """
+    try:
+        grams = [float(part) for part in text.split(',')]
+    except ValueError:
+        grams = []
+    if not grams or not all(0.0 < each < float('inf') for each in grams):
+        raise ForceCalibrationError(
+            f'loads {text!r} are not grams', remedy='give them like 20,50,100', reason='units'
+        )
+    return grams
+
+
+def _checked(content: Model, path: Path, out: Path | None, *, check: bool) -> float:
+    """Refuse what could only fail after the procedure; return the card's relative uncertainty."""
+    from mixtac_fger.fger_net import checked_config
+
+    if check:
+        found = content.card.training.get(KEY)
+        if not isinstance(found, dict):
+            raise ModelError(
+                f'{path} was not calibrated, so there is nothing to check',
+                remedy='give the weight file that calibrate-force wrote as --model',
+            )
+        return float(found['gain_sd']) / float(found['gain'])
+    if out is None or out.suffix != SUFFIX:
+        raise ModelError(
+            f'{out or "no file"} is not a weight file to write',
+            remedy=f'give --out a name that ends in {SUFFIX}',
+        )
+    checked_config(content)
+    return 0.0
+
+
+def card_entry(
+    calibration: ForceCalibration, session: Session, gel: str, model: str
+) -> dict[str, Any]:
+    """Return what the model card and the JSON file say about a calibration.
+
+    Args:
+        calibration: The fit.
+        session: Where it comes from.
+        gel: Name of the gel.
+        model: Name of the model that was calibrated.
+    """
+    c = calibration
+    rows = zip(c.loads, c.plateaus, c.residual_n, c.allowed_n, c.doubtful, strict=True)
+    return {
+        'date': dt.datetime.now(dt.timezone.utc).strftime('%Y-%m-%d'),
+        'serial': session.serial,
+        'gel': gel,
+        'from': model,
+        'known_by': session.known_by,
+        'gain': round(c.gain, 5),
+        'gain_sd': round(c.gain_sd, 5),
+        'hysteresis_n': None if c.hysteresis_n is None else round(c.hysteresis_n, 4),
+        'mae_before_n': round(c.mae_before_n, 4),
+        'mae_after_n': round(c.mae_after_n, 4),
+        'stopped_early': session.stopped_early,
+        'loads': [
+            {
+                'load_g': round(1e3 * load.force_n / GRAVITY, 2),
+                'load_n': round(load.force_n, 4),
+                'load_sd_n': round(load.sd_n, 4),
+                'estimate_n': round(plateau.estimate_n, 4),
+                'residual_n': round(residual, 4),
+                'allowed_n': round(allowed, 4),
+                'doubtful': doubtful,
+                'sd_n': round(plateau.sd_n, 4),
+                'creep_n_per_s': round(plateau.creep_n_per_s, 4),
+                'zero_shift_n': round(plateau.zero_shift_n, 4),
+                'unloading': plateau.unloading,
+            }
+            for load, plateau, residual, allowed, doubtful in rows
+        ],
+    }
+
+
+def save_calibrated(
+    out: Path, model: Model, calibration: ForceCalibration, entry: dict[str, Any]
+) -> None:
+    """Write a weight file that contains the gain, and its card.
+
+    Args:
+        out: Weight file.
+        model: Model that was calibrated.
+        calibration: The fit.
+        entry: Its entry in the card.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    from mixtac_fger.fger_net import with_gain
+    from mixtac_fger.model_card import save_model
+
+    training = model.card.training | {KEY: entry}
+    if entry['serial']:
+        training[SERIAL_KEY] = entry['serial']
+    scaled = with_gain(model, calibration.gain)
+    card = ModelCard(training, model.card.metrics)
+    save_model(out, Model(scaled.architecture, scaled.version, scaled.config, card, scaled.tensors))
+
+
+def _report(console: Console, calibration: ForceCalibration) -> None:
+    c = calibration
+    table = Table(title='Known loads; forces in N, creep in N/s', title_justify='left')
+    names = ('load [g]', 'known', 'estimate', 'calibrated', 'residual', 'creep', 'zero shift')
+    for name in names:
+        table.add_column(name, justify='right')
+    for load, plateau, residual in zip(c.loads, c.plateaus, c.residual_n, strict=True):
+        table.add_row(
+            f'{1e3 * load.force_n / GRAVITY:.1f}' + (' down' if plateau.unloading else ''),
+            f'{load.force_n:.3f}',
+            f'{plateau.estimate_n:.3f}',
+            f'{c.gain * plateau.estimate_n:.3f}',
+            f'{residual:+.3f}',
+            f'{plateau.creep_n_per_s:+.4f}',
+            f'{plateau.zero_shift_n:+.3f}',
+        )
+    console.print(table)
+    for load in (load for load, doubtful in zip(c.loads, c.doubtful, strict=True) if doubtful):
+        console.print(
+            f'warning: {1e3 * load.force_n / GRAVITY:.1f} g fit the other loads badly; check these'
+            ' grams, or put them on again'
+        )
+    hysteresis = '' if c.hysteresis_n is None else f'; hysteresis {c.hysteresis_n:+.3f} N'
+    console.print(
+        f'gain {c.gain:.3f} +- {c.gain_sd:.3f} (one standard deviation){hysteresis}; mean error at'
+        f' the loads {c.mae_before_n:.3f} N before, {c.mae_after_n:.3f} N after',
+        highlight=False,
+    )
+
+
+def _check(
+    console: Console,
+    session: Session,
+    relative_sd: float,
+    facts: dict[str, Any],
+    json: Path | None,
+) -> None:
+    """Print whether a calibrated sensor still reads known loads.
+
+    Raises:
+        ForceCalibrationError: It does not.
+    """
+    found = [
+        check_gain(load, plateau, relative_sd)
+        for load, plateau in zip(session.loads, session.plateaus, strict=True)
+    ]
+    for load, plateau, each in zip(session.loads, session.plateaus, found, strict=True):
+        console.print(
+            f'{1e3 * load.force_n / GRAVITY:.1f} g: known {load.force_n:.3f} N, estimated'
+            f' {plateau.estimate_n:.3f} N; ratio {each.ratio:.3f} +- {each.ratio_sd:.3f},'
+            f' {1.0 - each.allowed:.2f} to {1.0 + each.allowed:.2f} pass:'
+            f' {"pass" if each.passed else "FAIL"}',
+            highlight=False,
+        )
+    passed = all(each.passed for each in found)
+    if json is not None:
+        checks = [each._asdict() for each in found]
+        write_json(json, facts | {'serial': session.serial, 'passed': passed, 'checks': checks})
+    if not passed:
+        raise ForceCalibrationError(
+            'the sensor no longer reads the known loads',
+            remedy='look at gel, lamp and mount, then calibrate it again',
+            reason='changed',
+        )
+
+
+def draw(
+    path: Path, session: Session, calibration: ForceCalibration, entry: dict[str, Any]
+) -> None:
+    """Draw the series with its plateaus, and the fit.
+
+    Args:
+        path: File to write; its suffix gives the format.
+        session: Series and plateaus.
+        calibration: The fit.
+        entry: Its entry in the card.
+
+    Raises:
+        FileError: The picture cannot be written.
+    """
+    from mixtac_cli.figures import FORCE, MARK, REFERENCE, new_figure, save_figure
+
+    c = calibration
+    title = f'{entry["serial"] or "sensor"}: gain {c.gain:.3f} +- {c.gain_sd:.3f}, {entry["date"]}'
+    figure = new_figure(12, 4.5, title)
+    series, fit = figure.subplots(1, 2, width_ratios=(2, 1))
+    series.plot(session.t_s, session.force_n, color=FORCE, alpha=0.4, lw=0.6, label='estimate')
+    series.plot(session.t_s, c.gain * session.force_n, color=FORCE, lw=0.8, label='calibrated')
+    for number, (load, plateau) in enumerate(zip(c.loads, c.plateaus, strict=True)):
+        span = (plateau.start_s, plateau.end_s)
+        series.plot(
+            span, (load.force_n,) * 2, color=REFERENCE, lw=2, label='' if number else 'known load'
+        )
+    series.set_xlabel('time [s]')
+    series.set_ylabel('normal force [N]')
+    series.legend(loc='upper left', frameon=False)
+    seen = np.array([each.estimate_n for each in c.plateaus])
+    line = np.array([0.0, 1.1 * seen.max()])
+    fit.plot(line, c.gain * line, color=FORCE)
+    fit.fill_between(
+        line, (c.gain - c.gain_sd) * line, (c.gain + c.gain_sd) * line, color=FORCE, alpha=0.2
+    )
+    force = np.array([each.force_n for each in c.loads])
+    fit.errorbar(seen, force, yerr=[each.sd_n for each in c.loads], fmt='o', color=REFERENCE)
+    down = np.array([each.unloading for each in c.plateaus])
+    if down.any():
+        fit.plot(seen[down], force[down], 'v', color=MARK, label='unloading')
+        fit.legend(frameon=False)
+    fit.set_xlabel('estimate [N]')
+    fit.set_ylabel('known load [N]')
+    save_figure(figure, path)

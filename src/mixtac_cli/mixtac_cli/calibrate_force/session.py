@@ -1,0 +1,394 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The procedure of `mixtac calibrate-force`: on a live sensor, or in a recording of it.
+
+Live, it prompts for one load after the other and finds the plateau of each by itself; of a
+recording it takes the plateaus in their order. What a plateau is, and what is refused, is in
+`mixtac_fger.force_calibration`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from mixtac_cli.monitor_node import Monitor
+from mixtac_cli.up import start_nodes
+from mixtac_fger.force_calibration import (
+    CONTACT_N,
+    GRAVITY,
+    SHORTEST_S,
+    ForceCalibrationError,
+    Load,
+    Plateau,
+    Stretch,
+    find_plateaus,
+    fit_gain,
+    next_load_tells,
+    plateau_of,
+    reference_loads,
+    steady_stretches,
+    unsteady,
+    zero_lost,
+)
+from mixtac_node.graph import is_virtual, sensor_graph
+from mixtac_node.process import GraphError, ProcessGroup
+
+if TYPE_CHECKING:
+    from mixtac_fger.weights import Model
+    from mixtac_recordings.recording import Recording
+
+F64 = NDArray[np.float64]
+T = TypeVar('T')
+HOLD_S = 1.2
+"""Length of a live plateau [s]."""
+RECENT_S = 6.0
+"""What happened earlier under a load is not used [s]: it was still being put on."""
+PATIENCE_S = 60.0
+"""Time for each step [s, sensor time]."""
+SILENCE_S = 60.0
+"""Time without a force after which the sensor counts as dead [s]."""
+SESSION_S = 1200.0
+POLL_S = 0.1
+
+
+@dataclass
+class Session:
+    """What a calibration has found so far.
+
+    Attributes:
+        t_s: Times of the force series [s].
+        force_n: Estimates before the calibration [N].
+        plateaus: Plateau of each load.
+        loads: Known loads.
+        zeros: Steady stretches without a load.
+        serial: Serial number of the camera, empty while unknown.
+        known_by: `weights`, `scale` or `reference`.
+        stopped_early: Further loads would not have told anything.
+    """
+
+    t_s: F64 = field(default_factory=lambda: np.zeros(0))
+    force_n: F64 = field(default_factory=lambda: np.zeros(0))
+    plateaus: list[Plateau] = field(default_factory=list)
+    loads: list[Load] = field(default_factory=list)
+    zeros: list[Stretch] = field(default_factory=list)
+    serial: str = ''
+    known_by: str = 'weights'
+    stopped_early: bool = False
+
+
+class LiveProcedure:
+    """Leads through the procedure on a running sensor.
+
+    Args:
+        console: Where to prompt.
+        namespace: ROS namespace of the sensor.
+        device: As for `mixtac up`.
+        scale: A kitchen scale shows the load.
+        yes: Do not wait for the Enter key; operate the virtual sensor.
+        fewest: Loads after which the gain is fitted.
+    """
+
+    def __init__(
+        self,
+        console: Console,
+        namespace: str,
+        device: str,
+        *,
+        scale: bool = False,
+        yes: bool = False,
+        fewest: int = 2,
+    ) -> None:
+        self._console, self._namespace, self._device = console, namespace, device
+        self._scale, self._yes, self._fewest = scale, yes, fewest
+        self._drives = yes and is_virtual(device)
+        self._begin = 0
+        self._session = Session()
+
+    def run(
+        self, model: Path, known: Sequence[Load], default: Sequence[Load], params_file: Path | None
+    ) -> Session:
+        """Start the sensor, lead through the loads, stop the sensor.
+
+        Args:
+            model: Weight file of the estimator.
+            known: Known loads; empty to use a reference sensor, else the default.
+            default: Loads to ask for where none are known.
+            params_file: Parameter file of the nodes.
+
+        Raises:
+            ForceCalibrationError: The sensor cannot be calibrated by what was seen.
+            GraphError: A node failed.
+        """
+        estimator = {'model': str(model.resolve()), 'force_scale': 1.0}
+        nodes = sensor_graph(self._device, estimator=estimator)
+        self._console.print('starting the sensor; a first start compiles for some minutes')
+        with ProcessGroup() as processes, Monitor(self._namespace, SESSION_S) as monitor:
+            self._processes, self._monitor = processes, monitor
+            start_nodes(processes, nodes, self._namespace, params_file, 'warn')
+            for node in nodes:
+                if node.lifecycle:
+                    monitor.bring_up(node.name, processes)
+            monitor.listen()
+            monitor.wait_for_force(processes.check)
+            zero = self._tare()
+            by_reference = not known and monitor.reference_count > 0
+            if by_reference:
+                self._session.known_by = 'reference'
+                self._console.print('the reference sensor measures the loads')
+            self._put_all(zero, known or default, by_reference=by_reference)
+            self._session.t_s, self._session.force_n = self._series()
+            self._session.serial = monitor.serial
+        return self._session
+
+    def _tare(self) -> Stretch:
+        self._console.print('Take everything off the gel and leave the sensor alone.')
+        if not self._yes:
+            try:
+                self._console.input('Press Enter when it is free ...')
+            except EOFError as error:
+                raise GraphError('there is no Enter key here', remedy='give --yes') from error
+        self._wait('still and free', self._free)
+        self._monitor.trigger('fger/tare', self._processes.check)
+        # The estimate starts over: what was before belongs to another zero.
+        self._begin = self._monitor.force_count
+        return self._wait('zero', self._free)
+
+    def _put_all(self, zero: Stretch, loads: Sequence[Load], *, by_reference: bool) -> None:
+        session = self._session
+        session.zeros.append(zero)
+        pending: list[tuple[Load, Stretch]] = []
+        for index, load in enumerate(loads):
+            previous = pending[-1] if pending else None
+            pending.append((load, self._put(load, zero, previous)))
+            following = loads[index + 1] if index + 1 < len(loads) else None
+            if following is not None and following.force_n < load.force_n:
+                continue
+            after = self._take_off(pending[-1][1])
+            for place, (each, stretch) in enumerate(pending):
+                session.plateaus.append(plateau_of(stretch, zero, after, unloading=place > 0))
+                session.loads.append(each)
+            zero, pending = after, []
+            session.zeros.append(zero)
+            if by_reference:
+                session.loads = self._measured()
+            if following is None or len({each.force_n for each in session.loads}) < self._fewest:
+                continue
+            if self._fewest > 1 and not next_load_tells(
+                fit_gain(session.loads, session.plateaus), following
+            ):
+                session.stopped_early = True
+                self._console.print('further loads would tell nothing more')
+                return
+
+    def _put(self, load: Load, zero: Stretch, previous: tuple[Load, Stretch] | None) -> Stretch:
+        """Prompt for a load and return its plateau."""
+        grams = 1e3 * load.force_n / GRAVITY
+        less = previous is not None
+        if self._scale:
+            prompt = f'Press until the scale shows {grams:g} g, and keep still.'
+        else:
+            way = 'Take weight off until' if less else 'Put'
+            prompt = f'{way} {grams:g} g {"are left" if less else "on"}, and keep still.'
+        self._console.print(prompt)
+        if self._drives:
+            settings = {'press_force': load.force_n, 'hold_seconds': 0.0}
+            check = self._processes.check
+            self._monitor.set_parameters('virtual_sensor', settings, check)
+            self._monitor.trigger('virtual_sensor/press', check)
+        # Half way between the two is neither.
+        most = float('inf')
+        if previous is not None:
+            ratio = load.force_n / previous[0].force_n
+            most = zero.mean_n + 0.5 * (1.0 + ratio) * (previous[1].mean_n - zero.mean_n)
+        refused: list[ForceCalibrationError] = []
+
+        def find(t_s: F64, force_n: F64) -> Stretch | None:
+            recent = t_s > t_s[-1] - RECENT_S
+            for stretch in steady_stretches(t_s[recent], force_n[recent]):
+                if stretch.end_s - stretch.start_s < HOLD_S or stretch.mean_n > most:
+                    continue
+                if abs(stretch.mean_n - zero.mean_n) < CONTACT_N:
+                    continue
+                try:
+                    plateau_of(stretch, zero, None)
+                except ForceCalibrationError as error:
+                    refused[:] = [error]
+                else:
+                    return stretch
+            return None
+
+        found = self._wait(f'{grams:g} g', find, refused)
+        self._console.print(
+            f'  {grams:g} g: estimate {found.mean_n - zero.mean_n:.3f} N,'
+            f' creep {found.creep_n_per_s:+.4f} N/s',
+            highlight=False,
+        )
+        return found
+
+    def _take_off(self, load: Stretch) -> Stretch:
+        """Prompt to release the sensor and return the zero afterwards."""
+        self._console.print('Take it off, and do not touch the sensor.')
+        if self._drives:
+            self._monitor.trigger('virtual_sensor/release', self._processes.check)
+        zero = self._session.zeros[-1]
+        refused = [zero_lost(zero.mean_n, load.mean_n)]
+
+        def find(t_s: F64, force_n: F64) -> Stretch | None:
+            recent = t_s > t_s[-1] - RECENT_S
+            for stretch in steady_stretches(t_s[recent], force_n[recent]):
+                if stretch.end_s - stretch.start_s < SHORTEST_S:
+                    continue
+                if abs(stretch.mean_n - zero.mean_n) < CONTACT_N:
+                    return stretch
+                refused[:] = [zero_lost(zero.mean_n, stretch.mean_n)]
+            return None
+
+        return self._wait('zero', find, refused)
+
+    def _free(self, t_s: F64, force_n: F64) -> Stretch | None:
+        recent = t_s > t_s[-1] - RECENT_S
+        found = steady_stretches(t_s[recent], force_n[recent])
+        return next((each for each in found if each.sd_n < CONTACT_N), None)
+
+    def _wait(
+        self,
+        what: str,
+        find: Callable[[F64, F64], T | None],
+        refused: Sequence[ForceCalibrationError] = (),
+    ) -> T:
+        """Wait until something is found in the forces from now on, and show them meanwhile.
+
+        Args:
+            what: What is waited for.
+            find: Returns it, or None, from the times and forces so far.
+            refused: Why what was seen meanwhile could not be used, filled by `find`.
+
+        Raises:
+            ForceCalibrationError: It was not found in time.
+            GraphError: There are no forces any more.
+        """
+        first = self._monitor.force_count
+        heard, seen = time.monotonic(), first
+        with self._console.status(what) as status:
+            while True:
+                time.sleep(POLL_S)
+                self._processes.check()
+                count = self._monitor.force_count
+                if count > seen:
+                    heard, seen = time.monotonic(), count
+                elif time.monotonic() - heard > SILENCE_S:
+                    raise GraphError(f'no force for {SILENCE_S:.0f} s while waiting for {what}')
+                if seen - first < 2:
+                    continue
+                t_s, force_n = (each[first - self._begin :] for each in self._series())
+                if (found := find(t_s, force_n)) is not None:
+                    return found
+                left_s = PATIENCE_S - (t_s[-1] - t_s[0])
+                status.update(f'{what}: {force_n[-50:].mean():6.3f} N, {left_s:3.0f} s left')
+                if left_s < 0.0:
+                    raise refused[-1] if refused else unsteady(t_s, force_n)
+
+    def _series(self) -> tuple[F64, F64]:
+        """Return times [s, sensor time] and forces [N] since the sensor was tared."""
+        _, stamps, force = self._monitor.force()
+        return 1e-9 * (stamps[self._begin :] - stamps[0]), force[self._begin :].copy()
+
+    def _measured(self) -> list[Load]:
+        """Return the loads by the reference sensor, on the clock of the plateaus."""
+        arrival, stamps, _ = self._monitor.force()
+        late_ns = int(np.median(arrival - stamps))
+        times, values = self._monitor.reference()
+        t_s = 1e-9 * (times - late_ns - stamps[0])
+        return reference_loads(t_s, values, self._session.plateaus, self._session.zeros)
+
+
+def from_bag(
+    path: Path, model: Model, known: Sequence[Load], reference: str, default: Sequence[Load]
+) -> Session:
+    """Return the plateaus of a recording of the procedure.
+
+    Args:
+        path: Bag or AEDAT4 file that begins and ends without a load.
+        model: Model that estimates its forces.
+        known: Loads in their order; empty to use the reference in the bag, else the default.
+        reference: Topic of the reference force.
+        default: Loads where neither is known.
+
+    Raises:
+        MixtacError: The recording cannot be read, or the sensor cannot be calibrated by it.
+    """
+    from mixtac_recordings.camera_stream import open_recording
+
+    recording = open_recording(path)
+    try:
+        t_us, force_n = estimated(recording, model)
+    finally:
+        recording.close()
+    if not len(t_us):
+        raise ForceCalibrationError(
+            f'{path} gives no force: it begins in contact, or has no frames',
+            remedy='record events and frames, and begin with a second without a load',
+            reason='contact',
+        )
+    session = Session(1e-6 * (t_us - t_us[0]), force_n, loads=list(known))
+    measured = None
+    if path.is_dir() or path.suffix in {'.mcap', '.db3'}:
+        measured = _bag_facts(path, session, recording, int(t_us[0]), '' if known else reference)
+    if measured is None:
+        session.loads = list(known or default)
+        session.plateaus = find_plateaus(session.t_s, force_n, session.loads)
+    else:
+        session.known_by = 'reference'
+        session.plateaus = find_plateaus(session.t_s, force_n, ())
+        free = steady_stretches(session.t_s, force_n)
+        session.zeros = [each for each in free if abs(each.mean_n - free[0].mean_n) < CONTACT_N]
+        session.loads = reference_loads(*measured, session.plateaus, session.zeros)
+    return session
+
+
+def estimated(recording: Recording, model: Model) -> tuple[NDArray[np.int64], F64]:
+    """Return window ends [us, recorded camera clock] and estimates [N] of a recording."""
+    from mixtac_fger.estimator import open_estimator
+    from mixtac_fger.streaming import ForceEstimator
+
+    estimator = ForceEstimator(open_estimator(model))
+    rows: list[tuple[int, float]] = []
+    for piece in recording.pieces(recording.info.start_us):
+        for frame in piece.frames:
+            # Left-aligned, as the driver publishes it.
+            image = np.minimum(frame.image, np.uint16(1023)) * np.uint16(64)
+            estimator.push_frame(image, frame.middle_us)
+        if piece.advances:
+            found = estimator.push_events(piece.events, piece.until_us)
+            rows += [(each.end_us, each.force) for each in found]
+    table = np.array(rows, np.float64).reshape(-1, 2)
+    return table[:, 0].astype(np.int64), table[:, 1]
+
+
+def _bag_facts(
+    path: Path, session: Session, recording: Recording, start_us: int, reference: str
+) -> tuple[F64, F64] | None:
+    """Note the camera's serial number; return times and forces of the reference if it is there."""
+    from mixtac_node.topics import CAMERA_CLOCK, normal_force
+    from mixtac_recordings.bag import BagFile
+
+    with BagFile(path) as bag:
+        for topic in bag.topics(CAMERA_CLOCK.type_name):
+            session.serial = next(bag.messages(topic))[2].source
+        if not reference or not bag.counts.get(reference):
+            return None
+        _, leader = recording.info.contents[0]
+        _, received_ns, _ = next(bag.messages(leader))
+        # Plateaus last seconds: the first packet's delay and the clocks' drift do not matter.
+        begin_ns = received_ns + 1000 * (start_us - recording.info.start_us)
+        rows = [(ns - begin_ns, normal_force(m)) for _, ns, m in bag.messages(reference)]
+    table = np.array(rows, np.float64)
+    return 1e-9 * table[:, 0], table[:, 1]

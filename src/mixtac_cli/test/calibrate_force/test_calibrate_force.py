@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""`mixtac calibrate-force` on a simulated recording, and live on the virtual sensor."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+import typer
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+from typer.testing import CliRunner
+
+from mixtac_cli.calibrate_force.command import calibrate_force, parse_loads
+from mixtac_fger.config import ModelError
+from mixtac_fger.estimator import SERIAL_KEY
+from mixtac_fger.force_calibration import GRAVITY, ForceCalibrationError
+from mixtac_fger.weights import find_model, read_model
+from mixtac_recordings.dataset import TrialSpec
+from mixtac_sim.bags.trial_bag import write_trial
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.usb.endpoints import serial_number
+from mixtac_sim.world import profiles
+from mixtac_sim.world.profiles import Segment
+
+DEVICE = 500_001
+GRAMS = (50.0, 100.0)
+
+
+def weights(_rng, start_s, _span_s):
+    """Put 50 g and 100 g on, one after the other."""
+    segments, begin = [], start_s + 1.6
+    for grams in GRAMS:
+        force, down = 1e-3 * GRAVITY * grams, begin + 0.4
+        up = down + 2.4
+        segments += [
+            Segment(begin, down, Mode.FORCE, (0.0, 0.4), (0.0, force)),
+            Segment(down, up, Mode.FORCE, (0.0,), (force,)),
+            Segment(up, up + 0.3, Mode.FORCE, (0.0, 0.3), (force, 0.0)),
+        ]
+        begin = up + 0.3 + 2.2
+    return segments
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    """Return a simulated recording of the procedure, with a reference sensor."""
+    folder = tmp_path_factory.mktemp('bags')
+    spec = TrialSpec('weights', 'weights', 14.5, DEVICE, 7, 'easy', 'train')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(profiles.PROFILES, 'weights', weights)
+        write_trial(spec, folder)
+    return folder / spec.name
+
+
+def calibrate(*words):
+    app = typer.Typer()
+    app.command()(calibrate_force)
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+@pytest.fixture(scope='module')
+def done(bag, tmp_path_factory):
+    """Calibrate by the recording; return the folder of the results."""
+    folder = tmp_path_factory.mktemp('calibrated')
+    result = calibrate(
+        *('--bag', bag, '--loads', '50,100', '--gel', 'soft', '--out', folder / 'm.safetensors'),
+        *('--json', folder / 'f.json', '--figure', folder / 'f.png'),
+    )
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+def test_a_recording_gives_gain_weight_file_and_picture(done):
+    found = json.loads((done / 'f.json').read_text())
+    assert found['gain'] == pytest.approx(1.0, abs=0.6)
+    assert 0.0 < found['gain_sd'] < 0.06 * found['gain']
+    assert found['mae_after_n'] < 0.03
+    assert [each['load_g'] for each in found['loads']] == list(GRAMS)
+    assert found['known_by'] == 'weights'
+    assert found['hysteresis_n'] is None
+    assert (done / 'f.png').stat().st_size > 10_000
+    assert (done / 'm.md').is_file()
+
+
+def test_the_weight_file_says_how_it_was_calibrated(done):
+    shipped, model = (
+        read_model(find_model(n)) for n in ('fger_small', str(done / 'm.safetensors'))
+    )
+    entry = model.card.training['calibrated']
+    assert model.card.training[SERIAL_KEY] == entry['serial'] == serial_number(DEVICE)
+    assert entry['gel'] == 'soft'
+    assert entry['from'] == 'fger_small.safetensors'
+    head = shipped.tensors['frame.head.weight']
+    assert model.tensors['frame.head.weight'] == pytest.approx(entry['gain'] * head, rel=1e-4)
+
+
+def test_a_check_passes_on_the_sensor_and_fails_by_other_loads(done, bag, tmp_path):
+    words = ('--bag', bag, '--check', '--model', done / 'm.safetensors')
+    result = calibrate(*words, '--loads', '50,100', '--json', tmp_path / 'c.json')
+    assert result.exit_code == 0, result.output
+    assert json.loads((tmp_path / 'c.json').read_text())['passed']
+    result = calibrate(*words, '--loads', '75,150', '--json', tmp_path / 'c.json')
+    assert isinstance(result.exception, ForceCalibrationError)
+    assert result.exception.reason == 'changed'
+    assert not json.loads((tmp_path / 'c.json').read_text())['passed']
+
+
+def test_a_reference_sensor_in_the_recording_is_used(done, bag, tmp_path):
+    words = ('--bag', bag, '--out', tmp_path / 'm.safetensors', '--json', tmp_path / 'f.json')
+    result = calibrate(*words)
+    assert result.exit_code == 0, result.output
+    found, by_weights = (
+        json.loads(path.read_text()) for path in (tmp_path / 'f.json', done / 'f.json')
+    )
+    assert found['known_by'] == 'reference'
+    assert found['gain'] == pytest.approx(by_weights['gain'], rel=0.08)
+
+
+@pytest.mark.parametrize(
+    ('loads', 'reason'), [('100,50', 'loads'), ('0.05,0.1', 'units'), ('50,100,150', 'contact')]
+)
+def test_a_refusal_leaves_nothing_behind(bag, tmp_path, loads, reason):
+    words = ('--json', tmp_path / 'f.json', '--figure', tmp_path / 'f.png')
+    result = calibrate(
+        *('--bag', bag, '--loads', loads, '--out', tmp_path / 'm.safetensors'), *words
+    )
+    assert isinstance(result.exception, ForceCalibrationError)
+    assert result.exception.reason == reason
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_written_or_checked_is_refused_first(bag, tmp_path):
+    for words in (
+        ('--bag', bag),
+        ('--bag', bag, '--out', tmp_path / 'm.bin'),
+        ('--bag', bag, '--check'),
+    ):
+        assert isinstance(calibrate(*words).exception, ModelError)
+
+
+def test_loads_are_grams():
+    assert parse_loads('20, 50,100.5') == [20.0, 50.0, 100.5]
+    for text in ('', 'fifty', '50,,100', '-5', 'inf', 'nan'):
+        with pytest.raises(ForceCalibrationError) as caught:
+            parse_loads(text)
+        assert caught.value.reason == 'units'
+
+
+@pytest.mark.dds
+def test_the_virtual_sensor_is_calibrated_and_checked_live(ros_domain, tmp_path):
+    model, figures = tmp_path / 'm.safetensors', tmp_path / 'f.json'
+    words = [sys.executable, '-m', 'mixtac_cli', 'calibrate-force', '--device', 'virtual', '--yes']
+
+    def run(*more):
+        return subprocess.run(
+            [*words, *map(str, more)],
+            env=ros_domain,
+            capture_output=True,
+            text=True,
+            timeout=900,
+            check=False,
+        )
+
+    result = run('--loads', '50,100,50', '--out', model, '--json', figures)
+    assert result.returncode == 0, result.stderr
+    found = json.loads(figures.read_text())
+    assert 0.2 < found['gain'] < 5.0
+    assert found['mae_after_n'] < 0.05
+    assert [each['unloading'] for each in found['loads']] == [False, False, True]
+    assert found['hysteresis_n'] is not None
+    assert read_model(model).card.training[SERIAL_KEY] == found['serial'] != ''
