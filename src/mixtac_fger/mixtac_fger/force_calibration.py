@@ -362,7 +362,7 @@ def unsteady(
     edges = np.flatnonzero(np.diff(np.concatenate([[0], loose.astype(np.int8), [0]])))
     runs = edges.reshape(-1, 2)
     if not len(runs) or (runs[:, 1] - runs[:, 0]).max() * BIN_S < SHORTEST_S:
-        return no_contact(f'{len(known)} steady stretches, and no contact between them')
+        return no_contact('no further contact is seen' if known else 'no contact is seen')
     start, stop = runs[(runs[:, 1] - runs[:, 0]).argmax()].tolist()
     part, at_s = means[start:stop], times[start:stop]
     # The flanks of a load are no part of what it does.
@@ -600,29 +600,34 @@ def reference_loads(
         t_s: Times on the clock of the plateaus [s]; to a tenth of a second is enough.
         reference_n: Normal forces of the reference sensor [N].
         plateaus: Plateaus of the estimate.
-        zeros: Stretches without a load, for the zero of the reference sensor.
+        zeros: Stretches without a load, between which the zero of the reference sensor drifts.
 
     Raises:
         ForceCalibrationError: The reference is silent during a plateau, or without a load.
     """
 
-    def mean(spans: Sequence[Plateau | Stretch]) -> tuple[float, float]:
-        inside = np.zeros(len(t_s), np.bool_)
-        for each in spans:
-            inside |= (t_s >= each.start_s) & (t_s <= each.end_s)
-        if np.count_nonzero(inside) < FEWEST_SAMPLES:
+    def level(span: Plateau | Stretch) -> tuple[float, float]:
+        inside = reference_n[(t_s >= span.start_s) & (t_s <= span.end_s)]
+        if len(inside) < FEWEST_SAMPLES:
             raise ForceCalibrationError(
-                f'the reference sensor sent {np.count_nonzero(inside)} samples from'
-                f' {spans[0].start_s:.1f} to {spans[-1].end_s:.1f} s',
+                f'the reference sensor sent {len(inside)} samples from {span.start_s:.1f} to'
+                f' {span.end_s:.1f} s',
                 remedy='check its driver, or give --loads',
                 reason='contact',
             )
-        values = reference_n[inside]
-        return float(values.mean()), float(values.std() / np.sqrt(len(values)))
+        # Quantiles: a slow host may shift the span onto the flank of a load.
+        low, middle, high = np.quantile(inside, (0.16, 0.5, 0.84))
+        return float(middle), float(high - low) / (2.0 * np.sqrt(len(inside)))
 
-    zero, zero_sd = mean(zeros)
-    found = [mean([plateau]) for plateau in plateaus]
-    return [Load(force - zero, float(np.hypot(sd, zero_sd))) for force, sd in found]
+    rests = [level(each) for each in zeros]
+    middles = [0.5 * (each.start_s + each.end_s) for each in zeros]
+    loads = []
+    for plateau in plateaus:
+        force, sd = level(plateau)
+        when = 0.5 * (plateau.start_s + plateau.end_s)
+        zero, zero_sd = (np.interp(when, middles, values) for values in zip(*rests, strict=True))
+        loads.append(Load(force - float(zero), float(np.hypot(sd, zero_sd))))
+    return loads
 
 
 FEWEST_SAMPLES = 10

@@ -304,9 +304,9 @@ class LiveProcedure:
     def _measured(self) -> list[Load]:
         """Return the loads by the reference sensor, on the clock of the plateaus."""
         arrival, stamps, _ = self._monitor.force()
-        late_ns = int(np.median(arrival - stamps))
         times, values = self._monitor.reference()
-        t_s = 1e-9 * (times - late_ns - stamps[0])
+        # What arrived together belongs together.
+        t_s = 1e-9 * np.interp(times - arrival[0], arrival - arrival[0], stamps - stamps[0])
         return reference_loads(t_s, values, self._session.plateaus, self._session.zeros)
 
 
