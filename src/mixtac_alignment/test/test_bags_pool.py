@@ -26,7 +26,7 @@ def refinement(
     fit = ClockFit(
         1.0, 0.0, np.diag([0.0, map_std_s**2]), 5_000_000, 5.0, anchors, np.full(2, -late_s), 'x'
     )
-    return Refinement(fit, GelLag((mean,) * 6, (0.1,) * 6), 0.01, posterior * np.eye(6))
+    return Refinement(fit, GelLag((mean,) * 6, (0.1,) * 6), posterior * np.eye(6))
 
 
 def test_pooled_weights_are_those_of_all_measurements_and_one_prior() -> None:
