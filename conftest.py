@@ -38,6 +38,7 @@ def pytest_configure(config: pytest.Config) -> None:
             index.unlink(missing_ok=True)
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Group tests for parallel runs: a file stays together, and so does what runs in real time.
 
@@ -49,7 +50,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if any(item.iter_markers('dds')) or any(item.iter_markers('umockdev'))
     }
     for item in items:
-        item.add_marker(pytest.mark.xdist_group('live' if item.path in live else str(item.path)))
+        item.add_marker(pytest.mark.xdist_group('live' if item.path in live else item.path.name))
 
 
 @contextlib.contextmanager
@@ -181,8 +182,13 @@ class NodeUnderTest:
         import rclpy
 
         if self.process is not None and self.process.poll() is None:
-            self.process.kill()
-            self.process.wait()
+            # Killed, it would still be a peer of the node here, whose end then crashes at times.
+            self.process.terminate()
+            try:
+                self.process.communicate(timeout=15)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)

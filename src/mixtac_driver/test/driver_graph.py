@@ -93,8 +93,13 @@ class Graph:
 
     def close(self):
         if self.process is not None and self.process.poll() is None:
-            self.process.kill()
-            self.process.wait()
+            # Killed, it would still be a peer of the node here, whose end then crashes at times.
+            self.process.terminate()
+            try:
+                self.process.communicate(timeout=15)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
         if self.server is not None:
             self.unplug()
         self.executor.shutdown()
