@@ -73,8 +73,9 @@ class Bench:
 
     def close(self):
         if self.process is not None and self.process.poll() is None:
-            self.process.kill()
-            self.process.communicate()
+            # Killed, it would still be a peer of the node here, whose end then crashes at times.
+            self.process.terminate()
+            self.process.communicate(timeout=30)
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
 

@@ -88,8 +88,9 @@ class Graph:
 
     def close(self):
         if self.process is not None and self.process.poll() is None:
-            self.process.kill()
-            self.process.wait()
+            # Killed, it would still be a peer of the node here, whose end then crashes at times.
+            self.process.terminate()
+            self.process.communicate(timeout=30)
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
