@@ -86,8 +86,8 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
     seconds: float = parameter(25.0, 'Length of the scenario', unit='s', within=(10.0, 3600.0))
     lead_seconds: float = parameter(
         2.0,
-        'Time by which the scenario is computed ahead and starts later; gestures and camera '
-        'settings meanwhile take effect so much later',
+        'How far ahead of time a scenario is computed. It starts this much later; gestures and '
+        'camera settings during a scenario are delayed by up to this time',
         unit='s',
         within=(0.0, 10.0),
     )
