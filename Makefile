@@ -11,7 +11,7 @@ demo:  ## set up and run the live demo on the virtual sensor
 	./mixtac demo $(ARGS)
 
 test: dev  ## set up and run all tests
-	. tools/env.sh && python -m pytest -n 2 --dist loadgroup $(ARGS)
+	. tools/env.sh && tools/test.sh $(ARGS)
 
 setup:  ## environment, ROS 2, workspace; does nothing when nothing changed
 	$(PYTHON) tools/setup.py

@@ -40,17 +40,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Group tests for parallel runs: a file stays together, and so does what runs in real time.
-
-    Several graphs at once would starve each other on a computer with two cores.
-    """
-    live = {
-        item.path
-        for item in items
-        if any(item.iter_markers('dds')) or any(item.iter_markers('umockdev'))
-    }
+    """Mark files with tests that run in real time, and keep each file with one worker."""
+    kinds = ('live', 'dds', 'umockdev')
+    live = {item.path for item in items for kind in kinds if any(item.iter_markers(kind))}
     for item in items:
-        item.add_marker(pytest.mark.xdist_group('live' if item.path in live else item.path.name))
+        item.add_marker(pytest.mark.xdist_group(item.path.name))
+        if item.path in live:
+            item.add_marker('live')
 
 
 @contextlib.contextmanager

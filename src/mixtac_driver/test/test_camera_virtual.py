@@ -21,6 +21,9 @@ from mixtac_events.readings import STANDARD_GRAVITY
 from mixtac_sim.usb.pyusb_backend import in_process_backend
 
 
+pytestmark = pytest.mark.live
+
+
 @pytest.fixture
 def scene():
     scene = Scene()

@@ -22,6 +22,7 @@ from mixtac_sim.usb.faults import Fault, FaultKind
 from mixtac_sim.usb.pyusb_backend import in_process_backend
 from mixtac_sim.usb.server import UsbServer
 
+pytestmark = pytest.mark.live
 GARBAGE_WRAP = 0x7FFF
 
 

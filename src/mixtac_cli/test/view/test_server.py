@@ -18,6 +18,7 @@ import pytest
 from mixtac_cli.view import server as viewer_server
 from mixtac_cli.view.server import HOST, ViewError, ViewerServer, free_port, require_rerun
 
+pytestmark = pytest.mark.live
 needs_rerun = pytest.mark.skipif(
     importlib.util.find_spec('rerun') is None, reason='rerun-sdk is not installed: make view'
 )
@@ -42,8 +43,9 @@ def test_a_port_in_use_is_named():
 
 @needs_rerun
 def test_the_page_is_served_on_this_machine_only_and_ends_with_its_owner():
+    before = set(psutil.Process().children())
     with closing(ViewerServer(0, 0, 50)) as server:
-        (child,) = psutil.Process().children()
+        (child,) = set(psutil.Process().children()) - before
         listening = [c.laddr for c in child.net_connections('inet') if c.status == 'LISTEN']
         assert len(listening) == 2
         assert {each.ip for each in listening} == {HOST}
@@ -64,8 +66,9 @@ def test_usage_data_are_off_and_the_users_own_settings_untouched(tmp_path, monke
 
 @needs_rerun
 def test_a_server_that_ended_is_reported():
+    before = set(psutil.Process().children())
     server = ViewerServer(0, 0, 50)
-    (child,) = psutil.Process().children()
+    (child,) = set(psutil.Process().children()) - before
     child.kill()
     child.wait()
     with pytest.raises(ViewError):

@@ -24,6 +24,7 @@ from mixtac_driver.pixels import PixelMask, load_mask
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Frame
 
+pytestmark = pytest.mark.live
 SIZE = (346, 260)
 HOT = [(10 * k + 5, 7) for k in range(10)]
 
