@@ -20,7 +20,6 @@ from mixtac_events.arrays import Events
 from mixtac_events.readings import STANDARD_GRAVITY
 from mixtac_sim.usb.pyusb_backend import in_process_backend
 
-
 pytestmark = pytest.mark.live
 
 
