@@ -33,6 +33,17 @@ from mixtac_events.errors import MixtacError
 
 F64 = NDArray[np.float64]
 Reason = Literal['contact', 'rocking', 'creep', 'zero', 'units', 'loads', 'few', 'order', 'changed']
+REMEDIES: dict[Reason, str] = {
+    'contact': 'put it on the middle of the gel, and nothing else',
+    'rocking': 'let it rest, do not touch the table, and try again',
+    'creep': 'use smaller loads, let the gel rest for a minute, and let the lamp warm up',
+    'zero': 'fasten it, tare, start over, and leave it alone for 2 s after each load',
+    'units': 'give grams: 50 for a weight of 50 g, which is 0.49 N',
+    'loads': 'check the grams of each load and that nothing else touches the gel',
+    'few': 'give two loads or more, such as 20,50,100',
+    'order': 'name each load that was put on, in this order, or record again',
+    'changed': 'look at gel, lamp and mount, then calibrate it again',
+}
 GRAVITY = 9.80665
 """Standard gravity [m/s^2]."""
 
@@ -42,8 +53,8 @@ class ForceCalibrationError(MixtacError):
 
     Args:
         message: What is wrong, with the value.
-        remedy: What the user can do about it.
         reason: See below.
+        remedy: What the user can do about it, where that is not the one of the reason.
 
     Attributes:
         reason: `contact` (no load arrived), `rocking` (not held still), `creep`, `zero` (the
@@ -51,8 +62,8 @@ class ForceCalibrationError(MixtacError):
             (too few loads), `order` (more plateaus than loads) or `changed` (a check failed).
     """
 
-    def __init__(self, message: str, *, remedy: str, reason: Reason) -> None:
-        super().__init__(message, remedy=remedy)
+    def __init__(self, message: str, reason: Reason, remedy: str = '') -> None:
+        super().__init__(message, remedy=remedy or REMEDIES[reason])
         self.reason = reason
 
 
@@ -67,6 +78,11 @@ class Load:
 
     force_n: float
     sd_n: float
+
+    @property
+    def grams(self) -> float:
+        """The mass of this weight [g]."""
+        return 1e3 * self.force_n / GRAVITY
 
 
 def load_of(grams: float, sd_grams: float) -> Load:
@@ -131,9 +147,13 @@ def steady_stretches(t_s: F64, force_n: F64) -> list[Stretch]:
     before, after = moving[: -reach - 1], moving[reach + 1 :]
     level = np.maximum(np.abs(before), np.abs(after))
     steady = np.abs(after - before) <= np.maximum(STEADY_N, STEADY_PART * level)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], steady.astype(np.int8), [0]])))
-    runs = [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= SHORTEST_S / BIN_S]
-    return [_stretch(times[a:b], means[a:b]) for a, b in runs]
+    return [_stretch(times[a:b], means[a:b]) for a, b in _long_runs(steady)]
+
+
+def _long_runs(where: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return start and end of the runs of steps that are long enough for a steady stretch."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], where.astype(np.int8), [0]])))
+    return [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= SHORTEST_S / BIN_S]
 
 
 def binned(t_s: F64, force_n: F64) -> tuple[F64, F64]:
@@ -161,14 +181,8 @@ def _stretch(times: F64, means: F64) -> Stretch:
     block = round(REACH_S / BIN_S)
     blocks = rest[: len(rest) // block * block].reshape(-1, block).mean(axis=1)
     error = max(blocks.std(), rest.std() / np.sqrt(block)) / np.sqrt(len(blocks))
-    return Stretch(
-        float(times[0]),
-        float(times[-1]),
-        float(means.mean()),
-        float(rest.std(ddof=2)),
-        float(error),
-        float(slope),
-    )
+    fields = (times[0], times[-1], means.mean(), rest.std(ddof=2), error, slope)
+    return Stretch(*map(float, fields))
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,11 +246,13 @@ def plateau_of(
         raise ForceCalibrationError(
             f'{where} has a standard deviation of {load.sd_n:.3f} N at {force:.3f} N: the load is'
             ' still rocking',
-            remedy='let it rest, do not touch the table, and try again',
-            reason='rocking',
+            'rocking',
         )
     if abs(load.creep_n_per_s) > max(CREEP_N_PER_S, CREEP_PART_PER_S * force):
-        raise creeps(f'{where} changes by {load.creep_n_per_s:+.3f} N/s at {force:.3f} N')
+        raise ForceCalibrationError(
+            f'{where} changes by {load.creep_n_per_s:+.3f} N/s at {force:.3f} N: creep dominates',
+            'creep',
+        )
     if abs(walked) > max(ZERO_N, ZERO_PART * force):
         raise zero_lost(before.mean_n, zeros[-1].mean_n)
     return Plateau(
@@ -253,20 +269,7 @@ def plateau_of(
 
 def no_contact(found: str) -> ForceCalibrationError:
     """Return the refusal of a load that never arrived; `found` is what was seen."""
-    return ForceCalibrationError(
-        f'{found}: no load arrived, or it lies off the gel',
-        remedy='put it on the middle of the gel, and nothing else',
-        reason='contact',
-    )
-
-
-def creeps(found: str) -> ForceCalibrationError:
-    """Return the refusal of a load under which the force does not come to rest."""
-    return ForceCalibrationError(
-        f'{found}: creep dominates',
-        remedy='use smaller loads, let the gel rest for a minute, and let the lamp warm up',
-        reason='creep',
-    )
+    return ForceCalibrationError(f'{found}: no load arrived, or it lies off the gel', 'contact')
 
 
 def zero_lost(before_n: float, after_n: float) -> ForceCalibrationError:
@@ -274,8 +277,7 @@ def zero_lost(before_n: float, after_n: float) -> ForceCalibrationError:
     return ForceCalibrationError(
         f'the sensor reads {after_n:.3f} N after a load and read {before_n:.3f} N before it: it'
         ' was moved, something still touches it, or it had no time to recover',
-        remedy='fasten it, tare, start over, and leave it alone for 2 s after each load',
-        reason='zero',
+        'zero',
     )
 
 
@@ -307,13 +309,9 @@ def find_plateaus(t_s: F64, force_n: F64, loads: Sequence[Load]) -> list[Plateau
         unloading = touched[index - 1] and stretches[index - 1].mean_n > stretches[index].mean_n
         plateaus.append(plateau_of(stretches[index], before, after, unloading=unloading))
     if not plateaus or 0 < len(plateaus) < len(loads):
-        raise unsteady(t_s, force_n, [(each.start_s, each.end_s) for each in stretches], zero)
+        raise unsteady(t_s, force_n, stretches)
     if loads and len(plateaus) > len(loads):
-        raise ForceCalibrationError(
-            f'{len(plateaus)} plateaus for {len(loads)} loads',
-            remedy='name each load that was put on, in this order, or record again',
-            reason='order',
-        )
+        raise ForceCalibrationError(f'{len(plateaus)} plateaus for {len(loads)} loads', 'order')
     return plateaus
 
 
@@ -343,27 +341,23 @@ def _length(stretch: Stretch) -> float:
     return stretch.end_s - stretch.start_s
 
 
-def unsteady(
-    t_s: F64, force_n: F64, known: Sequence[tuple[float, float]] = (), zero_n: float = 0.0
-) -> ForceCalibrationError:
+def unsteady(t_s: F64, force_n: F64, known: Sequence[Stretch] = ()) -> ForceCalibrationError:
     """Return why a load made no plateau: it crept, it rocked, or there was none.
 
     Args:
         t_s: Times [s].
         force_n: Estimates [N].
-        known: Spans in which the force is steady [s].
-        zero_n: Estimate without a load [N].
+        known: Where the force is steady; the first is without a load.
     """
     times, means = binned(t_s, force_n)
     reach_s = 2.0 * REACH_S
-    loose = np.abs(means - zero_n) > CONTACT_N
-    for start_s, end_s in known:
-        loose &= (times < start_s - reach_s) | (times > end_s + reach_s)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], loose.astype(np.int8), [0]])))
-    runs = edges.reshape(-1, 2)
-    if not len(runs) or (runs[:, 1] - runs[:, 0]).max() * BIN_S < SHORTEST_S:
+    loose = np.abs(means - (known[0].mean_n if known else 0.0)) > CONTACT_N
+    for each in known:
+        loose &= (times < each.start_s - reach_s) | (times > each.end_s + reach_s)
+    runs = _long_runs(loose)
+    if not runs:
         return no_contact('no further contact is seen' if known else 'no contact is seen')
-    start, stop = runs[(runs[:, 1] - runs[:, 0]).argmax()].tolist()
+    start, stop = max(runs, key=lambda run: run[1] - run[0])
     part, at_s = means[start:stop], times[start:stop]
     # The flanks of a load are no part of what it does.
     flank = len(part) // 6
@@ -373,11 +367,12 @@ def unsteady(
     drift = float(abs(slope) * np.ptp(at_s))
     where = f'the force is never steady from {times[start]:.1f} to {times[stop - 1]:.1f} s'
     if drift > 4.0 * swing:
-        return creeps(f'{where}; it changes by {slope:+.3f} N/s')
+        text = f'{where}; it changes by {slope:+.3f} N/s: creep dominates'
+        return ForceCalibrationError(text, 'creep')
     return ForceCalibrationError(
         f'{where}; it swings by {swing:.3f} N: the load is still rocking',
-        remedy=f'keep each load still for {2 * reach_s + SHORTEST_S:.0f} s or more',
-        reason='rocking',
+        'rocking',
+        f'keep each load still for {2 * reach_s + SHORTEST_S:.0f} s or more',
     )
 
 
@@ -393,45 +388,53 @@ FEWEST = 2
 """Loads that a calibration needs: one fits, another one checks."""
 
 
+class Point(NamedTuple):
+    """A load of a fit.
+
+    Attributes:
+        load: What is known.
+        plateau: Its estimate.
+        residual_n: Known force less calibrated estimate [N].
+        allowed_n: Largest residual that noise, load and place explain [N].
+    """
+
+    load: Load
+    plateau: Plateau
+    residual_n: float
+    allowed_n: float
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether it is off by more than two standard deviations: perhaps other grams."""
+        return abs(self.residual_n) > DOUBT / OUTLIER * self.allowed_n
+
+
 @dataclass(frozen=True, slots=True)
 class ForceCalibration:
     """A fitted gain.
 
     Attributes:
-        loads: Known loads.
-        plateaus: Plateau of each.
+        points: The loads in their order.
         gain: Known force over estimate.
         gain_sd: Its standard uncertainty.
-        residual_n: Known force less calibrated estimate, per load [N].
-        allowed_n: Largest residual that noise, load and place explain, per load [N].
         hysteresis_n: Largest difference between unloading and loading of one load, calibrated
             [N]; None where no load was reached from both sides.
     """
 
-    loads: tuple[Load, ...]
-    plateaus: tuple[Plateau, ...]
+    points: tuple[Point, ...]
     gain: float
     gain_sd: float
-    residual_n: tuple[float, ...]
-    allowed_n: tuple[float, ...]
     hysteresis_n: float | None
-
-    @property
-    def doubtful(self) -> tuple[bool, ...]:
-        """Which loads are off by more than two standard deviations: perhaps other grams."""
-        limits = zip(self.residual_n, self.allowed_n, strict=True)
-        return tuple(abs(residual) > DOUBT / OUTLIER * allowed for residual, allowed in limits)
 
     @property
     def mae_before_n(self) -> float:
         """Mean absolute error of the estimates as they were [N]."""
-        pairs = zip(self.loads, self.plateaus, strict=True)
-        return float(np.mean([abs(load.force_n - p.estimate_n) for load, p in pairs]))
+        return float(np.mean([abs(p.load.force_n - p.plateau.estimate_n) for p in self.points]))
 
     @property
     def mae_after_n(self) -> float:
         """Mean absolute residual [N]."""
-        return float(np.mean(np.abs(self.residual_n)))
+        return float(np.mean([abs(point.residual_n) for point in self.points]))
 
 
 def fit_gain(loads: Sequence[Load], plateaus: Sequence[Plateau]) -> ForceCalibration:
@@ -449,16 +452,14 @@ def fit_gain(loads: Sequence[Load], plateaus: Sequence[Plateau]) -> ForceCalibra
         raise ForceCalibrationError(
             f'{len(loads)} loads of {len({load.force_n for load in loads})} values: one fits the'
             ' gain, and another one checks it',
-            remedy='give two loads or more, such as 20,50,100',
-            reason='few',
+            'few',
         )
     force, seen, gain, variance = _regression(loads, plateaus)
     if not GAINS[0] < gain < GAINS[1]:
         raise ForceCalibrationError(
             f'the loads are {gain:.3g} times the estimates, and a gel explains'
             f' {GAINS[0]} to {GAINS[1]}: check the unit',
-            remedy='give grams: 50 for a weight of 50 g, which is 0.49 N',
-            reason='units',
+            'units',
         )
     residual = force - gain * seen
     weight = 1.0 / variance
@@ -467,15 +468,8 @@ def fit_gain(loads: Sequence[Load], plateaus: Sequence[Plateau]) -> ForceCalibra
         raise _disagreement(loads, plateaus, residual, allowed)
     chi2 = float((weight * residual**2).sum())
     sd = np.sqrt(max(1.0, chi2 / (len(force) - 1)) / (weight * seen**2).sum())
-    return ForceCalibration(
-        tuple(loads),
-        tuple(plateaus),
-        gain,
-        float(sd),
-        tuple(residual.tolist()),
-        tuple(allowed.tolist()),
-        _hysteresis(loads, plateaus, gain),
-    )
+    points = tuple(map(Point, loads, plateaus, residual.tolist(), allowed.tolist()))
+    return ForceCalibration(points, gain, float(sd), _hysteresis(loads, plateaus, gain))
 
 
 def _regression(loads: Sequence[Load], plateaus: Sequence[Plateau]) -> tuple[F64, F64, float, F64]:
@@ -500,7 +494,7 @@ def _disagreement(
         f'the loads disagree: that of {loads[worst].force_n:.3f} N is off by'
         f' {residual[worst]:+.3f} N, and {allowed[worst]:.3f} N can be explained'
     )
-    remedy = 'check the grams of each load and that nothing else touches the gel'
+    remedy = ''
     for a, b in combinations(range(len(loads)), 2):
         swapped = list(loads)
         swapped[a], swapped[b] = swapped[b], swapped[a]
@@ -511,7 +505,7 @@ def _disagreement(
         ):
             remedy = f'loads {a + 1} and {b + 1} seem to be swapped: put them on in their order'
             break
-    return ForceCalibrationError(text, remedy=remedy, reason='loads')
+    return ForceCalibrationError(text, 'loads', remedy)
 
 
 def _hysteresis(loads: Sequence[Load], plateaus: Sequence[Plateau], gain: float) -> float | None:
@@ -529,24 +523,21 @@ LEAST_IMPROVEMENT = 0.1
 """Smallest part by which a further load has to reduce it."""
 
 
-def next_load_tells(
-    calibration: ForceCalibration, load: Load, limit: float = RELATIVE_LIMIT
-) -> bool:
+def next_load_tells(calibration: ForceCalibration, load: Load) -> bool:
     """Return whether a further load would tell anything about the gain.
 
-    It would not where the relative uncertainty is below the limit, or where the load would reduce
-    it by less than a tenth: 1/sd'^2 = 1/sd^2 + e^2/Var r.
+    It would not where the relative uncertainty is below `RELATIVE_LIMIT`, or where the load would
+    reduce it by less than a tenth: 1/sd'^2 = 1/sd^2 + e^2/Var r.
 
     Args:
         calibration: Fit of the loads so far.
         load: The next one.
-        limit: Relative uncertainty that is enough.
     """
     gain, sd = calibration.gain, calibration.gain_sd
-    if sd <= limit * gain:
+    if sd <= RELATIVE_LIMIT * gain:
         return False
     seen = load.force_n / gain
-    noise = float(np.median([each.error_n for each in calibration.plateaus]))
+    noise = float(np.median([each.plateau.error_n for each in calibration.points]))
     variance = load.sd_n**2 + (gain * noise) ** 2 + (MODEL_PART * load.force_n) ** 2
     after = 1.0 / np.sqrt(1.0 / sd**2 + seen**2 / variance)
     return bool(after < (1.0 - LEAST_IMPROVEMENT) * sd)
@@ -572,22 +563,19 @@ class GainCheck(NamedTuple):
     passed: bool
 
 
-def check_gain(
-    load: Load, plateau: Plateau, relative_sd: float, tolerance: float = CHECK_TOLERANCE
-) -> GainCheck:
+def check_gain(load: Load, plateau: Plateau, relative_sd: float) -> GainCheck:
     """Check a calibrated sensor with one known load.
 
-    It passes within the tolerance and twice the uncertainty of load, plateau and calibration.
+    It passes within `CHECK_TOLERANCE` and twice the uncertainty of load, plateau and calibration.
 
     Args:
         load: The load.
         plateau: Its plateau, estimated by the calibrated model.
         relative_sd: Relative uncertainty of the calibration's gain.
-        tolerance: Relative change that is accepted in addition.
     """
     _, _, ratio, variance = _regression([load], [plateau])
     sd = float(np.sqrt(variance[0])) / plateau.estimate_n
-    allowed = tolerance + 2.0 * float(np.hypot(sd, relative_sd))
+    allowed = CHECK_TOLERANCE + 2.0 * float(np.hypot(sd, relative_sd))
     return GainCheck(ratio, sd, allowed, abs(ratio - 1.0) <= allowed)
 
 
@@ -612,8 +600,8 @@ def reference_loads(
             raise ForceCalibrationError(
                 f'the reference sensor sent {len(inside)} samples from {span.start_s:.1f} to'
                 f' {span.end_s:.1f} s',
-                remedy='check its driver, or give --loads',
-                reason='contact',
+                'contact',
+                'check its driver, or give --loads',
             )
         # Quantiles: a slow host may shift the span onto the flank of a load.
         low, middle, high = np.quantile(inside, (0.16, 0.5, 0.84))

@@ -115,7 +115,7 @@ def test_the_gain_is_recovered_within_its_stated_uncertainty(
     assert abs(found.gain - gain) < 3.0 * found.gain_sd
     assert found.gain_sd < 0.06 * found.gain
     assert found.mae_after_n <= max(found.mae_before_n, 0.05 * 0.1 * GRAVITY)
-    assert all(not each.unloading for each in found.plateaus)
+    assert all(not each.plateau.unloading for each in found.points)
 
 
 def test_plateaus_lie_within_the_loads_and_describe_them():
@@ -173,8 +173,9 @@ def test_spoiled_calibrations_are_refused(conditions, reason):
 
 
 def test_a_load_that_is_somewhat_off_is_doubtful():
-    assert calibrated().doubtful == (False, False, False)
-    assert calibrated((20.0, 57.0, 100.0), known=GRAMS).doubtful == (False, True, False)
+    assert not any(each.doubtful for each in calibrated().points)
+    found = calibrated((20.0, 57.0, 100.0), known=GRAMS)
+    assert [each.doubtful for each in found.points] == [False, True, False]
 
 
 def test_swapped_loads_are_named():
@@ -219,4 +220,4 @@ def test_the_stated_uncertainty_of_the_loads_widens_that_of_the_gain():
     exact, rough = calibrated(sd_g=0.1), calibrated(sd_g=5.0)
     assert rough.gain_sd > exact.gain_sd
     with pytest.raises(ForceCalibrationError):
-        fit_gain([Load(0.5, 0.01)], exact.plateaus[:1])
+        fit_gain([Load(0.5, 0.01)], [exact.points[0].plateau])

@@ -11,14 +11,13 @@ from typing import Annotated, Any, Optional
 import numpy as np
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from mixtac_cli.calibrate_force.session import LiveProcedure, Session, from_bag
 from mixtac_cli.options import JsonFile, Namespace, OptionalPath, ParamsFile, ReferenceTopic
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import SERIAL_KEY
 from mixtac_fger.force_calibration import (
-    GRAVITY,
     ForceCalibration,
     ForceCalibrationError,
     check_gain,
@@ -84,16 +83,16 @@ def calibrate_force(
     content = read_model(start)
     card_sd = _checked(content, start, out, check=check)
     sd_g = load_sd if load_sd is not None else SCALE_SD_G if scale else LOAD_SD_G
-    known = [load_of(grams, sd_g) for grams in parse_loads(loads)] if loads else []
+    asked = parse_loads(loads or (CHECK_LOADS if check else DEFAULT_LOADS))
+    known = [load_of(grams, sd_g) for grams in asked]
     console = Console()
-    default = [load_of(g, sd_g) for g in parse_loads(CHECK_LOADS if check else DEFAULT_LOADS)]
     if bag is not None:
-        session = from_bag(bag, content, known, reference, default)
+        session = from_bag(bag, content, known, '' if loads else reference)
     else:
         live = LiveProcedure(
             console, namespace, device, scale=scale, yes=yes, fewest=1 if check else 2
         )
-        session = live.run(start, known, default, params_file)
+        session = live.run(start, known, params_file, known=bool(loads))
     if scale and session.known_by == 'weights':
         session.known_by = 'scale'
     if check:
@@ -124,7 +123,7 @@ def parse_loads(text: str) -> list[float]:
         grams = []
     if not grams or not all(0.0 < each < float('inf') for each in grams):
         raise ForceCalibrationError(
-            f'loads {text!r} are not grams', remedy='give them like 20,50,100', reason='units'
+            f'loads {text!r} are not grams', 'units', 'give them like 20,50,100'
         )
     return grams
 
@@ -162,7 +161,6 @@ def card_entry(
         model: Name of the model that was calibrated.
     """
     c = calibration
-    rows = zip(c.loads, c.plateaus, c.residual_n, c.allowed_n, c.doubtful, strict=True)
     return {
         'date': dt.datetime.now(dt.timezone.utc).strftime('%Y-%m-%d'),
         'serial': session.serial,
@@ -177,19 +175,19 @@ def card_entry(
         'stopped_early': session.stopped_early,
         'loads': [
             {
-                'load_g': round(1e3 * load.force_n / GRAVITY, 2),
-                'load_n': round(load.force_n, 4),
-                'load_sd_n': round(load.sd_n, 4),
-                'estimate_n': round(plateau.estimate_n, 4),
-                'residual_n': round(residual, 4),
-                'allowed_n': round(allowed, 4),
-                'doubtful': doubtful,
-                'sd_n': round(plateau.sd_n, 4),
-                'creep_n_per_s': round(plateau.creep_n_per_s, 4),
-                'zero_shift_n': round(plateau.zero_shift_n, 4),
-                'unloading': plateau.unloading,
+                'load_g': round(point.load.grams, 2),
+                'load_n': round(point.load.force_n, 4),
+                'load_sd_n': round(point.load.sd_n, 4),
+                'estimate_n': round(point.plateau.estimate_n, 4),
+                'residual_n': round(point.residual_n, 4),
+                'allowed_n': round(point.allowed_n, 4),
+                'doubtful': point.doubtful,
+                'sd_n': round(point.plateau.sd_n, 4),
+                'creep_n_per_s': round(point.plateau.creep_n_per_s, 4),
+                'zero_shift_n': round(point.plateau.zero_shift_n, 4),
+                'unloading': point.plateau.unloading,
             }
-            for load, plateau, residual, allowed, doubtful in rows
+            for point in c.points
         ],
     }
 
@@ -221,13 +219,12 @@ def save_calibrated(
 
 def _report(console: Console, calibration: ForceCalibration) -> None:
     c = calibration
-    table = Table(title='Known loads; forces in N, creep in N/s', title_justify='left')
     names = ('load [g]', 'known', 'estimate', 'calibrated', 'residual', 'creep', 'zero shift')
-    for name in names:
-        table.add_column(name, justify='right')
-    for load, plateau, residual in zip(c.loads, c.plateaus, c.residual_n, strict=True):
+    columns = [Column(name, justify='right') for name in names]
+    table = Table(*columns, title='Known loads; forces in N, creep in N/s', title_justify='left')
+    for load, plateau, residual, _ in c.points:
         table.add_row(
-            f'{1e3 * load.force_n / GRAVITY:.1f}' + (' down' if plateau.unloading else ''),
+            f'{load.grams:.1f}' + (' down' if plateau.unloading else ''),
             f'{load.force_n:.3f}',
             f'{plateau.estimate_n:.3f}',
             f'{c.gain * plateau.estimate_n:.3f}',
@@ -236,11 +233,12 @@ def _report(console: Console, calibration: ForceCalibration) -> None:
             f'{plateau.zero_shift_n:+.3f}',
         )
     console.print(table)
-    for load in (load for load, doubtful in zip(c.loads, c.doubtful, strict=True) if doubtful):
-        console.print(
-            f'warning: {1e3 * load.force_n / GRAVITY:.1f} g fit the other loads badly; check these'
-            ' grams, or put them on again'
-        )
+    for point in c.points:
+        if point.doubtful:
+            console.print(
+                f'warning: {point.load.grams:.1f} g fit the other loads badly; check these grams,'
+                ' or put them on again'
+            )
     hysteresis = '' if c.hysteresis_n is None else f'; hysteresis {c.hysteresis_n:+.3f} N'
     console.print(
         f'gain {c.gain:.3f} +- {c.gain_sd:.3f} (one standard deviation){hysteresis}; mean error at'
@@ -261,16 +259,14 @@ def _check(
     Raises:
         ForceCalibrationError: It does not.
     """
-    found = [
-        check_gain(load, plateau, relative_sd)
-        for load, plateau in zip(session.loads, session.plateaus, strict=True)
-    ]
-    for load, plateau, each in zip(session.loads, session.plateaus, found, strict=True):
+    found = []
+    for load, plateau in zip(session.loads, session.plateaus, strict=True):
+        each = check_gain(load, plateau, relative_sd)
+        found.append(each)
         console.print(
-            f'{1e3 * load.force_n / GRAVITY:.1f} g: known {load.force_n:.3f} N, estimated'
-            f' {plateau.estimate_n:.3f} N; ratio {each.ratio:.3f} +- {each.ratio_sd:.3f},'
-            f' {1.0 - each.allowed:.2f} to {1.0 + each.allowed:.2f} pass:'
-            f' {"pass" if each.passed else "FAIL"}',
+            f'{load.grams:.1f} g: known {load.force_n:.3f} N, estimated {plateau.estimate_n:.3f} N;'
+            f' ratio {each.ratio:.3f} +- {each.ratio_sd:.3f}, {1.0 - each.allowed:.2f} to'
+            f' {1.0 + each.allowed:.2f} pass: {"pass" if each.passed else "FAIL"}',
             highlight=False,
         )
     passed = all(each.passed for each in found)
@@ -278,11 +274,7 @@ def _check(
         checks = [each._asdict() for each in found]
         write_json(json, facts | {'serial': session.serial, 'passed': passed, 'checks': checks})
     if not passed:
-        raise ForceCalibrationError(
-            'the sensor no longer reads the known loads',
-            remedy='look at gel, lamp and mount, then calibrate it again',
-            reason='changed',
-        )
+        raise ForceCalibrationError('the sensor no longer reads the known loads', 'changed')
 
 
 def draw(
@@ -307,23 +299,22 @@ def draw(
     series, fit = figure.subplots(1, 2, width_ratios=(2, 1))
     series.plot(session.t_s, session.force_n, color=FORCE, alpha=0.4, lw=0.6, label='estimate')
     series.plot(session.t_s, c.gain * session.force_n, color=FORCE, lw=0.8, label='calibrated')
-    for number, (load, plateau) in enumerate(zip(c.loads, c.plateaus, strict=True)):
-        span = (plateau.start_s, plateau.end_s)
-        series.plot(
-            span, (load.force_n,) * 2, color=REFERENCE, lw=2, label='' if number else 'known load'
-        )
+    force = np.array([point.load.force_n for point in c.points])
+    plateaus = [point.plateau for point in c.points]
+    starts, ends = [each.start_s for each in plateaus], [each.end_s for each in plateaus]
+    series.hlines(force, starts, ends, color=REFERENCE, lw=2, label='known load')
     series.set_xlabel('time [s]')
     series.set_ylabel('normal force [N]')
     series.legend(loc='upper left', frameon=False)
-    seen = np.array([each.estimate_n for each in c.plateaus])
+    seen = np.array([each.estimate_n for each in plateaus])
     line = np.array([0.0, 1.1 * seen.max()])
     fit.plot(line, c.gain * line, color=FORCE)
     fit.fill_between(
         line, (c.gain - c.gain_sd) * line, (c.gain + c.gain_sd) * line, color=FORCE, alpha=0.2
     )
-    force = np.array([each.force_n for each in c.loads])
-    fit.errorbar(seen, force, yerr=[each.sd_n for each in c.loads], fmt='o', color=REFERENCE)
-    down = np.array([each.unloading for each in c.plateaus])
+    load_sd = [point.load.sd_n for point in c.points]
+    fit.errorbar(seen, force, yerr=load_sd, fmt='o', color=REFERENCE)
+    down = np.array([each.unloading for each in plateaus])
     if down.any():
         fit.plot(seen[down], force[down], 'v', color=MARK, label='unloading')
         fit.legend(frameon=False)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.up import start_nodes
 from mixtac_fger.force_calibration import (
     CONTACT_N,
-    GRAVITY,
     SHORTEST_S,
     ForceCalibrationError,
     Load,
@@ -46,7 +45,6 @@ if TYPE_CHECKING:
     from mixtac_recordings.recording import Recording
 
 F64 = NDArray[np.float64]
-T = TypeVar('T')
 HOLD_S = 1.2
 """Length of a live plateau [s]."""
 RECENT_S = 6.0
@@ -113,15 +111,15 @@ class LiveProcedure:
         self._session = Session()
 
     def run(
-        self, model: Path, known: Sequence[Load], default: Sequence[Load], params_file: Path | None
+        self, model: Path, loads: Sequence[Load], params_file: Path | None, *, known: bool
     ) -> Session:
         """Start the sensor, lead through the loads, stop the sensor.
 
         Args:
             model: Weight file of the estimator.
-            known: Known loads; empty to use a reference sensor, else the default.
-            default: Loads to ask for where none are known.
+            loads: Loads to ask for.
             params_file: Parameter file of the nodes.
+            known: Take these loads even where a reference sensor measures them.
 
         Raises:
             ForceCalibrationError: The sensor cannot be calibrated by what was seen.
@@ -143,7 +141,7 @@ class LiveProcedure:
             if by_reference:
                 self._session.known_by = 'reference'
                 self._console.print('the reference sensor measures the loads')
-            self._put_all(zero, known or default, by_reference=by_reference)
+            self._put_all(zero, loads, by_reference=by_reference)
             self._session.t_s, self._session.force_n = self._series()
             self._session.serial = monitor.serial
         return self._session
@@ -155,11 +153,11 @@ class LiveProcedure:
                 self._console.input('Press Enter when it is free ...')
             except EOFError as error:
                 raise GraphError('there is no Enter key here', remedy='give --yes') from error
-        self._wait('still and free', self._free)
+        self._wait('still and free', is_still)
         self._monitor.trigger('fger/tare', self._processes.check)
         # The estimate starts over: what was before belongs to another zero.
         self._begin = self._monitor.force_count
-        return self._wait('zero', self._free)
+        return self._wait('zero', is_still)
 
     def _put_all(self, zero: Stretch, loads: Sequence[Load], *, by_reference: bool) -> None:
         session = self._session
@@ -190,7 +188,7 @@ class LiveProcedure:
 
     def _put(self, load: Load, zero: Stretch, previous: tuple[Load, Stretch] | None) -> Stretch:
         """Prompt for a load and return its plateau."""
-        grams = 1e3 * load.force_n / GRAVITY
+        grams = load.grams
         less = previous is not None
         if self._scale:
             prompt = f'Press until the scale shows {grams:g} g, and keep still.'
@@ -210,22 +208,19 @@ class LiveProcedure:
             most = zero.mean_n + 0.5 * (1.0 + ratio) * (previous[1].mean_n - zero.mean_n)
         refused: list[ForceCalibrationError] = []
 
-        def find(t_s: F64, force_n: F64) -> Stretch | None:
-            recent = t_s > t_s[-1] - RECENT_S
-            for stretch in steady_stretches(t_s[recent], force_n[recent]):
-                if stretch.end_s - stretch.start_s < HOLD_S or stretch.mean_n > most:
-                    continue
-                if abs(stretch.mean_n - zero.mean_n) < CONTACT_N:
-                    continue
-                try:
-                    plateau_of(stretch, zero, None)
-                except ForceCalibrationError as error:
-                    refused[:] = [error]
-                else:
-                    return stretch
-            return None
+        def is_plateau(stretch: Stretch) -> bool:
+            if stretch.end_s - stretch.start_s < HOLD_S or stretch.mean_n > most:
+                return False
+            if abs(stretch.mean_n - zero.mean_n) < CONTACT_N:
+                return False
+            try:
+                plateau_of(stretch, zero, None)
+            except ForceCalibrationError as error:
+                refused[:] = [error]
+                return False
+            return True
 
-        found = self._wait(f'{grams:g} g', find, refused)
+        found = self._wait(f'{grams:g} g', is_plateau, refused)
         self._console.print(
             f'  {grams:g} g: estimate {found.mean_n - zero.mean_n:.3f} N,'
             f' creep {found.creep_n_per_s:+.4f} N/s',
@@ -241,35 +236,28 @@ class LiveProcedure:
         zero = self._session.zeros[-1]
         refused = [zero_lost(zero.mean_n, load.mean_n)]
 
-        def find(t_s: F64, force_n: F64) -> Stretch | None:
-            recent = t_s > t_s[-1] - RECENT_S
-            for stretch in steady_stretches(t_s[recent], force_n[recent]):
-                if stretch.end_s - stretch.start_s < SHORTEST_S:
-                    continue
-                if abs(stretch.mean_n - zero.mean_n) < CONTACT_N:
-                    return stretch
+        def is_zero(stretch: Stretch) -> bool:
+            if stretch.end_s - stretch.start_s < SHORTEST_S:
+                return False
+            back = abs(stretch.mean_n - zero.mean_n) < CONTACT_N
+            if not back:
                 refused[:] = [zero_lost(zero.mean_n, stretch.mean_n)]
-            return None
+            return back
 
-        return self._wait('zero', find, refused)
-
-    def _free(self, t_s: F64, force_n: F64) -> Stretch | None:
-        recent = t_s > t_s[-1] - RECENT_S
-        found = steady_stretches(t_s[recent], force_n[recent])
-        return next((each for each in found if each.sd_n < CONTACT_N), None)
+        return self._wait('zero', is_zero, refused)
 
     def _wait(
         self,
         what: str,
-        find: Callable[[F64, F64], T | None],
+        is_it: Callable[[Stretch], bool],
         refused: Sequence[ForceCalibrationError] = (),
-    ) -> T:
-        """Wait until something is found in the forces from now on, and show them meanwhile.
+    ) -> Stretch:
+        """Wait for a steady stretch in the forces from now on, and show them meanwhile.
 
         Args:
             what: What is waited for.
-            find: Returns it, or None, from the times and forces so far.
-            refused: Why what was seen meanwhile could not be used, filled by `find`.
+            is_it: Whether a recent stretch is what is waited for.
+            refused: Why what was seen meanwhile could not be used, filled by `is_it`.
 
         Raises:
             ForceCalibrationError: It was not found in time.
@@ -289,8 +277,10 @@ class LiveProcedure:
                 if seen - first < 2:
                     continue
                 t_s, force_n = (each[first - self._begin :] for each in self._series())
-                if (found := find(t_s, force_n)) is not None:
-                    return found
+                recent = t_s > t_s[-1] - RECENT_S
+                for stretch in steady_stretches(t_s[recent], force_n[recent]):
+                    if is_it(stretch):
+                        return stretch
                 left_s = PATIENCE_S - (t_s[-1] - t_s[0])
                 status.update(f'{what}: {force_n[-50:].mean():6.3f} N, {left_s:3.0f} s left')
                 if left_s < 0.0:
@@ -310,17 +300,19 @@ class LiveProcedure:
         return reference_loads(t_s, values, self._session.plateaus, self._session.zeros)
 
 
-def from_bag(
-    path: Path, model: Model, known: Sequence[Load], reference: str, default: Sequence[Load]
-) -> Session:
+def is_still(stretch: Stretch) -> bool:
+    """Return whether nothing moves, as on a sensor that nobody touches."""
+    return stretch.sd_n < CONTACT_N
+
+
+def from_bag(path: Path, model: Model, loads: Sequence[Load], reference: str) -> Session:
     """Return the plateaus of a recording of the procedure.
 
     Args:
         path: Bag or AEDAT4 file that begins and ends without a load.
         model: Model that estimates its forces.
-        known: Loads in their order; empty to use the reference in the bag, else the default.
-        reference: Topic of the reference force.
-        default: Loads where neither is known.
+        loads: Loads in their order.
+        reference: Topic of a reference force to take instead if the bag has it; empty for none.
 
     Raises:
         MixtacError: The recording cannot be read, or the sensor cannot be calibrated by it.
@@ -335,16 +327,15 @@ def from_bag(
     if not len(t_us):
         raise ForceCalibrationError(
             f'{path} gives no force: it begins in contact, or has no frames',
-            remedy='record events and frames, and begin with a second without a load',
-            reason='contact',
+            'contact',
+            'record events and frames, and begin with a second without a load',
         )
-    session = Session(1e-6 * (t_us - t_us[0]), force_n, loads=list(known))
+    session = Session(1e-6 * (t_us - t_us[0]), force_n, loads=list(loads))
     measured = None
     if path.is_dir() or path.suffix in {'.mcap', '.db3'}:
-        measured = _bag_facts(path, session, recording, int(t_us[0]), '' if known else reference)
+        measured = _bag_facts(path, session, recording, int(t_us[0]), reference)
     if measured is None:
-        session.loads = list(known or default)
-        session.plateaus = find_plateaus(session.t_s, force_n, session.loads)
+        session.plateaus = find_plateaus(session.t_s, force_n, loads)
     else:
         session.known_by = 'reference'
         session.plateaus = find_plateaus(session.t_s, force_n, ())
