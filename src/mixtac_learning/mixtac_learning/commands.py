@@ -28,6 +28,9 @@ OptionalStr = Optional[str]  # noqa: UP045
 OptionalInt = Optional[int]  # noqa: UP045
 ModelFile = Annotated[str, typer.Option('--model', help='Weight file, or name of a shipped model.')]
 Preset = Annotated[str, typer.Option('--preset', help='Difficulty: easy, paper_like or hard.')]
+ReferenceTopic = Annotated[
+    str, typer.Option('--reference', help='Topic of the reference force in the bags.')
+]
 JsonFile = Annotated[OptionalPath, typer.Option('--json', help='JSON file for the figures.')]
 
 
@@ -107,9 +110,7 @@ def evaluate(
     gels: Annotated[int, typer.Option(min=1, help='Number of simulated sensors.')] = 3,
     seconds: Annotated[float, typer.Option(min=4, help='Length of a trial [s].')] = 10.0,
     preset: Preset = TRAINING_PRESET,
-    reference: Annotated[
-        str, typer.Option(help='Topic of the reference force in bags.')
-    ] = REFERENCE,
+    reference: ReferenceTopic = REFERENCE,
     figures: Annotated[
         OptionalPath, typer.Option(help='Image file for plots of the trials.')
     ] = None,
@@ -153,9 +154,7 @@ def adapt(
             ' 3.0 to 6.0 s after the start of the recording; repeatable.'
         ),
     ] = None,
-    reference: Annotated[
-        str, typer.Option(help='Topic of the reference force in the bags.')
-    ] = REFERENCE,
+    reference: ReferenceTopic = REFERENCE,
     serial: Annotated[
         str,
         typer.Option(

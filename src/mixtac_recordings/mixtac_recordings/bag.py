@@ -161,7 +161,6 @@ class BagFile:
         self,
         *wanted: str,
         start_ns: int | None = None,
-        stop_ns: int | None = None,
         raw: Collection[str] = (),
     ) -> Iterator[tuple[str, int, Any]]:
         """Yield (topic, time received [ns, host clock], message) in recording order.
@@ -169,7 +168,6 @@ class BagFile:
         Args:
             wanted: Absolute topic names.
             start_ns: Begin with messages received at this time; None for the first.
-            stop_ns: End before messages received at this time; None for the last.
             raw: Topics among `wanted` whose messages stay serialised: `bytes` in CDR.
 
         Raises:
@@ -182,7 +180,7 @@ class BagFile:
             raise RecordingError(f'{self.path} has no topic {min(missing)}; it has {listed}')
         for reader in self._readers:
             chosen = [each for each in reader.connections if each.topic in wanted]
-            messages = reader.messages(chosen, start_ns, stop_ns) if chosen else iter(())
+            messages = reader.messages(chosen, start_ns) if chosen else iter(())
             while True:
                 try:
                     connection, received_ns, data = next(messages)

@@ -184,13 +184,11 @@ def draw_trials(path: Path, title: str, estimates: Sequence[TrialEstimate]) -> N
         title: Above the picture.
         estimates: Estimates.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     firsts = {each.profile: each for each in reversed(estimates)}
     chosen = list(reversed(firsts.values()))[:_ROWS]
     figure = Figure(figsize=(11.0, 2.4 * len(chosen) + 0.4), layout='constrained')
-    FigureCanvasAgg(figure)
     figure.suptitle(title)
     panels = figure.subplots(len(chosen), 2, squeeze=False, width_ratios=(3, 1))
     for (left, right), each in zip(panels, chosen, strict=True):

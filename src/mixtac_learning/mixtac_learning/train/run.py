@@ -167,13 +167,11 @@ def write_curves(folder: Path, curves: Sequence[dict[str, Any]]) -> None:
         folder: Made if need be.
         curves: One row per epoch: stage, epoch, loss, validation, seconds.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     write_json(folder / 'curves.json', {'epochs': list(curves)})
     stages = list(dict.fromkeys(row['stage'] for row in curves)) or ['none']
     figure = Figure(figsize=(4.0 * len(stages), 3.0), layout='constrained')
-    FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(stages), squeeze=False)[0]
     for panel, stage in zip(panels, stages, strict=True):
         rows = [row for row in curves if row['stage'] == stage]

@@ -25,8 +25,6 @@ from mixtac_events.readings import Frame
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
 from mixtac_node.topics import REFERENCE
 
-_NS_PER_S = 1_000_000_000
-
 
 def label_on_camera_clock(
     t_us: NDArray[np.float64], force: Sequence[float], what: str
@@ -99,6 +97,7 @@ def read_forces(path: Path, reference: str) -> tuple[ForceLabel | None, ForceLab
         AlignmentError: A clock fit beside it or inside is damaged.
     """
     from mixtac_alignment.bags import fit_path, read_fit
+    from mixtac_node.stamps import stamp_to_ns
     from mixtac_recordings.bag import BagFile
     from mixtac_recordings.recording import DamagedRecordingError
 
@@ -117,10 +116,10 @@ def read_forces(path: Path, reference: str) -> tuple[ForceLabel | None, ForceLab
         ]
         for topic, _, message in bag.messages(*chosen):
             if topic == reference or topic.endswith(_TRUE_FORCE):
-                row = (_ns(message.header.stamp), float(message.wrench.force.z))
+                row = (stamp_to_ns(message.header.stamp), float(message.wrench.force.z))
                 forces[topic != reference].append(row)
             elif topic.endswith(_CAMERA_CLOCK):
-                pairs.append((_ns(message.header.stamp), _ns(message.time_ref)))
+                pairs.append((stamp_to_ns(message.header.stamp), stamp_to_ns(message.time_ref)))
             else:
                 fits[topic.endswith(_TRUE_FIT)] = ClockFit.from_fields(vars(message))
     made = read_fit(path) if fit_path(path).exists() else fits.get(False)
@@ -141,10 +140,6 @@ def read_forces(path: Path, reference: str) -> tuple[ForceLabel | None, ForceLab
             )
         raise DatasetError(f'{path} has no force', remedy=f'record {reference} beside the camera')
     return truth, measured
-
-
-def _ns(stamp: Any) -> int:  # noqa: ANN401
-    return int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
 
 
 _BLOCK = 1 << 20
