@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 
 from mixtac_lab.figures import make_table
-from mixtac_node.files import write_json, write_text
+from mixtac_node.files import read_data, write_json, write_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +125,15 @@ class Outcome:
             'rows': [row.as_dict() for row in self.rows],
             'figures': {caption: path.name for caption, path in self.figures.items()},
         }
+
+
+def texts(name: str) -> dict[str, Any]:
+    """Return what `texts.yaml` says of an experiment, by names of fields of `Outcome`.
+
+    Those that draw the forces of models also have a `caption` of their figure.
+    """
+    found: dict[str, Any] = read_data(Path(__file__).with_name('texts.yaml'))[name]
+    return {'name': name, **found, 'deviations': tuple(found['deviations'])}
 
 
 HEADINGS = ('what', 'ours', 'paper', 'unit')

@@ -22,7 +22,7 @@ from mixtac_fger.config import FgerConfig
 from mixtac_fger.model_card import save_model
 from mixtac_fger.weights import read_model
 from mixtac_lab.experiments.harness import Context, constant_row
-from mixtac_lab.experiments.report import Outcome, Row
+from mixtac_lab.experiments.report import Outcome, Row, texts
 from mixtac_lab.experiments.sizes import (
     DYNAMIC,
     EVENTS,
@@ -235,26 +235,9 @@ _REMEDY = (
 
 def deviations(sizes: Sizes) -> tuple[str, ...]:
     """Return the differences from the paper wherever models are trained."""
-    network, training = sizes.paper_network, sizes.paper_training
-    scale = network['scale']
-    return (
-        (
-            f'One training set of all profiles for all experiments, {sizes.trials} trials of'
-            f' {sizes.seconds:g} s per sensor; the paper trains on the data set of each experiment.'
-        ),
-        (
-            f"The paper's networks see frames averaged over {scale} x {scale} pixels and at most"
-            f' {network["events_per_packet"]} events per packet, and are trained for'
-            f' {training["epochs"]} epochs with batches of {training["batch"]} and a rate of'
-            f' {training["rate"]:g} (paper: 50 epochs, 128, 1e-4): what two CPU cores do in the'
-            ' time available. `mixtac experiments models --size native` trains them as stated, on'
-            ' a GPU.'
-        ),
-        (
-            'Widths and the use of frames within a cycle are not in the paper; docs/fger.md'
-            ' describes the choices.'
-        ),
-    )
+    values = {'trials': sizes.trials, 'seconds': sizes.seconds}
+    values |= sizes.paper_network | sizes.paper_training
+    return tuple(each.format(**values) for each in texts('training')['deviations'])
 
 
 def learning_version() -> str:
@@ -382,37 +365,35 @@ def _bag_files(bag: Path) -> list[Path]:
 def force_outcome(
     context: Context,
     profile: str,
+    name: str,
     *,
     rows: Callable[..., list[Row]],
     draw: Callable[..., Path],
-    caption: str,
     conditions: str,
-    **outcome: Any,  # noqa: ANN401
 ) -> Outcome:
     """Return the outcome of an experiment that compares models on one profile.
 
     Args:
         context: The run.
         profile: One of `JUDGED`.
+        name: Name of the experiment.
         rows: Returns the rows of the experiment from the estimates and `simulated`, whether the
             trials are simulated.
         draw: Writes the figure to a path, from the same.
-        caption: Caption of the figure.
         conditions: Which trials these are, for the row of the best constant.
-        **outcome: Other fields of `Outcome`.
 
     Raises:
         MixtacError: Trials are missing or cannot be used.
     """
     sets = trial_sets(context.sizes, context.bags)
     found = estimates(context, profile)
-    simulated = sets.simulated
-    outcome['deviations'] = (*deviations(context.sizes), *outcome.get('deviations', ()))
-    path = draw(context.figures / f'{outcome["name"]}.png', found, simulated=simulated)
+    simulated, text = sets.simulated, texts(name)
+    text['deviations'] = (*deviations(context.sizes), *text['deviations'])
+    path = draw(context.figures / f'{name}.png', found, simulated=simulated)
     constant = constant_row(found[OURS], conditions, simulated=simulated)
     return Outcome(
         data=sets.describe(profile),
         rows=[*rows(found, simulated=simulated), constant],
-        figures={caption: path},
-        **outcome,
+        figures={text.pop('caption'): path},
+        **text,
     )

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from mixtac_lab.experiments.harness import Context, experiment, pooled, rate_hz
-from mixtac_lab.experiments.report import Outcome, Row, Value, number, value_text
+from mixtac_lab.experiments.report import Outcome, Row, Value, number, texts, value_text
 from mixtac_lab.experiments.sizes import DYNAMIC, FGER
 from mixtac_lab.experiments.training import MODELS, Estimates, deviations, estimates, trial_sets
 from mixtac_lab.figures import mark
@@ -39,23 +39,18 @@ def comparison(context: Context) -> Outcome:
         for (title, _, unit), paper in zip(values, numbers, strict=True):
             name = f'{sensor}, {kind}: {title}'
             rows.append(Row(name, nothing, paper, _PLACE, unit, 'cited by the paper', False))
+    fields = texts('comparison')
+    ours = (
+        'Our row is of a simulated sensor; the others are of real ones.'
+        if sets.simulated
+        else 'Our row is of the given recordings.'
+    )
+    fields['deviations'] = (*deviations(context.sizes), ours, *fields['deviations'])
     return Outcome(
-        name='comparison',
-        title='Comparison with other sensors',
-        paper='Rate, error and range as published; sensors, forces and tests differ.',
         data=sets.describe(DYNAMIC),
         rows=rows,
         table=_table(found, simulated=sets.simulated),
-        deviations=(
-            *deviations(context.sizes),
-            'Our row is of a simulated sensor; the others are of real ones.'
-            if sets.simulated
-            else 'Our row is of the given recordings.',
-            (
-                'The synchronising taps, up to 2 N, are part of our trials and count for the'
-                ' largest force.'
-            ),
-        ),
+        **fields,
     )
 
 

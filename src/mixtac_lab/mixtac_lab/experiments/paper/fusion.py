@@ -29,22 +29,7 @@ _PLACE = 'section IV-D, Fig. 6'
 def fusion(context: Context) -> Outcome:
     """FGER-Net against feature-level fusion, on static forces."""
     return force_outcome(
-        context,
-        STATIC,
-        name='fusion',
-        title='FGER-Net against feature-level fusion',
-        paper='Thirty static trials of 25 s between 0 and 1 N, split 8:2 by trial; the baseline'
-        ' sums the events between frames and joins the features of two convolutional networks.',
-        rows=_rows,
-        draw=_draw,
-        caption='Errors; dots are seeds, diamonds the paper',
-        conditions='static trials',
-        deviations=(
-            (
-                "The paper's R2 of 0.83 at an RMSE of 0.05 N means that its forces spread by 0.12"
-                ' N; here they spread by more, so R2 values cannot be compared directly.'
-            ),
-        ),
+        context, STATIC, 'fusion', rows=_rows, draw=_draw, conditions='static trials'
     )
 
 

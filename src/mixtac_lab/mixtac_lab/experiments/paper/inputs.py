@@ -30,19 +30,7 @@ SHOWN_S = 5.0
 @experiment(order=3)
 def inputs(context: Context) -> Outcome:
     """Frames, events, or both, on dynamic forces."""
-    return force_outcome(
-        context,
-        DYNAMIC,
-        name='inputs',
-        title='Frames, events, or both',
-        paper='Three models under one protocol on dynamic force profiles: frames only, events'
-        ' only, FGER-Net.',
-        rows=_rows,
-        draw=_draw,
-        caption='Forces of the first test trial, 5 s of it',
-        conditions=_CONDITIONS,
-        deviations=('The events-only network starts each trial at zero force, as the others do.',),
-    )
+    return force_outcome(context, DYNAMIC, 'inputs', rows=_rows, draw=_draw, conditions=_CONDITIONS)
 
 
 def _rows(found: Estimates, *, simulated: bool) -> list[Row]:

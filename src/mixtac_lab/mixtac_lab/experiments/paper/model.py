@@ -12,7 +12,7 @@ import torch
 
 from mixtac_lab.bench.infer import measure
 from mixtac_lab.experiments.harness import Context, experiment
-from mixtac_lab.experiments.report import Outcome, Row, Value
+from mixtac_lab.experiments.report import Outcome, Row, Value, texts
 from mixtac_lab.experiments.sizes import FGER, PRESET
 from mixtac_lab.experiments.training import MODELS
 from mixtac_learning.network import count_parameters
@@ -35,20 +35,10 @@ def model(context: Context) -> Outcome:
     rows += _our_rows(context.sizes.latency_seconds)
     context.progress.advance(bar)
     return Outcome(
-        name='model',
-        title='Size and speed of the network',
-        paper='0.517 M parameters, 2.0 GFLOPs, 0.87 ms on an NVIDIA RTX 4090.',
         data=f'shipped small model; random weights of the paper network at 346 x 260; virtual'
         f' sensor, preset {PRESET}, in real time for the window step',
         rows=rows,
-        deviations=(
-            'Latency on this CPU, one thread, not on a GPU; other work on the machine adds to it.',
-            "The paper's widths are not stated; those that reach both totals were taken.",
-            (
-                'The paper does not state what its latency includes; here the window step decodes a'
-                ' packet and returns a force, and the frame step runs beside it, 25 times a second.'
-            ),
-        ),
+        **texts('model'),
     )
 
 

@@ -24,7 +24,7 @@ from rich.table import Table
 from mixtac_cli.options import JsonFile, OptionalPath, Preset
 from mixtac_events.arrays import Events
 from mixtac_lab.experiments.harness import Context, experiment
-from mixtac_lab.experiments.report import Outcome, Row, Value
+from mixtac_lab.experiments.report import Outcome, Row, Value, texts
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import MODELS
 from mixtac_lab.figures import PAPER, make_table, mark, new_figure, save_figure
@@ -54,7 +54,6 @@ FIRST_SEED = 86_000
 GRASPS_FIRST_SEED = 80_000
 MARGIN = 1.05
 """Ratio of the grasp force to the smallest force that holds the object."""
-TITLE = 'Slip control in closed loop'
 _PLACE = 'section IV-F, Fig. 8'
 _COLOUR = MODELS[OURS].colour
 Results = dict[str, list[dict[str, Any]]]
@@ -128,16 +127,11 @@ def _table(rows: Mapping[str, dict[str, Any]]) -> Table:
 @experiment(order=6)
 def slip(context: Context) -> Outcome:
     """Objects that are knocked, in closed loop."""
-    paper = (
-        'Cup (20 trials), box (15) and ball (20) pressed against a wall at the critical force,'
-        ' struck by a falling weight; a laser tracker measures the displacement.'
-    )
+    fields = texts('slip')
     if context.bags is not None:
         return Outcome(
-            'slip',
-            TITLE,
-            paper,
-            'none',
+            **fields | {'deviations': ()},
+            data='none',
             skipped='A closed loop cannot be replayed from bags: the motion of the arm changes what'
             ' is recorded. `mixtac up slip` runs it; without --bags this experiment simulates it.',
         )
@@ -154,29 +148,12 @@ def slip(context: Context) -> Outcome:
     path = _draw(context.figures / 'slip.png', results)
     trials = ', '.join(f'{count} x {name}' for name, count in grasped.items())
     return Outcome(
-        name='slip',
-        title=TITLE,
-        paper=paper,
         data=f'virtual sensor, preset {PRESET}, and simulated grasp; {trials}; every trial draws'
         f' object, sensor and knock (seeds from {FIRST_SEED}); grasp force {MARGIN:g} times the'
         ' smallest force that holds',
         rows=_rows(results),
         figures={'Displacement of the boxes, and of all objects; diamonds: the paper': path},
-        deviations=(
-            (
-                'Everything is simulated: object, gel, friction, arm with the limits and the lag of'
-                ' an FR3, delays of USB and network; see docs/slip.md.'
-            ),
-            (
-                'The share of the falling weight that reaches the object is random, because the'
-                ' paper does not state it; no arm could hold the object against the whole weight.'
-            ),
-            (
-                "The paper's means are over all trials of an object; 13 ms and 0.32 mm are of one"
-                ' box trial. Here the median over the boxes is compared with them.'
-            ),
-            'The shipped flow detector is used, not the count law of the paper.',
-        ),
+        **fields,
     )
 
 

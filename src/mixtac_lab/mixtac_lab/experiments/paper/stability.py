@@ -31,20 +31,7 @@ Bins = list['NDArray[np.float64]']
 def stability(context: Context) -> Outcome:
     """Long holds: whether the error grows within 25 s."""
     return force_outcome(
-        context,
-        HOLD,
-        name='stability',
-        title='Stability of long holds',
-        paper='Ten holds of about 25 s with an 18 mm hemisphere; MAE in a sliding window of 0.5 s,'
-        ' violins per 5 s.',
-        rows=_rows,
-        draw=_draw,
-        caption='Rolling MAE in bins of 5 s, all trials and seeds; bars are medians',
-        conditions='whole trials',
-        deviations=(
-            'Error against the true force where it is known (simulated), else the reference.',
-            'Only test trials count; the paper does not state whether its ten are test trials.',
-        ),
+        context, HOLD, 'stability', rows=_rows, draw=_draw, conditions='whole trials'
     )
 
 

@@ -31,7 +31,7 @@ from rich.progress import track
 from mixtac_cli.options import JsonFile, Preset
 from mixtac_events.arrays import Events
 from mixtac_lab.experiments.harness import Context, experiment
-from mixtac_lab.experiments.report import Outcome, Row, Value
+from mixtac_lab.experiments.report import Outcome, Row, Value, texts
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import is_simulated
 from mixtac_lab.figures import make_table, mark, new_figure, save_figure
@@ -265,10 +265,6 @@ SIGNALS = {
     POLARITY: 'ON minus OFF, 2 ms bins',
     FLOW: 'flow, 1 ms bins',
 }
-_PAPER = (
-    'Tones of 50 to 250 Hz from a resonant speaker on the skin; number of events in bins of 2 ms,'
-    ' Fourier transform; the dominant frequency equals the input.'
-)
 Found = tuple[float, dict[str, Any]]
 """Tone [Hz] and its spectra."""
 
@@ -329,32 +325,12 @@ def _simulated(context: Context) -> Outcome:
     }
     path = _draw(context.figures / 'vibration.png', panels, simulated=True)
     return Outcome(
-        name='vibration',
-        title='Vibrations',
-        paper=_PAPER,
         data=f'virtual sensor, preset {PRESET}, {context.seeds} sensors (seeds from {FIRST_SEED}),'
         f' {len(sizes.tones_hz)} tones of {sizes.tones_hz[0]:g} to {sizes.tones_hz[-1]:g} Hz and'
         f' {len(sizes.fast_tones_hz)} above, one second each',
         rows=rows,
         figures={'Spectra over the tone, mean of the sensors; dashed: reconstructed = input': path},
-        deviations=(
-            (
-                'The paper states neither amplitude nor pre-load. A pressed vibration causes as'
-                ' many events each way, and the number of events repeats at twice its frequency,'
-                ' which 2 ms bins alias above 125 Hz. Contact that is lost in part of each period'
-                ' (tapping) breaks the symmetry: one burst per period. Both are shown. Unequal ON'
-                ' and OFF thresholds break it too, but by less than the lamp ripple of this preset.'
-            ),
-            (
-                'Flow is the polarity times the gradient of an earlier frame, summed in cells of 32'
-                ' pixels, first principal component; its sign changes with the motion, so twice the'
-                ' frequency does not appear.'
-            ),
-            (
-                'Tones stay 10 Hz away from 100 and 200 Hz, where lamp ripple would be mistaken for'
-                ' them.'
-            ),
-        ),
+        **texts('vibration'),
     )
 
 
@@ -379,9 +355,7 @@ def _recorded(context: Context, bags: Path) -> Outcome:
     panels = {SIGNALS[name]: [(tone, r[name]) for tone, r in found] for name in SIGNALS}
     path = _draw(context.figures / 'vibration.png', panels, simulated=simulated)
     return Outcome(
-        name='vibration',
-        title='Vibrations',
-        paper=_PAPER,
+        **texts('vibration') | {'deviations': ()},
         data=f'{len(paths)} bags in {folder.name}; tones from their names',
         rows=rows,
         figures={'Spectra over the tone; dashed: reconstructed = input': path},
