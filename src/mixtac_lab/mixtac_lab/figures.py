@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Style of all figures and tables of experiments and benchmarks."""
+"""Figures, tables and files in which experiments and benchmarks show their results."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 from rich.table import Table
+
+from mixtac_node.files import write_json
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,6 +56,12 @@ def save_figure(figure: Figure, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=DPI)
     return path
+
+
+def save_result(path: Path | None, result: dict[str, Any]) -> None:
+    """Write a result to the JSON file that the user asked for, if any."""
+    if path is not None:
+        write_json(path, result)
 
 
 def mark(simulated: bool) -> str:

@@ -27,8 +27,7 @@ from rich.table import Table
 from mixtac_cli.options import JsonFile
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
-from mixtac_lab.figures import make_table
-from mixtac_node.files import write_json
+from mixtac_lab.figures import make_table, save_result
 
 ROWS_PER_STAMP = 10
 FRAME_COLUMNS, FRAME_ROWS = 260, 346
@@ -242,8 +241,7 @@ def decode(
     console.print(_table(figures))
     console.print(f'memory copy {figures["memcpy_bytes_per_s"] / 1e9:.1f} GB/s')
     console.print(f'start-up of the decoder, compiled before: {figures["start_s"]:.2f} s')
-    if json is not None:
-        write_json(json, figures)
+    save_result(json, figures)
 
 
 if __name__ == '__main__':

@@ -23,8 +23,7 @@ from mixtac_fger.live_feed import LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.bench.harness import quantiles
-from mixtac_lab.figures import make_table
-from mixtac_node.files import write_json
+from mixtac_lab.figures import make_table, save_result
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.world.trial import TrialStream
 
@@ -209,8 +208,7 @@ def infer(
     with console.status(f'simulating {seconds:g} s, then running them in real time'):
         report = measure(model, seconds, preset)
     _print(console, report)
-    if json is not None:
-        write_json(json, report)
+    save_result(json, report)
 
 
 def measure(model_name: str | None, seconds: float, preset: str) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from mixtac_cli.options import JsonFile
-from mixtac_node.files import write_json
+from mixtac_lab.figures import save_result
 from mixtac_sim.arm.controller import JointTrajectoryController, Release, Trajectory
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
@@ -79,8 +79,7 @@ def limits(
         bar = progress.add_task('sequences', total=trials)
         tally = asdict(run_trials(trials, seed, advance=lambda: progress.advance(bar)))
     console.print_json(data=tally)
-    if json is not None:
-        write_json(json, {'seed': seed} | tally)
+    save_result(json, {'seed': seed} | tally)
 
 
 def run_trials(

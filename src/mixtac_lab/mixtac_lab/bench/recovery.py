@@ -29,8 +29,7 @@ from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.arrays import Events
 from mixtac_lab.bench.harness import quantiles
-from mixtac_lab.figures import make_table
-from mixtac_node.files import write_json
+from mixtac_lab.figures import make_table, save_result
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import Fault, FaultKind
 from mixtac_sim.usb.registers import HEIGHT, WIDTH
@@ -326,8 +325,7 @@ def recovery(
         f'file descriptors {before["descriptors"]} -> {after["descriptors"]}, '
         f'memory {before["memory_mib"]:.0f} -> {after["memory_mib"]:.0f} MiB'
     )
-    if json is not None:
-        write_json(json, report)
+    save_result(json, report)
 
 
 def fault_names(faults: int, rng: Random) -> Iterator[str]:

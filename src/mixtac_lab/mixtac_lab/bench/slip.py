@@ -25,7 +25,7 @@ from rich.console import Console
 
 from mixtac_cli.options import JsonFile, OptionalPath, Preset
 from mixtac_lab.bench.harness import START_TIMEOUT_S, BenchRun
-from mixtac_lab.figures import new_figure, save_figure
+from mixtac_lab.figures import new_figure, save_figure, save_result
 from mixtac_lab.slip.detectors import QUIET, count_alarms, curves
 from mixtac_lab.slip.loop import ArmSetup
 from mixtac_lab.slip.trials import (
@@ -37,7 +37,6 @@ from mixtac_lab.slip.trials import (
     trial_piece,
 )
 from mixtac_lab.store import Store
-from mixtac_node.files import write_json
 from mixtac_node.graph import NodeSpec
 from mixtac_node.process import GraphError, JsonProcess
 from mixtac_slip_control.parameters import SlipControlParameters
@@ -274,8 +273,7 @@ def slip(
         outcome['curves'] = curves(curve_trials, settings, preset)
         if figure is not None:
             draw_curves(figure, outcome['curves'])
-    if report is not None:
-        write_json(report, outcome)
+    save_result(report, outcome)
 
 
 def summarise(

@@ -27,7 +27,7 @@ from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value, texts
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import MODELS
-from mixtac_lab.figures import PAPER, make_table, mark, new_figure, save_figure
+from mixtac_lab.figures import PAPER, make_table, mark, new_figure, save_figure, save_result
 from mixtac_lab.slip.loop import LoopRecord
 from mixtac_lab.slip.trials import (
     COURSE_MS,
@@ -41,7 +41,6 @@ from mixtac_lab.slip.trials import (
 )
 from mixtac_lab.store import Store
 from mixtac_learning.train.config import OURS
-from mixtac_node.files import write_json
 from mixtac_sim.grasp.objects import ObjectName
 from mixtac_sim.grids import HEIGHT, WIDTH
 
@@ -97,8 +96,7 @@ def grasps(
     if figures is not None:
         draw_objects(figures / 'slip_objects.png', courses)
     console.print(_table({name: outcome[name] for name in PAPER_TRIALS}))
-    if report is not None:
-        write_json(report, outcome)
+    save_result(report, outcome)
 
 
 def _table(rows: Mapping[str, dict[str, Any]]) -> Table:

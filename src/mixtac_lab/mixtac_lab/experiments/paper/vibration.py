@@ -34,10 +34,9 @@ from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value, texts
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import is_simulated
-from mixtac_lab.figures import make_table, mark, new_figure, save_figure
+from mixtac_lab.figures import make_table, mark, new_figure, save_figure, save_result
 from mixtac_lab.store import Piece, files_version
 from mixtac_learning.trials.bags import bag_sources
-from mixtac_node.files import write_json
 from mixtac_recordings.camera_stream import BagRecording
 from mixtac_recordings.recording import NONE, RecordingError, Selection
 from mixtac_sim import SimulationError
@@ -482,9 +481,8 @@ def tones(
     console = Console()
     console.print(make_table(title, headings, shown))
     console.print('line over median; in brackets: sensors on which it is the largest peak')
-    if json is not None:
-        flat = [each for row in rows for each in row]
-        write_json(json, {'preset': preset, 'devices': devices, 'seed': seed, 'rows': flat})
+    flat = [each for row in rows for each in row]
+    save_result(json, {'preset': preset, 'devices': devices, 'seed': seed, 'rows': flat})
 
 
 def tone_lines(

@@ -28,12 +28,11 @@ from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.harness import pooled
 from mixtac_lab.experiments.paper.vibration import cell_sums
 from mixtac_lab.experiments.sizes import PRESET
-from mixtac_lab.figures import make_table
+from mixtac_lab.figures import make_table, save_result
 from mixtac_learning.judge.estimators import TrialEstimate, stream
 from mixtac_learning.judge.metrics import fit_scale, measure
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
-from mixtac_node.files import write_json
 from mixtac_sim.world.effects import EFFECTS
 from mixtac_sim.world.training_trials import (
     TrialSpec,
@@ -320,8 +319,7 @@ def difficulty(
         figures |= _integrate_all(kept, specs, lambda: progress.advance(bar))
     shown = [(name.replace('_', ' '), f'{value:.4g}') for name, value in figures.items()]
     Console().print(make_table(f'dynamic, {preset}, simulated', ('figure', 'value'), shown))
-    if json is not None:
-        write_json(json, {'preset': preset, 'model': str(find_model(model)), **figures})
+    save_result(json, {'preset': preset, 'model': str(find_model(model)), **figures})
 
 
 def ablation(
@@ -358,8 +356,7 @@ def ablation(
     ]
     headings = ('off', 'MAE [N]', 'share of the error', 'frames only [N]')
     Console().print(make_table(f'dynamic, {preset}, simulated: one effect off', headings, shown))
-    if json is not None:
-        write_json(json, {'preset': preset, 'model': str(find_model(model)), 'rows': rows})
+    save_result(json, {'preset': preset, 'model': str(find_model(model)), 'rows': rows})
 
 
 def _plans(

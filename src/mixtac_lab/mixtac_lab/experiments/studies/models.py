@@ -41,7 +41,7 @@ from mixtac_lab.experiments.sizes import (
     run_config,
 )
 from mixtac_lab.experiments.training import learning_version, train
-from mixtac_lab.figures import make_table
+from mixtac_lab.figures import make_table, save_result
 from mixtac_lab.store import Piece
 from mixtac_learning.adapt.adaptation import adapt
 from mixtac_learning.adapt.presses import gather_presses
@@ -63,7 +63,7 @@ from mixtac_learning.trials.changes import MISMATCHES, ChangedSource
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import CachedSource
 from mixtac_learning.trials.trial import TrialArrays, TrialSource
-from mixtac_node.files import write_json, write_text
+from mixtac_node.files import write_text
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.training_trials import TrialSpec
 
@@ -267,8 +267,7 @@ def models(
     console.print(make_table(title, headings, rows))
     file = f'table_{size}_choices.md' if choices else f'table_{size}.md'
     write_text(out / file, as_markdown(table))
-    if json is not None:
-        write_json(json, {'size': size, 'seeds': seeds, 'simulated': True, 'table': table})
+    save_result(json, {'size': size, 'seeds': seeds, 'simulated': True, 'table': table})
 
 
 def train_and_test(context: Context, chosen: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
@@ -370,5 +369,4 @@ def adaptation(
     rows = {name: row for name, row in found.items() if isinstance(row, dict)}
     show_figures(console, f'dynamic trials of {sensors} unseen sensors, simulated', rows)
     console.print(f'adapted by: {", ".join(found["ways"])}')
-    if json is not None:
-        write_json(json, {'model': model, 'sensors': sensors, 'simulated': True} | found)
+    save_result(json, {'model': model, 'sensors': sensors, 'simulated': True} | found)
