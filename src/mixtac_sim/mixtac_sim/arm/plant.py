@@ -43,8 +43,7 @@ class LaggingArm:
         self, q: Floats, normal: Floats, lag_s: float = TRACKING_LAG_S, period_s: float = 1e-3
     ) -> None:
         if lag_s < 0.0:
-            msg = f'tracking lag of {lag_s} s; give 0 or more'
-            raise SimulationError(msg)
+            raise SimulationError(f'tracking lag of {lag_s} s; give 0 or more')
         self._q = np.array(q, np.float64)
         self._keep = float(np.exp(-period_s / lag_s)) if lag_s > 0.0 else 0.0
         self._normal = normal

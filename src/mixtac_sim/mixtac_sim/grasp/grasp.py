@@ -142,8 +142,7 @@ def critical_force_n(setup: GraspSetup, layer: Layer, radius_mm: float, surface_
         if hold(setup, layer, radius_mm, force, surface_seed)[1]:
             return force
         force *= SEARCH_STEP
-    msg = f'no force up to {force:.2f} N holds {setup}; its surface is too uneven'
-    raise SimulationError(msg)
+    raise SimulationError(f'no force up to {force:.2f} N holds {setup}; its surface is too uneven')
 
 
 DOWN = (0.0, 1.0)

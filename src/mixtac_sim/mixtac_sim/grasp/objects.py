@@ -202,8 +202,7 @@ def draw_setup(
         SimulationError: Unknown object.
     """
     if name not in OBJECTS:
-        msg = f'object {name!r} is unknown; choose among {", ".join(OBJECTS)}'
-        raise SimulationError(msg)
+        raise SimulationError(f'object {name!r} is unknown; choose among {", ".join(OBJECTS)}')
     kind = OBJECTS[name]
     mass = rng.uniform(*kind.mass_g)
     share = rng.uniform(*TRANSMITTED)

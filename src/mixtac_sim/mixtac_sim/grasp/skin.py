@@ -313,11 +313,10 @@ class Press:
         self._start_mm = float(path.position_mm[-1])
         self.elastic_n = float(path.elastic_n[-1])
         if self.elastic_n >= 0.98 * law.force_n[-1]:
-            msg = (
+            raise SimulationError(
                 f'a grasp of {force_n:.2f} N is beyond what this gel model bears under '
                 f'{face}, {law.force_n[-1]:.2f} N; press less'
             )
-            raise SimulationError(msg)
 
     def move(self, advance_mm: NDArray[np.float64]) -> ContactPath:
         """Move the fingertip; return the contact on the 125 us grid.

@@ -58,11 +58,10 @@ class PronySeries:
         """
         paired = len(self.weights) == len(self.times_s)
         if not paired or min(self.weights) < 0.0 or min(self.times_s) <= 0.0:
-            msg = (
+            raise SimulationError(
                 f'Prony series with weights {self.weights} and times {self.times_s} s; give one '
                 'positive time for each non-negative weight'
             )
-            raise SimulationError(msg)
 
     def update(self, step_s: float) -> NDArray[np.float64]:
         """Return decay and gain of each branch over a step of this length [2, n]."""

@@ -53,12 +53,11 @@ class ApsSettings:
         """
         shortest = self.exposure_us + READOUT_US + RESET_US
         if self.exposure_us < 1 or self.interval_us < shortest or self.first_us < RESET_US:
-            msg = (
+            raise SimulationError(
                 f'exposure {self.exposure_us} us every {self.interval_us} us from '
                 f'{self.first_us} us; exposure must be >= 1, the interval >= {shortest}, '
                 f'the first >= {RESET_US}'
             )
-            raise SimulationError(msg)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

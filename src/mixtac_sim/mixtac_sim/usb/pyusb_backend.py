@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The host side of the virtual camera: a pyusb backend with it as the only device.
 
-The camera is reached through a `Link`: `SocketLink` talks to a server in another process (entry
-point `virtual` of `mixtac.usb_backends`), `InProcessLink` calls a device in this one. `inject`
-injects a fault into a camera behind a socket.
+The camera is reached through a link, which is one session of a host: `SocketLink` talks to a
+server in another process (entry point `virtual` of `mixtac.usb_backends`), `InProcessLink` calls a
+device in this one. Both raise `UsbStall`, `UsbTimeout`, `UsbGone` or `UsbBusy` where USB would fail
+so. `inject` injects a fault into a camera behind a socket.
 """
 # ruff: noqa: ARG002 - pyusb fixes the signatures
 
@@ -15,7 +16,7 @@ import secrets
 import socket
 import threading
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from usb.backend import IBackend
 from usb.core import USBError, USBTimeoutError
@@ -40,39 +41,10 @@ if TYPE_CHECKING:
     from mixtac_sim.usb.device import VirtualDavis346
     from mixtac_sim.usb.faults import Fault
 
+    Link: TypeAlias = 'InProcessLink | SocketLink'
+
 
 Setup = tuple[int, int, int, int]
-
-
-class Link(Protocol):
-    """A connection of one host session to one camera.
-
-    All methods raise `UsbStall`, `UsbTimeout`, `UsbGone` or `UsbBusy` where USB would fail so.
-    """
-
-    def control(self, setup: Setup, data: bytes | int, timeout_ms: int = 0) -> bytes:
-        """Make a control request.
-
-        Args:
-            setup: ``bmRequestType``, ``bRequest``, ``wValue`` and ``wIndex``.
-            data: Bytes to the device, or how many are wanted from it.
-            timeout_ms: Longest wait [ms], 0 without limit.
-        """
-
-    def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
-        """Read up to a full buffer; return the bytes read. A timeout of 0 waits without limit."""
-
-    def claim(self) -> None:
-        """Claim the interface for this session."""
-
-    def release(self) -> None:
-        """Give the interface back."""
-
-    def reset(self) -> None:
-        """Do a USB port reset."""
-
-    def close(self) -> None:
-        """End the session."""
 
 
 _GET_DESCRIPTOR: Final = 6
@@ -96,7 +68,7 @@ def _as_usb_errors() -> Iterator[None]:
 
 
 class VirtualBackend(IBackend):  # type: ignore[misc]
-    """Implements pyusb's backend interface on a `Link`.
+    """Implements pyusb's backend interface on a link.
 
     Failures surface as pyusb's own: ``ENODEV`` after a disconnect, ``EPIPE`` for a STALL, ``EBUSY``
     when another program has the camera, `usb.core.USBTimeoutError` when nothing came in time.
@@ -251,7 +223,7 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
 
 
 class InProcessLink:
-    """One host session that calls the device directly (see `mixtac_sim.usb.pyusb_backend.Link`).
+    """One host session that calls the device directly.
 
     Args:
         device: The camera.
@@ -262,12 +234,18 @@ class InProcessLink:
         self._plugs = device.plugs
 
     def control(self, setup: Setup, data: bytes | int, timeout_ms: int = 0) -> bytes:
-        """Make a control request; a timeout of 0 waits without limit."""
+        """Make a control request.
+
+        Args:
+            setup: ``bmRequestType``, ``bRequest``, ``wValue`` and ``wIndex``.
+            data: Bytes to the device, or how many are wanted from it.
+            timeout_ms: Longest wait [ms], 0 without limit.
+        """
         self._device.check_present(self._plugs)
         return self._device.control(*setup, data, timeout_ms / 1000 or None)
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
-        """Read up to a full buffer; a timeout of 0 waits without limit."""
+        """Read up to a full buffer; return the bytes read. A timeout of 0 waits without limit."""
         self._device.check_present(self._plugs)
         return self._device.read_into(endpoint, buffer, timeout_ms / 1000 or None)
 
@@ -324,12 +302,12 @@ class SocketLink:
         self._channel(_CONTROL_CHANNEL)
 
     def control(self, setup: Setup, data: bytes | int, timeout_ms: int = 0) -> bytes:
-        """Make a control request; a timeout of 0 waits without limit."""
+        """Make a control request; arguments as of `InProcessLink.control`."""
         sent, wanted = (b'', data) if isinstance(data, int) else (data, 0)
         return self._call(wire.CONTROL, setup, sent, wanted, timeout_ms)
 
     def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
-        """Read up to a full buffer; a timeout of 0 waits without limit."""
+        """Read up to a full buffer; return the bytes read. A timeout of 0 waits without limit."""
         view = memoryview(buffer).cast('B')
         connection, lock = self._channel(endpoint)
         header = wire.REQUEST.pack(

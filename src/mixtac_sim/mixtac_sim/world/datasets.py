@@ -77,14 +77,12 @@ class DatasetPlan:
 
     Attributes:
         profiles: Force profiles, in turn for the trials of a sensor.
-        summary: Purpose, with its source.
         trials: Number of trials.
         seconds: Length of each trial [s].
         devices: Number of different sensors; trials go round them.
     """
 
     profiles: tuple[str, ...]
-    summary: str = ''
     trials: int = 30
     seconds: float = 25.0
     devices: int = 1
@@ -96,34 +94,19 @@ class DatasetPlan:
 
 
 DATASETS: Final = {
-    'static': DatasetPlan(
-        ('static',), 'Slow presses of 0 to 1 N, held (paper, section 4.4: 30 trials of 25 s).'
-    ),
-    'long_term': DatasetPlan(
-        ('long_term',),
-        'One hold over the whole trial, for drift (paper, section 4.2: 25 s).',
-        trials=10,
-    ),
-    'dynamic': DatasetPlan(
-        ('dynamic',), 'Forces of 0 to 1 N at all paces; number and length as in static.'
-    ),
-    'impact': DatasetPlan(
-        ('impact',),
-        '20 g from 5 cm, one drop per trial, with bounces and rest (paper, section 4.5: 30 drops).',
-        seconds=4.25,
-    ),
-    'vibration': DatasetPlan(
-        ('vibration',),
-        'Vibrations of 50 to 250 Hz on a press (paper, section 4.1; its number of trials is not '
-        'stated).',
-        seconds=10.0,
-    ),
-    'new_gel': DatasetPlan(
-        ('dynamic', 'static', 'impact'),
-        'Ten sensors with gel, mesh, beads, lens, lamp and pixels of their own, three trials '
-        'each; the test sensors are never trained on.',
-        devices=10,
-    ),
+    # Slow presses of 0 to 1 N, held (paper, section 4.4: 30 trials of 25 s).
+    'static': DatasetPlan(('static',)),
+    # One hold over the whole trial, for drift (paper, section 4.2: 25 s).
+    'long_term': DatasetPlan(('long_term',), trials=10),
+    # Forces of 0 to 1 N at all paces; number and length as in static.
+    'dynamic': DatasetPlan(('dynamic',)),
+    # 20 g from 5 cm, one drop per trial, with bounces and rest (paper, section 4.5: 30 drops).
+    'impact': DatasetPlan(('impact',), seconds=4.25),
+    # Vibrations of 50 to 250 Hz on a press (paper, section 4.1, without the number of its trials).
+    'vibration': DatasetPlan(('vibration',), seconds=10.0),
+    # Ten sensors with gel, mesh, beads, lens, lamp and pixels of their own, three trials each; the
+    # test sensors are never trained on.
+    'new_gel': DatasetPlan(('dynamic', 'static', 'impact'), devices=10),
 }
 """Data sets by name."""
 

@@ -138,11 +138,6 @@ class DeviceModel:
     frame_burst: float
     dn_per_lux_ms: float
 
-    @property
-    def serial_number(self) -> str:
-        """Return the serial number of the device's camera: eight digits from the seed."""
-        return f'{self.seed % 100_000_000:08d}'
-
     def on_day(self, conditions: Conditions) -> DeviceModel:
         """Return the sensor with its camera where it is on the day of a trial."""
         (x, y), (right, down) = self.lens.centre_px, conditions.camera_shift_px

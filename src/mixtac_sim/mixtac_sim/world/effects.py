@@ -11,7 +11,7 @@ an effect becomes when it is switched off.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -238,26 +238,9 @@ class DeviceEffects:
     vary: bool = True
 
 
-EFFECTS: Mapping[str, str] = MappingProxyType(
-    {
-        'pixels': 'event thresholds, ON/OFF imbalance, mismatch, noise that depends on the light',
-        'gel': 'modulus, thickness and mesh support: scale and shape of force over depth',
-        'timing': "clock, delay, noise, drift and cross-talk of the reference sensor's readings",
-        'creep': 'slow relaxation: creep and hysteresis over seconds to minutes',
-        'optics': "defocus with depth, overlapping beads, mesh, refraction, camera's pose",
-        'bandwidth': 'photoreceptor and source follower, blind time, readout queue and latency',
-        'light': 'lamp drift and ripple, exposure, bursts from frames, hot pixels',
-        'contact': 'place, lean, shear, partial slip, friction, shape of the indenter',
-        'impact': 'stiffening at large strain, loss at impact, ringing of the mount',
-        'devices': 'differences between manufactured sensors',
-    }
-)
-"""The ten effects, most likely to break transfer to a real sensor first, with a line on each."""
-
-
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """A degree of difficulty; every effect of ``EFFECTS`` is a field of the same name.
+    """A degree of difficulty; all other fields than the name are its effects.
 
     Attributes:
         name: Name of the preset; effects that were switched off are appended.
@@ -300,6 +283,8 @@ class Preset:
         return replace(self, name=name, **changes)
 
 
+EFFECTS = tuple(each.name for each in fields(Preset) if each.name != 'name')
+"""The ten effects, most likely to break transfer to a real sensor first."""
 EASY = Preset('easy')
 """One shape, clean optics and a rigid mount: for a first look and quick tests."""
 
@@ -333,6 +318,5 @@ def preset(name: str) -> Preset:
         SimulationError: Unknown name.
     """
     if name not in PRESETS:
-        msg = f'preset {name!r} is unknown; choose one of {", ".join(PRESETS)}'
-        raise SimulationError(msg)
+        raise SimulationError(f'preset {name!r} is unknown; choose one of {", ".join(PRESETS)}')
     return PRESETS[name]

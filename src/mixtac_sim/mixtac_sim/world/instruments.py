@@ -234,11 +234,10 @@ class ReferenceSensor:
     def _append(self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]) -> None:
         times = np.concatenate([self._past_us, np.asarray(t_us, np.float64)])
         if wrench.shape != (len(t_us), 6) or np.any(np.diff(times) <= 0.0):
-            msg = (
+            raise SimulationError(
                 f'{len(t_us)} times with a wrench of shape {wrench.shape}: give [n] increasing '
                 'times, later than those before, and [n, 6] forces and torques'
             )
-            raise SimulationError(msg)
         arrived, _ = self.mount.swing(t_us, wrench)
         self._past_us, self._past = times, np.concatenate([self._past, arrived])
 

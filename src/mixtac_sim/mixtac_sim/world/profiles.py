@@ -82,14 +82,12 @@ class Segment:
             SimulationError: As above, or the indenter of a drop has no mass.
         """
         if self.end_s <= self.start_s or len(self.times_s) != len(self.values):
-            msg = (
+            raise SimulationError(
                 f'segment from {self.start_s} s to {self.end_s} s with {len(self.times_s)} times '
                 f'and {len(self.values)} values; it must end after its start, with paired knots'
             )
-            raise SimulationError(msg)
         if self.mode >= Mode.DROP and self.indenter.mass_g <= 0.0:
-            msg = f'{self.indenter} cannot be dropped; give it a mass'
-            raise SimulationError(msg)
+            raise SimulationError(f'{self.indenter} cannot be dropped; give it a mass')
 
     @property
     def fastest_hz(self) -> float:
@@ -158,11 +156,10 @@ class Profile:
         """
         for earlier, later in zip(self.segments, self.segments[1:], strict=False):
             if later.start_s < earlier.end_s - 1e-9:
-                msg = (
+                raise SimulationError(
                     f'segment at {later.start_s} s of profile {self.name!r} starts before '
                     f'{earlier.end_s} s, where the one before it ends; move it'
                 )
-                raise SimulationError(msg)
         object.__setattr__(self, '_starts', tuple(s.start_s for s in self.segments))
 
     @property
