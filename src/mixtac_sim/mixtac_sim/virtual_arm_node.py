@@ -75,8 +75,9 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         now_s = self._follow(self.get_clock().now().nanoseconds)
-        reason = self._names_wrong(message.joint_names)
-        if reason is None:
+        if tuple(message.joint_names) != JOINT_NAMES:
+            reason: str | None = f'joints {message.joint_names} are not {list(JOINT_NAMES)}'
+        else:
             stamp_ns = stamp_to_ns(message.header.stamp)
             start_s = self._seconds(stamp_ns) if stamp_ns else 0.0
             reason = self._controller.accept(_fields(message, start_s), now_s)
@@ -86,11 +87,6 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
         self._rejected += 1
         self._problem = reason
         self.get_logger().warning(f'trajectory rejected: {reason}', throttle_duration_sec=2.0)
-
-    def _names_wrong(self, names: list[str]) -> str | None:
-        if tuple(names) == JOINT_NAMES:
-            return None
-        return f'joints {list(names)} are not {list(JOINT_NAMES)}'
 
     def _follow(self, now_ns: int) -> float:
         """Run the controller's cycles up to a time; return it on the controller's scale [s]."""

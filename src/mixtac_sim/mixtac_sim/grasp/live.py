@@ -153,12 +153,17 @@ class LiveGrasp:
         seed: Seed of the trial.
         preset: Difficulty of the sensor.
         clock: Clock that waits for the simulation.
+
+    Attributes:
+        grasp_n: Force of the grasp at the start [N].
+        object_mm: How far the object is below where it was held [mm].
     """
 
     def __init__(
         self, setup: GraspSetup, device_seed: int, seed: int, preset: Preset, clock: PacedClock
     ) -> None:
         self._grasp = Grasp(replace(setup, knock_mm_s=0.0), device_seed, seed, preset)
+        self.grasp_n = self._grasp.grasp_n
         self._clock = clock
         self._lock = Lock()
         self._wanted_mm = self._place_mm = 0.0
@@ -166,17 +171,7 @@ class LiveGrasp:
         self._back = False
         self._block = 0
         self._frames: list[ApsFrame] = []
-        self._object_mm = 0.0
-
-    @property
-    def grasp_n(self) -> float:
-        """Return the force of the grasp at the start [N]."""
-        return self._grasp.grasp_n
-
-    @property
-    def object_mm(self) -> float:
-        """Return how far the object is below where it was held [mm]."""
-        return self._object_mm
+        self.object_mm = 0.0
 
     def move(self, advance_mm: float) -> None:
         """Move the fingertip to a place along the normal, from where the grasp began [mm]."""
@@ -220,14 +215,14 @@ class LiveGrasp:
         with self._lock:
             wanted, strike, back = self._wanted_mm, self._strike_mm_s, self._back
             self._strike_mm_s, self._back = 0.0, False
-        if back or self._object_mm > LOST_MM:
+        if back or self.object_mm > LOST_MM:
             self._grasp.put_back()
         if strike > 0.0:
             self._grasp.strike(strike)
         way = np.linspace(self._place_mm, wanted, BLOCK_STEPS + 1)[1:]
         self._place_mm = wanted
         block = self._grasp.advance(way)
-        self._object_mm = float(block.object_mm[-1])
+        self.object_mm = float(block.object_mm[-1])
         # The object drags the skin down.
         wrench = np.zeros((BLOCK_STEPS, 6))
         wrench[:, 1], wrench[:, 2] = block.pull_n, block.normal_n

@@ -53,6 +53,12 @@ class SimulationClock:
     Args:
         monotonic_ns: The host's monotonic clock [ns].
         epoch_ns: The host's clock [ns since the Unix epoch].
+
+    Attributes:
+        lost_us: Total time for which it stopped [us].
+        start_epoch_ns: Host time at which simulated time was 0 [ns since the Unix epoch]. Clocks of
+            simulated devices count from it and stop with simulated time: two of them that did not
+            would drift apart by every stall of the host.
     """
 
     def __init__(
@@ -63,12 +69,12 @@ class SimulationClock:
         self._monotonic_ns = monotonic_ns
         self._epoch_ns = epoch_ns
         self._start_ns: int | None = None
-        self._start_epoch_ns = epoch_ns()
+        self.start_epoch_ns = epoch_ns()
         self.lost_us = 0
 
     def start(self) -> None:
         """Start time at 0; before it is 0."""
-        self._start_epoch_ns = self._epoch_ns()
+        self.start_epoch_ns = self._epoch_ns()
         self._start_ns = self._monotonic_ns()
 
     def now_us(self) -> int:
@@ -77,22 +83,13 @@ class SimulationClock:
             return 0
         return (self._monotonic_ns() - self._start_ns) // 1000 - self.lost_us
 
-    @property
-    def start_epoch_ns(self) -> int:
-        """Host time at which simulated time was 0 [ns since the Unix epoch].
-
-        Clocks of simulated devices count from it and stop with simulated time: two of them
-        that did not would drift apart by every stall of the host.
-        """
-        return self._start_epoch_ns
-
     def lose(self, lost_us: int) -> None:
         """Delay simulated time by ``lost_us`` [us]."""
         self.lost_us += lost_us
 
     def to_epoch_ns(self, t_us: NDArray[np.int64]) -> NDArray[np.int64]:
         """Convert simulated times [us, int64] to host time [ns since the Unix epoch, int64]."""
-        return np.asarray(self._start_epoch_ns + (t_us + self.lost_us) * 1000, np.int64)
+        return np.asarray(self.start_epoch_ns + (t_us + self.lost_us) * 1000, np.int64)
 
 
 PERIOD_S: Final = 0.001

@@ -49,12 +49,7 @@ class Blocks:
     @classmethod
     def empty(cls) -> Blocks:
         """Return no blocks."""
-        return cls(
-            np.empty(0, np.int64),
-            np.empty(0, np.bool_),
-            np.empty(0, np.int64),
-            np.empty(0, np.uint16),
-        )
+        return cls.from_lists([], [], [])
 
     @classmethod
     def from_lists(cls, times: list[int], stamped: list[bool], words: list[list[int]]) -> Blocks:
