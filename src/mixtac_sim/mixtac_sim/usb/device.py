@@ -184,8 +184,11 @@ class VirtualDavis346:
             UsbStall: There is no such endpoint, or it is halted.
             UsbGone: The device was unplugged.
         """
-        buffer = bytearray(length)
-        return bytes(buffer[: self.read_into(endpoint, buffer, timeout_s)])
+        self._before_read(endpoint, timeout_s)
+        with self._condition:
+            self.check_present()
+            out = np.empty(self._data.wait(endpoint, length, timeout_s), np.uint8)
+            return out[: self._fifo.pop_into(out)].tobytes()
 
     def read_into(self, endpoint: int, buffer: Buffer, timeout_s: float | None) -> int:
         """Wait for data like `read_bulk`, without a copy.
