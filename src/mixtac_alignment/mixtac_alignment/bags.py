@@ -192,17 +192,19 @@ def read_recording(
                 stamp, normal = _wrench(message)
                 stamps.append(stamp)
                 force.append(normal)
-            elif topic == image:
-                images[_ns(message.header.stamp)] = _features(message)
-            elif topic == exposure:
-                start, end = _ns(message.exposure_start), _ns(message.exposure_end)
-                spans[_ns(message.header.stamp)] = start // 1000, end // 1000
+            elif topic in {image, exposure}:
+                stamp = _ns(message.header.stamp)
+                if topic == image:
+                    images[stamp] = _features(message)
+                else:
+                    start, end = _ns(message.exposure_start), _ns(message.exposure_end)
+                    spans[stamp] = start // 1000, end // 1000
+                if stamp in images and stamp in spans:
+                    frames.push(*spans.pop(stamp), images.pop(stamp))
             elif topic == edge:
                 edges.append(_ns(message.header.stamp) // 1000)
             else:
                 reference_edges.append(_ns(message.time_ref) / 1e9)
-    for stamp in sorted(images.keys() & spans.keys()):
-        frames.push(*spans[stamp], images[stamp])
     return Recording(
         counts=EMPTY if edges_only else packets.counts(f'{path} topic {events}'),
         events=packets.events(),

@@ -30,13 +30,14 @@ from mixtac_node.process import GraphError
 from mixtac_node.stamps import stamp_to_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from diagnostic_msgs.msg import DiagnosticArray
     from numpy.typing import NDArray
     from rclpy.topic_endpoint_info import TopicEndpointInfo
     from sensor_msgs.msg import Image, TimeReference
 
+    from mixtac_node.graph import NodeSpec
     from mixtac_node.process import ProcessGroup
 
 
@@ -128,6 +129,12 @@ class Monitor(Receiver):
             lambda: processes.last_error(name),
             timeout_s=math.inf,
         ).bring_up()
+
+    def bring_up_all(self, nodes: Sequence[NodeSpec], processes: ProcessGroup) -> None:
+        """Bring up the lifecycle nodes among these, as `bring_up` does."""
+        for node in nodes:
+            if node.lifecycle:
+                self.bring_up(node.name, processes)
 
     def listen(self) -> None:
         """Subscribe and start receiving."""

@@ -117,9 +117,7 @@ def _activate(
     namespace: str, nodes: Sequence[NodeSpec], processes: ProcessGroup, *, play: bool
 ) -> None:
     with Monitor(namespace, seconds=60.0) as monitor:
-        for node in nodes:
-            if node.lifecycle:
-                monitor.bring_up(node.name, processes)
+        monitor.bring_up_all(nodes, processes)
         if play:
             # The estimator needs the sensor without contact first.
             monitor.listen()

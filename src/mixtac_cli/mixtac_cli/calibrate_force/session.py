@@ -131,9 +131,7 @@ class LiveProcedure:
         with ProcessGroup() as processes, Monitor(self._namespace, SESSION_S) as monitor:
             self._processes, self._monitor = processes, monitor
             start_nodes(processes, nodes, self._namespace, params_file, 'warn')
-            for node in nodes:
-                if node.lifecycle:
-                    monitor.bring_up(node.name, processes)
+            monitor.bring_up_all(nodes, processes)
             monitor.listen()
             monitor.wait_for_force(processes.check)
             zero = self._tare()
@@ -261,7 +259,7 @@ class LiveProcedure:
 
         Raises:
             ForceCalibrationError: It was not found in time.
-            GraphError: There are no forces any more.
+            GraphError: No force arrives for `SILENCE_S`.
         """
         first = self._monitor.force_count
         heard, seen = time.monotonic(), first
@@ -349,13 +347,13 @@ def estimated(recording: Recording, model: Model) -> tuple[NDArray[np.int64], F6
     """Return window ends [us, recorded camera clock] and estimates [N] of a recording."""
     from mixtac_fger.estimator import open_estimator
     from mixtac_fger.streaming import ForceEstimator
+    from mixtac_recordings.messages import left_aligned
 
     estimator = ForceEstimator(open_estimator(model))
     rows: list[tuple[int, float]] = []
     for piece in recording.pieces(recording.info.start_us):
         for frame in piece.frames:
-            # Left-aligned, as the driver publishes it.
-            image = np.minimum(frame.image, np.uint16(1023)) * np.uint16(64)
+            image = left_aligned(np.minimum(frame.image, np.uint16(1023)))
             estimator.push_frame(image, frame.middle_us)
         if piece.advances:
             found = estimator.push_events(piece.events, piece.until_us)

@@ -201,9 +201,7 @@ def _run_graph(
         Monitor(DEFAULT_NAMESPACE, seconds + START_UP_S) as monitor,
     ):
         start_nodes(processes, nodes)
-        for node in nodes:
-            if node.lifecycle:
-                monitor.bring_up(node.name, processes)
+        monitor.bring_up_all(nodes, processes)
         monitor.listen()
         monitor.wait_for_force(processes.check)
         # Messages in the first half second after discovery are often lost.

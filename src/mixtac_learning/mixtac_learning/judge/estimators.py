@@ -16,7 +16,6 @@ from mixtac_fger.estimator import open_estimator
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import Model
 from mixtac_learning.judge.metrics import CalibrationError, fit_scale
-from mixtac_learning.paper.live import LEFT_ALIGNED
 from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, PaperNetwork, paper_network_of
 from mixtac_learning.paper.samples import FULL_SCALE, make_paper_sample
 from mixtac_learning.paper.segments import run_samples
@@ -28,6 +27,7 @@ from mixtac_learning.trials.trial import (
     camera_end_us,
     window_ends,
 )
+from mixtac_recordings.messages import left_aligned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,8 +104,7 @@ def stream(
     for index, end in enumerate(ends.tolist()):
         for frame in range(done, arrived[index]):
             if frame_lost is None or not frame_lost[frame]:
-                # Left-aligned, as the driver publishes it.
-                image = np.minimum(trial.frames[frame], np.uint16(FULL_SCALE)) * LEFT_ALIGNED
+                image = left_aligned(np.minimum(trial.frames[frame], np.uint16(FULL_SCALE)))
                 estimator.push_frame(image, int(middle[frame]))
         done = max(done, int(arrived[index]))
         if packet_lost[index]:
