@@ -41,10 +41,12 @@ class Events:
         Raises:
             EventArrayError: The lengths differ.
         """
-        lengths = (self.t.shape, self.x.shape, self.y.shape, self.polarity.shape)
-        if len(set(lengths)) != 1 or len(lengths[0]) != 1:
-            msg = f'event fields t, x, y, polarity have shapes {lengths}: give equal 1-d arrays'
-            raise EventArrayError(msg)
+        shape = self.t.shape
+        if not (self.x.shape == self.y.shape == self.polarity.shape == shape) or len(shape) != 1:
+            shapes = (shape, self.x.shape, self.y.shape, self.polarity.shape)
+            raise EventArrayError(
+                f'event fields t, x, y, polarity have shapes {shapes}: give equal 1-d arrays'
+            )
 
     @classmethod
     def empty(cls, capacity: int = 0) -> Events:
@@ -63,8 +65,12 @@ class Events:
             return cls.empty()
         if len(parts) == 1:
             return parts[0]
-        names = ('t', 'x', 'y', 'polarity')
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        return cls(
+            np.concatenate([part.t for part in parts]),
+            np.concatenate([part.x for part in parts]),
+            np.concatenate([part.y for part in parts]),
+            np.concatenate([part.polarity for part in parts]),
+        )
 
     def __len__(self) -> int:
         """Return the number of events."""

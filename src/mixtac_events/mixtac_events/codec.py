@@ -120,11 +120,8 @@ def decode(
     start_us = int(time_base) // 1000
     if not 0 <= time_base < MAX_TIME_BASE:
         raise CodecError(f'time_base {time_base} ns is outside 0 .. {MAX_TIME_BASE} ns')
-    data = np.frombuffer(payload, np.uint8)
-    # One type for all buffers: the decoders are compiled for aligned, read-only arrays only.
-    if data.ctypes.data % 8:
-        data = data.copy()
-    data.flags.writeable = False
+    # A copy has one type for all buffers: the decoders are compiled for aligned arrays only.
+    data = np.frombuffer(payload, np.uint8).copy()
     if data.size == 0:
         return DecodedPacket(Events.empty(), start_us)
     return codec.decode(data, start_us, width=int(width), height=int(height))

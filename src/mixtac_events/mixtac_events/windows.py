@@ -8,6 +8,7 @@ is its end.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
@@ -83,14 +84,18 @@ class WindowSlicer:
         closed = self._index(complete_until)
         if closed <= following:
             return []
-        held = _sorted(Events.concatenate(self._pending))
-        windows = self._occupied_or_near(held, following, closed)
-        ends = self.origin_us + (windows + 1) * self.width_us
-        cuts = [0, *held.t.searchsorted(ends).tolist()]
-        rest = held[cuts[-1] :]
-        self._pending = [rest] if len(rest) else []
+        held = Events.concatenate(self._pending)
+        if not _ordered(held.t):
+            held = held[np.argsort(held.t, kind='stable')]
         self._next = closed
-        return [(end, held[cuts[i] : cuts[i + 1]]) for i, end in enumerate(ends.tolist())]
+        begin, parts = 0, []
+        for index in self._occupied_or_near(held, following, closed):
+            end_us = self._start_us(index + 1)
+            end = int(held.t.searchsorted(end_us))
+            parts.append((end_us, held[begin:end]))
+            begin = end
+        self._pending = [held[begin:]] if begin < len(held) else []
+        return parts
 
     def reset(self) -> None:
         """Discard open windows; the next push starts a new stream."""
@@ -113,16 +118,16 @@ class WindowSlicer:
         return self._next
 
     def _in_time(self, events: Events, start_us: int) -> Events:
-        if len(events) == 0 or events.t.min() >= start_us:
+        if len(events) == 0 or (events.t[0] >= start_us and _ordered(events.t)):
             return events
         keep = events.t >= start_us
         self.late_events += len(events) - int(np.count_nonzero(keep))
         return events[keep]
 
-    def _occupied_or_near(self, held: Events, first: int, end: int) -> NDArray[np.int64]:
+    def _occupied_or_near(self, held: Events, first: int, end: int) -> Sequence[int]:
         """Return the windows in ``[first, end)`` to close: all with events, the latest without."""
         if end - first <= self._max_empty_run:
-            return np.arange(first, end, dtype=np.int64)
+            return range(first, end)
         indices = (held.t - self.origin_us) // self.width_us
         occupied = np.unique(indices[indices < end])
         left = self._max_empty_run
@@ -132,7 +137,7 @@ class WindowSlicer:
             self.skipped_windows += index - before - 1 - empty
             left -= empty
             chosen.extend(range(index, index - empty - 1, -1))
-        return np.array(chosen[:0:-1], np.int64)
+        return chosen[:0:-1]
 
 
 def counts_per_window(t: NDArray[np.int64], start: int, end: int, width: int) -> NDArray[np.int64]:
@@ -159,15 +164,17 @@ def counts_per_window(t: NDArray[np.int64], start: int, end: int, width: int) ->
     return counts
 
 
-def _sorted(events: Events) -> Events:
-    if np.all(events.t[1:] >= events.t[:-1]):
-        return events
-    return events[np.argsort(events.t, kind='stable')]
-
-
 @njit(cache=True, nogil=True)
 def _count(t: NDArray[np.int64], start: int, width: int, counts: NDArray[np.int64]) -> None:
     for now in t:
         index = (now - start) // width
         if 0 <= index < len(counts):
             counts[index] += 1
+
+
+@njit(cache=True, nogil=True)
+def _ordered(t: NDArray[np.int64]) -> bool:
+    for index in range(1, len(t)):  # noqa: SIM110 - numba has no all()
+        if t[index] < t[index - 1]:
+            return False
+    return True

@@ -168,8 +168,9 @@ class FrameWorker:
     def results(self) -> list[EncodedFrame]:
         """Return the frames encoded since the last call, oldest first."""
         found = []
+        # The thread may take one away in between, when too many wait.
         with contextlib.suppress(IndexError):
-            while True:
+            while self._outbox:
                 found.append(self._outbox.popleft())
         return found
 

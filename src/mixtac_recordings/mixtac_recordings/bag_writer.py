@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-import queue
 import struct
 import threading
 import zlib
+from collections import deque
 from pathlib import Path
 from types import MappingProxyType
 
@@ -28,6 +28,8 @@ from mixtac_recordings.bag import typestore
 from mixtac_recordings.recording import RecordingError
 
 QUEUE_SIZE = 20_000
+FLUSH_PERIOD_S = 0.02
+"""Time between two turns of the writing thread: to wake it for each message costs more [s]."""
 _CHECKSUM_AT = 1 + 8 + 3 * 8
 """Place of the checksum in a chunk record: after code, length, two times and a size."""
 
@@ -113,7 +115,8 @@ class BagWriter:
             raise RecordingError(
                 f'cannot record to {path}: {error}', remedy='choose a new folder'
             ) from error
-        self._queue: queue.Queue[tuple[Connection, int, bytes] | None] = queue.Queue(QUEUE_SIZE)
+        self._queue: deque[tuple[Connection, int, bytes]] = deque()
+        self._closing = threading.Event()
         self._thread = threading.Thread(target=self._work, name='bag-writer')
         self._thread.start()
 
@@ -136,9 +139,9 @@ class BagWriter:
 
     def write(self, connection: Connection, received_ns: int, data: bytes) -> None:
         """Queue one serialised message, received at host time `received_ns`."""
-        try:
-            self._queue.put_nowait((connection, received_ns, data))
-        except queue.Full:
+        if len(self._queue) < QUEUE_SIZE:
+            self._queue.append((connection, received_ns, data))
+        else:
             self.dropped += 1
 
     @property
@@ -152,7 +155,7 @@ class BagWriter:
         Raises:
             RecordingError: The disk was full or failed; messages written before are readable.
         """
-        self._queue.put(None)
+        self._closing.set()
         self._thread.join()
         try:
             self._writer.close()
@@ -164,8 +167,14 @@ class BagWriter:
             ) from self._failure
 
     def _work(self) -> None:
-        while (item := self._queue.get()) is not None:
-            connection, received_ns, data = item
+        closing = False
+        while not closing:
+            closing = self._closing.wait(FLUSH_PERIOD_S)
+            self._flush()
+
+    def _flush(self) -> None:
+        while self._queue:
+            connection, received_ns, data = self._queue.popleft()
             if self._failure is not None:
                 self.dropped += 1
                 continue

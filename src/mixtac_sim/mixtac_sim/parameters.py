@@ -86,10 +86,10 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
     seconds: float = parameter(25.0, 'Length of the scenario', unit='s', within=(10.0, 3600.0))
     lead_seconds: float = parameter(
         2.0,
-        'How far ahead of time a scenario is computed. It starts this much later; gestures and '
-        'camera settings during a scenario are delayed by up to this time',
+        'Delay of the start of a scenario, which is computed up to twice as far ahead meanwhile. '
+        'Gestures and camera settings during a scenario are delayed by up to twice this time',
         unit='s',
-        within=(0.0, 10.0),
+        within=(0.0, 30.0),
     )
     play_on_start: bool = parameter(False, 'Play the scenario once a driver reads the camera')
     loop: bool = parameter(False, 'Repeat the scenario without end, each time with a new seed')

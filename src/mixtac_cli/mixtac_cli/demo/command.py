@@ -43,8 +43,8 @@ from mixtac_node.process import GraphError, ProcessGroup
 from mixtac_node.topics import DEFAULT_NAMESPACE
 
 SETTLE_S = 1.0
-LEAD_S = 5.0
-"""Time by which the scenario is computed ahead [s]: more than any impact takes on a slow host."""
+LEAD_S = 12.0
+"""Time by which the scenario is computed ahead [s]: all of the default one on most hosts."""
 START_UP_S = 60.0
 TAIL_S = 1.0
 DROP_COUNTERS = {
@@ -193,7 +193,11 @@ def _run_graph(
         'lead_seconds': LEAD_S,
     }
     estimator = {} if model is None else {'model': str(model.resolve())}
-    sensor = sensor_graph('virtual', virtual_sensor=virtual_sensor, estimator=estimator)
+    # A thousand inertial samples a second that nothing here reads.
+    driver = {'imu_acc_enabled': False, 'imu_gyro_enabled': False, 'imu_temp_enabled': False}
+    sensor = sensor_graph(
+        'virtual', driver=driver, virtual_sensor=virtual_sensor, estimator=estimator
+    )
     nodes = [*sensor, recorder(out / 'bag')]
     console.print('starting virtual sensor, driver, estimator and recorder')
     with (
@@ -351,7 +355,8 @@ class LiveView:
                     self._console.print(
                         f'{left:5.1f} s left  force {self._estimates[-1]:7.3f} N  reference '
                         f'{self._references[-1]:7.3f} N  {self._rates[0]:5.0f} Hz  '
-                        f'{self._events()}'
+                        f'{self._events()}',
+                        soft_wrap=True,
                     )
 
     def _sample(self) -> None:

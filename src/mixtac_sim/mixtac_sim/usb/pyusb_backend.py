@@ -316,11 +316,10 @@ class SocketLink:
         with self._errors(), lock:
             _set_patience(connection, timeout_ms)
             connection.sendall(header)
-            status, size = wire.REPLY.unpack(wire.receive(connection, wire.REPLY.size))
+            status, size = wire.receive_reply(connection, view)
             if status:
                 raise wire.TransferError(status, f'reading endpoint {endpoint:#04x} failed')
-            wire.receive_into(connection, view[:size])
-        return int(size)
+        return size
 
     def claim(self) -> None:
         """Claim the interface for this session."""
@@ -381,7 +380,9 @@ class SocketLink:
 
 def _set_patience(connection: socket.socket, timeout_ms: int) -> None:
     # A server that was stopped must not block its hosts.
-    connection.settimeout(timeout_ms / 1000 + _GRACE_S if timeout_ms else None)
+    patience_s = timeout_ms / 1000 + _GRACE_S if timeout_ms else None
+    if connection.gettimeout() != patience_s:
+        connection.settimeout(patience_s)
 
 
 def _connect(path: str) -> socket.socket:

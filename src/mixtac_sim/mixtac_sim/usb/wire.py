@@ -58,6 +58,22 @@ def receive_into(connection: socket.socket, view: memoryview) -> None:
         view = view[count:]
 
 
+def receive_reply(connection: socket.socket, view: memoryview) -> tuple[int, int]:
+    """Receive a reply with its data in as few system calls as possible; return status and size.
+
+    Raises:
+        ConnectionError: The other side closed it.
+    """
+    header = bytearray(REPLY.size)
+    count = connection.recvmsg_into([header, view])[0]
+    if count < REPLY.size:
+        receive_into(connection, memoryview(header)[count:])
+        count = REPLY.size
+    status, size = REPLY.unpack(header)
+    receive_into(connection, view[count - REPLY.size : size])
+    return int(status), int(size)
+
+
 def receive(connection: socket.socket, count: int) -> bytes:
     """Return exactly ``count`` bytes.
 
