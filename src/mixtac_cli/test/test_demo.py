@@ -36,8 +36,8 @@ def run(module_ros_domain, tmp_path_factory) -> Path:
     )
     assert result.returncode == 0, result.stdout + result.stderr
     report = json.loads((out / 'demo.json').read_text())
-    if report['refused'] and report['force_hz'] < 480:
-        # Below real time taps get lost; the demo then reports what it could not measure.
+    if report['refused'] and report['waited_s'] > 0.0:
+        # A host that is too busy loses taps; the demo then reports what it could not measure.
         assert report['mae_n'] is None
         pytest.skip(f'the simulation fell behind on a busy machine: {report["refused"]}')
     assert '\x1b[' not in result.stdout, 'control codes although there is no terminal'
@@ -67,8 +67,8 @@ def test_the_bag_opens_in_another_reader_with_all_topics(run: Path):
         types = {c.topic: c.msgtype for c in reader.connections}
         assert types == {t.resolved('mixtac'): t.type_name for t in TOPICS}
         counts = {c.topic: c.msgcount for c in reader.connections}
-    assert counts[FORCE.resolved('mixtac')] > 500 * (SECONDS - 2)
-    assert counts[EVENTS.resolved('mixtac')] > 900 * (SECONDS - 2)
+    assert counts[FORCE.resolved('mixtac')] > 450 * (SECONDS - 2)
+    assert counts[EVENTS.resolved('mixtac')] > 450 * (SECONDS - 2)
     assert counts[IMAGE_RAW.resolved('mixtac')] > 20 * (SECONDS - 2)
 
 

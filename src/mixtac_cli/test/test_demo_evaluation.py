@@ -7,7 +7,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_cli.demo.evaluation import read_streams
+from mixtac_cli.demo.evaluation import (
+    Comparison,
+    Streams,
+    frame_jump,
+    host_time,
+    peak_error,
+    read_streams,
+)
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_node import topics
@@ -21,7 +28,10 @@ from mixtac_recordings.bag_writer import McapBag
     ids=['gap', 'restart', 'gaps around a restart'],
 )
 def test_lost_packets_with_a_restart_of_the_driver(tmp_path, numbers, lost):
-    forces = (topics.FORCE, topics.REFERENCE_WRENCH, topics.TRUTH_WRENCH)
+    forces = (
+        *(topics.FORCE, topics.FORCE_QUALITY),
+        *(topics.REFERENCE_WRENCH, topics.TRUTH_WRENCH),
+    )
     with McapBag(tmp_path / 'bag') as writer:
         handles = {
             topic: writer.add_connection(
@@ -46,5 +56,58 @@ def test_lost_packets_with_a_restart_of_the_driver(tmp_path, numbers, lost):
             message.events = np.frombuffer(encoded.payload, np.uint8)
             write(topics.EVENTS, message, 1_000_000 * index)
     streams = read_streams(tmp_path / 'bag', 'mixtac')
-    assert streams.packets == len(numbers)
+    assert len(streams.arrival_ns) == len(streams.complete_us) == len(numbers)
     assert streams.lost_packets == lost
+
+
+def streams_of(force_n, ages_ms, complete_us=(), arrival_ns=()) -> Streams:
+    """Return a run with a force every 2 ms, and the age of the frame at each."""
+    end_ns = 2_000_000 * np.arange(1, len(force_n) + 1)
+    nothing = np.empty(0, np.int64)
+    return Streams(
+        event_t_us=nothing,
+        lost_packets=0,
+        complete_us=np.array(complete_us, np.int64),
+        arrival_ns=np.array(arrival_ns, np.int64),
+        force_ns=end_ns,
+        force_n=np.array(force_n),
+        frame_ages=np.stack([end_ns, 1_000_000 * np.array(ages_ms)], axis=1),
+        reference_ns=nothing,
+        reference_n=np.empty(0),
+        truth_ns=nothing,
+        truth_n=np.empty(0),
+    )
+
+
+def test_the_jump_at_frames_is_relative_to_the_change_between_them():
+    # Steps of 0.1 N, and of 0.3 N where the age of the frame falls.
+    streams = streams_of([0.0, 0.1, 0.2, 0.5, 0.6, 0.9], [4, 6, 8, 2, 4, 1])
+    assert frame_jump(streams) == pytest.approx(3.0)
+
+
+def test_no_jump_is_known_without_frames():
+    assert frame_jump(streams_of([0.0, 0.1, 0.2], [4, 6, 8])) is None
+
+
+def test_host_times_follow_the_arrival_of_packets_when_time_stopped():
+    streams = streams_of([0.0], [1], complete_us=[1000, 2000, 3000], arrival_ns=[50, 60, 90])
+    found = host_time(streams, np.array([1_500_000, 2_000_000, 9_000_000]), None)
+    assert found.tolist() == [60, 60, 90]
+    pairs = np.array([[1_000_000, 0], [1_000_200, 100]])
+    assert host_time(streams, np.array([50]), pairs).tolist() == [1_000_100]
+
+
+def test_the_error_of_the_peak_is_that_of_the_impact():
+    comparison = Comparison(
+        fit=None,
+        start_us=0,
+        time_s=np.array([0.0, 1.0, 2.0, 3.0]),
+        estimate_n=np.array([9.0, 1.1, 2.2, 0.0]),
+        reference_n=np.array([9.0, 2.0, 1.0, 0.0]),
+        mae_n=0.0,
+        rmse_n=0.0,
+        constant_mae_n=0.0,
+    )
+    name = 'impact of a dropped weight'
+    assert peak_error(comparison, [(name, 0.5, 3.0)]) == pytest.approx(0.1)
+    assert peak_error(comparison, [('oscillation', 0.5, 3.0)]) is None

@@ -91,6 +91,12 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
         unit='s',
         within=(0.0, 30.0),
     )
+    slow_host: str = fixed(
+        'drop',
+        'What happens when the host does not keep up: drop loses data, as a real camera does; wait '
+        'stops simulated time of camera, truth and reference until it does',
+        choices=('drop', 'wait'),
+    )
     play_on_start: bool = parameter(False, 'Play the scenario once a driver reads the camera')
     loop: bool = parameter(False, 'Repeat the scenario without end, each time with a new seed')
     reference_topic: str = fixed(topics.REFERENCE, 'Topic of the reference force sensor')

@@ -56,6 +56,7 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             seed=self._settings.seed,
             skew_ppm=self._settings.skew_ppm,
             preset=preset(self._settings.preset),
+            patient=self._settings.slow_host == 'wait',
         )
         self._server = UsbServer(self._sensor.device, path)
         self._reference = self.publish_topic(

@@ -129,19 +129,36 @@ class LiveProcedure:
         nodes = sensor_graph(self._device, estimator=estimator)
         self._console.print('starting the sensor; a first start compiles for some minutes')
         with ProcessGroup() as processes, Monitor(self._namespace, SESSION_S) as monitor:
-            self._processes, self._monitor = processes, monitor
             start_nodes(processes, nodes, self._namespace, params_file, 'warn')
             monitor.bring_up_all(nodes, processes)
             monitor.listen()
             monitor.wait_for_force(processes.check)
-            zero = self._tare()
-            by_reference = not known and monitor.reference_count > 0
-            if by_reference:
-                self._session.known_by = 'reference'
-                self._console.print('the reference sensor measures the loads')
-            self._put_all(zero, loads, by_reference=by_reference)
-            self._session.t_s, self._session.force_n = self._series()
-            self._session.serial = monitor.serial
+            return self.lead(processes, monitor, loads, known=known)
+
+    def lead(
+        self, processes: ProcessGroup, monitor: Monitor, loads: Sequence[Load], *, known: bool
+    ) -> Session:
+        """Lead through the loads on a sensor that gives forces.
+
+        Args:
+            processes: Its nodes.
+            monitor: Listens to it.
+            loads: Loads to ask for.
+            known: Take these loads even where a reference sensor measures them.
+
+        Raises:
+            ForceCalibrationError: The sensor cannot be calibrated by what was seen.
+            GraphError: A node failed.
+        """
+        self._processes, self._monitor = processes, monitor
+        zero = self._tare()
+        by_reference = not known and monitor.reference_count > 0
+        if by_reference:
+            self._session.known_by = 'reference'
+            self._console.print('the reference sensor measures the loads')
+        self._put_all(zero, loads, by_reference=by_reference)
+        self._session.t_s, self._session.force_n = self._series()
+        self._session.serial = monitor.serial
         return self._session
 
     def _tare(self) -> Stretch:

@@ -23,13 +23,18 @@ from rich.table import Table
 from rich.text import Text
 
 from mixtac_alignment.errors import AlignmentError
+from mixtac_cli.calibrate_force.session import LiveProcedure
 from mixtac_cli.demo.evaluation import (
+    WINDOW_NS,
     compare,
     draw_run,
     event_rate,
-    latency_ms,
+    frame_jump,
+    host_time,
     lost_windows,
+    mae,
     mean_rate_hz,
+    peak_error,
     phases,
     read_streams,
     truth_mae,
@@ -37,6 +42,7 @@ from mixtac_cli.demo.evaluation import (
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_cli.up import start_nodes
+from mixtac_fger.force_calibration import fit_gain, load_of
 from mixtac_node.files import FileError, write_json
 from mixtac_node.graph import recorder, sensor_graph
 from mixtac_node.process import GraphError, ProcessGroup
@@ -47,6 +53,10 @@ LEAD_S = 12.0
 """Time by which the scenario is computed ahead [s]: all of the default one on most hosts."""
 START_UP_S = 60.0
 TAIL_S = 1.0
+PRESET = 'paper_like'
+"""What the shipped model was trained for."""
+LOADS_G = (30.0, 60.0, 90.0)
+"""Known loads by which the demo calibrates the sensor [g]."""
 DROP_COUNTERS = {
     'driver': (
         'usb transfers dropped',
@@ -74,16 +84,23 @@ class DemoReport:
         device_seed: Seed of the virtual sensor's build.
         force_hz: Rate of `/mixtac/force` at a subscriber in another process.
         lost: Force samples missing at that subscriber, by their stamps.
-        latency_ms: From the end of a window to its force at the subscriber, p50 and p99.
+        latency_ms: From the end of a window to its force at the subscriber, p50 and p99; from the
+            arrival of the window's last packet if simulated time stopped (`waited_s`).
         mae_n: Mean absolute error against the reference, aligned by the two impulses; None, as
             `rmse_n`, `constant_mae_n` and `clock_drift_ppm`, if the alignment was refused.
         rmse_n: Root mean square error against the same.
+        mae_uncalibrated_n: What `mae_n` would be without the calibration.
+        gain: Factor of the force that the calibration found.
+        peak_error: Relative error of the peak of the impact; None if it is not known.
+        frame_jump: Mean change of the force where a frame corrects it over the mean change
+            elsewhere.
         constant_mae_n: Error of the best constant guess on the same samples.
         truth_mae_n: Mean absolute error against the simulated force itself.
         event_rate_mev_s: Mean event rate.
         peak_event_rate_mev_s: Highest event rate in 10 ms.
         packet_hz: Rate of event packets.
         lost_packets: Event packets missing in the recording.
+        waited_s: Time for which simulated time stopped because the host was too slow [s].
         dropped: Transfers, words, frames and messages dropped inside nodes (`DROP_COUNTERS`).
         clock_drift_ppm: Drift of the reference clock found by the alignment.
         refused: Why the alignment was refused, or empty.
@@ -97,12 +114,17 @@ class DemoReport:
     latency_ms: dict[str, float]
     mae_n: float | None
     rmse_n: float | None
+    mae_uncalibrated_n: float | None
+    gain: float
+    peak_error: float | None
+    frame_jump: float | None
     constant_mae_n: float | None
     truth_mae_n: float
     event_rate_mev_s: float
     peak_event_rate_mev_s: float
     packet_hz: float
     lost_packets: int
+    waited_s: float
     dropped: int
     clock_drift_ppm: float | None
     refused: str
@@ -113,13 +135,17 @@ class Run:
     """What was measured while the graph ran.
 
     Attributes:
+        gain: See `DemoReport`.
         dropped: See `DemoReport`.
+        waited_s: See `DemoReport`.
         clock_pairs: (host, camera) clock pairs [ns], shape (N, 2), int64.
         arrival_ns: Arrival of each force, host clock [ns], int64.
         stamp_ns: Stamp of each force, camera clock [ns], int64.
     """
 
+    gain: float
     dropped: int
+    waited_s: float
     clock_pairs: NDArray[np.int64]
     arrival_ns: NDArray[np.int64]
     stamp_ns: NDArray[np.int64]
@@ -186,38 +212,63 @@ def _run_graph(
     virtual_sensor = {
         'seed': seed,
         'device_seed': device_seed,
+        'preset': PRESET,
         'scenario': 'demo',
         'seconds': float(seconds),
         'play_on_start': False,
         'loop': False,
         'lead_seconds': LEAD_S,
+        'slow_host': 'wait',
     }
     estimator = {} if model is None else {'model': str(model.resolve())}
-    # A thousand inertial samples a second that nothing here reads.
-    driver = {'imu_acc_enabled': False, 'imu_gyro_enabled': False, 'imu_temp_enabled': False}
+    # Less for a slow host to do: packets as long as a window, and no inertial samples.
+    driver = {
+        'event_message_time_threshold': WINDOW_NS / 1e9,
+        'imu_acc_enabled': False,
+        'imu_gyro_enabled': False,
+        'imu_temp_enabled': False,
+    }
     sensor = sensor_graph(
         'virtual', driver=driver, virtual_sensor=virtual_sensor, estimator=estimator
     )
-    nodes = [*sensor, recorder(out / 'bag')]
-    console.print('starting virtual sensor, driver, estimator and recorder')
+    console.print('starting virtual sensor, driver and estimator')
     with (
         ProcessGroup(out / 'log') as processes,
         Monitor(DEFAULT_NAMESPACE, seconds + START_UP_S) as monitor,
     ):
-        start_nodes(processes, nodes)
-        monitor.bring_up_all(nodes, processes)
+        start_nodes(processes, sensor)
+        monitor.bring_up_all(sensor, processes)
         monitor.listen()
         monitor.wait_for_force(processes.check)
+        gain = _calibrate(console, processes, monitor)
+        start_nodes(processes, [recorder(out / 'bag')])
+        while not monitor.values('recorder'):
+            time.sleep(0.1)
+            processes.check()
         # Messages in the first half second after discovery are often lost.
         time.sleep(SETTLE_S)
         monitor.trigger('virtual_sensor/play', processes.check)
         first = monitor.force_count
         LiveView(console, monitor).show(LEAD_S + seconds + TAIL_S, processes.check)
         arrival, stamp, _ = monitor.force()
-        run = Run(_dropped(monitor), monitor.clock_pairs(), arrival[first:], stamp[first:])
+        waited_s = float(monitor.values('virtual_sensor').get('lost_us', 0)) / 1e6
+        pairs = monitor.clock_pairs()
+        run = Run(gain, _dropped(monitor), waited_s, pairs, arrival[first:], stamp[first:])
         processes.stop('recorder')
         failed = {name: code for name, code in processes.stop().items() if code}
     return run, failed
+
+
+def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> float:
+    """Calibrate the sensor by known loads, as `mixtac calibrate-force` does; return the gain."""
+    console.print('calibrating by known loads, as mixtac calibrate-force does')
+    procedure = LiveProcedure(console, DEFAULT_NAMESPACE, 'virtual', yes=True)
+    loads = [load_of(grams, 0.0) for grams in LOADS_G]
+    session = procedure.lead(processes, monitor, loads, known=True)
+    calibration = fit_gain(session.loads, session.plateaus)
+    monitor.set_parameters('fger', {'force_scale': calibration.gain}, processes.check)
+    console.print(f'gain {calibration.gain:.3f}', highlight=False)
+    return calibration.gain
 
 
 def _dropped(monitor: Monitor) -> int:
@@ -236,8 +287,10 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
         comparison = compare(streams)
     except AlignmentError as error:
         refused = str(error)
-    latency = latency_ms(run.arrival_ns, run.stamp_ns, run.clock_pairs)
+    pairs = run.clock_pairs if run.waited_s == 0.0 else None
+    latency = (run.arrival_ns - host_time(streams, run.stamp_ns, pairs)) / 1e6
     rate = event_rate(streams, comparison)
+    shown = phases(seconds, seed)
     report = DemoReport(
         seconds=seconds,
         seed=seed,
@@ -250,12 +303,17 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
         },
         mae_n=comparison.mae_n if comparison else None,
         rmse_n=comparison.rmse_n if comparison else None,
+        mae_uncalibrated_n=mae(comparison, 1.0 / run.gain) if comparison else None,
+        gain=run.gain,
+        peak_error=peak_error(comparison, shown) if comparison else None,
+        frame_jump=frame_jump(streams),
         constant_mae_n=comparison.constant_mae_n if comparison else None,
-        truth_mae_n=truth_mae(streams, run.clock_pairs),
+        truth_mae_n=truth_mae(streams, pairs),
         event_rate_mev_s=float(rate[1].mean() / 1e6),
         peak_event_rate_mev_s=float(rate[1].max() / 1e6),
-        packet_hz=streams.packets / (np.ptp(streams.force_ns) / 1e9),
+        packet_hz=len(streams.complete_us) / (np.ptp(streams.force_ns) / 1e9),
         lost_packets=streams.lost_packets,
+        waited_s=run.waited_s,
         dropped=run.dropped,
         clock_drift_ppm=comparison.fit.drift_ppm if comparison else None,
         refused=refused,
@@ -265,7 +323,7 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
             f'Virtual sensor (simulated), seed {seed}: MAE {report.mae_n:.3f} N against the '
             f'aligned reference, {report.force_hz:.1f} Hz, {report.lost} lost'
         )
-        draw_run(out / 'demo.png', comparison, rate, phases(seconds, seed), title)
+        draw_run(out / 'demo.png', comparison, rate, shown, title)
     return report
 
 
@@ -299,17 +357,25 @@ def _rows(report: DemoReport) -> list[tuple[str, str]]:
             'error against the reference, MAE / RMSE',
             f'{_figure(report.mae_n)} / {_figure(report.rmse_n)} N',
         ),
+        ('  before the calibration, MAE', f'{_figure(report.mae_uncalibrated_n)} N'),
         ('  best constant guess, MAE', f'{_figure(report.constant_mae_n)} N'),
         ('error against the simulated force, MAE', f'{report.truth_mae_n:.3f} N'),
+        ("error of the impact's peak", _percent(report.peak_error)),
+        ('change at frames over change between', _figure(report.frame_jump, 1)),
         ('reference clock drift found', f'{_figure(report.clock_drift_ppm, 1)} ppm'),
         ('lost: force samples', str(report.lost)),
         ('lost: event packets', str(report.lost_packets)),
         ('dropped inside nodes', str(report.dropped)),
+        ('simulated time stopped for a slow host', f'{report.waited_s:.2f} s'),
     ]
 
 
 def _figure(value: float | None, digits: int = 3) -> str:
     return '-' if value is None else f'{value:.{digits}f}'
+
+
+def _percent(value: float | None) -> str:
+    return '-' if value is None else f'{100 * value:+.1f} %'
 
 
 _BLOCKS = ' ▁▂▃▄▅▆▇█'
@@ -335,15 +401,20 @@ class LiveView:
         self._rates = (0.0, 0.0)
 
     def show(self, seconds: float, check: Callable[[], None]) -> None:
-        """Show for some seconds; `check` is called repeatedly and may raise to end it."""
+        """Show for some seconds and until the scenario has ended.
+
+        Args:
+            seconds: At least so long [s].
+            check: Called repeatedly; may raise to end it.
+        """
         end = time.monotonic() + seconds
         terminal = self._console.is_terminal
         period_s = _PERIOD_S if terminal else _PLAIN_PERIOD_S
         due = time.monotonic() + period_s
         table = Live(self._table(0.0), console=self._console, refresh_per_second=5)
         with table if terminal else nullcontext():
-            while (left := end - time.monotonic()) > 0:
-                time.sleep(min(_PERIOD_S, left))
+            while (left := end - time.monotonic()) > 0 or self._playing():
+                time.sleep(min(_PERIOD_S, max(left, _PERIOD_S / 2)))
                 check()
                 if time.monotonic() < due:
                     continue
@@ -352,12 +423,18 @@ class LiveView:
                 if terminal:
                     table.update(self._table(left))
                 else:
-                    self._console.print(
-                        f'{left:5.1f} s left  force {self._estimates[-1]:7.3f} N  reference '
-                        f'{self._references[-1]:7.3f} N  {self._rates[0]:5.0f} Hz  '
-                        f'{self._events()}',
-                        soft_wrap=True,
-                    )
+                    self._console.print(self._line(left), soft_wrap=True)
+
+    def _line(self, left: float) -> str:
+        shown = f'{left:5.1f} s left' if left > 0.0 else 'a busy host'
+        return (
+            f'{shown}  force {self._estimates[-1]:7.3f} N  reference {self._references[-1]:7.3f} N'
+            f'  {self._rates[0]:5.0f} Hz  {self._events()}'
+        )
+
+    def _playing(self) -> bool:
+        # On a slow host simulated time stops now and then, and the scenario takes longer.
+        return self._monitor.values('virtual_sensor').get('playing') == 'True'
 
     def _sample(self) -> None:
         now, forces, references = (

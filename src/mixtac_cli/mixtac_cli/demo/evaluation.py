@@ -18,6 +18,7 @@ from mixtac_events.codec import decode_message
 from mixtac_events.sequence import SequenceCounter
 from mixtac_events.windows import counts_per_window
 from mixtac_node import topics
+from mixtac_node.stamps import stamp_to_ns
 from mixtac_recordings.bag import BagFile
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.profiles import make_profile
@@ -47,9 +48,12 @@ class Streams:
     Attributes:
         event_t_us: Event times, camera clock [us], int64.
         lost_packets: Event packets missing by their sequence numbers.
-        packets: Event packets recorded.
+        complete_us: Time up to which each event packet is complete, camera clock [us], int64.
+        arrival_ns: Arrival of each event packet at the host [ns], int64.
         force_ns: Ends of the force windows, camera clock [ns], int64.
         force_n: Estimated normal force [N].
+        frame_ages: (end of the window [ns, camera clock], age of the latest frame [ns]) of each
+            force, shape (N, 2), int64.
         reference_ns: Stamps of the reference, reference clock [ns], int64.
         reference_n: Reference normal force [N].
         truth_ns: Stamps of the simulated force, host clock [ns], int64.
@@ -58,9 +62,11 @@ class Streams:
 
     event_t_us: NDArray[np.int64]
     lost_packets: int
-    packets: int
+    complete_us: NDArray[np.int64]
+    arrival_ns: NDArray[np.int64]
     force_ns: NDArray[np.int64]
     force_n: NDArray[np.float64]
+    frame_ages: NDArray[np.int64]
     reference_ns: NDArray[np.int64]
     reference_n: NDArray[np.float64]
     truth_ns: NDArray[np.int64]
@@ -99,16 +105,33 @@ def read_streams(path: Path, namespace: str) -> Streams:
         RecordingError: A topic is missing or the bag is damaged.
     """
     times: list[NDArray[np.int64]] = []
+    complete_us, arrival_ns = [], []
     counter = SequenceCounter()
     with BagFile(path) as bag:
         for _, _, message in bag.messages(topics.EVENTS.resolved(namespace)):
             counter.update(message.seq)
-            times.append(decode_message(message).events.t)
+            packet = decode_message(message)
+            times.append(packet.events.t)
+            complete_us.append(packet.complete_until)
+            arrival_ns.append(stamp_to_ns(message.header.stamp))
+        ages = [
+            (stamp_to_ns(message.header.stamp), round(1e9 * message.frame_age))
+            for _, _, message in bag.messages(topics.FORCE_QUALITY.resolved(namespace))
+        ]
         force = bag.wrenches(topics.FORCE.resolved(namespace))
         reference = bag.wrenches(topics.REFERENCE)
         truth = bag.wrenches(topics.TRUTH_WRENCH.resolved(namespace))
     event_t_us = np.concatenate(times) if times else np.empty(0, np.int64)
-    return Streams(event_t_us, counter.lost, counter.received, *force, *reference, *truth)
+    return Streams(
+        event_t_us,
+        counter.lost,
+        np.array(complete_us, np.int64),
+        np.array(arrival_ns, np.int64),
+        *force,
+        np.array(ages, np.int64).reshape(-1, 2),
+        *reference,
+        *truth,
+    )
 
 
 def compare(streams: Streams) -> Comparison:
@@ -158,33 +181,70 @@ def mean_rate_hz(arrival_ns: NDArray[np.int64]) -> float:
     return float((len(arrival_ns) - 1) * 1e9 / (arrival_ns[-1] - arrival_ns[0]))
 
 
-def latency_ms(
-    arrival_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64], clock_pairs: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return the time from each window's end to its force at the subscriber [ms].
+def host_time(
+    streams: Streams, camera_ns: NDArray[np.int64], clock_pairs: NDArray[np.int64] | None
+) -> NDArray[np.int64]:
+    """Return the host time of times of the camera clock [ns].
 
     Args:
-        arrival_ns: Arrival of each force sample, host clock.
-        stamp_ns: End of its window, camera clock.
-        clock_pairs: (host, camera) pairs from `camera_clock`, shape (N, 2); interpolated.
+        streams: The streams of the run.
+        camera_ns: Camera clock [ns].
+        clock_pairs: (host, camera) pairs from `camera_clock`, shape (N, 2); interpolated. None if
+            simulated time stopped now and then, which they do not follow: then the arrival of the
+            packet up to that time is taken, which is later by the way through camera and driver.
     """
+    if clock_pairs is None:
+        packet = np.searchsorted(streams.complete_us * 1000, camera_ns)
+        return streams.arrival_ns[packet.clip(max=len(streams.arrival_ns) - 1)]
     host_minus_camera = (clock_pairs[:, 0] - clock_pairs[:, 1]).astype(np.float64)
-    offset = np.interp(stamp_ns, clock_pairs[:, 1], host_minus_camera)
-    return np.asarray((arrival_ns - stamp_ns - offset) / 1e6, np.float64)
+    offset = np.interp(camera_ns, clock_pairs[:, 1], host_minus_camera)
+    return camera_ns + offset.astype(np.int64)
 
 
-def truth_mae(streams: Streams, clock_pairs: NDArray[np.int64]) -> float:
+def truth_mae(streams: Streams, clock_pairs: NDArray[np.int64] | None) -> float:
     """Return the mean absolute error of the estimate against the simulated force [N].
 
     Args:
         streams: The streams of the run.
-        clock_pairs: (host, camera) pairs from `camera_clock`, shape (N, 2); interpolated.
+        clock_pairs: As of `host_time`.
     """
-    host_minus_camera = (clock_pairs[:, 0] - clock_pairs[:, 1]).astype(float)
-    host_ns = streams.force_ns + np.interp(streams.force_ns, clock_pairs[:, 1], host_minus_camera)
+    host_ns = host_time(streams, streams.force_ns, clock_pairs)
     inside = (host_ns >= streams.truth_ns[0]) & (host_ns <= streams.truth_ns[-1])
     truth = np.interp(host_ns[inside], streams.truth_ns, streams.truth_n)
     return float(np.abs(streams.force_n[inside] - truth).mean())
+
+
+def mae(comparison: Comparison, factor: float = 1.0) -> float:
+    """Return the mean absolute error of the estimate times a factor [N]."""
+    return float(np.abs(factor * comparison.estimate_n - comparison.reference_n).mean())
+
+
+def peak_error(comparison: Comparison, spans: list[tuple[str, float, float]]) -> float | None:
+    """Return the relative error of the peak of the impact; None without an impact.
+
+    Args:
+        comparison: Estimate and reference.
+        spans: From `phases`.
+    """
+    for name, start_s, end_s in spans:
+        inside = (comparison.time_s >= start_s) & (comparison.time_s <= end_s)
+        if name == _IMPACT and inside.any():
+            peak_n = comparison.reference_n[inside].max()
+            return float(comparison.estimate_n[inside].max() / peak_n - 1.0)
+    return None
+
+
+def frame_jump(streams: Streams) -> float | None:
+    """Return the mean change of the force at frames over that between them; None without frames."""
+    change = np.abs(np.diff(streams.force_n))
+    ages = dict(streams.frame_ages.tolist())
+    age = np.array([ages.get(end_ns, -1) for end_ns in streams.force_ns.tolist()])
+    in_order = np.diff(streams.force_ns) == WINDOW_NS
+    known = in_order & (age[1:] >= 0) & (age[:-1] >= 0)
+    younger = age[1:] < age[:-1]
+    if not (known & younger).any() or not (known & ~younger).any():
+        return None
+    return float(change[known & younger].mean() / change[known & ~younger].mean())
 
 
 def event_rate(

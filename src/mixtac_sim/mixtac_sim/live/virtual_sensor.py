@@ -98,12 +98,16 @@ PERIOD_S: Final = 0.001
 _CHUNK_US: Final = 4000
 # Little beside any lead; a scenario begins two chunks later at the earliest.
 _AHEAD_PERIOD_S: Final = 0.02
-# Of the thread that computes ahead: releasing on time wins on a busy CPU.
-_NICENESS: Final = 5
+# Of the threads that release and compute ahead.
+_PATIENT_NICENESS: Final = 5
+_AHEAD_NICENESS: Final = 10
 # A frame is known at the end of the chunk in which its readout has ended.
 _FRAME_US: Final = RESET_US + READOUT_US + _CHUNK_US
 _MAX_BEHIND_US: Final = 250_000
 _MAX_BATCHES: Final = 2048
+# A patient sensor waits when it is late by more than this, or more bytes than these are not read.
+_PATIENCE_US: Final = 20_000
+_BACKLOG: Final = 1 << 19
 
 
 class Simulation(Protocol):
@@ -170,6 +174,8 @@ class VirtualSensor:
         reference: The reference force sensor.
         inertial: The camera's inertial unit.
         clock: Simulated time.
+        patient: Time stops while the host is behind, so that nothing is lost; otherwise the camera
+            drops what is not read in time, as a real one does.
     """
 
     def __init__(
@@ -180,7 +186,11 @@ class VirtualSensor:
         reference: ReferenceSensor,
         inertial: InertialUnit,
         clock: SimulationClock,
+        *,
+        patient: bool = False,
     ) -> None:
+        self._patient = patient
+        self._waiting = False
         self._simulation = simulation
         self._profile = profile
         self.device = device
@@ -273,7 +283,7 @@ class VirtualSensor:
         if self._simulating.acquire(blocking=False):
             self._follow_registers()
             self._simulating.release()
-        while True:
+        while not (self._patient and self._wait_for_host()):
             now_us = self._clock.now_us()
             # A frame must be known before its readout begins, so all that is handed over stays
             # behind the simulation; if that falls behind, data come late but stamped right.
@@ -291,10 +301,22 @@ class VirtualSensor:
                 if self._known_us() < now_us:
                     self._simulate()
 
+    def _wait_for_host(self) -> bool:
+        behind_us = self._clock.now_us() - self._due_us
+        waiting = behind_us > _PATIENCE_US or self.device.backlog > _BACKLOG
+        if waiting:
+            self._clock.lose(behind_us)
+            self._overruns += not self._waiting
+        self._waiting = waiting
+        return waiting
+
     def _known_us(self) -> int:
         return self._simulated_us - self._aps[0] - _FRAME_US
 
     def _run(self) -> None:
+        if self._patient:
+            # What reads the camera goes first on a busy CPU; then this thread is late, and waits.
+            _lower_priority(_PATIENT_NICENESS)
         deadline = time.monotonic()
         while not self._stop.is_set():
             self.step()
@@ -303,8 +325,7 @@ class VirtualSensor:
             time.sleep(max(0.0, deadline - time.monotonic()))
 
     def _compute_ahead(self) -> None:
-        with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, get_native_id(), _NICENESS)
+        _lower_priority(_AHEAD_NICENESS)
         while not self._stop.is_set():
             limit_us = min(self._clock.now_us() + self._ahead_us, self._ahead_until_us)
             if self._simulated_us >= limit_us:
@@ -376,6 +397,11 @@ class VirtualSensor:
             batches = list(queue)
             queue.clear()
         return batches
+
+
+def _lower_priority(niceness: int) -> None:
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, get_native_id(), niceness)
 
 
 LARGEST_N: Final = 20.0
@@ -476,6 +502,7 @@ def make_virtual_sensor(
     preset: Preset = EASY,
     simulation: Simulation | None = None,
     clock: SimulationClock | None = None,
+    patient: bool = False,
 ) -> VirtualSensor:
     """Return a virtual sensor that nothing touches yet; `VirtualSensor.start` lets it run.
 
@@ -487,6 +514,7 @@ def make_virtual_sensor(
         preset: Difficulty of the sensor.
         simulation: Simulation to run instead of a tactile sensor.
         clock: Simulated time; by default that of the host.
+        patient: See `VirtualSensor`.
     """
     profile, clock = LiveProfile(tuple(LIVE_INDENTERS.values())), clock or SimulationClock()
     return VirtualSensor(
@@ -496,4 +524,5 @@ def make_virtual_sensor(
         ReferenceSensor(seed, preset=preset),
         InertialUnit(device_seed),
         clock,
+        patient=patient,
     )

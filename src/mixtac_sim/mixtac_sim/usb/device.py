@@ -297,6 +297,11 @@ class VirtualDavis346:
             return self._registers.read(module, param)
 
     @property
+    def backlog(self) -> int:
+        """Bytes that the host has not read yet."""
+        return len(self._fifo)
+
+    @property
     def settings_version(self) -> tuple[int, int]:
         """Power-ups and register writes so far; unchanged as long as no setting changed."""
         return self._power_ups, self._registers.writes

@@ -98,12 +98,13 @@ def clock(host):
     return SimulationClock(host, lambda: EPOCH_NS)
 
 
-def make_sensor(simulation, clock):
+def make_sensor(simulation, clock, *, patient=False):
     device = VirtualDavis346('V0000001', clock=clock.now_us)
     for module, param in ((0, 3), (9, 0), (0, 1), (0, 0), (1, 3), (2, 4), (3, 2)):
         device.control(0x40, 0xBF, module, param, struct.pack('>I', 1))
     device.control(0x40, 0xBF, 9, 1, struct.pack('>I', 0))
-    return VirtualSensor(simulation, LiveProfile(), device, Echo(), InertialUnit(1), clock)
+    parts = (simulation, LiveProfile(), device, Echo(), InertialUnit(1), clock)
+    return VirtualSensor(*parts, patient=patient)
 
 
 @pytest.fixture
@@ -163,6 +164,37 @@ def test_a_short_stall_is_caught_up_and_a_long_one_counted(sensor, host):
     stamps = np.concatenate([batch.stamp_ns for batch in sensor.take_truth()])
     np.testing.assert_array_equal(np.diff(stamps), 1_000_000)
     assert abs(stamps[0] - EPOCH_NS - 5_300_000_000) < 10_000_000
+
+
+def test_a_patient_sensor_stops_time_in_place_of_catching_up(simulation, clock, host):
+    sensor = make_sensor(simulation, clock, patient=True)
+    sensor.step()
+    clock.start()
+    run_for(sensor, host, 0.1)
+    words(sensor.device)
+    run_for(sensor, host, 0.2, period=0.2)
+    assert sensor.state().overruns == 1
+    assert sensor.state().lost_us == 200_000
+    assert len(words(sensor.device)) == 0
+    run_for(sensor, host, 0.1)
+    assert np.count_nonzero(words(sensor.device) >> 12 == 3) == 100
+
+
+def test_a_patient_sensor_waits_for_its_reader_and_loses_nothing(simulation, clock, host):
+    sensor = make_sensor(simulation, clock, patient=True)
+    sensor.step()
+    clock.start()
+    # The buffer of a host that does not read.
+    while sensor.device.backlog <= 1 << 19:
+        assert sensor.device.feed(np.zeros(1 << 16, np.uint16))
+    run_for(sensor, host, 2.0)
+    assert sensor.state().lost_us == 2_000_000
+    assert sensor.state().overruns == 1
+    while len(words(sensor.device)):
+        pass
+    run_for(sensor, host, 0.1)
+    assert np.count_nonzero(words(sensor.device) >> 12 == 3) == 100
+    assert not any(sensor.device.losses.values())
 
 
 def test_exposure_and_interval_follow_the_registers(sensor, simulation, host):
