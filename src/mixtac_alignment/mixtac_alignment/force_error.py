@@ -12,23 +12,20 @@ from mixtac_node.parameters import fixed
 
 @dataclass(frozen=True)
 class ForceErrorParameters:
-    """Topics and length of the running force error."""
+    """Topics and length of the running force error.
 
-    force_topic: str = fixed('force', 'WrenchStamped topic of the estimate.')
-    reference_topic: str = fixed(
-        'alignment/reference',
-        'WrenchStamped topic of the reference on the camera clock.',
-    )
-    window: int = fixed(
-        5000,
-        'Number of latest pairs over which the errors are averaged; 5000 are 10 s of estimates.',
-        within=(10, 1_000_000),
-    )
-    sign: int = fixed(
-        1,
-        'Sign that makes pressing positive in the reference.',
-        within=(-1, 1),
-    )
+    Attributes:
+        force_topic: WrenchStamped topic of the estimate.
+        reference_topic: WrenchStamped topic of the reference on the camera clock.
+        window: Number of latest pairs over which the errors are averaged; 5000 are 10 s of
+            estimates.
+        sign: Sign that makes pressing positive in the reference.
+    """
+
+    force_topic: str = fixed('force')
+    reference_topic: str = fixed('alignment/reference')
+    window: int = fixed(5000, within=(10, 1_000_000))
+    sign: int = fixed(1, within=(-1, 1))
 
 
 class RunningError:

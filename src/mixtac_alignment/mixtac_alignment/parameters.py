@@ -12,108 +12,55 @@ from mixtac_node.parameters import fixed, parameter
 
 @dataclass(frozen=True)
 class AlignmentParameters:
-    """What counts as an impulse, what is known of clocks and latencies, and what is remembered."""
+    """What counts as an impulse, what is known of clocks and latencies, and what is remembered.
 
-    reference_topic: str = fixed(
-        topics.REFERENCE,
-        'WrenchStamped topic of the reference force sensor; its stamps are the reference clock.',
-    )
-    reference_axis: str = parameter(
-        'z',
-        'Axis of the wrench along which taps press; the sign does not matter.',
-        choices=('x', 'y', 'z'),
-    )
-    history: float = fixed(
-        120.0,
-        'Time that is remembered; both taps must lie within it when ~/fit is called.',
-        unit='s',
-        within=(5.0, 3600.0),
-    )
-    reference_rate: float = fixed(
-        2000.0,
-        'Highest rate of the reference sensor; sizes its history.',
-        unit='Hz',
-        within=(10.0, 10000.0),
-    )
-    min_force: float = parameter(
-        0.2,
-        'Smallest force peak of a tap. Lower finds gentler taps, and more false ones.',
-        unit='N',
-        within=(0.01, 100.0),
-    )
-    max_width: float = parameter(
-        0.06,
-        'Longest force peak or event trough of a tap, measured at half its height. Presses are '
-        'longer.',
-        unit='s',
-        within=(0.005, 0.5),
-    )
-    min_burst_rate: float = parameter(
-        5e4,
-        'Smallest rise of the event rate of both bursts of a tap over the trough between them.',
-        unit='1/s',
-        within=(1e3, 1e7),
-    )
-    min_baseline: float = parameter(
-        2.0,
-        'Shortest time between the first and the last tap. The drift is known to about 1 ms over '
-        'this time.',
-        unit='s',
-        within=(0.5, 3600.0),
-    )
-    max_drift: float = parameter(
-        200.0,
-        'Largest believable clock drift; crystals stay within 100.',
-        unit='ppm',
-        within=(1.0, 10000.0),
-    )
-    event_latency: float = parameter(
-        4.15,
-        'Delay from a force peak to the event trough that shows it: lag of the gel and latency of '
-        'the pixels. The default is the median of simulated sensors; less light needs more.',
-        unit='ms',
-        within=(0.0, 50.0),
-    )
-    event_latency_std: float = parameter(
-        0.7,
-        'Standard deviation of event_latency; part of the stated uncertainty.',
-        unit='ms',
-        within=(0.0, 50.0),
-    )
-    tap_latency: float = parameter(
-        1.3,
-        'Delay of the events of a tap when frames are used and the whole tap is fitted. `mixtac '
-        'align` finds the value of a sensor from several of its recordings.',
-        unit='ms',
-        within=(0.0, 50.0),
-    )
-    tap_latency_std: float = parameter(
-        1.0,
-        'Standard deviation of tap_latency; part of the stated uncertainty.',
-        unit='ms',
-        within=(0.0, 50.0),
-    )
-    drift_std: float = parameter(
-        50.0,
-        'Prior standard deviation of the clock drift: two crystals of 30 to 40 ppm each. Pulls an '
-        'uncertain drift towards 0; 0 disables the prior. Used with frames only: without them the '
-        "fit is the paper's.",
-        unit='ppm',
-        within=(0.0, 10000.0),
-    )
-    use_frames: bool = parameter(
-        True,
-        'Refine the fit with the frames, over the whole history.',
-    )
-    use_edges: bool = parameter(
-        False,
-        'Fit edges of a trigger line instead of taps: external_edges of the driver against '
-        'reference_edges.',
-    )
-    use_all: bool = parameter(
-        False,
-        'Fit all strong taps by least squares, not only the first and the last.',
-    )
+    Attributes:
+        reference_topic: WrenchStamped topic of the reference force sensor; its stamps are the
+            reference clock.
+        reference_axis: Axis of the wrench along which taps press; the sign does not matter.
+        history: Time that is remembered; both taps must lie within it when ~/fit is called.
+        reference_rate: Highest rate of the reference sensor; sizes its history.
+        min_force: Smallest force peak of a tap. Lower finds gentler taps, and more false ones.
+        max_width: Longest force peak or event trough of a tap, measured at half its height. Presses
+            are longer.
+        min_burst_rate: Smallest rise of the event rate of both bursts of a tap over the trough
+            between them.
+        min_baseline: Shortest time between the first and the last tap. The drift is known to about
+            1 ms over this time.
+        max_drift: Largest believable clock drift; crystals stay within 100.
+        event_latency: Delay from a force peak to the event trough that shows it: lag of the gel and
+            latency of the pixels. The default is the median of simulated sensors; less light needs
+            more.
+        event_latency_std: Standard deviation of event_latency; part of the stated uncertainty.
+        tap_latency: Delay of the events of a tap when frames are used and the whole tap is fitted.
+            `mixtac align` finds the value of a sensor from several of its recordings.
+        tap_latency_std: Standard deviation of tap_latency; part of the stated uncertainty.
+        drift_std: Prior standard deviation of the clock drift: two crystals of 30 to 40 ppm each.
+            Pulls an uncertain drift towards 0; 0 disables the prior. Used with frames only: without
+            them the fit is the paper's.
+        use_frames: Refine the fit with the frames, over the whole history.
+        use_edges: Fit edges of a trigger line instead of taps: external_edges of the driver against
+            reference_edges.
+        use_all: Fit all strong taps by least squares, not only the first and the last.
+    """
+
+    reference_topic: str = fixed(topics.REFERENCE)
+    reference_axis: str = parameter('z', choices=('x', 'y', 'z'))
+    history: float = fixed(120.0, unit='s', within=(5.0, 3600.0))
+    reference_rate: float = fixed(2000.0, unit='Hz', within=(10.0, 10000.0))
+    min_force: float = parameter(0.2, unit='N', within=(0.01, 100.0))
+    max_width: float = parameter(0.06, unit='s', within=(0.005, 0.5))
+    min_burst_rate: float = parameter(5e4, unit='1/s', within=(1e3, 1e7))
+    min_baseline: float = parameter(2.0, unit='s', within=(0.5, 3600.0))
+    max_drift: float = parameter(200.0, unit='ppm', within=(1.0, 10000.0))
+    event_latency: float = parameter(4.15, unit='ms', within=(0.0, 50.0))
+    event_latency_std: float = parameter(0.7, unit='ms', within=(0.0, 50.0))
+    tap_latency: float = parameter(1.3, unit='ms', within=(0.0, 50.0))
+    tap_latency_std: float = parameter(1.0, unit='ms', within=(0.0, 50.0))
+    drift_std: float = parameter(50.0, unit='ppm', within=(0.0, 10000.0))
+    use_frames: bool = parameter(True)
+    use_edges: bool = parameter(False)
+    use_all: bool = parameter(False)
 
     @property
     def max_drift_rate(self) -> float:

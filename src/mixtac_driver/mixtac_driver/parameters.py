@@ -29,135 +29,100 @@ class RecoveryPolicy(str, Enum):
 
 @dataclass(frozen=True)
 class DeviceParameters:
-    """Device, transport, packets, recovery and calibration; all fixed while the node runs."""
+    """Device, transport, packets, recovery and calibration; all fixed while the node runs.
 
-    device: str = fixed(
-        'davis346',
-        'Device to open: davis346 for a camera on USB, virtual or virtual:/path/of/socket for the '
-        'virtual sensor, or the path of a recording (an AEDAT4 file, or a bag folder or file)',
-    )
-    serial: str = fixed('', 'Serial number of the camera. Empty: the only one attached')
-    encoding: str = fixed('libcaer_cmp', 'Encoding of event packets', choices=ENCODINGS)
-    event_message_time_threshold: float = fixed(
-        1e-3,
-        'Longest time that an event packet spans',
-        unit='s',
-        within=(1e-4, 0.1),
-    )
-    event_message_size_threshold: int = fixed(
-        300_000,
-        'Largest payload of an event packet',
-        unit='bytes',
-        within=(1000, 100_000_000),
-    )
-    camera_frame_id: str = fixed('camera', 'Frame of events and images')
-    imu_frame_id: str = fixed('imu', 'Frame of inertial samples')
-    stream_timeout: float = fixed(
-        3.0,
-        'Time without any data after which the stream counts as dead; a camera sends its time '
-        'every 33 ms even in the dark',
-        unit='s',
-        within=(0.1, 60.0),
-    )
-    usb_transfers: int = fixed(128, 'Number of USB reads queued at the camera', within=(1, 1024))
-    usb_transfer_size: int = fixed(65536, 'Size of a USB read', unit='bytes', within=(512, 1 << 22))
-    usb_queue_size: int = fixed(
-        32 << 20,
-        'Limit of received data waiting to be decoded',
-        unit='bytes',
-        within=(1 << 16, 1 << 30),
-    )
+    Attributes:
+        device: Device to open: davis346 for a camera on USB, virtual or virtual:/path/of/socket for
+            the virtual sensor, or the path of a recording (an AEDAT4 file, or a bag folder or file)
+        serial: Serial number of the camera. Empty: the only one attached
+        encoding: Encoding of event packets
+        event_message_time_threshold: Longest time that an event packet spans
+        event_message_size_threshold: Largest payload of an event packet
+        camera_frame_id: Frame of events and images
+        imu_frame_id: Frame of inertial samples
+        stream_timeout: Time without any data after which the stream counts as dead; a camera sends
+            its time every 33 ms even in the dark
+        usb_transfers: Number of USB reads queued at the camera
+        usb_transfer_size: Size of a USB read
+        usb_queue_size: Limit of received data waiting to be decoded
+        recovery_policy: Reaction to a camera failure: reconnect opens the camera again until it is
+            back; fail_stop ends the driver with the reason and exit status 1
+        recovery_first_pause: Pause before the first attempt to reconnect
+        recovery_longest_pause: Longest pause between attempts to reconnect; each pause is twice as
+            long as the previous one. Plugging in a camera ends the pause
+        recovery_give_up_after: Time without a stream after which the driver ends as with fail_stop;
+            0: never
+        camera_name: Name of the camera in its calibration: letters, digits and _
+        camerainfo_url: Calibration written by `mixtac calibrate`: file:///path, package://name/path
+            or a path, where ${NAME} is camera_name and ${ROS_HOME} is ~/.ros unless set. Empty:
+            file://${ROS_HOME}/camera_info/${NAME}.yaml
+        undistort_frames: Also publish frames without lens distortion; needs a calibration
+        undistort_events: Also publish events at undistorted pixels; needs a calibration
+    """
+
+    device: str = fixed('davis346')
+    serial: str = fixed('')
+    encoding: str = fixed('libcaer_cmp', choices=ENCODINGS)
+    event_message_time_threshold: float = fixed(1e-3, unit='s', within=(1e-4, 0.1))
+    event_message_size_threshold: int = fixed(300_000, unit='bytes', within=(1000, 100_000_000))
+    camera_frame_id: str = fixed('camera')
+    imu_frame_id: str = fixed('imu')
+    stream_timeout: float = fixed(3.0, unit='s', within=(0.1, 60.0))
+    usb_transfers: int = fixed(128, within=(1, 1024))
+    usb_transfer_size: int = fixed(65536, unit='bytes', within=(512, 1 << 22))
+    usb_queue_size: int = fixed(32 << 20, unit='bytes', within=(1 << 16, 1 << 30))
     recovery_policy: str = fixed(
-        RecoveryPolicy.RECONNECT.value,
-        'Reaction to a camera failure: reconnect opens the camera again until it is back; '
-        'fail_stop ends the driver with the reason and exit status 1',
-        choices=tuple(policy.value for policy in RecoveryPolicy),
+        RecoveryPolicy.RECONNECT.value, choices=tuple(policy.value for policy in RecoveryPolicy)
     )
-    recovery_first_pause: float = fixed(
-        0.05,
-        'Pause before the first attempt to reconnect',
-        unit='s',
-        within=(0.01, 60.0),
-    )
-    recovery_longest_pause: float = fixed(
-        0.5,
-        'Longest pause between attempts to reconnect; each pause is twice as long as the previous '
-        'one. Plugging in a camera ends the pause',
-        unit='s',
-        within=(0.01, 600.0),
-    )
-    recovery_give_up_after: float = fixed(
-        0.0,
-        'Time without a stream after which the driver ends as with fail_stop; 0: never',
-        unit='s',
-        within=(0.0, 86_400.0),
-    )
-    camera_name: str = fixed(
-        'davis346',
-        'Name of the camera in its calibration: letters, digits and _',
-    )
-    camerainfo_url: str = fixed(
-        '',
-        'Calibration written by `mixtac calibrate`: file:///path, package://name/path or a path, '
-        'where ${NAME} is camera_name and ${ROS_HOME} is ~/.ros unless set. Empty: '
-        'file://${ROS_HOME}/camera_info/${NAME}.yaml',
-    )
-    undistort_frames: bool = fixed(
-        False,
-        'Also publish frames without lens distortion; needs a calibration',
-    )
-    undistort_events: bool = fixed(
-        False,
-        'Also publish events at undistorted pixels; needs a calibration',
-    )
+    recovery_first_pause: float = fixed(0.05, unit='s', within=(0.01, 60.0))
+    recovery_longest_pause: float = fixed(0.5, unit='s', within=(0.01, 600.0))
+    recovery_give_up_after: float = fixed(0.0, unit='s', within=(0.0, 86_400.0))
+    camera_name: str = fixed('davis346')
+    camerainfo_url: str = fixed('')
+    undistort_frames: bool = fixed(False)
+    undistort_events: bool = fixed(False)
 
 
 NO_SEEK = -1.0
 """Value of `playback_seek` that does nothing."""
-_WHICH = 'Empty: the only one; none: do not play any'
 
 
 @dataclass(frozen=True)
 class PlaybackParameters:
-    """How a recording is played."""
+    """How a recording is played.
 
-    playback_rate: float = parameter(
-        1.0,
-        'Playback speed of a recording: 1 is real time, 0 as fast as the subscribers allow',
-        within=(0.0, 1000.0),
-    )
-    playback_loop: bool = parameter(
-        False,
-        'Play a recording again from its start when it ends; stamps continue, shifted by its '
-        'length and 1 ms',
-    )
-    playback_paused: bool = parameter(False, 'Pause playback of a recording')
-    playback_start: float = fixed(
-        0.0,
-        'Position in a recording at which playback starts, also when looping',
-        unit='s',
-        within=(0.0, 1e9),
-    )
-    playback_seek: float = parameter(
-        NO_SEEK,
-        'Playback jumps to every new value, counted from the first event; -1: no jump. Stamps '
-        'never go back: after a jump to an earlier position they continue 1 ms after the latest. '
-        'No effect once a recording has ended',
-        unit='s',
-        within=(NO_SEEK, 1e9),
-    )
-    playback_restamp: bool = fixed(
-        False,
-        'Move recorded stamps to the time of playback (at the start, at loops and jumps)',
-    )
-    playback_clock: bool = fixed(
-        False,
-        'Publish the recorded camera clock on /clock, for nodes with use_sim_time; the driver '
-        'itself stays on the host clock',
-    )
-    playback_events_topic: str = fixed('', f'Topic or stream of events to play. {_WHICH}')
-    playback_image_topic: str = fixed('', f'Topic or stream of frames to play. {_WHICH}')
-    playback_imu_topic: str = fixed('', f'Topic or stream of inertial samples to play. {_WHICH}')
+    Attributes:
+        playback_rate: Playback speed of a recording: 1 is real time, 0 as fast as the subscribers
+            allow
+        playback_loop: Play a recording again from its start when it ends; stamps continue, shifted
+            by its length and 1 ms
+        playback_paused: Pause playback of a recording
+        playback_start: Position in a recording at which playback starts, also when looping
+        playback_seek: Playback jumps to every new value, counted from the first event; -1: no jump.
+            Stamps never go back: after a jump to an earlier position they continue 1 ms after the
+            latest. No effect once a recording has ended
+        playback_restamp: Move recorded stamps to the time of playback (at the start, at loops and
+            jumps)
+        playback_clock: Publish the recorded camera clock on /clock, for nodes with use_sim_time;
+            the driver itself stays on the host clock
+        playback_events_topic: Topic or stream of events to play. Empty: the only one; none: do not
+            play any
+        playback_image_topic: Topic or stream of frames to play. Empty: the only one; none: do not
+            play any
+        playback_imu_topic: Topic or stream of inertial samples to play. Empty: the only one; none:
+            do not play any
+    """
+
+    playback_rate: float = parameter(1.0, within=(0.0, 1000.0))
+    playback_loop: bool = parameter(False)
+    playback_paused: bool = parameter(False)
+    playback_start: float = fixed(0.0, unit='s', within=(0.0, 1e9))
+    playback_seek: float = parameter(NO_SEEK, unit='s', within=(NO_SEEK, 1e9))
+    playback_restamp: bool = fixed(False)
+    playback_clock: bool = fixed(False)
+    playback_events_topic: str = fixed('')
+    playback_image_topic: str = fixed('')
+    playback_imu_topic: str = fixed('')
 
 
 @dataclass(frozen=True)

@@ -12,55 +12,35 @@ from mixtac_node.parameters import parameter
 
 @dataclass(frozen=True)
 class FgerParameters:
-    """Parameters of the node; changes take effect at once unless a description excludes it."""
+    """Parameters of the node; changes take effect at once unless a description excludes it.
 
-    model: str = parameter(
-        DEFAULT_MODEL,
-        'Network weights: the path of a .safetensors file, or the name of a model that comes with'
-        ' mixtac_fger. Any architecture with an installed estimator. Fixed while the node is'
-        ' configured: clean it up to change the model.',
-    )
-    frame_id: str = parameter(
-        'mixtac_contact',
-        'Frame of the published force; z points from the contact into the gel.',
-    )
-    force_scale: float = parameter(
-        1.0,
-        'Factor of the published force: true force over estimated force, from the calibration of'
-        ' this sensor. Gels differ in stiffness, which no image shows.',
-        within=(0.1, 10.0),
-    )
-    reference: str = parameter(
-        '',
-        'Name of the file of the no-contact reference of this sensor, such as left_finger.npz, in'
-        ' the state folder ($MIXTAC_HOME, by default ~/.local/state/mixtac). ~/tare writes it. If'
-        ' it exists, the sensor may be in contact at the start. If empty, the first still frames'
-        ' are the reference, so the sensor must be untouched when the node is activated.',
-    )
-    contact_threshold: float = parameter(
-        0.15,
-        'Forces above this count as contact; ~/tare is refused during contact.',
-        unit='N',
-        within=(0.01, 10.0),
-    )
-    stale_frame_age: float = parameter(
-        0.5,
-        'Age of the latest frame above which the diagnostics warn. Without frames the force'
-        ' drifts.',
-        unit='s',
-        within=(0.05, 60.0),
-    )
-    longest_without_frame: float = parameter(
-        2.0,
-        'Age of the latest frame above which no force is published until the next frame.',
-        unit='s',
-        within=(0.05, 3600.0),
-    )
-    deadline: float = parameter(
-        0.003,
-        'Longest time from the arrival of the packet that completes a window (its first events, at'
-        ' the host) to the publication of its force; later forces count as late on /diagnostics.'
-        ' A packet spans 1 ms.',
-        unit='s',
-        within=(0.0005, 1.0),
-    )
+    Attributes:
+        model: Network weights: the path of a .safetensors file, or the name of a model that comes
+            with mixtac_fger. Any architecture with an installed estimator. Fixed while the node is
+            configured: clean it up to change the model.
+        frame_id: Frame of the published force; z points from the contact into the gel.
+        force_scale: Factor of the published force: true force over estimated force, from the
+            calibration of this sensor. Gels differ in stiffness, which no image shows.
+        reference: Name of the file of the no-contact reference of this sensor, such as
+            left_finger.npz, in the state folder ($MIXTAC_HOME, by default ~/.local/state/mixtac).
+            ~/tare writes it. If it exists, the sensor may be in contact at the start. If empty, the
+            first still frames are the reference, so the sensor must be untouched when the node is
+            activated.
+        contact_threshold: Forces above this count as contact; ~/tare is refused during contact.
+        stale_frame_age: Age of the latest frame above which the diagnostics warn. Without frames
+            the force drifts.
+        longest_without_frame: Age of the latest frame above which no force is published until the
+            next frame.
+        deadline: Longest time from the arrival of the packet that completes a window (its first
+            events, at the host) to the publication of its force; later forces count as late on
+            /diagnostics. A packet spans 1 ms.
+    """
+
+    model: str = parameter(DEFAULT_MODEL)
+    frame_id: str = parameter('mixtac_contact')
+    force_scale: float = parameter(1.0, within=(0.1, 10.0))
+    reference: str = parameter('')
+    contact_threshold: float = parameter(0.15, unit='N', within=(0.01, 10.0))
+    stale_frame_age: float = parameter(0.5, unit='s', within=(0.05, 60.0))
+    longest_without_frame: float = parameter(2.0, unit='s', within=(0.05, 3600.0))
+    deadline: float = parameter(0.003, unit='s', within=(0.0005, 1.0))

@@ -2,18 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node parameters as one frozen dataclass per node: the schema that declares and checks them.
 
-A node's parameters are a frozen dataclass whose fields are made by `parameter`. The class is the
-only source: `mixtac_node.base_node.declare` declares ROS parameters from it, `config/*.yaml` and
-the tables of the documentation are written from it, and `build` checks values against it.
+A node's parameters are a frozen dataclass whose fields are made by `parameter`; the list
+`Attributes:` of its docstring describes them. The class is the only source:
+`mixtac_node.base_node.declare` declares ROS parameters from it, `config/*.yaml` and the tables of
+the documentation are written from it, and `build` checks values against it.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
+import inspect
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, TypeVar, cast
 
 from mixtac_events.errors import MixtacError
@@ -83,8 +87,8 @@ class ParameterSpec:
 
 def parameter(
     default: T,
-    description: str,
     *,
+    description: str | None = None,
     unit: str = '',
     within: tuple[float | None, float | None] = (None, None),
     choices: tuple[T, ...] = (),
@@ -94,7 +98,8 @@ def parameter(
 
     Args:
         default: Default value (bool, int, float or str).
-        description: Effect, for the descriptor, the configuration file and the docs.
+        description: Effect, for the descriptor, the configuration file and the docs; by default as
+            the docstring of the class describes the attribute.
         unit: Unit of the value.
         within: Smallest and largest allowed number; None for no limit.
         choices: Allowed values.
@@ -104,28 +109,42 @@ def parameter(
         A dataclass field, typed as its value so that the class type-checks.
     """
     metadata = {
-        'description': description,
         'unit': unit,
         'minimum': within[0],
         'maximum': within[1],
         'choices': choices,
         'read_only': read_only,
     }
+    if description is not None:
+        metadata['description'] = description
     return dataclasses.field(default=default, metadata={_KEY: metadata})
 
 
-def fixed(default: T, description: str, **options: Any) -> T:  # noqa: ANN401
+def fixed(default: T, **options: Any) -> T:  # noqa: ANN401
     """Describe a field that cannot change while the node runs; arguments as of `parameter`."""
-    field: T = parameter(default, description, read_only=True, **options)
+    field: T = parameter(default, read_only=True, **options)
     return field
 
 
 def specs(schema: type[Any]) -> tuple[ParameterSpec, ...]:
     """Return the parameters of a schema class, in the order of its fields."""
-    return tuple(
-        ParameterSpec(name=field.name, default=cast('Value', field.default), **field.metadata[_KEY])
-        for field in dataclasses.fields(schema)
-    )
+    described: dict[str, str] = {}
+    for base in reversed(schema.__mro__):
+        described |= _attributes(base)
+    found = []
+    for field in dataclasses.fields(schema):
+        values = {'description': described.get(field.name, ''), **field.metadata[_KEY]}
+        found.append(ParameterSpec(field.name, cast('Value', field.default), **values))
+    return tuple(found)
+
+
+@cache
+def _attributes(described: type[Any]) -> dict[str, str]:
+    """Return what the docstring of a class says of its attributes."""
+    _, _, section = inspect.cleandoc(described.__doc__ or '').partition('\nAttributes:\n')
+    entries = section.partition('\n\n')[0]
+    found = re.findall(r'^ {4}(\w+): (.+(?:\n {5,}.+)*)', entries, re.MULTILINE)
+    return {name: ' '.join(text.split()) for name, text in found}
 
 
 def build(schema: type[T], values: Mapping[str, object]) -> T:

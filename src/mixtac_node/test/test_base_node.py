@@ -30,8 +30,8 @@ NODE = textwrap.dedent(
 
     @dataclass(frozen=True)
     class Example:
-        gain: float = parameter(0.5, 'Gain', within=(0.0, 10.0))
-        device: str = parameter('a', 'Device', read_only=True)
+        gain: float = parameter(0.5, within=(0.0, 10.0))
+        device: str = parameter('a', read_only=True)
 
     class ExampleNode(Node):
         def __init__(self):

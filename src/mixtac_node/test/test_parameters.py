@@ -15,12 +15,32 @@ from mixtac_node.parameters import ParameterError, build, fixed, parameter, spec
 
 @dataclass(frozen=True)
 class Example:
-    """One parameter of each type."""
+    """One parameter of each type.
 
-    device: str = parameter('davis346', 'What to open', choices=('davis346', 'virtual'))
-    exposure: int = parameter(5000, 'Exposure', unit='us', within=(0, 1_000_000))
-    interval: float = parameter(1e-3, 'Packet length', unit='s', within=(1e-4, 0.1))
-    enabled: bool = fixed(True, 'Whether it runs')
+    Attributes:
+        device: What to open: the name of a camera,
+            or of a virtual one.
+        exposure: Exposure
+
+    Raises:
+        enabled: Not a description.
+    """
+
+    device: str = parameter('davis346', choices=('davis346', 'virtual'))
+    exposure: int = parameter(5000, unit='us', within=(0, 1_000_000))
+    interval: float = parameter(1e-3, description='Packet length', unit='s', within=(1e-4, 0.1))
+    enabled: bool = fixed(True)
+
+
+@dataclass(frozen=True)
+class Longer(Example):
+    """One parameter described anew.
+
+    Attributes:
+        exposure: Exposure time
+    """
+
+    exposure: int = parameter(7000)
 
 
 def test_defaults_are_the_schema_defaults():
@@ -39,6 +59,16 @@ def test_specs_carry_what_ros_needs():
     assert by_name['exposure'].maximum == 1_000_000
     assert by_name['enabled'].read_only
     assert by_name['device'].choices == ('davis346', 'virtual')
+
+
+def test_descriptions_are_those_of_the_docstrings():
+    texts = {spec.name: spec.description for spec in specs(Longer)}
+    assert texts == {
+        'device': 'What to open: the name of a camera, or of a virtual one.',
+        'exposure': 'Exposure time',
+        'interval': 'Packet length',
+        'enabled': '',
+    }
 
 
 @given(st.integers(0, 1_000_000), st.floats(1e-4, 0.1))
@@ -80,7 +110,7 @@ def test_a_whole_number_is_a_float_where_one_is_wanted():
     class Gain:
         """One gain."""
 
-        gain: float = parameter(0.5, 'Gain', within=(0, 10))
+        gain: float = parameter(0.5, within=(0, 10))
 
     built = build(Gain, {'gain': 2})
     assert isinstance(built.gain, float)

@@ -15,173 +15,133 @@ from mixtac_sim.world.profiles import PROFILES
 
 @dataclass(frozen=True)
 class VirtualCameraParameters:
-    """The simulated sensor and its camera."""
+    """The simulated sensor and its camera.
 
-    device_seed: int = fixed(
-        1,
-        'Seed of the simulated sensor: beads, gel, mesh, lens, lamp, pixels, and the serial number '
-        'of its camera',
-        within=(0, 9_999_999),
-    )
-    seed: int = fixed(
-        1, 'Seed of the trial: contact point, noise, drifts and clocks', within=(0, None)
-    )
-    preset: str = fixed(
-        'easy',
-        'Difficulty preset of the simulated sensor: paper_like and hard add effects of a real '
-        'bench',
-        choices=tuple(PRESETS),
-    )
-    skew_ppm: float = fixed(
-        17.0,
-        "Rate of the camera's clock over the host's, less one",
-        unit='ppm',
-        within=(-500.0, 500.0),
-    )
-    socket: str = fixed(
-        '',
-        'Socket on which the virtual camera listens; empty for the one that device:=virtual opens',
-    )
+    Attributes:
+        device_seed: Seed of the simulated sensor: beads, gel, mesh, lens, lamp, pixels, and the
+            serial number of its camera
+        seed: Seed of the trial: contact point, noise, drifts and clocks
+        preset: Difficulty preset of the simulated sensor: paper_like and hard add effects of a real
+            bench
+        skew_ppm: Rate of the camera's clock over the host's, less one
+        socket: Socket on which the virtual camera listens; empty for the one that device:=virtual
+            opens
+    """
+
+    device_seed: int = fixed(1, within=(0, 9_999_999))
+    seed: int = fixed(1, within=(0, None))
+    preset: str = fixed('easy', choices=tuple(PRESETS))
+    skew_ppm: float = fixed(17.0, unit='ppm', within=(-500.0, 500.0))
+    socket: str = fixed('')
 
 
 @dataclass(frozen=True)
 class TouchParameters:
-    """The contacts that the services of the virtual sensor make; all may change at run time."""
+    """The contacts that the services of the virtual sensor make; all may change at run time.
 
-    object: str = parameter(
-        'hemisphere',
-        'Object that touches the sensor on request; ~/load and ~/drop need one with a mass',
-        choices=tuple(LIVE_INDENTERS),
-    )
-    press_force: float = parameter(0.5, 'Force of ~/press', unit='N', within=(0.0, 20.0))
-    hold_seconds: float = parameter(
-        2.0,
-        'Duration of the contact; 0 holds it until ~/release',
-        unit='s',
-        within=(0.0, 3600.0),
-    )
-    drop_height: float = parameter(
-        50.0, 'Height from which ~/drop releases the object', unit='mm', within=(0.0, 200.0)
-    )
-    vibration_frequency: float = parameter(
-        100.0, 'Frequency of ~/vibrate', unit='Hz', within=(1.0, 500.0)
-    )
-    vibration_amplitude: float = parameter(
-        0.05, 'Amplitude of ~/vibrate, zero to peak', unit='mm', within=(0.0, 1.0)
-    )
-    vibration_depth: float = parameter(
-        0.3, 'Mean depth of ~/vibrate', unit='mm', within=(0.01, 1.5)
-    )
+    Attributes:
+        object: Object that touches the sensor on request; ~/load and ~/drop need one with a mass
+        press_force: Force of ~/press
+        hold_seconds: Duration of the contact; 0 holds it until ~/release
+        drop_height: Height from which ~/drop releases the object
+        vibration_frequency: Frequency of ~/vibrate
+        vibration_amplitude: Amplitude of ~/vibrate, zero to peak
+        vibration_depth: Mean depth of ~/vibrate
+    """
+
+    object: str = parameter('hemisphere', choices=tuple(LIVE_INDENTERS))
+    press_force: float = parameter(0.5, unit='N', within=(0.0, 20.0))
+    hold_seconds: float = parameter(2.0, unit='s', within=(0.0, 3600.0))
+    drop_height: float = parameter(50.0, unit='mm', within=(0.0, 200.0))
+    vibration_frequency: float = parameter(100.0, unit='Hz', within=(1.0, 500.0))
+    vibration_amplitude: float = parameter(0.05, unit='mm', within=(0.0, 1.0))
+    vibration_depth: float = parameter(0.3, unit='mm', within=(0.01, 1.5))
 
 
 @dataclass(frozen=True)
 class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
-    """The virtual sensor, what touches it, and the topics of its bench."""
+    """The virtual sensor, what touches it, and the topics of its bench.
 
-    scenario: str = parameter(
-        'demo',
-        'Force profile that ~/play starts; demo begins and ends with two synchronising impulses',
-        choices=tuple(PROFILES),
-    )
-    seconds: float = parameter(25.0, 'Length of the scenario', unit='s', within=(10.0, 3600.0))
-    lead_seconds: float = parameter(
-        2.0,
-        'Delay of the start of a scenario, which is computed up to twice as far ahead meanwhile. '
-        'Gestures and camera settings during a scenario are delayed by up to twice this time',
-        unit='s',
-        within=(0.0, 30.0),
-    )
-    slow_host: str = fixed(
-        'drop',
-        'What happens when the host does not keep up: drop loses data, as a real camera does; wait '
-        'stops simulated time of camera, truth and reference until it does',
-        choices=('drop', 'wait'),
-    )
-    play_on_start: bool = parameter(False, 'Play the scenario once a driver reads the camera')
-    loop: bool = parameter(False, 'Repeat the scenario without end, each time with a new seed')
-    reference_topic: str = fixed(topics.REFERENCE, 'Topic of the reference force sensor')
-    reference_frame_id: str = fixed(topics.REFERENCE_FRAME, 'Frame of the reference force sensor')
-    truth_frame_id: str = fixed(topics.CONTACT_FRAME, 'Frame of the true contact force')
+    Attributes:
+        scenario: Force profile that ~/play starts; demo begins and ends with two synchronising
+            impulses
+        seconds: Length of the scenario
+        lead_seconds: Delay of the start of a scenario, which is computed up to twice as far ahead
+            meanwhile. Gestures and camera settings during a scenario are delayed by up to twice
+            this time
+        slow_host: What happens when the host does not keep up: drop loses data, as a real camera
+            does; wait stops simulated time of camera, truth and reference until it does
+        play_on_start: Play the scenario once a driver reads the camera
+        loop: Repeat the scenario without end, each time with a new seed
+        reference_topic: Topic of the reference force sensor
+        reference_frame_id: Frame of the reference force sensor
+        truth_frame_id: Frame of the true contact force
+    """
+
+    scenario: str = parameter('demo', choices=tuple(PROFILES))
+    seconds: float = parameter(25.0, unit='s', within=(10.0, 3600.0))
+    lead_seconds: float = parameter(2.0, unit='s', within=(0.0, 30.0))
+    slow_host: str = fixed('drop', choices=('drop', 'wait'))
+    play_on_start: bool = parameter(False)
+    loop: bool = parameter(False)
+    reference_topic: str = fixed(topics.REFERENCE)
+    reference_frame_id: str = fixed(topics.REFERENCE_FRAME)
+    truth_frame_id: str = fixed(topics.CONTACT_FRAME)
 
 
 @dataclass(frozen=True)
 class VirtualGraspParameters(VirtualCameraParameters):
-    """The object held by the simulated sensor, and the impacts on it."""
+    """The object held by the simulated sensor, and the impacts on it.
 
-    preset: str = fixed(
-        'paper_like',
-        'Difficulty preset of the simulated sensor',
-        choices=tuple(PRESETS),
-    )
-    object: str = fixed('box', 'Object held by the gripper', choices=('box', 'cup', 'ball'))
-    margin: float = fixed(
-        1.05,
-        'Grasp force over the smallest force that holds the object',
-        within=(1.0, 5.0),
-    )
-    knock: float = parameter(
-        50.0,
-        'Speed that an impact (~/knock) gives the object',
-        unit='mm/s',
-        within=(0.0, 500.0),
-    )
-    knock_every: float = parameter(
-        0.0,
-        'Time between impacts; 0 for only those that ~/knock asks for',
-        unit='s',
-        within=(0.0, 3600.0),
-    )
-    joint_state_topic: str = fixed('/joint_states', "Topic of the arm's joint positions")
-    normal_x: float = fixed(0.0, 'Contact normal (unit vector) in the base frame, x component')
-    normal_y: float = fixed(1.0, 'Contact normal (unit vector) in the base frame, y component')
-    normal_z: float = fixed(0.0, 'Contact normal (unit vector) in the base frame, z component')
-    publish_force: bool = fixed(
-        True,
-        'Publish the true normal force on `force` instead of an estimate: no estimator is trained '
-        'on these objects',
-    )
-    publish_clock: bool = fixed(
-        False,
-        'Publish simulated time on /clock, for nodes with use_sim_time, and let it wait for the '
-        'answers on `slip`, so that a slow host slows down all nodes alike',
-    )
+    Attributes:
+        preset: Difficulty preset of the simulated sensor
+        object: Object held by the gripper
+        margin: Grasp force over the smallest force that holds the object
+        knock: Speed that an impact (~/knock) gives the object
+        knock_every: Time between impacts; 0 for only those that ~/knock asks for
+        joint_state_topic: Topic of the arm's joint positions
+        normal_x: Contact normal (unit vector) in the base frame, x component
+        normal_y: Contact normal (unit vector) in the base frame, y component
+        normal_z: Contact normal (unit vector) in the base frame, z component
+        publish_force: Publish the true normal force on `force` instead of an estimate: no estimator
+            is trained on these objects
+        publish_clock: Publish simulated time on /clock, for nodes with use_sim_time, and let it
+            wait for the answers on `slip`, so that a slow host slows down all nodes alike
+    """
+
+    preset: str = fixed('paper_like', choices=tuple(PRESETS))
+    object: str = fixed('box', choices=('box', 'cup', 'ball'))
+    margin: float = fixed(1.05, within=(1.0, 5.0))
+    knock: float = parameter(50.0, unit='mm/s', within=(0.0, 500.0))
+    knock_every: float = parameter(0.0, unit='s', within=(0.0, 3600.0))
+    joint_state_topic: str = fixed('/joint_states')
+    normal_x: float = fixed(0.0)
+    normal_y: float = fixed(1.0)
+    normal_z: float = fixed(0.0)
+    publish_force: bool = fixed(True)
+    publish_clock: bool = fixed(False)
 
 
 @dataclass(frozen=True)
 class VirtualArmParameters:
-    """How the simulated FR3 follows the trajectories that it receives."""
+    """How the simulated FR3 follows the trajectories that it receives.
 
-    trajectory_topic: str = fixed(
-        '/fr3_arm_controller/joint_trajectory',
-        'Topic of the trajectories, as for a joint_trajectory_controller',
-    )
-    joint_state_topic: str = fixed('/joint_states', 'Topic of the published joint states')
-    state_rate: float = fixed(
-        250.0,
-        'Rate of the published joint states',
-        unit='Hz',
-        within=(1.0, 1000.0),
-    )
-    update_rate: float = fixed(
-        1000.0,
-        'Update rate of the emulated controller',
-        unit='Hz',
-        within=(100.0, 4000.0),
-    )
-    release: str = fixed(
-        'jazzy',
-        'ROS release of the emulated joint_trajectory_controller; humble samples one cycle later',
-        choices=('humble', 'jazzy'),
-    )
-    plant: str = fixed(
-        'lag',
-        'Model of the arm: lag is a first-order lag of each joint, mujoco is the arm in MuJoCo '
-        '(requirements/mujoco.txt) with servos of that lag',
-        choices=('lag', 'mujoco'),
-    )
-    tracking_lag: float = fixed(
-        3.5e-3,
-        'Time constant with which the arm follows its commands (estimate)',
-        unit='s',
-        within=(0.0, 0.1),
-    )
+    Attributes:
+        trajectory_topic: Topic of the trajectories, as for a joint_trajectory_controller
+        joint_state_topic: Topic of the published joint states
+        state_rate: Rate of the published joint states
+        update_rate: Update rate of the emulated controller
+        release: ROS release of the emulated joint_trajectory_controller; humble samples one cycle
+            later
+        plant: Model of the arm: lag is a first-order lag of each joint, mujoco is the arm in MuJoCo
+            (requirements/mujoco.txt) with servos of that lag
+        tracking_lag: Time constant with which the arm follows its commands (estimate)
+    """
+
+    trajectory_topic: str = fixed('/fr3_arm_controller/joint_trajectory')
+    joint_state_topic: str = fixed('/joint_states')
+    state_rate: float = fixed(250.0, unit='Hz', within=(1.0, 1000.0))
+    update_rate: float = fixed(1000.0, unit='Hz', within=(100.0, 4000.0))
+    release: str = fixed('jazzy', choices=('humble', 'jazzy'))
+    plant: str = fixed('lag', choices=('lag', 'mujoco'))
+    tracking_lag: float = fixed(3.5e-3, unit='s', within=(0.0, 0.1))

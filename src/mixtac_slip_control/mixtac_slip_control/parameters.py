@@ -33,336 +33,164 @@ would make the detectors learn again."""
 class SlipControlParameters:
     """How slip is detected, how far to advance against it, and what stops slip control.
 
+    Attributes:
+        arm: Arm that is moved: `none` only reports slip, `fr3` is the shipped model of the Franka
+            Research 3, anything else is the path of a URDF file.
+        arm_backend: What drives the arm: `trajectory` publishes to a joint_trajectory_controller;
+            `libfranka` (experimental) drives an FR3 through pylibfranka without ros2_control; other
+            names are entry points of the group `mixtac.arm_backends`.
+        arm_address: Network address of the arm, for backends that connect to it themselves
+            (libfranka).
+        arm_python: Python interpreter with pylibfranka and NumPy that runs the control loop of the
+            libfranka backend; empty: the node's own.
+        arm_realtime: Whether the libfranka backend refuses to run on a kernel without real-time
+            scheduling.
+        joint_acceleration: Joint acceleration limit for arms loaded from a URDF file (URDF has no
+            such field).
+        joint_jerk: Joint jerk limit for arms loaded from a URDF file (URDF has no such field).
+        normal_frame: Frame of the contact normal: `tool` is the last link in its pose at enabling,
+            `base` is the first link.
+        normal_x: x component of the contact normal, along which the arm advances; any length.
+        normal_y: y component of the contact normal, along which the arm advances; any length.
+        normal_z: z component of the contact normal, along which the arm advances; any length.
+        workspace: Allowed region of the last link: limits of a box along x, y and z of the base
+            frame [m].
+        settling_time: Time after enabling in which the arm's controller is led to the measured
+            joint positions; slip is answered afterwards. Not used by backends that report commanded
+            positions.
+        trajectory_topic: Topic to which trajectories are published, reliable: that of a
+            joint_trajectory_controller that interpolates from the desired state.
+        joint_state_topic: Topic of the joint positions of the arm.
+        heartbeat_topic: Topic of the heartbeat (`std_msgs/Empty`) of the supervisor; the arm moves
+            only while it arrives.
+        frame_id: Frame of the `slip` messages: z points from the contact into the gel.
+        detector: Detector that decides: `flow` uses skin motion, `count` is the law of the paper,
+            which also fires when the force merely changes.
+        window: Counting window. Longer windows scatter less and answer later; gains and thresholds
+            are per window.
+        contact_column: Column of the contact in the image; -1 is the middle of the image.
+        contact_row: Row of the contact in the image; -1 is the middle of the image.
+        contact_reach: Distance from the contact over which the motion of the skin falls to 1/e.
+            Smaller uses fewer beads, larger adds noise. 0 is 9/26 of the shorter side of the image
+            (90 px on a DAVIS346).
+        learning_time: Time at rest from which the background is first learned.
+        background_time_constant: Time over which the background follows slow changes (temperature,
+            light), at rest only. Shorter follows faster but also learns slow slip as background.
+        settle_time: Time without slip and without advance after which the contact counts as at rest
+            and the background is updated again.
+        false_alarms_per_hour: Rate at which windows at rest may exceed a threshold; the thresholds
+            follow from the measured tail of the background. Lower detects later.
+        tail_shape: Shape of the generalised Pareto distribution that extrapolates the measured
+            tail: 0 is exponential, larger is heavier and raises the thresholds.
+        min_excess: Smallest count threshold above the background, for cameras with very little
+            noise.
+        min_flow: Smallest translation of the skin in one window that counts as slip, in pixels per
+            contrast threshold. Keep it above what a slow change of the force causes.
+        slow_time: Time over which translation is summed to find slow slip.
+        min_slow_flow: Smallest translation of the skin within slow_time that counts as slip, in
+            pixels per contrast threshold.
+        release_ratio: A window is quiet below this share of the way from the background to the
+            threshold.
+        release_time: Quiet time that ends a slip.
+        gain: G of the advance law: advance over motion of the skin. Higher arrests sooner and
+            presses harder, within what the measured stiffness allows.
+        events_per_mm: C of the advance law: events per millimetre of skin motion; k = G / C.
+            Depends on beads, light and thresholds of the camera.
+        advance_events_per_mm: Events caused by a millimetre of advance: raises the count threshold
+            while the arm moves. Too low lets the advance feed itself, too high hides slip during an
+            advance.
+        advance_flow_per_mm: Translation of the skin caused by a millimetre of advance, in pixels
+            per contrast threshold: raises the flow threshold while the arm moves.
+        arm_lag: Delay from commanded to actual arm position.
+        memory_time: Time in which the answer to an excess of events fades to 1/e while the slip
+            lasts: a fully stretched skin causes no more events. 0 is the law of the paper.
+        max_step: Largest advance in one window; max_step / window is the largest speed asked for.
+        max_total: Largest total advance since enabling, whatever the force allows. The arm must be
+            able to reach that far in a straight line, or enabling is refused.
+        hold_time: Time without slip for which the advance is held.
+        back_off: Speed of the return towards the preload after hold_time; 0 never returns. A slip
+            during the return ends it until slip control is enabled again.
+        preload_speed: Speed of the advance that keeps the preload (the force at enabling) as the
+            gel relaxes; 0 does not keep it.
+        force_band: Deviation of the force from the preload that is tolerated.
+        max_force: Force above which slip control stops. Advances are bounded by the measured
+            stiffness to stay below 90 % of it.
+        stiffest_contact: Stiffest plausible contact of gel and object: bounds the first advance,
+            until the stiffness is measured.
+        force_noise: Standard deviation of a force estimate at rest; weights it in the stiffness
+            estimate.
+        probe_advance: Largest advance of the slow press after enabling that measures the stiffness
+            of the contact; 0 does not probe, which limits the response to the first slip.
+        probe_speed: Speed of the probing press.
+        probe_force: Force increase at which the probing press stops and waits. Doubling it halves
+            the error of the stiffness, but the press is more likely to be taken for a slip.
+        max_events_age: Age of the latest event packet above which slip control stops.
+        max_force_age: Age of the latest force estimate above which slip control stops.
+        max_joint_age: Age of the latest joint states above which slip control stops.
+        max_heartbeat_age: Age of the latest heartbeat above which slip control stops.
+        saturation_count: Events in a window from which the sensor counts as saturated; slip control
+            stops after two such windows in a row.
+
     Raises:
         ParameterError: A value that the schema refuses, or times too short for the window.
     """
 
-    arm: str = fixed(
-        'none',
-        'Arm that is moved: `none` only reports slip, `fr3` is the shipped model of the Franka '
-        'Research 3, anything else is the path of a URDF file.',
-    )
-    arm_backend: str = fixed(
-        'trajectory',
-        'What drives the arm: `trajectory` publishes to a joint_trajectory_controller; `libfranka` '
-        '(experimental) drives an FR3 through pylibfranka without ros2_control; other names are '
-        'entry points of the group `mixtac.arm_backends`.',
-    )
-    arm_address: str = fixed(
-        '',
-        'Network address of the arm, for backends that connect to it themselves (libfranka).',
-    )
-    arm_python: str = fixed(
-        '',
-        'Python interpreter with pylibfranka and NumPy that runs the control loop of the libfranka '
-        "backend; empty: the node's own.",
-    )
-    arm_realtime: bool = fixed(
-        False,
-        'Whether the libfranka backend refuses to run on a kernel without real-time scheduling.',
-    )
-    joint_acceleration: float = fixed(
-        10.0,
-        'Joint acceleration limit for arms loaded from a URDF file (URDF has no such field).',
-        unit='rad/s^2',
-        within=(0.1, 1000.0),
-    )
-    joint_jerk: float = fixed(
-        5e3,
-        'Joint jerk limit for arms loaded from a URDF file (URDF has no such field).',
-        unit='rad/s^3',
-        within=(1.0, 1e6),
-    )
-    normal_frame: str = fixed(
-        'tool',
-        'Frame of the contact normal: `tool` is the last link in its pose at enabling, `base` is '
-        'the first link.',
-        choices=('tool', 'base'),
-    )
-    normal_x: float = fixed(
-        0.0,
-        'x component of the contact normal, along which the arm advances; any length.',
-    )
-    normal_y: float = fixed(
-        0.0,
-        'y component of the contact normal, along which the arm advances; any length.',
-    )
-    normal_z: float = fixed(
-        1.0,
-        'z component of the contact normal, along which the arm advances; any length.',
-    )
-    workspace: str = fixed(
-        '-0.8 0.8 -0.8 0.8 0.0 1.2',
-        'Allowed region of the last link: limits of a box along x, y and z of the base frame [m].',
-    )
-    settling_time: float = parameter(
-        0.5,
-        "Time after enabling in which the arm's controller is led to the measured joint positions; "
-        'slip is answered afterwards. Not used by backends that report commanded positions.',
-        unit='s',
-        within=(0.05, 10.0),
-    )
-    trajectory_topic: str = fixed(
-        '/fr3_arm_controller/joint_trajectory',
-        'Topic to which trajectories are published, reliable: that of a '
-        'joint_trajectory_controller that interpolates from the desired state.',
-    )
-    joint_state_topic: str = fixed('/joint_states', 'Topic of the joint positions of the arm.')
-    heartbeat_topic: str = fixed(
-        'slip_control/heartbeat',
-        'Topic of the heartbeat (`std_msgs/Empty`) of the supervisor; the arm moves only while it '
-        'arrives.',
-    )
-    frame_id: str = fixed(
-        'mixtac_contact',
-        'Frame of the `slip` messages: z points from the contact into the gel.',
-    )
-    detector: str = parameter(
-        'flow',
-        'Detector that decides: `flow` uses skin motion, `count` is the law of the paper, which '
-        'also fires when the force merely changes.',
-        choices=DETECTORS,
-    )
-    window: float = fixed(
-        1e-3,
-        'Counting window. Longer windows scatter less and answer later; gains and thresholds are '
-        'per window.',
-        unit='s',
-        within=(2e-4, 2e-2),
-    )
-    contact_column: float = fixed(
-        -1.0,
-        'Column of the contact in the image; -1 is the middle of the image.',
-        unit='px',
-        within=(-1.0, None),
-    )
-    contact_row: float = fixed(
-        -1.0,
-        'Row of the contact in the image; -1 is the middle of the image.',
-        unit='px',
-        within=(-1.0, None),
-    )
-    contact_reach: float = fixed(
-        0.0,
-        'Distance from the contact over which the motion of the skin falls to 1/e. Smaller uses '
-        'fewer beads, larger adds noise. 0 is 9/26 of the shorter side of the image (90 px on a '
-        'DAVIS346).',
-        unit='px',
-        within=(0.0, 1000.0),
-    )
-    learning_time: float = parameter(
-        1.0,
-        'Time at rest from which the background is first learned.',
-        unit='s',
-        within=(0.1, 60.0),
-    )
-    background_time_constant: float = parameter(
-        20.0,
-        'Time over which the background follows slow changes (temperature, light), at rest only. '
-        'Shorter follows faster but also learns slow slip as background.',
-        unit='s',
-        within=(0.5, 3600.0),
-    )
-    settle_time: float = parameter(
-        0.1,
-        'Time without slip and without advance after which the contact counts as at rest and the '
-        'background is updated again.',
-        unit='s',
-        within=(0.0, 60.0),
-    )
-    false_alarms_per_hour: float = parameter(
-        0.1,
-        'Rate at which windows at rest may exceed a threshold; the thresholds follow from the '
-        'measured tail of the background. Lower detects later.',
-        unit='1/h',
-        within=(1e-6, 1e4),
-    )
-    tail_shape: float = parameter(
-        0.1,
-        'Shape of the generalised Pareto distribution that extrapolates the measured tail: 0 is '
-        'exponential, larger is heavier and raises the thresholds.',
-        within=(0.0, 0.9),
-    )
-    min_excess: float = parameter(
-        20.0,
-        'Smallest count threshold above the background, for cameras with very little noise.',
-        unit='events per window',
-        within=(0.0, 1e5),
-    )
-    min_flow: float = parameter(
-        0.028,
-        'Smallest translation of the skin in one window that counts as slip, in pixels per '
-        'contrast threshold. Keep it above what a slow change of the force causes.',
-        unit='px',
-        within=(0.0, 100.0),
-    )
-    slow_time: float = parameter(
-        4e-3,
-        'Time over which translation is summed to find slow slip.',
-        unit='s',
-        within=(4e-4, 0.1),
-    )
-    min_slow_flow: float = parameter(
-        0.1,
-        'Smallest translation of the skin within slow_time that counts as slip, in pixels per '
-        'contrast threshold.',
-        unit='px',
-        within=(0.0, 100.0),
-    )
-    release_ratio: float = parameter(
-        0.5,
-        'A window is quiet below this share of the way from the background to the threshold.',
-        within=(0.0, 1.0),
-    )
-    release_time: float = parameter(
-        5e-3, 'Quiet time that ends a slip.', unit='s', within=(2e-4, 1.0)
-    )
-    gain: float = parameter(
-        2.0,
-        'G of the advance law: advance over motion of the skin. Higher arrests sooner and presses '
-        'harder, within what the measured stiffness allows.',
-        within=(0.0, 10.0),
-    )
-    events_per_mm: float = parameter(
-        1e4,
-        'C of the advance law: events per millimetre of skin motion; k = G / C. Depends on beads, '
-        'light and thresholds of the camera.',
-        unit='1/mm',
-        within=(1.0, 1e7),
-    )
-    advance_events_per_mm: float = parameter(
-        2.5e4,
-        'Events caused by a millimetre of advance: raises the count threshold while the arm moves. '
-        'Too low lets the advance feed itself, too high hides slip during an advance.',
-        unit='1/mm',
-        within=(0.0, 1e7),
-    )
-    advance_flow_per_mm: float = parameter(
-        4.0,
-        'Translation of the skin caused by a millimetre of advance, in pixels per contrast '
-        'threshold: raises the flow threshold while the arm moves.',
-        unit='px/mm',
-        within=(0.0, 1e4),
-    )
-    arm_lag: float = parameter(
-        4e-3,
-        'Delay from commanded to actual arm position.',
-        unit='s',
-        within=(0.0, 0.2),
-    )
-    memory_time: float = parameter(
-        0.01,
-        'Time in which the answer to an excess of events fades to 1/e while the slip lasts: a '
-        'fully stretched skin causes no more events. 0 is the law of the paper.',
-        unit='s',
-        within=(0.0, 0.1),
-    )
-    max_step: float = parameter(
-        1e-4,
-        'Largest advance in one window; max_step / window is the largest speed asked for.',
-        unit='m',
-        within=(0.0, 1e-3),
-    )
-    max_total: float = parameter(
-        1e-3,
-        'Largest total advance since enabling, whatever the force allows. The arm must be able to '
-        'reach that far in a straight line, or enabling is refused.',
-        unit='m',
-        within=(0.0, 2e-2),
-    )
-    hold_time: float = parameter(
-        0.3,
-        'Time without slip for which the advance is held.',
-        unit='s',
-        within=(0.2, 3600.0),
-    )
-    back_off: float = parameter(
-        2e-5,
-        'Speed of the return towards the preload after hold_time; 0 never returns. A slip during '
-        'the return ends it until slip control is enabled again.',
-        unit='m/s',
-        within=(0.0, 1e-2),
-    )
-    preload_speed: float = parameter(
-        1e-4,
-        'Speed of the advance that keeps the preload (the force at enabling) as the gel relaxes; '
-        '0 does not keep it.',
-        unit='m/s',
-        within=(0.0, 1e-2),
-    )
-    force_band: float = parameter(
-        0.03,
-        'Deviation of the force from the preload that is tolerated.',
-        unit='N',
-        within=(0.0, None),
-    )
-    max_force: float = parameter(
-        1.5,
-        'Force above which slip control stops. Advances are bounded by the measured stiffness to '
-        'stay below 90 % of it.',
-        unit='N',
-        within=(0.01, 100.0),
-    )
-    stiffest_contact: float = parameter(
-        2e4,
-        'Stiffest plausible contact of gel and object: bounds the first advance, until the '
-        'stiffness is measured.',
-        unit='N/m',
-        within=(100.0, 1e6),
-    )
-    force_noise: float = parameter(
-        0.03,
-        'Standard deviation of a force estimate at rest; weights it in the stiffness estimate.',
-        unit='N',
-        within=(1e-4, 1.0),
-    )
-    probe_advance: float = parameter(
-        5e-5,
-        'Largest advance of the slow press after enabling that measures the stiffness of the '
-        'contact; 0 does not probe, which limits the response to the first slip.',
-        unit='m',
-        within=(0.0, 1e-3),
-    )
-    probe_speed: float = parameter(
-        5e-4, 'Speed of the probing press.', unit='m/s', within=(1e-5, 1e-2)
-    )
-    probe_force: float = parameter(
-        0.1,
-        'Force increase at which the probing press stops and waits. Doubling it halves the error '
-        'of the stiffness, but the press is more likely to be taken for a slip.',
-        unit='N',
-        within=(1e-3, 10.0),
-    )
-    max_events_age: float = parameter(
-        0.02,
-        'Age of the latest event packet above which slip control stops.',
-        unit='s',
-        within=(2e-3, 1.0),
-    )
-    max_force_age: float = parameter(
-        0.05,
-        'Age of the latest force estimate above which slip control stops.',
-        unit='s',
-        within=(2e-3, 1.0),
-    )
-    max_joint_age: float = parameter(
-        0.05,
-        'Age of the latest joint states above which slip control stops.',
-        unit='s',
-        within=(2e-3, 1.0),
-    )
-    max_heartbeat_age: float = parameter(
-        0.5,
-        'Age of the latest heartbeat above which slip control stops.',
-        unit='s',
-        within=(0.01, 10.0),
-    )
-    saturation_count: int = parameter(
-        8000,
-        'Events in a window from which the sensor counts as saturated; slip control stops after '
-        'two such windows in a row.',
-        within=(10, 1000000),
-    )
+    arm: str = fixed('none')
+    arm_backend: str = fixed('trajectory')
+    arm_address: str = fixed('')
+    arm_python: str = fixed('')
+    arm_realtime: bool = fixed(False)
+    joint_acceleration: float = fixed(10.0, unit='rad/s^2', within=(0.1, 1000.0))
+    joint_jerk: float = fixed(5e3, unit='rad/s^3', within=(1.0, 1e6))
+    normal_frame: str = fixed('tool', choices=('tool', 'base'))
+    normal_x: float = fixed(0.0)
+    normal_y: float = fixed(0.0)
+    normal_z: float = fixed(1.0)
+    workspace: str = fixed('-0.8 0.8 -0.8 0.8 0.0 1.2')
+    settling_time: float = parameter(0.5, unit='s', within=(0.05, 10.0))
+    trajectory_topic: str = fixed('/fr3_arm_controller/joint_trajectory')
+    joint_state_topic: str = fixed('/joint_states')
+    heartbeat_topic: str = fixed('slip_control/heartbeat')
+    frame_id: str = fixed('mixtac_contact')
+    detector: str = parameter('flow', choices=DETECTORS)
+    window: float = fixed(1e-3, unit='s', within=(2e-4, 2e-2))
+    contact_column: float = fixed(-1.0, unit='px', within=(-1.0, None))
+    contact_row: float = fixed(-1.0, unit='px', within=(-1.0, None))
+    contact_reach: float = fixed(0.0, unit='px', within=(0.0, 1000.0))
+    learning_time: float = parameter(1.0, unit='s', within=(0.1, 60.0))
+    background_time_constant: float = parameter(20.0, unit='s', within=(0.5, 3600.0))
+    settle_time: float = parameter(0.1, unit='s', within=(0.0, 60.0))
+    false_alarms_per_hour: float = parameter(0.1, unit='1/h', within=(1e-6, 1e4))
+    tail_shape: float = parameter(0.1, within=(0.0, 0.9))
+    min_excess: float = parameter(20.0, unit='events per window', within=(0.0, 1e5))
+    min_flow: float = parameter(0.028, unit='px', within=(0.0, 100.0))
+    slow_time: float = parameter(4e-3, unit='s', within=(4e-4, 0.1))
+    min_slow_flow: float = parameter(0.1, unit='px', within=(0.0, 100.0))
+    release_ratio: float = parameter(0.5, within=(0.0, 1.0))
+    release_time: float = parameter(5e-3, unit='s', within=(2e-4, 1.0))
+    gain: float = parameter(2.0, within=(0.0, 10.0))
+    events_per_mm: float = parameter(1e4, unit='1/mm', within=(1.0, 1e7))
+    advance_events_per_mm: float = parameter(2.5e4, unit='1/mm', within=(0.0, 1e7))
+    advance_flow_per_mm: float = parameter(4.0, unit='px/mm', within=(0.0, 1e4))
+    arm_lag: float = parameter(4e-3, unit='s', within=(0.0, 0.2))
+    memory_time: float = parameter(0.01, unit='s', within=(0.0, 0.1))
+    max_step: float = parameter(1e-4, unit='m', within=(0.0, 1e-3))
+    max_total: float = parameter(1e-3, unit='m', within=(0.0, 2e-2))
+    hold_time: float = parameter(0.3, unit='s', within=(0.2, 3600.0))
+    back_off: float = parameter(2e-5, unit='m/s', within=(0.0, 1e-2))
+    preload_speed: float = parameter(1e-4, unit='m/s', within=(0.0, 1e-2))
+    force_band: float = parameter(0.03, unit='N', within=(0.0, None))
+    max_force: float = parameter(1.5, unit='N', within=(0.01, 100.0))
+    stiffest_contact: float = parameter(2e4, unit='N/m', within=(100.0, 1e6))
+    force_noise: float = parameter(0.03, unit='N', within=(1e-4, 1.0))
+    probe_advance: float = parameter(5e-5, unit='m', within=(0.0, 1e-3))
+    probe_speed: float = parameter(5e-4, unit='m/s', within=(1e-5, 1e-2))
+    probe_force: float = parameter(0.1, unit='N', within=(1e-3, 10.0))
+    max_events_age: float = parameter(0.02, unit='s', within=(2e-3, 1.0))
+    max_force_age: float = parameter(0.05, unit='s', within=(2e-3, 1.0))
+    max_joint_age: float = parameter(0.05, unit='s', within=(2e-3, 1.0))
+    max_heartbeat_age: float = parameter(0.5, unit='s', within=(0.01, 10.0))
+    saturation_count: int = parameter(8000, within=(10, 1000000))
 
     def __post_init__(self) -> None:
         """Hold every value to the schema, and the times to the window."""

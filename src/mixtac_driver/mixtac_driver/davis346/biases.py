@@ -23,16 +23,6 @@ from mixtac_node.parameters import parameter
 T = TypeVar('T')
 
 
-def switch(default: bool, description: str) -> bool:
-    """Return a field that is on or off and may change while the node runs."""
-    return parameter(default, description)
-
-
-def number(default: int, description: str, maximum: int, unit: str = '', minimum: int = 0) -> int:
-    """Return a field for a whole number within bounds; may change while the node runs."""
-    return parameter(default, description, unit=unit, within=(minimum, maximum))
-
-
 def _field(name: str, value: int, maximum: int) -> int:
     if not 0 <= value <= maximum:
         raise ConfigurationError(f'bias {name} = {value}: outside 0 .. {maximum}')
@@ -172,8 +162,8 @@ def _declare(schema: type[T]) -> type[T]:
     for name, (_, bias) in DEFAULT_BIASES.items():
         for suffix, part, description, maximum in _PARTS[type(bias)]:
             default, text = getattr(bias, part), f'{_TABLE[name]["description"]}, {description}'
-            flag = isinstance(default, bool)
-            field = switch(default, text) if flag else number(default, text, maximum)
+            within = (None, None) if isinstance(default, bool) else (0, maximum)
+            field = parameter(default, description=text, within=within)
             parameter_name = f'{_TABLE[name]["parameter"]}_{suffix}'
             schema.__annotations__[parameter_name] = type(default).__name__
             setattr(schema, parameter_name, field)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from mixtac_driver.davis346.biases import BiasParameters, number, switch
+from mixtac_driver.davis346.biases import BiasParameters
 from mixtac_driver.davis346.model import DAVIS346
 from mixtac_driver.errors import ConfigurationError
 from mixtac_node.parameters import parameter, specs
@@ -64,179 +64,166 @@ class Region(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorParameters:
-    """Settings of the event pixels, frame pixels, inertial unit, connector and chip."""
+    """Settings of the event pixels, frame pixels, inertial unit, connector and chip.
 
-    dvs_enabled: bool = switch(True, 'Enable event output')
-    background_activity_filter_enabled: bool = switch(
-        False,
-        'Background activity filter: the camera drops events that no neighbouring pixel supports. '
-        'Off by default, because the force estimator was trained on all events',
-    )
-    background_activity_filter_time: int = number(
-        8,
-        'Background activity filter: longest time since an event of a neighbouring pixel, in steps '
-        'of 250 us',
-        4095,
-    )
-    refractory_period_enabled: bool = switch(
-        False, 'Refractory period filter: the camera drops events soon after one of the same pixel'
-    )
-    refractory_period_time: int = number(1, 'Refractory period, in steps of 250 us', 4095)
-    roi_start_col: int = number(0, 'First column of the events', LAST_COLUMN)
-    roi_start_row: int = number(0, 'First row of the events', LAST_ROW)
-    roi_end_col: int = number(LAST_COLUMN, 'Last column of the events', LAST_COLUMN)
-    roi_end_row: int = number(LAST_ROW, 'Last row of the events', LAST_ROW)
-    skip_enabled: bool = switch(False, 'Enable dropping of every n-th event in the camera')
-    skip_events_every: int = number(5, 'Drop every n-th event; see skip_enabled', 255)
-    polarity_flatten: bool = switch(False, 'Report all events as OFF')
-    polarity_suppress: bool = switch(False, 'Enable dropping of the events of one polarity')
-    polarity_suppress_type: bool = switch(
-        False, 'Polarity to drop: false OFF, true ON; see polarity_suppress'
-    )
-    dvs_pixel_mask: str = parameter(
-        '',
-        'Pixel mask: grey 8-bit PNG image in the size of the camera. Events of pixels that are not '
-        'black are dropped, those of the eight brightest by the camera itself. Empty: no mask',
-    )
-    hot_pixels_duration: float = parameter(
-        2.0,
-        'Time over which the service find_hot_pixels counts events; keep the scene still',
-        unit='s',
-        within=(0.1, 4.0),
-    )
-    hot_pixels_minimum_rate: float = parameter(
-        10.0,
-        'Lowest event rate of a hot pixel',
-        unit='1/s',
-        within=(0.1, 1e6),
-    )
-    hot_pixels_factor: float = parameter(
-        10.0,
-        'A hot pixel has at least this many times the events of the fourth noisiest pixel around '
-        'it',
-        within=(1.0, 1e6),
-    )
-    hot_pixels_file: str = parameter(
-        '',
-        'File to which the service find_hot_pixels writes the mask (an image for dvs_pixel_mask). '
-        'Empty: not written',
-    )
+    Attributes:
+        dvs_enabled: Enable event output
+        background_activity_filter_enabled: Background activity filter: the camera drops events that
+            no neighbouring pixel supports. Off by default, because the force estimator was trained
+            on all events
+        background_activity_filter_time: Background activity filter: longest time since an event of
+            a neighbouring pixel, in steps of 250 us
+        refractory_period_enabled: Refractory period filter: the camera drops events soon after one
+            of the same pixel
+        refractory_period_time: Refractory period, in steps of 250 us
+        roi_start_col: First column of the events
+        roi_start_row: First row of the events
+        roi_end_col: Last column of the events
+        roi_end_row: Last row of the events
+        skip_enabled: Enable dropping of every n-th event in the camera
+        skip_events_every: Drop every n-th event; see skip_enabled
+        polarity_flatten: Report all events as OFF
+        polarity_suppress: Enable dropping of the events of one polarity
+        polarity_suppress_type: Polarity to drop: false OFF, true ON; see polarity_suppress
+        dvs_pixel_mask: Pixel mask: grey 8-bit PNG image in the size of the camera. Events of pixels
+            that are not black are dropped, those of the eight brightest by the camera itself.
+            Empty: no mask
+        hot_pixels_duration: Time over which the service find_hot_pixels counts events; keep the
+            scene still
+        hot_pixels_minimum_rate: Lowest event rate of a hot pixel
+        hot_pixels_factor: A hot pixel has at least this many times the events of the fourth
+            noisiest pixel around it
+        hot_pixels_file: File to which the service find_hot_pixels writes the mask (an image for
+            dvs_pixel_mask). Empty: not written
+        aps_enabled: Enable frame output
+        aps_exposure: Exposure time; the shipped force estimator was trained at the default
+        aps_frame_interval: Frame interval; 0: as fast as possible
+        aps_global_shutter: Global shutter: expose all pixels at the same time
+        aps_roi_start_col: First column of the frames
+        aps_roi_start_row: First row of the frames
+        aps_roi_end_col: Last column of the frames
+        aps_roi_end_row: Last row of the frames
+        aps_auto_exposure: Automatic exposure: the driver adjusts the exposure to the brightness of
+            the frames, starting from aps_exposure
+        aps_auto_exposure_target: Target mean brightness of automatic exposure, as a fraction of
+            full scale
+        aps_auto_exposure_minimum: Shortest exposure time of automatic exposure
+        aps_auto_exposure_maximum: Longest exposure time of automatic exposure
+        imu_acc_enabled: Enable the accelerometer
+        imu_gyro_enabled: Enable the gyroscope
+        imu_temp_enabled: Enable the temperature sensor of the inertial unit
+        imu_acc_scale: Accelerometer range: 0 .. 3 for 2, 4, 8, 16 g
+        imu_gyro_scale: Gyroscope range: 0 .. 3 for 250, 500, 1000, 2000 deg/s
+        imu_low_pass_filter: Low-pass filter of the accelerometer; on an MPU6050 also of the
+            gyroscope
+        imu_gyro_low_pass_filter: Low-pass filter of the gyroscope on an MPU9250
+        imu_sample_rate_divider: Sample rate divider n of the inertial unit: the rate is 1 kHz / (n
+            + 1), or 8 kHz / (n + 1) where the low-pass filter is 0 or 7
+        external_input_enabled: Enable edge detection at the synchronisation input
+        external_input_rising: Report rising edges at the synchronisation input
+        external_input_falling: Report falling edges at the synchronisation input
+        external_input_pulses: Report pulses at the synchronisation input
+        external_input_pulse_polarity: Level of the pulses to report at the synchronisation input:
+            true high, false low
+        external_input_pulse_length: Shortest pulse to report at the synchronisation input
+        generator_enabled: Enable the pulse generator at the synchronisation output
+        generator_polarity: Level of the generated pulses: true high, false low
+        generator_interval: Period of the generated pulses
+        generator_length: Length of the generated pulses; shorter than generator_interval
+        generator_inject_on_rising: Report rising edges of the pulse generator
+        generator_inject_on_falling: Report falling edges of the pulse generator
+        usb_early_packet_delay: Longest time that the camera holds back data before it sends a USB
+            packet
+        chip_digital_mux_0: Signal on the digital test pin 0
+        chip_digital_mux_1: Signal on the digital test pin 1
+        chip_digital_mux_2: Signal on the digital test pin 2
+        chip_digital_mux_3: Signal on the digital test pin 3
+        chip_analog_mux_0: Signal on the analogue test pin 0
+        chip_analog_mux_1: Signal on the analogue test pin 1
+        chip_analog_mux_2: Signal on the analogue test pin 2
+        chip_bias_mux_0: Bias on the bias test pin
+        chip_reset_calibration_neuron: Hold the calibration neuron in reset
+        chip_type_n_calibration_neuron: Calibration neuron: measure N-type biases
+        chip_reset_test_pixel: Hold the test pixel in reset
+        chip_aer_na_row: Select the other arbitration of the event rows (nArow)
+        chip_use_a_out: Read frames through the analogue output pad instead of the on-chip ADC
+        chip_select_gray_counter: Use the Gray-code counter of the on-chip ADC
+        chip_test_adc: Let the on-chip ADC measure AdcTestVoltage
+    """
 
-    aps_enabled: bool = switch(True, 'Enable frame output')
-    aps_exposure: int = number(
-        7000,
-        'Exposure time; the shipped force estimator was trained at the default',
-        MAXIMUM_EXPOSURE_US,
-        'us',
-        minimum=1,
-    )
-    aps_frame_interval: int = number(
-        40_000,
-        'Frame interval; 0: as fast as possible',
-        MAXIMUM_FRAME_INTERVAL_US,
-        'us',
-    )
-    aps_global_shutter: bool = switch(True, 'Global shutter: expose all pixels at the same time')
-    aps_roi_start_col: int = number(0, 'First column of the frames', LAST_COLUMN)
-    aps_roi_start_row: int = number(0, 'First row of the frames', LAST_ROW)
-    aps_roi_end_col: int = number(LAST_COLUMN, 'Last column of the frames', LAST_COLUMN)
-    aps_roi_end_row: int = number(LAST_ROW, 'Last row of the frames', LAST_ROW)
-    aps_auto_exposure: bool = switch(
-        False,
-        'Automatic exposure: the driver adjusts the exposure to the brightness of the frames, '
-        'starting from aps_exposure',
-    )
-    aps_auto_exposure_target: float = parameter(
-        0.35,
-        'Target mean brightness of automatic exposure, as a fraction of full scale',
-        within=(0.05, 0.9),
-    )
-    aps_auto_exposure_minimum: int = number(
-        20, 'Shortest exposure time of automatic exposure', MAXIMUM_EXPOSURE_US, 'us', minimum=1
-    )
-    aps_auto_exposure_maximum: int = number(
-        30_000, 'Longest exposure time of automatic exposure', MAXIMUM_EXPOSURE_US, 'us', minimum=1
-    )
+    dvs_enabled: bool = parameter(True)
+    background_activity_filter_enabled: bool = parameter(False)
+    background_activity_filter_time: int = parameter(8, within=(0, 4095))
+    refractory_period_enabled: bool = parameter(False)
+    refractory_period_time: int = parameter(1, within=(0, 4095))
+    roi_start_col: int = parameter(0, within=(0, LAST_COLUMN))
+    roi_start_row: int = parameter(0, within=(0, LAST_ROW))
+    roi_end_col: int = parameter(LAST_COLUMN, within=(0, LAST_COLUMN))
+    roi_end_row: int = parameter(LAST_ROW, within=(0, LAST_ROW))
+    skip_enabled: bool = parameter(False)
+    skip_events_every: int = parameter(5, within=(0, 255))
+    polarity_flatten: bool = parameter(False)
+    polarity_suppress: bool = parameter(False)
+    polarity_suppress_type: bool = parameter(False)
+    dvs_pixel_mask: str = parameter('')
+    hot_pixels_duration: float = parameter(2.0, unit='s', within=(0.1, 4.0))
+    hot_pixels_minimum_rate: float = parameter(10.0, unit='1/s', within=(0.1, 1e6))
+    hot_pixels_factor: float = parameter(10.0, within=(1.0, 1e6))
+    hot_pixels_file: str = parameter('')
 
-    imu_acc_enabled: bool = switch(True, 'Enable the accelerometer')
-    imu_gyro_enabled: bool = switch(True, 'Enable the gyroscope')
-    imu_temp_enabled: bool = switch(True, 'Enable the temperature sensor of the inertial unit')
-    imu_acc_scale: int = number(1, 'Accelerometer range: 0 .. 3 for 2, 4, 8, 16 g', 3)
-    imu_gyro_scale: int = number(1, 'Gyroscope range: 0 .. 3 for 250, 500, 1000, 2000 deg/s', 3)
-    imu_low_pass_filter: int = number(
-        1, 'Low-pass filter of the accelerometer; on an MPU6050 also of the gyroscope', 7
-    )
-    imu_gyro_low_pass_filter: int = number(1, 'Low-pass filter of the gyroscope on an MPU9250', 7)
-    imu_sample_rate_divider: int = number(
-        0,
-        'Sample rate divider n of the inertial unit: the rate is 1 kHz / (n + 1), or '
-        '8 kHz / (n + 1) where the low-pass filter is 0 or 7',
-        255,
-    )
+    aps_enabled: bool = parameter(True)
+    aps_exposure: int = parameter(7000, unit='us', within=(1, MAXIMUM_EXPOSURE_US))
+    aps_frame_interval: int = parameter(40_000, unit='us', within=(0, MAXIMUM_FRAME_INTERVAL_US))
+    aps_global_shutter: bool = parameter(True)
+    aps_roi_start_col: int = parameter(0, within=(0, LAST_COLUMN))
+    aps_roi_start_row: int = parameter(0, within=(0, LAST_ROW))
+    aps_roi_end_col: int = parameter(LAST_COLUMN, within=(0, LAST_COLUMN))
+    aps_roi_end_row: int = parameter(LAST_ROW, within=(0, LAST_ROW))
+    aps_auto_exposure: bool = parameter(False)
+    aps_auto_exposure_target: float = parameter(0.35, within=(0.05, 0.9))
+    aps_auto_exposure_minimum: int = parameter(20, unit='us', within=(1, MAXIMUM_EXPOSURE_US))
+    aps_auto_exposure_maximum: int = parameter(30_000, unit='us', within=(1, MAXIMUM_EXPOSURE_US))
 
-    external_input_enabled: bool = switch(
-        True, 'Enable edge detection at the synchronisation input'
-    )
-    external_input_rising: bool = switch(False, 'Report rising edges at the synchronisation input')
-    external_input_falling: bool = switch(
-        False, 'Report falling edges at the synchronisation input'
-    )
-    external_input_pulses: bool = switch(True, 'Report pulses at the synchronisation input')
-    external_input_pulse_polarity: bool = switch(
-        True, 'Level of the pulses to report at the synchronisation input: true high, false low'
-    )
-    external_input_pulse_length: int = number(
-        10,
-        'Shortest pulse to report at the synchronisation input',
-        MAXIMUM_PULSE_US,
-        'us',
-        minimum=1,
-    )
-    generator_enabled: bool = switch(
-        False, 'Enable the pulse generator at the synchronisation output'
-    )
-    generator_polarity: bool = switch(True, 'Level of the generated pulses: true high, false low')
-    generator_interval: int = number(
-        10, 'Period of the generated pulses', MAXIMUM_PULSE_US, 'us', minimum=2
-    )
-    generator_length: int = number(
-        5,
-        'Length of the generated pulses; shorter than generator_interval',
-        MAXIMUM_PULSE_US,
-        'us',
-        minimum=1,
-    )
-    generator_inject_on_rising: bool = switch(False, 'Report rising edges of the pulse generator')
-    generator_inject_on_falling: bool = switch(False, 'Report falling edges of the pulse generator')
+    imu_acc_enabled: bool = parameter(True)
+    imu_gyro_enabled: bool = parameter(True)
+    imu_temp_enabled: bool = parameter(True)
+    imu_acc_scale: int = parameter(1, within=(0, 3))
+    imu_gyro_scale: int = parameter(1, within=(0, 3))
+    imu_low_pass_filter: int = parameter(1, within=(0, 7))
+    imu_gyro_low_pass_filter: int = parameter(1, within=(0, 7))
+    imu_sample_rate_divider: int = parameter(0, within=(0, 255))
 
-    usb_early_packet_delay: int = number(
-        200,
-        'Longest time that the camera holds back data before it sends a USB packet',
-        15_875,
-        'us',
-        minimum=125,
-    )
+    external_input_enabled: bool = parameter(True)
+    external_input_rising: bool = parameter(False)
+    external_input_falling: bool = parameter(False)
+    external_input_pulses: bool = parameter(True)
+    external_input_pulse_polarity: bool = parameter(True)
+    external_input_pulse_length: int = parameter(10, unit='us', within=(1, MAXIMUM_PULSE_US))
+    generator_enabled: bool = parameter(False)
+    generator_polarity: bool = parameter(True)
+    generator_interval: int = parameter(10, unit='us', within=(2, MAXIMUM_PULSE_US))
+    generator_length: int = parameter(5, unit='us', within=(1, MAXIMUM_PULSE_US))
+    generator_inject_on_rising: bool = parameter(False)
+    generator_inject_on_falling: bool = parameter(False)
+
+    usb_early_packet_delay: int = parameter(200, unit='us', within=(125, 15_875))
 
     # Meant for measurements of the chip itself; named as the registers (`registers.Chip`).
-    chip_digital_mux_0: int = number(0, 'Signal on the digital test pin 0', 15)
-    chip_digital_mux_1: int = number(0, 'Signal on the digital test pin 1', 15)
-    chip_digital_mux_2: int = number(0, 'Signal on the digital test pin 2', 15)
-    chip_digital_mux_3: int = number(0, 'Signal on the digital test pin 3', 15)
-    chip_analog_mux_0: int = number(0, 'Signal on the analogue test pin 0', 15)
-    chip_analog_mux_1: int = number(0, 'Signal on the analogue test pin 1', 15)
-    chip_analog_mux_2: int = number(0, 'Signal on the analogue test pin 2', 15)
-    chip_bias_mux_0: int = number(0, 'Bias on the bias test pin', 15)
-    chip_reset_calibration_neuron: bool = switch(True, 'Hold the calibration neuron in reset')
-    chip_type_n_calibration_neuron: bool = switch(
-        False, 'Calibration neuron: measure N-type biases'
-    )
-    chip_reset_test_pixel: bool = switch(True, 'Hold the test pixel in reset')
-    chip_aer_na_row: bool = switch(False, 'Select the other arbitration of the event rows (nArow)')
-    chip_use_a_out: bool = switch(
-        False, 'Read frames through the analogue output pad instead of the on-chip ADC'
-    )
-    chip_select_gray_counter: bool = switch(True, 'Use the Gray-code counter of the on-chip ADC')
-    chip_test_adc: bool = switch(False, 'Let the on-chip ADC measure AdcTestVoltage')
+    chip_digital_mux_0: int = parameter(0, within=(0, 15))
+    chip_digital_mux_1: int = parameter(0, within=(0, 15))
+    chip_digital_mux_2: int = parameter(0, within=(0, 15))
+    chip_digital_mux_3: int = parameter(0, within=(0, 15))
+    chip_analog_mux_0: int = parameter(0, within=(0, 15))
+    chip_analog_mux_1: int = parameter(0, within=(0, 15))
+    chip_analog_mux_2: int = parameter(0, within=(0, 15))
+    chip_bias_mux_0: int = parameter(0, within=(0, 15))
+    chip_reset_calibration_neuron: bool = parameter(True)
+    chip_type_n_calibration_neuron: bool = parameter(False)
+    chip_reset_test_pixel: bool = parameter(True)
+    chip_aer_na_row: bool = parameter(False)
+    chip_use_a_out: bool = parameter(False)
+    chip_select_gray_counter: bool = parameter(True)
+    chip_test_adc: bool = parameter(False)
 
 
 @dataclass(frozen=True)
