@@ -10,29 +10,23 @@ from __future__ import annotations
 
 import functools
 import struct
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-from rosbags.interfaces import Nodetype
+from numpy.typing import NDArray
+from rosbags.interfaces import Connection, Nodetype
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from mixtac_node import topics
 from mixtac_node.stamps import stamp_to_ns
 from mixtac_recordings.recording import DamagedRecordingError, RecordingError
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-    from types import TracebackType
-
-    from numpy.typing import NDArray
-    from rosbags.interfaces import Connection
-    from rosbags.typesys.store import Typestore
-
 
 SUFFIXES = ('.mcap', '.db3')
 _OWN_TYPES = (
@@ -133,12 +127,7 @@ class BagFile:
         """Return the open bag."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the bag."""
         self.close()
 

@@ -9,9 +9,10 @@ own clock map, and inertial samples are rounded to the camera's sixteen bits.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.clock_map import ClockMap
@@ -20,17 +21,11 @@ from mixtac_events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_
 from mixtac_node.topics import CAMERA_FRAME, IMU_FRAME
 from mixtac_recordings import messages
 from mixtac_recordings.bag import blank_message
-from mixtac_sim.bags.messages import StampedRows
+from mixtac_sim.bags.messages import MessageSink, StampedRows, TrialClocks
 from mixtac_sim.grids import HEIGHT, WIDTH
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.words import ImuReading, ImuSettings, raw_values
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_sim.bags.messages import MessageSink, TrialClocks
-    from mixtac_sim.pixels.aps import ApsFrame
-    from mixtac_sim.world.trial import Stretch
-
+from mixtac_sim.world.trial import Stretch
 
 MPU9250: Final = 2
 SIZE: Final = (WIDTH, HEIGHT)

@@ -10,21 +10,16 @@ would have received them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from collections.abc import Iterable
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_recordings.bag import typestore
 from mixtac_sim.random_streams import stream
 from mixtac_sim.usb.stream import Oscillator
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
-
-    from mixtac_sim.world.instruments import ReferenceSensor
-
+from mixtac_sim.world.instruments import ReferenceSensor
 
 FIRST_DAY_NS: Final = 1_767_225_600_000_000_000
 """2026-01-01 00:00 UTC: simulated trials lie from here on, an hour apart by their seeds."""

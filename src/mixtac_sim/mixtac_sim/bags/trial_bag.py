@@ -9,28 +9,22 @@ from __future__ import annotations
 
 import json
 import shutil
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from mixtac_node import topics
+from mixtac_node.topics import Topic
 from mixtac_recordings.bag import blank_message, typestore
 from mixtac_recordings.bag_writer import McapBag, offered_qos
+from mixtac_recordings.dataset import TrialSpec
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.camera import CameraMessages
-from mixtac_sim.bags.messages import NS, MessageSink, StampedRows, TrialClocks
+from mixtac_sim.bags.messages import NS, BagMessage, MessageSink, StampedRows, TrialClocks
 from mixtac_sim.usb.endpoints import serial_number
-from mixtac_sim.world.trial import TrialStream
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from mixtac_node.topics import Topic
-    from mixtac_recordings.dataset import TrialSpec
-    from mixtac_sim.bags.messages import BagMessage
-    from mixtac_sim.world.trial import Stretch
-
+from mixtac_sim.world.trial import Stretch, TrialStream
 
 NAMESPACE: Final = 'mixtac'
 BAG_TOPICS: Final = (

@@ -15,21 +15,16 @@ Constants name the rows.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_sim.grids import PADDED, PIXELS, TILE, TILES
-from mixtac_sim.optics.scene import Flicker
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_sim.optics.renderer import MeshMotion
-    from mixtac_sim.optics.scene import Scene
-    from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
-
+from mixtac_sim.optics.renderer import MeshMotion
+from mixtac_sim.optics.scene import Flicker, Scene
+from mixtac_sim.pixels.biases import PixelSettings, PixelSpread
 
 FLOOR, GAIN, LIGHT, LOG, FOLLOW, DIFFERENCE, ON, OFF, LEAK, BEFORE, EARLIER, SPARE = range(12)
 """Rows of a tile: light without beads and what beads add [lx], light [lx], its logarithm, what the

@@ -8,13 +8,15 @@ between trials on the same sensor.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from mixtac_sim.mechanics.contact import PronySeries
-from mixtac_sim.mechanics.elastomer import Layer
+from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
+from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.optics.beads import BeadMotion
 from mixtac_sim.optics.lens import SILICONE_INDEX, Lens
 from mixtac_sim.optics.scene import (
@@ -28,16 +30,7 @@ from mixtac_sim.optics.scene import (
 )
 from mixtac_sim.pixels.biases import PixelSettings, PixelSpread, draw_spread
 from mixtac_sim.random_streams import log_uniform, stream
-from mixtac_sim.world.effects import EASY
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.random import Generator
-
-    from mixtac_sim.mechanics.elastomer import ForceLaw
-    from mixtac_sim.mechanics.indenters import Indenter
-    from mixtac_sim.world.effects import LightEffects, OpticsEffects, Preset
+from mixtac_sim.world.effects import EASY, LightEffects, OpticsEffects, Preset
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,10 +16,11 @@ under contact forces. All spreads are estimates.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.random import Generator
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from mixtac_sim import SimulationError
@@ -27,13 +28,7 @@ from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY
 from mixtac_sim.random_streams import log_uniform, stream
 from mixtac_sim.usb.words import ImuReading
-from mixtac_sim.world.effects import EASY
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
-    from mixtac_sim.world.effects import Preset, TimingEffects
+from mixtac_sim.world.effects import EASY, Preset, TimingEffects
 
 
 class Mount:

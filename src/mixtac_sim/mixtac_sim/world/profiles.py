@@ -9,26 +9,20 @@ named profile, randomised by seed. Forces are those of the paper's trials, 0 to 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.mechanics.indenters import HEMISPHERE, INDENTERS, WEIGHT_20_G, Indenter
 from mixtac_sim.random_streams import stream
-from mixtac_sim.world.effects import EASY
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.random import Generator
-    from numpy.typing import NDArray
-
-    from mixtac_sim.world.effects import Preset
-
+from mixtac_sim.world.effects import EASY, Preset
 
 SLOW_HZ = 40.0
 """Tones up to here are resolved by the steps that bead motion asks for."""

@@ -7,31 +7,23 @@ Streaming needs little memory however long the trial is.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mixtac_events.arrays import Events
+from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.random_streams import stream
+from mixtac_sim.usb.words import ImuReading
 from mixtac_sim.world.device import draw_conditions
-from mixtac_sim.world.effects import EASY, preset
-from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
-from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.effects import EASY, Preset, preset
+from mixtac_sim.world.instruments import InertialUnit, ReferenceSamples, ReferenceSensor
+from mixtac_sim.world.profiles import Profile, make_profile
 from mixtac_sim.world.sensor import SensorOutput, TactileSensor
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_recordings.dataset import TrialSpec
-    from mixtac_sim.usb.words import ImuReading
-    from mixtac_sim.world.effects import Preset
-    from mixtac_sim.world.instruments import ReferenceSamples
-    from mixtac_sim.world.profiles import Profile
-
 
 TRANSFER_US = (300, 1_500)
 """Range of the time from a frame's end to its arrival at the host [us] (estimate)."""
