@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -56,10 +56,6 @@ class TrialSpec:
         if self.split not in SPLITS:
             raise DatasetError(f'unknown split {self.split!r}', remedy=f'use one of {SPLITS}')
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as values for YAML or JSON."""
-        return asdict(self)
-
 
 FILE_NAME: Final = 'dataset.yaml'
 SCHEMA: Final = 'mixtac-dataset'
@@ -88,10 +84,6 @@ class DatasetDescription:
     trials: tuple[TrialSpec, ...]
     generator: dict[str, str]
     complete: bool = False
-
-    def completed(self) -> DatasetDescription:
-        """Return the same with all bags written."""
-        return replace(self, complete=True)
 
     def same_trials_as(self, other: DatasetDescription) -> bool:
         """Return whether the bags of both would be the same, byte by byte."""

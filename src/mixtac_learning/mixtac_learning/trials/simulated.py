@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from mixtac_learning.trials.trial import TrialArrays, aligned_force, true_force
@@ -33,7 +33,7 @@ class SimulatedSource:
     @property
     def origin(self) -> dict[str, Any]:
         """The fields of the specification."""
-        return self.spec.to_dict() | {'name': self.name, 'simulated': True}
+        return asdict(self.spec) | {'name': self.name, 'simulated': True}
 
     def content_key(self) -> str:
         """Return the trial's name with the digest of the simulator."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ SPEC = TrialSpec('press_000', 'press', 4.0, 41, 42, 'easy', 'train')
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp('bags')
     write_trial(SPEC, path)
-    (path / 'dataset.yaml').write_text(json.dumps({'trials': [SPEC.to_dict()]}))
+    (path / 'dataset.yaml').write_text(json.dumps({'trials': [asdict(SPEC)]}))
     return path
 
 

@@ -9,6 +9,7 @@ import fcntl
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -115,7 +116,7 @@ def generate(
                     remedy='use fewer jobs',
                 ) from error
         shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
-        description.completed().write(folder)
+        replace(description, complete=True).write(folder)
     return len(waiting)
 
 

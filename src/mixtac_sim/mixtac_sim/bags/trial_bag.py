@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
@@ -157,7 +158,7 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
         partial.parent.mkdir(parents=True, exist_ok=True)
         writer = McapBag(partial, compressed=compress)
         writer.set_custom_data('mixtac.simulated', 'true')
-        writer.set_custom_data('mixtac.trial', json.dumps(spec.to_dict()))
+        writer.set_custom_data('mixtac.trial', json.dumps(asdict(spec)))
         with writer:
             connections = {
                 each.name: writer.add_connection(

@@ -133,13 +133,8 @@ class LiveProfile:
         indenters: Indenters that scenarios may use.
 
     Attributes:
-        name: Name of the profile.
-        duration_s: Endless.
         indenters: Indenters that scenarios may use.
     """
-
-    name = 'live'
-    duration_s = float('inf')
 
     def __init__(self, indenters: tuple[Indenter, ...] = (HEMISPHERE, WEIGHT_20_G)) -> None:
         self.indenters = indenters

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mixtac_sim.world.trial import Trial
@@ -66,10 +66,6 @@ class TrialSpec:
         seeds = f'd{self.device_seed}_t{self.trial_seed}'
         kind = self.preset if not self.without else f'{self.preset}-{self.without}'
         return f'{self.profile}_{seeds}_{self.seconds:g}s_{kind}'
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON-ready values."""
-        return asdict(self)
 
 
 SHORTEST_S = {'demo': 10.0}

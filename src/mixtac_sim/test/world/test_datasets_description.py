@@ -19,8 +19,9 @@ def description() -> DatasetDescription:
 
 
 def test_what_is_written_is_read(tmp_path, description):
-    description.completed().write(tmp_path)
-    assert DatasetDescription.read(tmp_path) == replace(description, complete=True)
+    written = replace(description, complete=True)
+    written.write(tmp_path)
+    assert DatasetDescription.read(tmp_path) == written
     assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
 
 
@@ -50,7 +51,7 @@ def test_splits_are_disjoint_and_whole(description):
 
 
 def test_other_trials_or_another_simulator_are_told_apart(description):
-    assert description.same_trials_as(description.completed())
+    assert description.same_trials_as(replace(description, complete=True))
     fewer = replace(description, trials=description.trials[1:])
     assert not description.same_trials_as(fewer)
     other = replace(description, generator={**description.generator, 'digest': '0'})

@@ -53,7 +53,9 @@ def _paper_rows() -> list[Row]:
     name, text = MODELS[FGER].label, 'native resolution, 512 events per packet'
     thread = f'{text}; PyTorch on this CPU, one thread'
     operations = _one(operations_per_cycle(config))
-    cycle_ms = Value.of(_cycle_ms(network, config), 'repetitions')
+    batch = one_cycle(config)
+    cycles = _timed(lambda: network(batch, network.initial_state(1)), network)
+    cycle_ms = Value.of(cycles, 'repetitions')
     packet_ms = Value.of(_packet_ms(network, config), 'repetitions')
     flops = f'{text}; 2 per multiply-add'
     interval = f'{text}; frame and 20 packets, PyTorch on this CPU, one thread'
@@ -87,11 +89,6 @@ def _one(value: float) -> Value:
 
 def _median(quantiles: dict[str, float], count: int) -> Value:
     return Value(quantiles['p50'], quantiles['p99'] - quantiles['p50'], count, 'windows')
-
-
-def _cycle_ms(network: PaperNetwork, config: PaperConfig) -> list[float]:
-    batch = one_cycle(config)
-    return _timed(lambda: network(batch, network.initial_state(1)), network)
 
 
 def _packet_ms(network: PaperNetwork, config: PaperConfig) -> list[float]:

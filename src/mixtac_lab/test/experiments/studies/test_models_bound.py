@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def trial_of(spec: TrialSpec) -> TrialArrays:
         arrival_us=arrival,
         truth=label,
         reference=None,
-        origin=spec.to_dict() | {'name': spec.name, 'simulated': True},
+        origin=asdict(spec) | {'name': spec.name, 'simulated': True},
     )
 
 
