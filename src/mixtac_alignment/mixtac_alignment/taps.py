@@ -301,12 +301,7 @@ def fit_taps(
     """
     chosen = parameters or AlignmentParameters()
     pairs, start_s = paired_impulses(
-        counts,
-        force_t_s,
-        force_N,
-        chosen,
-        lambda marked: find_bursts(marked, chosen),
-        match_s=BURST_MATCH_S,
+        counts, force_t_s, force_N, chosen, find_bursts, match_s=BURST_MATCH_S
     )
     used = pairs if use_all else (pairs[0], pairs[-1])
     t_s, force = even_force(force_t_s - start_s, force_N)

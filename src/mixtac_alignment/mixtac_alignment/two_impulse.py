@@ -132,12 +132,7 @@ def fit_counts(
     """
     chosen = parameters or AlignmentParameters()
     pairs, start_s = paired_impulses(
-        counts,
-        force_t_s,
-        force_N,
-        chosen,
-        lambda marked: find_event_impulses(marked, chosen),
-        max_gap_s=max_gap_s,
+        counts, force_t_s, force_N, chosen, find_event_impulses, max_gap_s=max_gap_s
     )
     used = pairs if use_all else (pairs[0], pairs[-1])
     latency_us = round(1e6 * chosen.event_latency_s)
@@ -154,7 +149,7 @@ def paired_impulses(
     force_t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
     parameters: AlignmentParameters,
-    find: Callable[[EventCounts], list[Impulse]],
+    find: Callable[[EventCounts, AlignmentParameters], list[Impulse]],
     *,
     match_s: float = MATCH_S,
     max_gap_s: float = FORCE_GAP_S,
@@ -166,7 +161,7 @@ def paired_impulses(
         force_t_s: As `fit_two_impulses`.
         force_N: As `fit_two_impulses`.
         parameters: What counts as an impulse, latency of the events, limits of clocks.
-        find: Finds impulses in event counts in which gaps are marked.
+        find: Finds impulses in event counts in which gaps are marked, by the parameters.
         match_s: Largest disagreement of two impulses that are the same [s].
         max_gap_s: Longest stretch without force samples [s].
 
@@ -179,7 +174,7 @@ def paired_impulses(
     time_s = force_t_s - start_s
     require_continuous(time_s, max_gap_s)
     reference = prefer_isolated(find_force_impulses(time_s, force_N, parameters), time_s, force_N)
-    camera = prefer_isolated(find(mark_gaps(counts)), *_coarse_rate(counts))
+    camera = prefer_isolated(find(mark_gaps(counts), parameters), *_coarse_rate(counts))
     _require_two(reference, 'force', f'tap so that the force passes {parameters.min_force:g} N')
     _require_two(camera, 'event rate', 'tap sharply on the gel, and check for lost packets')
     pairs = pair_impulses(camera, reference, parameters.max_drift_rate, match_s)
