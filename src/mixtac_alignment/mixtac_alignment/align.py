@@ -20,7 +20,7 @@ from mixtac_alignment.clock_fit import MAX_DRIFT, Anchor, ClockFit, fit_clock, w
 from mixtac_alignment.errors import AmbiguousImpulsesError, NoImpulseError, RefinementError
 from mixtac_alignment.gel_lag import GelLag
 from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
-from mixtac_alignment.parameters import AlignmentParameters
+from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
 from mixtac_alignment.refinement import Refinement, refine
 from mixtac_alignment.taps import FEWEST_FRAMES, fit_taps
 from mixtac_alignment.two_impulse import fit_counts
@@ -56,7 +56,7 @@ class Recording:
 
 def align(
     recording: Recording,
-    parameters: AlignmentParameters | None = None,
+    parameters: AlignmentParameters = DEFAULTS,
     lag: GelLag | None = None,
     *,
     method: Method = 'refined',
@@ -79,21 +79,20 @@ def align(
     Raises:
         AlignmentError: No trustworthy map.
     """
-    chosen = parameters or AlignmentParameters()
     if method == 'edges':
         return fit_edges(recording.edges_us, recording.reference_edges_s), None
     counts, events, frames = recording.counts, recording.events, recording.frames
     force = (recording.force_t_s, recording.force)
     few = frames is None or len(frames.start_us) < FEWEST_FRAMES
     if frames is None or method == 'paper' or (method == 'two_impulse' and few):
-        return fit_counts(counts, *force, chosen, use_all=use_all), None
+        return fit_counts(counts, *force, parameters, use_all=use_all), None
     # Memory may hold fewer events than their counts: the first tap may be missing.
     forgotten = not len(events.t_us) or events.start_us > counts.start_us + 500_000
     if method == 'refined' and (few or forgotten):
-        first = fit_counts(counts, *force, chosen, use_all=use_all)
-        first = with_drift_prior(first, chosen.drift_std_rate)
+        first = fit_counts(counts, *force, parameters, use_all=use_all)
+        first = with_drift_prior(first, parameters.drift_std_rate)
     else:
-        first = fit_taps(counts, events, frames, *force, chosen, lag, use_all=use_all)
+        first = fit_taps(counts, events, frames, *force, parameters, lag, use_all=use_all)
     if method == 'two_impulse':
         return first, None
     try:

@@ -42,7 +42,7 @@ from mixtac_alignment.histories import (
     by_cell,
     reduce_frame,
 )
-from mixtac_alignment.parameters import AlignmentParameters
+from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
 from mixtac_alignment.refinement import Refinement
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode
@@ -286,7 +286,7 @@ def pool_lag(refinements: Sequence[Refinement], prior: GelLag | None = None) -> 
 
 
 def pool_latency(
-    refinements: Sequence[Refinement], parameters: AlignmentParameters | None = None
+    refinements: Sequence[Refinement], parameters: AlignmentParameters = DEFAULTS
 ) -> AlignmentParameters:
     """Return parameters with the latency of one sensor's events.
 
@@ -294,8 +294,7 @@ def pool_latency(
         refinements: Refinements whose anchors are taps fitted with the same parameters.
         parameters: Those.
     """
-    chosen = parameters or AlignmentParameters()
-    precision = 1.0 / chosen.tap_latency_std_s**2
+    precision = 1.0 / parameters.tap_latency_std_s**2
     moment = 0.0
     for each in refinements:
         camera_us = np.array([anchor.camera_us for anchor in each.fit.anchors])
@@ -305,8 +304,8 @@ def pool_latency(
         precision += 1.0 / variance
         moment += late / variance
     return replace(
-        chosen,
-        tap_latency=1e3 * (chosen.tap_latency_s + moment / precision),
+        parameters,
+        tap_latency=1e3 * (parameters.tap_latency_s + moment / precision),
         tap_latency_std=1e3 * float(np.hypot(precision**-0.5, LATENCY_FLOOR_S)),
     )
 

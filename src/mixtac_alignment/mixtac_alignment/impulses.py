@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from mixtac_alignment.errors import AlignmentError, AmbiguousImpulsesError, NoImpulseError
 from mixtac_alignment.histories import EventCounts
-from mixtac_alignment.parameters import AlignmentParameters
+from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
 from mixtac_alignment.signals import gaussian_smooth, noise_std, pressing_sign, prominent_peaks
 
 MIN_SPACING_S: Final = 0.3
@@ -111,7 +111,7 @@ NOISE_FACTOR: Final = 8.0
 def find_force_impulses(
     t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
-    parameters: AlignmentParameters | None = None,
+    parameters: AlignmentParameters = DEFAULTS,
 ) -> list[Impulse]:
     """Find sharp force peaks, with times between the samples.
 
@@ -127,17 +127,16 @@ def find_force_impulses(
     Raises:
         AlignmentError: Arrays that are no recording.
     """
-    chosen = parameters or AlignmentParameters()
     _require_recording(t_s, force_N)
     force = pressing_sign(force_N) * (force_N - np.median(force_N))
     period = float(np.median(np.diff(t_s)))
-    least = max(chosen.min_force, NOISE_FACTOR * noise_std(force))
-    window = 2 * max(3, round(2.0 * chosen.max_width / period)) + 1
+    least = max(parameters.min_force, NOISE_FACTOR * noise_std(force))
+    window = 2 * max(3, round(2.0 * parameters.max_width / period)) + 1
     peaks = prominent_peaks(force, least, window)
     impulses = []
     for peak, height, width in zip(*peaks, strict=True):
         width_s = float(width) * period
-        if width_s > chosen.max_width:
+        if width_s > parameters.max_width:
             continue
         first, last = _top(force, int(peak), force[peak] - (1.0 - TOP) * height)
         time_s, std_s = vertex(t_s[first:last], force[first:last])
@@ -285,7 +284,7 @@ QUEUE_STD_S: Final = 0.001
 
 
 def find_event_impulses(
-    counts: EventCounts, parameters: AlignmentParameters | None = None
+    counts: EventCounts, parameters: AlignmentParameters = DEFAULTS
 ) -> list[Impulse]:
     """Find troughs between two bursts, and the moment of stillness to a part of a bin.
 
@@ -297,18 +296,17 @@ def find_event_impulses(
         Impulses in the order of time, relative to the start of the counts; none that touch a time
         for which packets were lost, where a trough may only be missing data.
     """
-    chosen = parameters or AlignmentParameters()
     width_s = counts.width_us * 1e-6
     per_second = counts.counts.astype(np.float64) / width_s
     smooth = gaussian_smooth(per_second, SMOOTHING_S / width_s)
     rest = float(np.median(smooth))
-    window = 2 * max(3, round(2.0 * chosen.max_width / width_s)) + 1
-    troughs = prominent_peaks(-smooth, chosen.min_burst_rate, window)
+    window = 2 * max(3, round(2.0 * parameters.max_width / width_s)) + 1
+    troughs = prominent_peaks(-smooth, parameters.min_burst_rate, window)
     impulses = []
     for trough, depth, width in zip(*troughs, strict=True):
         burst = smooth[trough] + depth
         if (
-            width * width_s > chosen.max_width
+            width * width_s > parameters.max_width
             or smooth[trough] > MAX_TROUGH_RATIO * burst
             or counts.lost_near(trough, window)
         ):

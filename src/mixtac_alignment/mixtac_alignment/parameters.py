@@ -91,3 +91,6 @@ class AlignmentParameters:
     def drift_std_rate(self) -> float:
         """Prior standard deviation of ``a - 1``; 0 for no prior."""
         return self.drift_std * 1e-6
+
+
+DEFAULTS = AlignmentParameters()

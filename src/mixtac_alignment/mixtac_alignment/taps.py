@@ -35,7 +35,7 @@ from mixtac_alignment.errors import NoImpulseError
 from mixtac_alignment.gel_lag import GelLag, LaggedForce
 from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
 from mixtac_alignment.impulses import MIN_SPACING_S, Impulse, ImpulsePair, strongest
-from mixtac_alignment.parameters import AlignmentParameters
+from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
 from mixtac_alignment.signals import even_force, gaussian_smooth, pressing_sign, prominent_peaks
 from mixtac_alignment.two_impulse import paired_impulses
 
@@ -279,7 +279,7 @@ def fit_taps(
     frames: FrameFeatures,
     force_t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
-    parameters: AlignmentParameters | None = None,
+    parameters: AlignmentParameters = DEFAULTS,
     lag: GelLag | None = None,
     *,
     use_all: bool = False,
@@ -299,9 +299,8 @@ def fit_taps(
     Raises:
         AlignmentError: As `two_impulse.fit_counts`, or taps whose events do not follow the force.
     """
-    chosen = parameters or AlignmentParameters()
     pairs, start_s = paired_impulses(
-        counts, force_t_s, force_N, chosen, find_bursts, match_s=BURST_MATCH_S
+        counts, force_t_s, force_N, parameters, find_bursts, match_s=BURST_MATCH_S
     )
     used = pairs if use_all else (pairs[0], pairs[-1])
     t_s, force = even_force(force_t_s - start_s, force_N)
@@ -319,15 +318,15 @@ def fit_taps(
                 f'of the tap ({100.0 * found.misfit:.0f} % are left over): tap on the gel once, '
                 'sharply'
             )
-        at_us = expected_us + round(1e6 * (found.delay_s - chosen.tap_latency_s))
+        at_us = expected_us + round(1e6 * (found.delay_s - parameters.tap_latency_s))
         anchors.append(Anchor(at_us, start_s + pair.reference.time_s, std_s))
     fit = fit_clock(
         anchors,
-        min_baseline_s=chosen.min_baseline,
-        max_drift=chosen.max_drift_rate,
-        common_std_s=chosen.tap_latency_std_s,
+        min_baseline_s=parameters.min_baseline,
+        max_drift=parameters.max_drift_rate,
+        common_std_s=parameters.tap_latency_std_s,
     )
-    return with_drift_prior(fit, chosen.drift_std_rate)
+    return with_drift_prior(fit, parameters.drift_std_rate)
 
 
 def find_bursts(counts: EventCounts, parameters: AlignmentParameters) -> list[Impulse]:

@@ -28,7 +28,7 @@ from mixtac_alignment.impulses import (
     pair_impulses,
     prefer_isolated,
 )
-from mixtac_alignment.parameters import AlignmentParameters
+from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
 
 EVENT_GAP_S: Final = 0.02
 """Silence of the pixels that noise makes impossible [s]: at rest a sensor gives 20 events/ms."""
@@ -83,7 +83,7 @@ def fit_two_impulses(
     events_t_us: NDArray[np.int64],
     force_t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
-    parameters: AlignmentParameters | None = None,
+    parameters: AlignmentParameters = DEFAULTS,
     *,
     max_gap_s: float = FORCE_GAP_S,
 ) -> ClockFit:
@@ -112,7 +112,7 @@ def fit_counts(
     counts: EventCounts,
     force_t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
-    parameters: AlignmentParameters | None = None,
+    parameters: AlignmentParameters = DEFAULTS,
     *,
     use_all: bool = False,
     max_gap_s: float = FORCE_GAP_S,
@@ -130,17 +130,16 @@ def fit_counts(
     Raises:
         AlignmentError: As `fit_two_impulses`.
     """
-    chosen = parameters or AlignmentParameters()
     pairs, start_s = paired_impulses(
-        counts, force_t_s, force_N, chosen, find_event_impulses, max_gap_s=max_gap_s
+        counts, force_t_s, force_N, parameters, find_event_impulses, max_gap_s=max_gap_s
     )
     used = pairs if use_all else (pairs[0], pairs[-1])
-    latency_us = round(1e6 * chosen.event_latency_s)
+    latency_us = round(1e6 * parameters.event_latency_s)
     return fit_clock(
         [_anchor(pair, counts.start_us - latency_us, start_s) for pair in used],
-        min_baseline_s=chosen.min_baseline,
-        max_drift=chosen.max_drift_rate,
-        common_std_s=chosen.event_latency_std_s,
+        min_baseline_s=parameters.min_baseline,
+        max_drift=parameters.max_drift_rate,
+        common_std_s=parameters.event_latency_std_s,
     )
 
 

@@ -166,7 +166,7 @@ def align_bag(
     edges_only = method == 'edges'
     try:
         recording = read_recording(bag, reference, namespace, edges_only=edges_only)
-        known = (None, None) if timing is None else (timing.parameters, timing.lag)
+        known = () if timing is None else (timing.parameters, timing.lag)
         fit, _ = align_recording(recording, *known, method=method)
         write_fit(fit, bag)
         took = time.perf_counter() - began

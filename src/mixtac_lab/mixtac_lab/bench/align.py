@@ -20,6 +20,7 @@ from mixtac_alignment.align import align as align_recording
 from mixtac_alignment.bags import SensorTiming, pool_sensor
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures, by_cell, reduce_frame
+from mixtac_alignment.parameters import DEFAULTS
 from mixtac_alignment.refinement import Refinement, refine
 from mixtac_alignment.taps import fit_taps
 from mixtac_alignment.two_impulse import fit_counts
@@ -354,7 +355,7 @@ def fit_impulses(recording: TrialRecording, known: SensorTiming | None) -> Clock
     Raises:
         AlignmentError: The impulses cannot be found or paired.
     """
-    lag, settings = (None, None) if known is None else (known.lag, known.parameters)
+    lag, settings = (None, DEFAULTS) if known is None else (known.lag, known.parameters)
     force = (recording.force_t_s, recording.force)
     return fit_taps(recording.counts, recording.events, recording.frames, *force, settings, lag)
 
