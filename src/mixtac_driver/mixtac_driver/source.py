@@ -14,9 +14,8 @@ from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.device import check_device, is_real
 from mixtac_driver.errors import UnknownDeviceError
 from mixtac_driver.parameters import DriverParameters
-from mixtac_driver.playback.source import RecordedSource
 from mixtac_driver.usb.transport import DebugMessage
-from mixtac_recordings.camera_stream import SUFFIXES
+from mixtac_recordings.recording import AEDAT4_SUFFIX, BAG_SUFFIXES
 
 
 class Source(Protocol):
@@ -93,7 +92,7 @@ def source_kind(device: str) -> SourceKind:
         check_device(device)
     except UnknownDeviceError as error:
         path = Path(device)
-        if path.suffix in SUFFIXES or '/' in device or path.exists():
+        if path.suffix in (AEDAT4_SUFFIX, *BAG_SUFFIXES) or '/' in device or path.exists():
             return SourceKind.RECORDED
         remedy = f'{error.remedy}, or the path of a recording'
         raise UnknownDeviceError(error.message, remedy=remedy) from error
@@ -117,5 +116,8 @@ def make_source(
         UnknownDeviceError: The device string names nothing known.
     """
     if source_kind(parameters.device) is SourceKind.RECORDED:
+        # A camera's driver starts without the readers of recordings.
+        from mixtac_driver.playback.source import RecordedSource
+
         return RecordedSource(parameters)
     return Davis346(parameters, pixel_filter=pixel_filter, on_debug=on_debug)

@@ -214,7 +214,6 @@ def edges_packet(edges: Edges) -> bytes:
     )
 
 
-SUFFIX = '.aedat4'
 _KINDS = {'EVTS': 'events', 'FRME': 'image', 'IMUS': 'imu', 'TRIG': 'triggers'}
 
 

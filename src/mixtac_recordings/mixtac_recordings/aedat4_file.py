@@ -13,10 +13,10 @@ from __future__ import annotations
 import struct
 import sys
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
-from xml.sax.saxutils import escape
 
 import lz4.frame
 import numpy as np
@@ -335,5 +335,5 @@ def _stream_node(
     return (
         f'<node name="{number}" path="{path}">\n{attributes}'
         f'<node name="info" path="{path}info/">\n{sizes}'
-        f'<attr key="source" type="string">{escape(camera)}</attr>\n</node>\n</node>\n'
+        f'<attr key="source" type="string">{escape(camera, quote=False)}</attr>\n</node>\n</node>\n'
     )

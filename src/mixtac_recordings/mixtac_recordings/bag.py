@@ -26,9 +26,8 @@ from rosbags.typesys.store import Typestore
 
 from mixtac_node import topics
 from mixtac_node.stamps import stamp_to_ns
-from mixtac_recordings.recording import DamagedRecordingError, RecordingError
+from mixtac_recordings.recording import BAG_SUFFIXES, DamagedRecordingError, RecordingError
 
-SUFFIXES = ('.mcap', '.db3')
 _OWN_TYPES = (
     topics.EVENTS.type_name,
     topics.CLOCK_FIT.type_name,
@@ -194,7 +193,7 @@ class BagFile:
 
     def _rescued(self, error: Exception) -> list[Reader]:
         """Open the files of the bag one by one and note in `damage` what is missing."""
-        found = [p for p in self.path.glob('*') if p.suffix in SUFFIXES]
+        found = [p for p in self.path.glob('*') if p.suffix in BAG_SUFFIXES]
         # In the order of their numbers, which have no leading zeros.
         found.sort(key=lambda each: (len(each.name), each.name))
         if self.path.is_dir() and not found:

@@ -20,11 +20,12 @@ from mixtac_events.sequence import SequenceCounter
 from mixtac_events.windows import RESTART_US
 from mixtac_node import topics
 from mixtac_node.stamps import stamp_to_us
-from mixtac_recordings import aedat4, bag
 from mixtac_recordings import messages as convert
 from mixtac_recordings.aedat4 import Aedat4Recording
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.recording import (
+    AEDAT4_SUFFIX,
+    BAG_SUFFIXES,
     Piece,
     ReadCounters,
     Recording,
@@ -258,9 +259,6 @@ def _check_packet(message: Any) -> None:  # noqa: ANN401
         )
 
 
-SUFFIXES = (aedat4.SUFFIX, *bag.SUFFIXES)
-
-
 def open_recording(path: Path, selection: Selection | None = None) -> Recording:
     """Open a recording.
 
@@ -275,8 +273,8 @@ def open_recording(path: Path, selection: Selection | None = None) -> Recording:
     remedy = 'give an .aedat4, .mcap or .db3 file or the folder of a bag'
     if not path.exists():
         raise RecordingError(f'no recording at {path}', remedy=remedy)
-    if path.suffix == aedat4.SUFFIX:
+    if path.suffix == AEDAT4_SUFFIX:
         return Aedat4Recording(path, selection)
-    if path.is_dir() or path.suffix in bag.SUFFIXES:
+    if path.is_dir() or path.suffix in BAG_SUFFIXES:
         return BagRecording(path, selection)
     raise RecordingError(f'{path} is not a recording', remedy=remedy)

@@ -28,7 +28,7 @@ from mixtac_recordings.aedat4_file import Aedat4Writer
 from mixtac_recordings.bag import BagFile
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.messages import left_aligned
-from mixtac_recordings.recording import Recording, RecordingError, RecordingInfo
+from mixtac_recordings.recording import AEDAT4_SUFFIX, Recording, RecordingError, RecordingInfo
 
 
 class GrowingNpz:
@@ -355,7 +355,7 @@ def export_recording(
             with contextlib.closing(_sink(kind, out, recording)) as sink:
                 counts = Counts(damage=recording.info.damage)
                 _export_camera(recording, sink, counts, progress)
-                if kind != 'aedat4' and path.suffix != aedat4.SUFFIX:
+                if kind != 'aedat4' and path.suffix != AEDAT4_SUFFIX:
                     _export_wrenches(path, sink, counts)
         except OSError as error:
             raise RecordingError(

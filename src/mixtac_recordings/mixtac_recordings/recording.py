@@ -26,6 +26,8 @@ class DamagedRecordingError(RecordingError):
     """Recorded data that violate their format."""
 
 
+AEDAT4_SUFFIX = '.aedat4'
+BAG_SUFFIXES = ('.mcap', '.db3')
 LATEST_US = (1 << 31) * 1_000_000 - 1
 """Latest time of a ROS stamp [us]."""
 

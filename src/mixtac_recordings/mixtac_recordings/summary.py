@@ -16,10 +16,9 @@ from mixtac_events.codec import decode_message
 from mixtac_events.packets import CodecError
 from mixtac_events.sequence import SequenceCounter
 from mixtac_node.topics import EVENTS
-from mixtac_recordings import aedat4
 from mixtac_recordings.aedat4 import Aedat4Recording
 from mixtac_recordings.bag import BagFile
-from mixtac_recordings.recording import DamagedRecordingError
+from mixtac_recordings.recording import AEDAT4_SUFFIX, DamagedRecordingError
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ def summarise(path: Path) -> BagSummary:
     Raises:
         RecordingError: It is missing, or nothing of it can be read.
     """
-    if path.suffix == aedat4.SUFFIX:
+    if path.suffix == AEDAT4_SUFFIX:
         return _summarise_aedat4(path)
     with BagFile(path) as bag:
         events, notes = {}, [bag.damage] if bag.damage else []
