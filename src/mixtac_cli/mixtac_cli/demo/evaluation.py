@@ -195,7 +195,9 @@ def host_time(
     """
     if clock_pairs is None:
         packet = np.searchsorted(streams.complete_us * 1000, camera_ns)
-        return streams.arrival_ns[packet.clip(max=len(streams.arrival_ns) - 1)]
+        return np.asarray(
+            streams.arrival_ns[packet.clip(max=len(streams.arrival_ns) - 1)], np.int64
+        )
     host_minus_camera = (clock_pairs[:, 0] - clock_pairs[:, 1]).astype(np.float64)
     offset = np.interp(camera_ns, clock_pairs[:, 1], host_minus_camera)
     return camera_ns + offset.astype(np.int64)
