@@ -26,6 +26,7 @@ ROOT = Path(__file__).resolve().parent
 # 0 is everybody's default; above 100 the ports run into Linux's ephemeral range.
 DOMAINS = range(1, 100)
 PATIENCE_S = 60.0
+LIVE = ('live', 'dds', 'umockdev')
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -38,14 +39,22 @@ def pytest_configure(config: pytest.Config) -> None:
             index.unlink(missing_ok=True)
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave files without a test that runs in real time alone where only such tests are wanted."""
+    if config.option.markexpr != 'live' or collection_path.suffix != '.py':
+        return None
+    text = collection_path.read_text(encoding='utf-8')
+    return None if any(f'mark.{kind}' in text for kind in LIVE) else True
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark files with tests that run in real time, and keep each file with one worker."""
-    kinds = ('live', 'dds', 'umockdev')
-    live = {item.path for item in items for kind in kinds if any(item.iter_markers(kind))}
+    """Mark tests that run in real time, keep each file with one worker, begin with slow files."""
+    slow = {item.path for item in items if any(item.iter_markers('slow'))}
+    items.sort(key=lambda item: item.path not in slow)
     for item in items:
         item.add_marker(pytest.mark.xdist_group(item.path.name))
-        if item.path in live:
+        if any(any(item.iter_markers(kind)) for kind in LIVE):
             item.add_marker('live')
 
 

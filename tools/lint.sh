@@ -4,8 +4,11 @@
 # Style, types, layers, and whether the generated pages are up to date.
 set -eu
 cd "$(dirname "$0")/.."
+mypy src/*/mixtac_*/ tools &
+types=$!
+trap wait EXIT # what mypy finds is shown although another check has failed
 ruff check .
 ruff format --check .
-mypy src/*/mixtac_*/ tools
 python tools/check_house.py
 python tools/write_reference.py --check
+wait $types
