@@ -426,7 +426,7 @@ class LiveView:
                     self._console.print(self._line(left), soft_wrap=True)
 
     def _line(self, left: float) -> str:
-        shown = f'{left:5.1f} s left' if left > 0.0 else 'a busy host'
+        shown = f'{left:5.1f} s left' if left > 0.0 else 'still playing'
         return (
             f'{shown}  force {self._estimates[-1]:7.3f} N  reference {self._references[-1]:7.3f} N'
             f'  {self._rates[0]:5.0f} Hz  {self._events()}'
