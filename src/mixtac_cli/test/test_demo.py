@@ -21,7 +21,7 @@ from mixtac_recordings.bag import typestore
 if TYPE_CHECKING:
     from pathlib import Path
 
-SECONDS = 14.0
+SECONDS = 12.0
 
 
 @pytest.fixture(scope='module')

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import gc
 import sys
 import time
 from dataclasses import replace
@@ -28,6 +27,7 @@ from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_node.files import state_file
+from mixtac_node.process import freeze_loaded
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 
 if TYPE_CHECKING:
@@ -103,9 +103,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             ),
             deadline_s=settings.deadline,
         )
-        # Freeze loaded objects: a full GC pass would stall several windows.
-        gc.collect()
-        gc.freeze()
+        freeze_loaded()
         self._inputs = [
             self.subscribe_topic(topics.EVENTS, self._on_events, raw=True),
             self.subscribe_topic(topics.IMAGE_RAW, self._on_image),

@@ -28,6 +28,7 @@ from rclpy.signals import SignalHandlerOptions
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
+from mixtac_node.process import freeze_loaded
 from mixtac_node.topics import DEFAULT_NAMESPACE, Topic, message_class
 
 T = TypeVar('T')
@@ -267,6 +268,7 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
         for node in nodes:
             executor.add_node(node)
         checks = [node.check for node in nodes if hasattr(node, 'check')]
+        freeze_loaded()
         while not stopping and rclpy.ok():
             # In the wheels of Jazzy, spin() of this executor never calls back; spin_once does.
             executor.spin_once(timeout_sec=0.2)

@@ -1,10 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Child processes: their environment, starting them together, watching and ending them."""
+"""Child processes: their environment, starting them together, watching and ending them.
+
+Beside them, what a process in real time does about garbage.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import queue
 import re
@@ -32,6 +36,12 @@ class GraphError(MixtacError):
 FASTDDS_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 """Fast DDS 2 (ROS 2 Jazzy) reads the first, Fast DDS 3 the second."""
 _ON_THIS_MACHINE = {'LOCALHOST', 'OFF'}
+
+
+def freeze_loaded() -> None:
+    """Take all present objects out of garbage collection: a full pass takes 0.1 s."""
+    gc.collect()
+    gc.freeze()
 
 
 def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:

@@ -49,8 +49,9 @@ from mixtac_node.process import GraphError, ProcessGroup
 from mixtac_node.topics import DEFAULT_NAMESPACE
 
 SETTLE_S = 1.0
-LEAD_S = 12.0
-"""Time by which the scenario is computed ahead [s]: all of the default one on most hosts."""
+LEAD = 0.4
+"""Delay of the scenario over its length: meanwhile most hosts compute nearly all of it ahead."""
+LONGEST_LEAD_S = 12.0
 START_UP_S = 60.0
 TAIL_S = 1.0
 PRESET = 'paper_like'
@@ -209,6 +210,7 @@ def _run_graph(
     Returns:
         What was measured, and the exit status of nodes that did not end cleanly.
     """
+    lead_s = min(LEAD * seconds, LONGEST_LEAD_S)
     virtual_sensor = {
         'seed': seed,
         'device_seed': device_seed,
@@ -217,7 +219,7 @@ def _run_graph(
         'seconds': float(seconds),
         'play_on_start': False,
         'loop': False,
-        'lead_seconds': LEAD_S,
+        'lead_seconds': lead_s,
         'slow_host': 'wait',
     }
     estimator = {} if model is None else {'model': str(model.resolve())}
@@ -249,7 +251,7 @@ def _run_graph(
         time.sleep(SETTLE_S)
         monitor.trigger('virtual_sensor/play', processes.check)
         first = monitor.force_count
-        LiveView(console, monitor).show(LEAD_S + seconds + TAIL_S, processes.check)
+        LiveView(console, monitor).show(lead_s + seconds + TAIL_S, processes.check)
         arrival, stamp, _ = monitor.force()
         waited_s = float(monitor.values('virtual_sensor').get('lost_us', 0)) / 1e6
         pairs = monitor.clock_pairs()

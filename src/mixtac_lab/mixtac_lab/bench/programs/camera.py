@@ -31,6 +31,7 @@ from mixtac_lab.bench.pattern import (
     encode_pattern,
     make_pattern,
 )
+from mixtac_node.process import freeze_loaded
 from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.usb.server import UsbServer
@@ -135,6 +136,7 @@ def main() -> None:
     since_us = camera.true_time_us()
     zero_ns, monotonic_ns = time.time_ns(), time.monotonic_ns()
     server = UsbServer(camera, options.socket)
+    freeze_loaded()
     send(ready=True, period_us=pattern.period_us, **truth)
     origin_us = camera.clock_origin_us
     while not stopping.wait(POLL_S):

@@ -32,6 +32,7 @@ from mixtac_lab.bench.harness import Arrivals, quantiles, send, stop_event
 from mixtac_msgs.msg import SlipState
 from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR
 from mixtac_node.lifecycle_node import LifecycleClient
+from mixtac_node.process import freeze_loaded
 from mixtac_node.stamps import ns_to_stamp, stamp_to_ns
 
 MAX_FORCES = 1_000_000
@@ -285,6 +286,7 @@ def main() -> None:
     task = json.loads(sys.stdin.readline())
     probe = PROBES[task.pop('probe')](**task)
     probe.prepare()
+    freeze_loaded()
     while not stopping.is_set():
         probe.spin(0.1)
     send(**probe.figures())
