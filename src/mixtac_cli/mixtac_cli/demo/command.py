@@ -42,7 +42,7 @@ from mixtac_cli.demo.evaluation import (
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_cli.up import start_nodes
-from mixtac_fger.force_calibration import fit_gain, load_of
+from mixtac_fger.force_calibration import ForceCalibrationError, fit_gain, load_of
 from mixtac_node.files import FileError, write_json
 from mixtac_node.graph import recorder, sensor_graph
 from mixtac_node.process import GraphError, ProcessGroup
@@ -91,7 +91,7 @@ class DemoReport:
             `rmse_n`, `constant_mae_n` and `clock_drift_ppm`, if the alignment was refused.
         rmse_n: Root mean square error against the same.
         mae_uncalibrated_n: What `mae_n` would be without the calibration.
-        gain: Factor of the force that the calibration found.
+        gain: Factor of the force that the calibration found; 1 if it was refused.
         peak_error: Relative error of the peak of the impact; None if it is not known.
         frame_jump: Mean change of the force where a frame corrects it over the mean change
             elsewhere.
@@ -262,12 +262,18 @@ def _run_graph(
 
 
 def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> float:
-    """Calibrate the sensor by known loads, as `mixtac calibrate-force` does; return the gain."""
+    """Calibrate as `mixtac calibrate-force` does; return the gain, 1 if that is refused."""
     console.print('calibrating by known loads, as mixtac calibrate-force does')
     procedure = LiveProcedure(console, DEFAULT_NAMESPACE, 'virtual', yes=True)
     loads = [load_of(grams, 0.0) for grams in LOADS_G]
-    session = procedure.lead(processes, monitor, loads, known=True)
-    calibration = fit_gain(session.loads, session.plateaus)
+    try:
+        session = procedure.lead(processes, monitor, loads, known=True)
+        calibration = fit_gain(session.loads, session.plateaus)
+    except ForceCalibrationError as error:
+        # As on a host that is too busy; what follows is worth showing all the same.
+        console.print(f'not calibrated: {error}', soft_wrap=True)
+        monitor.trigger('virtual_sensor/release', processes.check)
+        return 1.0
     monitor.set_parameters('fger', {'force_scale': calibration.gain}, processes.check)
     console.print(f'gain {calibration.gain:.3f}', highlight=False)
     return calibration.gain
