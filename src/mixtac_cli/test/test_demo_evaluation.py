@@ -104,7 +104,6 @@ def test_the_error_of_the_peak_is_that_of_the_impact():
         time_s=np.array([0.0, 1.0, 2.0, 3.0]),
         estimate_n=np.array([9.0, 1.1, 2.2, 0.0]),
         reference_n=np.array([9.0, 2.0, 1.0, 0.0]),
-        mae_n=0.0,
         rmse_n=0.0,
         constant_mae_n=0.0,
     )

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import queue
 import threading
 from collections import deque
@@ -38,6 +37,7 @@ from mixtac_events.windows import WindowSlicer
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus
 from mixtac_fger.features import ImageError, correction_lag
 from mixtac_fger.reference import Reference, TareError
+from mixtac_node.process import lower_priority
 
 if TYPE_CHECKING:
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
@@ -186,8 +186,7 @@ class FrameWorker:
         self._thread.join(timeout=5.0)
 
     def _run(self) -> None:
-        with contextlib.suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
+        lower_priority(NICENESS)
         while (job := self._inbox.get()) is not None:
             try:
                 encoded = self._estimator.encode(*job)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Child processes: their environment, starting them together, watching and ending them.
 
-Beside them, what a process in real time does about garbage.
+Beside them, what a process in real time does about garbage and priorities.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
+import os
 import queue
 import re
 import shutil
@@ -23,8 +24,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import IO, Any
-
-from ament_index_python.packages import get_package_share_directory
 
 from mixtac_events.errors import MixtacError
 
@@ -44,6 +43,12 @@ def freeze_loaded() -> None:
     gc.freeze()
 
 
+def lower_priority(niceness: int) -> None:
+    """Set the niceness of the calling thread, where the system has one for threads."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), niceness)
+
+
 def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
     """Return the variables that select our Fast DDS profile; none if the user has a profile.
 
@@ -55,6 +60,9 @@ def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
         return {}
     local = environment.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '') in _ON_THIS_MACHINE
     name = 'local.xml' if local else 'network.xml'
+    # Cores that only set priorities run without ROS.
+    from ament_index_python.packages import get_package_share_directory
+
     path = Path(get_package_share_directory('mixtac_bringup')) / 'config' / 'fastdds' / name
     return dict.fromkeys(FASTDDS_VARIABLES, str(path))
 

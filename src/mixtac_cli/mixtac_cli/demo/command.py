@@ -309,7 +309,7 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
             'p50': float(np.quantile(latency, 0.5)),
             'p99': float(np.quantile(latency, 0.99)),
         },
-        mae_n=comparison.mae_n if comparison else None,
+        mae_n=mae(comparison) if comparison else None,
         rmse_n=comparison.rmse_n if comparison else None,
         mae_uncalibrated_n=mae(comparison, 1.0 / run.gain) if comparison else None,
         gain=run.gain,

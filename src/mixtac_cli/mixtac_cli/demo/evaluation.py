@@ -83,7 +83,6 @@ class Comparison:
         time_s: Sample times [s].
         estimate_n: Estimated force [N].
         reference_n: Reference force at the same times [N].
-        mae_n: Mean absolute error [N].
         rmse_n: Root mean square error [N].
         constant_mae_n: Error of the best constant guess (the median), for comparison [N].
     """
@@ -93,7 +92,6 @@ class Comparison:
     time_s: NDArray[np.float64]
     estimate_n: NDArray[np.float64]
     reference_n: NDArray[np.float64]
-    mae_n: float
     rmse_n: float
     constant_mae_n: float
 
@@ -105,19 +103,20 @@ def read_streams(path: Path, namespace: str) -> Streams:
         RecordingError: A topic is missing or the bag is damaged.
     """
     times: list[NDArray[np.int64]] = []
-    complete_us, arrival_ns = [], []
+    complete_us, arrival_ns, ages = [], [], []
+    events, quality = (each.resolved(namespace) for each in (topics.EVENTS, topics.FORCE_QUALITY))
     counter = SequenceCounter()
     with BagFile(path) as bag:
-        for _, _, message in bag.messages(topics.EVENTS.resolved(namespace)):
+        for topic, _, message in bag.messages(events, quality):
+            stamp_ns = stamp_to_ns(message.header.stamp)
+            if topic == quality:
+                ages.append((stamp_ns, round(1e9 * message.frame_age)))
+                continue
             counter.update(message.seq)
             packet = decode_message(message)
             times.append(packet.events.t)
             complete_us.append(packet.complete_until)
-            arrival_ns.append(stamp_to_ns(message.header.stamp))
-        ages = [
-            (stamp_to_ns(message.header.stamp), round(1e9 * message.frame_age))
-            for _, _, message in bag.messages(topics.FORCE_QUALITY.resolved(namespace))
-        ]
+            arrival_ns.append(stamp_ns)
         force = bag.wrenches(topics.FORCE.resolved(namespace))
         reference = bag.wrenches(topics.REFERENCE)
         truth = bag.wrenches(topics.TRUTH_WRENCH.resolved(namespace))
@@ -154,14 +153,13 @@ def compare(streams: Streams) -> Comparison:
     inside = (force_us >= first_us) & (force_us <= last_us)
     estimate = streams.force_n[inside]
     reference = np.interp(force_us[inside], reference_us, streams.reference_n)
-    error = np.abs(estimate - reference)
+    error = estimate - reference
     return Comparison(
         fit=fit,
         start_us=first_us,
         time_s=(force_us[inside] - first_us) / 1e6,
         estimate_n=estimate,
         reference_n=reference,
-        mae_n=float(error.mean()),
         rmse_n=float(np.sqrt((error**2).mean())),
         constant_mae_n=float(np.abs(reference - np.median(reference)).mean()),
     )

@@ -12,16 +12,15 @@ simulated time stops for a while, and the loss is counted.
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections import deque
-from contextlib import suppress
 from dataclasses import dataclass
-from threading import Event, Lock, Thread, get_native_id
+from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
+from mixtac_node.process import lower_priority
 from mixtac_sim import SimulationError
 from mixtac_sim.live import touch
 from mixtac_sim.live.touch import LiveProfile
@@ -98,7 +97,7 @@ PERIOD_S: Final = 0.001
 _CHUNK_US: Final = 4000
 # Little beside any lead; a scenario begins two chunks later at the earliest.
 _AHEAD_PERIOD_S: Final = 0.02
-# Of the threads that release and compute ahead.
+# Niceness of the releasing thread of a patient sensor, and of the thread that computes ahead.
 _PATIENT_NICENESS: Final = 5
 _AHEAD_NICENESS: Final = 10
 # A frame is known at the end of the chunk in which its readout has ended.
@@ -316,7 +315,7 @@ class VirtualSensor:
     def _run(self) -> None:
         if self._patient:
             # What reads the camera goes first on a busy CPU; then this thread is late, and waits.
-            _lower_priority(_PATIENT_NICENESS)
+            lower_priority(_PATIENT_NICENESS)
         deadline = time.monotonic()
         while not self._stop.is_set():
             self.step()
@@ -325,7 +324,7 @@ class VirtualSensor:
             time.sleep(max(0.0, deadline - time.monotonic()))
 
     def _compute_ahead(self) -> None:
-        _lower_priority(_AHEAD_NICENESS)
+        lower_priority(_AHEAD_NICENESS)
         while not self._stop.is_set():
             limit_us = min(self._clock.now_us() + self._ahead_us, self._ahead_until_us)
             if self._simulated_us >= limit_us:
@@ -397,11 +396,6 @@ class VirtualSensor:
             batches = list(queue)
             queue.clear()
         return batches
-
-
-def _lower_priority(niceness: int) -> None:
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, get_native_id(), niceness)
 
 
 LARGEST_N: Final = 20.0
