@@ -117,17 +117,33 @@ def test_torch_without_cuda_is_tried_first(tool, monkeypatch, tmp_path):
 
     def call(command, _failure):
         calls.append(command)
-        raise tool.SetupError('not there')
+        if command[-1].endswith('+cpu'):
+            raise tool.SetupError('not there')
 
     monkeypatch.setattr(tool, 'call', call)
     monkeypatch.setattr(tool.platform, 'machine', lambda: 'x86_64')
     monkeypatch.setattr(tool.sys, 'platform', 'linux')
     monkeypatch.delenv('MIXTAC_TORCH', raising=False)
     tool.install_torch(tmp_path)
-    assert calls[0][-1].endswith('+cpu')
+    assert [command[-1].endswith('+cpu') for command in calls] == [True, False]
     monkeypatch.setenv('MIXTAC_TORCH', 'cuda')
     tool.install_torch(tmp_path)
-    assert len(calls) == 1
+    assert len(calls) == 2
+
+
+def test_pip_installs_where_uv_cannot(tool, monkeypatch, tmp_path):
+    calls = []
+
+    def call(command, _failure):
+        calls.append(command)
+        if command[0].endswith('uv'):
+            raise tool.SetupError('no such registry')
+
+    monkeypatch.setattr(tool, 'call', call)
+    files = [tmp_path / 'base.txt']
+    tool.install_files(tmp_path, files)
+    assert calls[-1][:4] == tool.pip_install(tmp_path)[:4]
+    assert calls[-1][-2:] == ['-r', str(files[0])]
 
 
 def test_a_damaged_record_starts_over(tool, tmp_path):
