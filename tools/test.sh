@@ -1,16 +1,28 @@
 #!/usr/bin/env bash
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-# All tests, or those that the arguments name: calculations two at a time, then what runs in real
-# time, one after the other, so that nothing starves on a computer with two cores. Calculations come
-# in the order of collection, which begins with the slow files, so that none is left over at the end.
+# All tests, or those that the arguments name: what runs in real time, one after the other, and
+# beside it the calculations, two at a time, in the time that the former leave. Calculations come in
+# the order of collection, which begins with the slow files, so that none is left over at the end.
 set -u
 cd "$(dirname "$0")/.."
 none=5 # pytest's status when nothing was selected
-python -m pytest -m 'not live' -n 2 --dist loadgroup --no-loadscope-reorder "$@"
-calculated=$?
+calculations=log/test_calculations.log
+
+# Linux may share its time among sessions first, and heeds niceness only within each: hence both.
+idle='echo 19 2>/dev/null >/proc/self/autogroup; exec nice -n 19 "$@"'
+setsid bash -c "$idle" idle python -m pytest -m 'not live' -n 2 --dist loadgroup \
+    --no-loadscope-reorder --timeout 900 "$@" >"$calculations" 2>&1 &
+calculating=$!
+trap 'kill -- -$calculating 2>/dev/null' EXIT
+trap 'exit 130' INT TERM
+
+echo "calculations run in the background: $calculations"
 python -m pytest -m live "$@"
 live=$?
+tail -n +1 -f --pid=$calculating "$calculations"
+wait $calculating
+calculated=$?
 if [ $calculated = $none ]; then exit $live; fi
 if [ $calculated != 0 ] || [ $live = $none ]; then exit $calculated; fi
 exit $live

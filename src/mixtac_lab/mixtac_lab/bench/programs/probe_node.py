@@ -115,7 +115,7 @@ class ForceProbe(Probe):
 
     Args:
         namespace: Namespace of the sensor.
-        settle_s: Time between the first force and the measurement [s].
+        settle_s: Time between the subscription to the forces and the measurement [s].
     """
 
     def __init__(self, namespace: str, settle_s: float) -> None:
@@ -285,8 +285,8 @@ def main() -> None:
     send(ready=True)
     task = json.loads(sys.stdin.readline())
     probe = PROBES[task.pop('probe')](**task)
+    freeze_loaded()  # takes some 60 ms, so not within the measurement
     probe.prepare()
-    freeze_loaded()
     while not stopping.is_set():
         probe.spin(0.1)
     send(**probe.figures())
