@@ -11,7 +11,7 @@ calculations=log/test_calculations.log
 
 # Linux may share its time among sessions first, and heeds niceness only within each: hence both.
 idle='echo 19 2>/dev/null >/proc/self/autogroup; exec nice -n 19 "$@"'
-setsid bash -c "$idle" idle python -m pytest -m 'not live' -n 2 --dist loadgroup \
+OMP_NUM_THREADS=1 setsid bash -c "$idle" idle python -m pytest -m 'not live' -n 2 --dist loadgroup \
     --no-loadscope-reorder --timeout 900 "$@" >"$calculations" 2>&1 &
 calculating=$!
 trap 'kill -- -$calculating 2>/dev/null' EXIT

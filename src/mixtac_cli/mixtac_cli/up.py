@@ -94,6 +94,9 @@ def up(
     """Run the sensor's nodes with their parameter files, as sensor.launch.py does."""
     if context.invoked_subcommand is not None:
         return
+    from mixtac_driver.source import source_kind  # imports numba, which --help need not wait for
+
+    source_kind(device)  # refuses an unknown one before anything starts
     if view:
         require_rerun()
     play = play and is_virtual(device)
