@@ -9,7 +9,6 @@ import fcntl
 import os
 import runpy
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -19,10 +18,14 @@ from unittest import mock
 
 import pytest
 
+ROOT = Path(__file__).resolve().parent
+sys.path.insert(0, str(ROOT / 'test'))
+
+from fork_server import ForkServer, NodeProcess  # noqa: E402
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-ROOT = Path(__file__).resolve().parent
 # 0 is everybody's default; above 100 the ports run into Linux's ephemeral range.
 DOMAINS = range(1, 100)
 PATIENCE_S = 60.0
@@ -95,49 +98,56 @@ def module_ros_domain() -> Iterator[dict[str, str]]:
         yield env
 
 
+@pytest.fixture(scope='session')
+def fork_server() -> Iterator[ForkServer]:
+    """Return the server that forks node processes; it starts with the first test that needs it."""
+    server = ForkServer()
+    yield server
+    server.close()
+
+
 class NodeUnderTest:
-    """A node in its own process, and a node of the test that listens to it and calls it.
+    """Nodes in processes of their own, and a node of the test that listens to them and calls them.
 
     Args:
-        env: Environment of the process.
+        server: Forks the processes.
 
     Attributes:
         node: The node of the test.
         executor: Its executor.
-        process: The process, None before `start`.
+        process: The process that was started last, None before the first.
         got: Received messages by name of the topic.
     """
 
-    def __init__(self, env: dict[str, str]) -> None:
+    def __init__(self, server: ForkServer) -> None:
         import rclpy
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
 
-        self._env = env
+        self._server = server
         self._context = Context()
         rclpy.init(context=self._context)
         self.node = rclpy.create_node('listener', context=self._context)
         self.executor = SingleThreadedExecutor(context=self._context)
         self.executor.add_node(self.node)
-        self.process: subprocess.Popen[bytes] | None = None
+        self._processes: list[NodeProcess] = []
         self.got: dict[str, list[Any]] = {}
 
-    def start(self, command: list[str], *parameters: str, remap: tuple[str, ...] = ()) -> None:
-        """Start the process.
+    @property
+    def process(self) -> NodeProcess:
+        return self._processes[-1]
+
+    def start(self, module: str, *parameters: str, remap: tuple[str, ...] = ()) -> None:
+        """Start a process, with the test's environment.
 
         Args:
-            command: Its command line, without ROS arguments.
+            module: The node's module.
             parameters: Parameters, as `name:=value`.
             remap: Remappings, as `from:=to`.
         """
         words = [word for each in parameters for word in ('-p', each)]
         words += [word for each in remap for word in ('-r', each)]
-        self.process = subprocess.Popen(
-            [*command, '--ros-args', *words],
-            env=self._env,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-        )
+        self._processes.append(NodeProcess(self._server, module, '--ros-args', *words))
 
     def listen(self, kind: Any, topic: str, qos: Any) -> list[Any]:  # noqa: ANN401
         """Subscribe to an absolute topic; return the list that its messages are appended to."""
@@ -145,66 +155,115 @@ class NodeUnderTest:
         self.node.create_subscription(kind, topic, got.append, qos)
         return got
 
-    def spin_until(self, condition: Callable[[], object], seconds: float = PATIENCE_S) -> None:
-        """Receive until a condition holds; fail if it does not, or if the process ends."""
+    def spin_until(
+        self,
+        condition: Callable[[], object],
+        action: Callable[[], object] = lambda: None,
+        *,
+        seconds: float = PATIENCE_S,
+    ) -> None:
+        """Receive until a condition holds; fail if it does not, or if a process ends.
+
+        Args:
+            condition: The condition.
+            action: Called before each message.
+            seconds: Longest time [s].
+        """
         deadline = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < deadline, {k: len(v) for k, v in self.got.items()}
-            if self.process is not None and self.process.poll() is not None:
-                pytest.fail(self.process.stdout.read().decode())  # type: ignore[union-attr]
+            for each in self._processes:
+                if each.poll() is not None:
+                    pytest.fail(f'status {each.returncode}: {each.stdout}{each.stderr}')
+            action()
             self.executor.spin_once(timeout_sec=0.1)
 
-    def call(self, kind: Any, name: str, request: Any) -> Any:  # noqa: ANN401
-        """Call a service by its absolute name and return the answer."""
+    def call(self, kind: Any, name: str, request: Any = None) -> Any:  # noqa: ANN401
+        """Call a service by its absolute name and return the answer.
+
+        Args:
+            kind: Its type.
+            name: Its name.
+            request: The request, None for one with all defaults.
+        """
         client = self.node.create_client(kind, name)
         self.spin_until(client.service_is_ready)
-        future = client.call_async(request)
+        future = client.call_async(kind.Request() if request is None else request)
         self.spin_until(future.done)
         return future.result()
 
+    def change(self, node: str, **values: Any) -> Any:  # noqa: ANN401
+        """Set parameters of a node together; return the result.
+
+        Args:
+            node: Its absolute name.
+            values: The parameters.
+        """
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        request = SetParametersAtomically.Request()
+        request.parameters = [each.to_parameter_msg() for each in parameters]
+        return self.call(
+            SetParametersAtomically, f'{node}/set_parameters_atomically', request
+        ).result
+
     def diagnostics(self, name: str) -> dict[str, str]:
-        """Return the latest diagnostics of a node, with keys `level` and `message`; or nothing.
+        """Return a node's latest diagnostics, or nothing.
 
         Args:
             name: For example `mixtac/driver`. The test listens to `/diagnostics`.
+
+        Returns:
+            Values by key, and `level`, `message` and `hardware_id`.
         """
         for array in reversed(self.got.get('/diagnostics', [])):
             for status in array.status:
                 if status.name == name:
                     values = {each.key: each.value for each in status.values}
-                    return {**values, 'level': str(status.level[0]), 'message': status.message}
+                    values.update(level=str(status.level[0]), message=status.message)
+                    return {**values, 'hardware_id': status.hardware_id}
         return {}
 
     def stop(self) -> tuple[int, str]:
         """Interrupt the process; return its exit status and output."""
-        assert self.process is not None
-        self.process.send_signal(signal.SIGINT)
-        output, _ = self.process.communicate(timeout=30)
-        return self.process.returncode, output.decode()
+        status = self.process.end(signal.SIGINT)
+        return status, self.process.stdout + self.process.stderr
 
     def close(self) -> None:
-        """End everything."""
+        """End everything; fail if a process that still runs does not end well."""
         import rclpy
 
-        if self.process is not None and self.process.poll() is None:
+        running = [each for each in self._processes if each.poll() is None]
+        for each in running:
             # Killed, it would still be a peer of the node here, whose end then crashes at times.
-            self.process.terminate()
-            try:
-                self.process.communicate(timeout=15)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
+            each.end()
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)
+        for each in running:
+            assert each.returncode == 0, each.stdout + each.stderr
 
 
 @pytest.fixture
-def node_under_test(ros_domain: dict[str, str]) -> Iterator[NodeUnderTest]:
-    """Return a node process to start, with a node that listens to it, in a domain of its own."""
-    graph = NodeUnderTest(ros_domain)
-    yield graph
-    graph.close()
+def node_under_test(
+    ros_domain: dict[str, str],  # noqa: ARG001
+    fork_server: ForkServer,
+) -> Iterator[NodeUnderTest]:
+    """Return node processes to start, with a node that listens, in a domain of their own."""
+    with contextlib.closing(NodeUnderTest(fork_server)) as graph:
+        yield graph
+
+
+@pytest.fixture(scope='module')
+def module_node_under_test(
+    module_ros_domain: dict[str, str],  # noqa: ARG001
+    fork_server: ForkServer,
+) -> Iterator[NodeUnderTest]:
+    """Return what `node_under_test` does, for all tests of a module."""
+    with contextlib.closing(NodeUnderTest(fork_server)) as graph:
+        yield graph
 
 
 def declared_launch_arguments(path: Path) -> list[str]:

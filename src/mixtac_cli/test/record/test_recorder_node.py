@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
 import time
 from typing import TYPE_CHECKING
 
@@ -21,12 +19,12 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 from mixtac_events.arrays import Events  # noqa: E402
 from mixtac_events.codec import encode  # noqa: E402
 from mixtac_node.base_node import QOS_EVENTS  # noqa: E402
-from mixtac_node.graph import executable  # noqa: E402
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 pytestmark = pytest.mark.dds
+RECORDER = 'mixtac_cli.record.recorder_node'
 PACKETS = 1500
 START_US = 1_790_000_000_000_000
 
@@ -65,15 +63,11 @@ def make_events(index: int) -> Events:
     )
 
 
-def publish_all(topic: str) -> None:
+def publish_all(graph, topic: str) -> None:
     from event_camera_msgs.msg import EventPacket
 
-    rclpy.init()
-    node = rclpy.create_node('source')
-    publisher = node.create_publisher(EventPacket, topic, QOS_EVENTS)
-    deadline = time.monotonic() + 60
-    while not publisher.get_subscription_count() and time.monotonic() < deadline:
-        time.sleep(0.05)
+    publisher = graph.node.create_publisher(EventPacket, topic, QOS_EVENTS)
+    graph.spin_until(publisher.get_subscription_count)
     time.sleep(1.0)
     for index in range(PACKETS):
         packed = encode(
@@ -87,28 +81,16 @@ def publish_all(topic: str) -> None:
         publisher.publish(message)
         time.sleep(0.001)
     time.sleep(0.5)
-    node.destroy_node()
-    rclpy.shutdown()
 
 
 @pytest.fixture(scope='module')
-def recorded(module_ros_domain, tmp_path_factory) -> Path:
+def recorded(module_node_under_test, tmp_path_factory) -> Path:
     bag = tmp_path_factory.mktemp('bags') / 'one'
-    recorder = subprocess.Popen(
-        [
-            str(executable('mixtac_cli', 'recorder_node')),
-            *('--ros-args', '-r', '__ns:=/here', '-p', f'output:={bag}'),
-        ],
-        env=module_ros_domain,
-    )
-    try:
-        publish_all('/here/events')
-        recorder.send_signal(signal.SIGINT)
-        assert recorder.wait(30) == 0
-    finally:
-        if recorder.poll() is None:
-            recorder.kill()
-            recorder.wait()
+    graph = module_node_under_test
+    graph.start(RECORDER, f'output:={bag}', remap=('__ns:=/here',))
+    publish_all(graph, '/here/events')
+    status, output = graph.stop()
+    assert status == 0, output
     return bag
 
 
@@ -139,8 +121,7 @@ def test_the_recorder_is_in_the_namespace_of_the_sensor(
     node_under_test, tmp_path, remap, namespace
 ):
     node_under_test.listen(DiagnosticArray, '/diagnostics', 10)
-    command = [str(executable('mixtac_cli', 'recorder_node'))]
-    node_under_test.start(command, f'output:={tmp_path}/bag', remap=remap)
+    node_under_test.start(RECORDER, f'output:={tmp_path}/bag', remap=remap)
     node_under_test.spin_until(lambda: node_under_test.diagnostics(f'{namespace}/recorder'))
     assert node_under_test.diagnostics(f'{namespace}/recorder')['messages dropped'] == '0'
     status, output = node_under_test.stop()

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
 
 import numpy as np
@@ -15,9 +14,9 @@ pytest.importorskip('mixtac_msgs.msg')
 pytest.importorskip('mixtac_sim.usb.server')
 
 from diagnostic_msgs.msg import DiagnosticArray
-from driver_graph import COMMAND, Graph
 from event_camera_msgs.msg import EventPacket
 from sensor_msgs.msg import CameraInfo, Image, Imu, Temperature, TimeReference
+from std_srvs.srv import Trigger
 
 from mixtac_events.codec import decode_message
 from mixtac_msgs.msg import ExternalEdge, FrameExposure
@@ -25,31 +24,36 @@ from mixtac_node.base_node import QOS_EVENTS, QOS_LATCHED, QOS_SENSOR
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us
 
 pytestmark = pytest.mark.dds
+DRIVER = 'mixtac_driver.node.driver_node'
+NAME = 'mixtac/driver'
 
 
 @pytest.fixture
-def graph(tmp_path, ros_domain):
-    graph = Graph(tmp_path, ros_domain)
-    yield graph
-    graph.close()
+def graph(camera, node_under_test):
+    """Return what `node_under_test` is, to be closed before the camera."""
+    return node_under_test
 
 
-def test_everything_is_published_on_one_clock(graph):
-    graph.plug_in()
+def figure(graph, key):
+    return float(graph.diagnostics(NAME).get(key, 'nan'))
+
+
+def test_everything_is_published_on_one_clock(camera, graph):
+    camera.plug_in()
     graph.listen(EventPacket, '/mixtac/events', QOS_EVENTS)
     graph.listen(Image, '/mixtac/image_raw', QOS_SENSOR)
     graph.listen(CameraInfo, '/mixtac/camera_info', QOS_SENSOR)
     graph.listen(Imu, '/mixtac/imu', QOS_SENSOR)
     graph.listen(TimeReference, '/mixtac/camera_clock', QOS_LATCHED)
     graph.listen(DiagnosticArray, '/diagnostics', 10)
-    graph.start_driver('background_activity_filter_enabled:=false')
+    graph.start(DRIVER, camera.device, 'background_activity_filter_enabled:=false')
     images, packets = graph.got['/mixtac/image_raw'], graph.got['/mixtac/events']
     graph.spin_until(
         lambda: (
             all(graph.got.values())
             and len(images) > 5
             and len(packets) > 300
-            and graph.latest_diagnostics().message.startswith('streaming')
+            and graph.diagnostics(NAME).get('message', '').startswith('streaming')
         )
     )
     check_packets(packets)
@@ -57,7 +61,7 @@ def test_everything_is_published_on_one_clock(graph):
     assert (image.width, image.height, image.encoding, image.step) == (346, 260, 'mono16', 692)
     pixels = np.frombuffer(image.data, np.uint16).reshape(260, 346)
     assert (pixels % 64 == 0).all()
-    assert any((pixels >> 6 == sent).all() for sent in graph.scene.frames)
+    assert any((pixels >> 6 == sent).all() for sent in camera.scene.frames)
     now_us = time.time_ns() // 1000
     for topic in ('/mixtac/image_raw', '/mixtac/imu'):
         assert abs(stamp_to_us(graph.got[topic][-1].header.stamp) - now_us) < 2_000_000
@@ -69,12 +73,11 @@ def test_everything_is_published_on_one_clock(graph):
     clock = graph.got['/mixtac/camera_clock'][-1]
     assert clock.source == 'V0000042'
     assert abs(stamp_to_ns(clock.header.stamp) - stamp_to_ns(clock.time_ref)) < 1_000_000_000
-    status = graph.latest_diagnostics()
-    values = {each.key: each.value for each in status.values}
-    assert status.hardware_id == 'V0000042'
+    values = graph.diagnostics(NAME)
+    assert values['hardware_id'] == 'V0000042'
     assert values['simulated'] == 'True'
-    assert 'simulated' in status.message
-    code, output = graph.stop_driver()
+    assert 'simulated' in values['message']
+    code, output = graph.stop()
     assert (code, 'Traceback' in output) == (0, False)
 
 
@@ -94,74 +97,76 @@ def check_packets(packets):
         complete = decoded.complete_until
 
 
-def test_waits_for_the_camera_and_comes_back_after_it_was_unplugged(graph):
+def test_waits_for_the_camera_and_comes_back_after_it_was_unplugged(camera, graph):
     graph.listen(EventPacket, '/mixtac/events', QOS_EVENTS)
     graph.listen(DiagnosticArray, '/diagnostics', 10)
-    graph.start_driver()
+    graph.start(DRIVER, camera.device)
     packets = graph.got['/mixtac/events']
-    graph.spin_until(lambda: graph.latest_diagnostics() is not None)
-    assert graph.latest_diagnostics().level == b'\x02'
-    graph.plug_in()
+    graph.spin_until(lambda: graph.diagnostics(NAME))
+    assert graph.diagnostics(NAME)['level'] == '2'
+    camera.plug_in()
     graph.spin_until(lambda: len(packets) > 50)
-    graph.unplug()
-    graph.spin_until(lambda: graph.latest_diagnostics().level == b'\x02')
+    camera.unplug()
+    graph.spin_until(lambda: graph.diagnostics(NAME)['level'] == '2')
     before = packets[-1].time_base
     packets.clear()
-    graph.plug_in()
+    camera.plug_in()
     graph.spin_until(lambda: len(packets) > 50)
     assert packets[0].time_base > before
-    assert graph.stop_driver()[0] == 0
+    assert graph.stop()[0] == 0
 
 
-def test_settings_change_while_running_and_the_device_does_not(graph):
-    graph.plug_in()
+def test_settings_change_while_running_and_the_device_does_not(camera, graph):
+    camera.plug_in()
     graph.listen(EventPacket, '/mixtac/events', QOS_EVENTS)
     graph.listen(Image, '/mixtac/image_raw', QOS_SENSOR)
-    graph.start_driver('aps_exposure:=2000')
+    graph.start(DRIVER, camera.device, 'aps_exposure:=2000')
     graph.spin_until(lambda: graph.got['/mixtac/events'])
-    device = graph.scene.device
+    device = camera.scene.device
     assert device.exposure_us == 2000
-    assert graph.change(aps_exposure=6000).successful
+    assert graph.change('/mixtac/driver', aps_exposure=6000).successful
     assert device.exposure_us == 6000
-    refused = graph.change(device='davis346')
+    refused = graph.change('/mixtac/driver', device='davis346')
     assert not refused.successful
     assert 'restart' in refused.reason
-    assert not graph.change(aps_exposure=-1).successful
-    assert not graph.change(ONBn_fine=256).successful
-    assert graph.change(ONBn_fine=100, imu_acc_scale=3).successful
+    assert not graph.change('/mixtac/driver', aps_exposure=-1).successful
+    assert not graph.change('/mixtac/driver', ONBn_fine=256).successful
+    assert graph.change('/mixtac/driver', ONBn_fine=100, imu_acc_scale=3).successful
     assert (device.register(5, 11) >> 4 & 255, device.register(3, 7)) == (100, 3)
     # What contradicts another value is refused before anything is written.
-    refused = graph.change(aps_exposure=1000, roi_start_col=300, roi_end_col=299)
+    refused = graph.change('/mixtac/driver', aps_exposure=1000, roi_start_col=300, roi_end_col=299)
     assert not refused.successful
     assert '300 .. 299' in refused.reason
     assert (device.register(1, 41), device.exposure_us) == (0, 6000)
-    assert graph.change(dvs_enabled=False).successful
+    assert graph.change('/mixtac/driver', dvs_enabled=False).successful
     assert device.register(1, 3) == 0
     # The scene is brighter than the target, so the exposure shrinks frame by frame.
-    assert graph.change(aps_auto_exposure=True, aps_auto_exposure_minimum=3000).successful
+    assert graph.change(
+        '/mixtac/driver', aps_auto_exposure=True, aps_auto_exposure_minimum=3000
+    ).successful
     graph.spin_until(lambda: device.exposure_us == 3000)
-    assert graph.change(aps_auto_exposure=False).successful
+    assert graph.change('/mixtac/driver', aps_auto_exposure=False).successful
     assert device.exposure_us == 6000
     images = graph.got['/mixtac/image_raw']
-    assert graph.change(aps_roi_start_col=11, aps_roi_end_row=99).successful
+    assert graph.change('/mixtac/driver', aps_roi_start_col=11, aps_roi_end_row=99).successful
     images.clear()
     graph.spin_until(lambda: images and images[-1].width == 335)
     assert (images[-1].height, images[-1].step) == (100, 670)
 
 
-def test_a_snapshot_its_exposure_and_edges(graph):
-    graph.plug_in()
+def test_a_snapshot_its_exposure_and_edges(camera, graph):
+    camera.plug_in()
     graph.listen(EventPacket, '/mixtac/events', QOS_EVENTS)
     graph.listen(Image, '/mixtac/image_raw', QOS_SENSOR)
     graph.listen(FrameExposure, '/mixtac/image_exposure', QOS_SENSOR)
     graph.listen(ExternalEdge, '/mixtac/external_edges', 100)
     graph.listen(Temperature, '/mixtac/temperature', QOS_SENSOR)
-    graph.start_driver('aps_enabled:=false', 'hot_pixels_duration:=0.3')
+    graph.start(DRIVER, camera.device, 'aps_enabled:=false', 'hot_pixels_duration:=0.3')
     images, exposures = graph.got['/mixtac/image_raw'], graph.got['/mixtac/image_exposure']
     graph.spin_until(lambda: graph.got['/mixtac/events'] and graph.got['/mixtac/temperature'])
     assert graph.got['/mixtac/temperature'][-1].temperature == pytest.approx(40, abs=0.1)
     assert not images
-    answer = graph.trigger('snapshot')
+    answer = graph.call(Trigger, '/mixtac/driver/snapshot')
     assert answer.success, answer.message
     graph.spin_until(lambda: images and exposures)
     assert (len(images), len(exposures)) == (1, 1)
@@ -175,60 +180,49 @@ def test_a_snapshot_its_exposure_and_edges(graph):
     assert exposure.shutter == FrameExposure.GLOBAL_SHUTTER
     edges = graph.got['/mixtac/external_edges']
     for _ in range(3):
-        graph.scene.device.feed(np.array([3, 2], np.uint16))
+        camera.scene.device.feed(np.array([3, 2], np.uint16))
     graph.spin_until(lambda: len(edges) == 6)
     assert [edge.kind for edge in edges] == [3, 2] * 3
     assert [edge.seq for edge in edges] == list(range(6))
     assert abs(stamp_to_us(edges[-1].header.stamp) - time.time_ns() // 1000) < 2_000_000
-    answer = graph.trigger('find_hot_pixels')
+    answer = graph.call(Trigger, '/mixtac/driver/find_hot_pixels')
     assert answer.success, answer.message
     assert '0 masked' in answer.message
 
 
-def test_time_goes_on_over_resets_asked_for_and_not(graph):
-    graph.plug_in()
+def test_time_goes_on_over_resets_asked_for_and_not(camera, graph):
+    camera.plug_in()
     graph.listen(EventPacket, '/mixtac/events', QOS_EVENTS)
     graph.listen(DiagnosticArray, '/diagnostics', 10)
     packets = graph.got['/mixtac/events']
-
-    def resets():
-        status = graph.latest_diagnostics()
-        values = {each.key: each.value for each in status.values} if status else {}
-        return values.get('clock resets')
 
     def more_packets():
         count = len(packets) + 100
         graph.spin_until(lambda: len(packets) > count)
 
-    graph.start_driver()
-    graph.spin_until(lambda: resets() == '0')
+    graph.start(DRIVER, camera.device)
+    graph.spin_until(lambda: figure(graph, 'clock resets') == 0)
     started_us = packets[0].time_base // 1000
     assert abs(started_us - stamp_to_us(packets[0].header.stamp)) < 1_000_000
-    answer = graph.trigger('reset_timestamps')
+    answer = graph.call(Trigger, '/mixtac/driver/reset_timestamps')
     assert answer.success, answer.message
     more_packets()
-    assert resets() == '0'
+    assert figure(graph, 'clock resets') == 0
     # Another host on the bus, as good as the synchronisation cable.
     pulse = bytes([0, 2, 0, 0, 0, 1, 0, 2, 0, 0, 0, 0])
-    graph.scene.device.control(0x40, 0xC2, 2, 0, pulse)
-    graph.spin_until(lambda: resets() == '1')
+    camera.scene.device.control(0x40, 0xC2, 2, 0, pulse)
+    graph.spin_until(lambda: figure(graph, 'clock resets') == 1)
     more_packets()
     check_packets(packets)
-    assert graph.stop_driver()[0] == 0
+    assert graph.stop()[0] == 0
 
 
-def test_nobody_listening_is_no_packet_and_a_late_listener_starts_right(graph):
-    graph.plug_in()
+def test_nobody_listening_is_no_packet_and_a_late_listener_starts_right(camera, graph):
+    camera.plug_in()
     graph.listen(DiagnosticArray, '/diagnostics', 10)
-    graph.start_driver()
-
-    def figure(name):
-        status = graph.latest_diagnostics()
-        values = {each.key: each.value for each in status.values} if status else {}
-        return float(values.get(name, 'nan'))
-
-    graph.spin_until(lambda: figure('events per second') > 1000)
-    assert figure('packets per second') == 0
+    graph.start(DRIVER, camera.device)
+    graph.spin_until(lambda: figure(graph, 'events per second') > 1000)
+    assert figure(graph, 'packets per second') == 0
     graph.listen(EventPacket, '/mixtac/events', QOS_EVENTS)
     packets = graph.got['/mixtac/events']
     graph.spin_until(lambda: len(packets) > 100)
@@ -236,17 +230,10 @@ def test_nobody_listening_is_no_packet_and_a_late_listener_starts_right(graph):
 
 
 @pytest.mark.parametrize(('device', 'words'), [('davis346', 'virtual'), ('nonsense', 'davis346')])
-def test_without_a_camera_one_line_says_what_to_do(ros_domain, device, words):
-    done = subprocess.run(
-        [*COMMAND, '-p', f'device:={device}'],
-        env=ros_domain,
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
-    assert done.returncode == 1
-    lines = [line for line in done.stderr.splitlines() if line.startswith('error: ')]
+def test_without_a_camera_one_line_says_what_to_do(graph, device, words):
+    graph.start(DRIVER, f'device:={device}')
+    assert graph.process.wait(30) == 1
+    lines = [line for line in graph.process.stderr.splitlines() if line.startswith('error: ')]
     assert len(lines) == 1
     assert words in lines[0]
-    assert 'Traceback' not in done.stderr
+    assert 'Traceback' not in graph.process.stderr

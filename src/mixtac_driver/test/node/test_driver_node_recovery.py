@@ -10,7 +10,6 @@ pytest.importorskip('event_camera_msgs.msg')
 pytest.importorskip('mixtac_sim.usb.server')
 
 from diagnostic_msgs.msg import DiagnosticArray
-from driver_graph import Graph
 from event_camera_msgs.msg import EventPacket
 
 from mixtac_node.base_node import QOS_EVENTS
@@ -18,53 +17,50 @@ from mixtac_sim.usb.faults import Fault, FaultKind
 from mixtac_sim.usb.pyusb_backend import inject
 
 pytestmark = pytest.mark.dds
-ERROR = b'\x02'
+DRIVER = 'mixtac_driver.node.driver_node'
 
 
 @pytest.fixture
-def graph(tmp_path, ros_domain):
-    graph = Graph(tmp_path, ros_domain)
-    graph.plug_in()
-    graph.listen(EventPacket, '/mixtac/events', QOS_EVENTS)
-    graph.listen(DiagnosticArray, '/diagnostics', 10)
-    yield graph
-    graph.close()
+def graph(camera, node_under_test):
+    camera.plug_in()
+    node_under_test.listen(EventPacket, '/mixtac/events', QOS_EVENTS)
+    node_under_test.listen(DiagnosticArray, '/diagnostics', 10)
+    return node_under_test
 
 
-def is_at(graph, level):
-    status = graph.latest_diagnostics()
-    return status is not None and (status.level == ERROR) == (level == ERROR)
+def is_in_error(graph):
+    """Return None before the first diagnostics."""
+    level = graph.diagnostics('mixtac/driver').get('level')
+    return level and level == '2'
 
 
-def test_unplugged_camera_is_an_error_until_it_is_back_and_packets_go_on(graph):
+def test_unplugged_camera_is_an_error_until_it_is_back_and_packets_go_on(camera, graph):
     packets = graph.got['/mixtac/events']
-    graph.start_driver()
-    graph.spin_until(lambda: len(packets) > 50 and is_at(graph, b'\0'))
-    exposure = {graph.scene.device.exposure_us}
-    inject(graph.path, Fault(FaultKind.UNPLUG))
-    graph.spin_until(lambda: is_at(graph, ERROR))
-    status = graph.latest_diagnostics()
-    values = {each.key: each.value for each in status.values}
+    graph.start(DRIVER, camera.device)
+    graph.spin_until(lambda: len(packets) > 50 and is_in_error(graph) is False)
+    exposure = {camera.scene.device.exposure_us}
+    inject(camera.path, Fault(FaultKind.UNPLUG))
+    graph.spin_until(lambda: is_in_error(graph))
+    values = graph.diagnostics('mixtac/driver')
     assert values['state'] in {'waiting to reconnect', 'connecting'}
-    assert status.message
+    assert values['message']
     before = len(packets)
-    inject(graph.path, Fault(FaultKind.PLUG_IN))
-    graph.spin_until(lambda: len(packets) > before + 50 and is_at(graph, b'\0'))
-    assert {graph.scene.device.exposure_us} == exposure
+    inject(camera.path, Fault(FaultKind.PLUG_IN))
+    graph.spin_until(lambda: len(packets) > before + 50 and is_in_error(graph) is False)
+    assert {camera.scene.device.exposure_us} == exposure
     sequence = [packet.seq for packet in packets]
     assert sequence == list(range(sequence[0], sequence[0] + len(packets)))
     times = [packet.time_base for packet in packets]
     assert times == sorted(times)
-    assert graph.stop_driver()[0] == 0
+    assert graph.stop()[0] == 0
 
 
-def test_fail_stop_ends_the_process_with_one_line_and_status_1(graph):
-    graph.start_driver('recovery_policy:=fail_stop')
+def test_fail_stop_ends_the_process_with_one_line_and_status_1(camera, graph):
+    graph.start(DRIVER, camera.device, 'recovery_policy:=fail_stop')
     graph.spin_until(lambda: len(graph.got['/mixtac/events']) > 20)
-    inject(graph.path, Fault(FaultKind.UNPLUG))
-    output, _ = graph.process.communicate(timeout=15)
-    assert graph.process.returncode == 1
-    lines = [line for line in output.decode().splitlines() if line.startswith('error: ')]
+    inject(camera.path, Fault(FaultKind.UNPLUG))
+    assert graph.process.wait(15) == 1
+    lines = [line for line in graph.process.stderr.splitlines() if line.startswith('error: ')]
     assert len(lines) == 1
     assert 'unplugged' in lines[0]
-    assert b'Traceback' not in output
+    assert 'Traceback' not in graph.process.stderr

@@ -1,0 +1,218 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Processes of nodes under test, forked from a server that has imported their modules before.
+
+Imports and compiled code cost a node 1 to 3 s of processor time, more than most tests need beside.
+A forked node runs its module as `python -m MODULE` does, from the first line of the module to the
+end of the interpreter. The server itself never initialises ROS and starts no thread.
+
+Run as a script, this is the server.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+import itertools
+import json
+import os
+import runpy
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+LARGEST_REQUEST = 1 << 20
+WARM_UPS = ('mixtac_events.codec', 'mixtac_driver.pixels', 'mixtac_alignment.signals')
+"""Modules that load compiled code or libraries on demand, by their function `warm_up`."""
+
+
+class NodeProcess:
+    """A node in a process of its own. Its output goes to files: it never waits for a reader.
+
+    Args:
+        server: The server that forks it.
+        module: Module that is run, for example `mixtac_fger.fger_node`.
+        arguments: Its command line.
+
+    Attributes:
+        pid: Process id.
+        returncode: Exit status, or minus the signal that ended it; None while it runs.
+    """
+
+    def __init__(self, server: ForkServer, module: str, *arguments: str) -> None:
+        self._server = server
+        self._outputs = [tempfile.TemporaryFile() for _ in range(2)]  # noqa: SIM115
+        self.returncode: int | None = None
+        self.pid: int = server.ask(
+            {
+                'module': module,
+                'arguments': arguments,
+                'folder': str(Path.cwd()),
+                'environment': dict(os.environ),
+            },
+            [each.fileno() for each in self._outputs],
+        )
+
+    @property
+    def stdout(self) -> str:
+        """What it has written to its standard output so far."""
+        return _text(self._outputs[0].fileno())
+
+    @property
+    def stderr(self) -> str:
+        """What it has written to its standard error so far."""
+        return _text(self._outputs[1].fileno())
+
+    def poll(self) -> int | None:
+        """Return the exit status, None while it runs."""
+        if self.returncode is None:
+            self.returncode = self._server.ask({'wait for': self.pid})
+        return self.returncode
+
+    def wait(self, timeout: float) -> int:
+        """Wait until it ends; return its exit status.
+
+        Args:
+            timeout: Longest time to wait [s].
+
+        Raises:
+            subprocess.TimeoutExpired: It still runs.
+        """
+        deadline = time.monotonic() + timeout
+        while self.poll() is None:
+            if time.monotonic() > deadline:
+                raise subprocess.TimeoutExpired(f'process {self.pid}', timeout)
+            time.sleep(0.01)
+        return self.returncode  # type: ignore[return-value]
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def end(self, number: int = signal.SIGTERM, timeout: float = 30.0) -> int:
+        """Send a signal and wait, then kill it; return its exit status."""
+        self.send_signal(number)
+        try:
+            return self.wait(timeout)
+        except subprocess.TimeoutExpired:
+            self.send_signal(signal.SIGKILL)
+            return self.wait(timeout)
+
+
+class ForkServer:
+    """The test's end of the server. It and all nodes end with the process that made it."""
+
+    def __init__(self) -> None:
+        self._lock, self._numbers = threading.Lock(), itertools.count()
+        self._channel, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with other:
+            self._process = subprocess.Popen(
+                [sys.executable, __file__, str(other.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=[other.fileno()],
+            )
+
+    def ask(self, request: dict[str, Any], descriptors: list[int] | None = None) -> Any:
+        """Return the server's answer to a request."""
+        with self._lock:
+            number = next(self._numbers)
+            message = json.dumps([number, request]).encode()
+            socket.send_fds(self._channel, [message], descriptors or [])
+            while True:
+                answer = self._channel.recv(LARGEST_REQUEST)
+                if not answer:
+                    raise ConnectionError('the server of node processes ended')
+                # A test that ran out of time may have left an answer behind.
+                found, value = json.loads(answer)
+                if found == number:
+                    return value
+
+    def close(self) -> None:
+        """End the server, which ends the nodes that still run."""
+        self._channel.close()
+        self._process.wait(30)
+
+
+def _text(descriptor: int) -> str:
+    return os.pread(descriptor, os.fstat(descriptor).st_size, 0).decode(errors='replace')
+
+
+def load(module: str) -> None:
+    """Import what a module imports; the module itself is left to be run as `__main__`."""
+    # Where that fails, the node says why.
+    with contextlib.suppress(Exception):
+        importlib.import_module(module)
+    sys.modules.pop(module, None)
+    for name in WARM_UPS:
+        if name in sys.modules:
+            sys.modules[name].warm_up()
+    # A collection in a forked process would copy every object.
+    gc.collect()
+    gc.freeze()
+
+
+def serve(channel: socket.socket) -> tuple[dict[str, Any], list[int]] | None:
+    """Answer requests until the other end is closed.
+
+    Returns:
+        In a process that is forked for a node: the request, and the files for its output. In the
+        server, at its end: None.
+    """
+    loaded, running = set(), set()
+    while True:
+        message, descriptors, _, _ = socket.recv_fds(channel, LARGEST_REQUEST, 2)
+        if not message:
+            for pid in running:
+                os.kill(pid, signal.SIGTERM)
+            return None
+        number, request = json.loads(message)
+        if 'wait for' in request:
+            pid, status = os.waitpid(request['wait for'], os.WNOHANG)
+            running.discard(pid)
+            answer = os.waitstatus_to_exitcode(status) if pid else None
+        else:
+            if request['module'] not in loaded:
+                load(request['module'])
+                loaded.add(request['module'])
+            answer = os.fork()
+            if answer == 0:
+                return request, descriptors
+            running.add(answer)
+            for each in descriptors:
+                os.close(each)
+        channel.send(json.dumps([number, answer]).encode())
+
+
+def main() -> None:
+    """Run the server, and the nodes that it forks."""
+    # Ctrl-C in a terminal reaches the server as well; it ends with the tests.
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    with socket.socket(fileno=int(sys.argv[1])) as channel:
+        node = serve(channel)
+    if node is None:
+        return
+    request, descriptors = node
+    for standard, descriptor in enumerate(descriptors, 1):
+        os.dup2(descriptor, standard)
+        os.close(descriptor)
+    os.chdir(request['folder'])
+    os.environ.clear()
+    os.environ.update(request['environment'])
+    added = [each for each in os.environ.get('PYTHONPATH', '').split(os.pathsep) if each]
+    sys.path[:1] = [request['folder'], *added]
+    sys.argv = [request['module'], *request['arguments']]
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+    runpy.run_module(request['module'], run_name='__main__', alter_sys=True)
+
+
+if __name__ == '__main__':
+    main()
