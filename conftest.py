@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 # 0 is everybody's default; above 100 the ports run into Linux's ephemeral range.
 DOMAINS = range(1, 100)
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
+"""The first process of a module may have to compile."""
+REPLY_S = 20.0
 LIVE = ('live', 'dds', 'umockdev')
 
 
@@ -131,6 +133,7 @@ class NodeUnderTest:
         self.executor = SingleThreadedExecutor(context=self._context)
         self.executor.add_node(self.node)
         self._processes: list[NodeProcess] = []
+        self._clients: dict[str, Any] = {}
         self.got: dict[str, list[Any]] = {}
 
     @property
@@ -158,39 +161,48 @@ class NodeUnderTest:
     def spin_until(
         self,
         condition: Callable[[], object],
-        action: Callable[[], object] = lambda: None,
-        *,
-        seconds: float = PATIENCE_S,
+        action: Callable[[], object] | None = None,
     ) -> None:
         """Receive until a condition holds; fail if it does not, or if a process ends.
 
         Args:
             condition: The condition.
-            action: Called before each message.
-            seconds: Longest time [s].
+            action: Called meanwhile, again and again.
         """
-        deadline = time.monotonic() + seconds
+        deadline = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < deadline, {k: len(v) for k, v in self.got.items()}
             for each in self._processes:
                 if each.poll() is not None:
                     pytest.fail(f'status {each.returncode}: {each.stdout}{each.stderr}')
-            action()
-            self.executor.spin_once(timeout_sec=0.1)
+            if action is not None:
+                action()
+            self.executor.spin_once(timeout_sec=0.02 if action else 0.1)
 
     def call(self, kind: Any, name: str, request: Any = None) -> Any:  # noqa: ANN401
-        """Call a service by its absolute name and return the answer.
+        """Call a service and return the answer; without one for 20 s, it is asked again.
 
         Args:
             kind: Its type.
-            name: Its name.
+            name: Its absolute name.
             request: The request, None for one with all defaults.
         """
-        client = self.node.create_client(kind, name)
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+        client, futures = self._clients[name], []
         self.spin_until(client.service_is_ready)
-        future = client.call_async(kind.Request() if request is None else request)
-        self.spin_until(future.done)
-        return future.result()
+        request, asked = kind.Request() if request is None else request, float('-inf')
+
+        def answers() -> list[Any]:
+            # A reply is lost when the server has not discovered the client yet.
+            nonlocal asked
+            if time.monotonic() > asked + REPLY_S:
+                asked = time.monotonic()
+                futures.append(client.call_async(request))
+            return [each.result() for each in futures if each.done()]
+
+        self.spin_until(answers)
+        return answers()[0]
 
     def change(self, node: str, **values: Any) -> Any:  # noqa: ANN401
         """Set parameters of a node together; return the result.

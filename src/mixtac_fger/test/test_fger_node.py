@@ -4,9 +4,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import threading
 import time
 from typing import TYPE_CHECKING
 
@@ -19,8 +16,7 @@ from mixtac_fger.weights import write_model
 pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('event_camera_msgs', reason='needs the built workspace: source install/setup')
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from event_camera_msgs.msg import EventPacket
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import State, Transition
@@ -40,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 pytestmark = pytest.mark.dds
+NAME = 'mixtac/fger'
 ORIGIN_US = 1_700_000_000_000_000
 PACKET_US = 1000
 QOS = QoSProfile(depth=2000)
@@ -55,79 +52,42 @@ RELIABLE = {
 """Best effort would lose messages on a machine that is busy with other things."""
 
 
-class Harness:
-    """A node process and the client side of everything it offers."""
+class Estimator:
+    """The estimator in a graph of the test, and its services."""
 
-    def __init__(self, env: dict[str, str], model: str, **parameters: object) -> None:
-        command = [sys.executable, '-m', 'mixtac_fger.fger_node', '--ros-args']
-        command += ['-r', '__ns:=/mixtac', '-p', f'model:={model}']
-        for name, value in {**RELIABLE, **parameters}.items():
-            command += ['-p', f'{name}:={value}']
-        self.process = subprocess.Popen(command, env=env, stderr=subprocess.PIPE, text=True)
-        self.errors: list[str] = []
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-        rclpy.init()
-        self.node = rclpy.create_node('harness', namespace='mixtac')
-        self.change = self.node.create_client(ChangeState, 'fger/change_state')
-        self.state = self.node.create_client(GetState, 'fger/get_state')
-        self.tare = self.node.create_client(Trigger, 'fger/tare')
-        for client in (self.change, self.state, self.tare):
-            assert client.wait_for_service(timeout_sec=60), self.errors
-        self.present_state()
+    def __init__(self, graph, model, **parameters: object) -> None:
+        self.graph = graph
+        values = {'model': model, **RELIABLE, **parameters}
+        assignments = [f'{name}:={value}' for name, value in values.items()]
+        graph.start('mixtac_fger.fger_node', *assignments, remap=('__ns:=/mixtac',))
 
-    def _read(self) -> None:
-        self.errors.extend(self.process.stderr)
+    @property
+    def errors(self) -> list[str]:
+        return self.graph.process.stderr.splitlines()
 
-    def call(self, client, request, tries: int = 6):
-        """Call a service; what is asked must not matter if it is asked twice.
+    def tare(self) -> Trigger.Response:
+        return self.graph.call(Trigger, '/mixtac/fger/tare')
 
-        A server does not wait for a client that it has not discovered yet: its reply is lost.
-        """
-        for _ in range(tries):
-            future = client.call_async(request)
-            rclpy.spin_until_future_complete(self.node, future, timeout_sec=20)
-            if future.done():
-                return future.result()
-        raise AssertionError(self.errors)
-
-    def present_state(self) -> int:
-        return self.call(self.state, GetState.Request()).current_state.id
+    def state(self) -> int:
+        return self.graph.call(GetState, '/mixtac/fger/get_state').current_state.id
 
     def transition(self, transition: int) -> tuple[bool, int]:
-        before = self.present_state()
-        request = ChangeState.Request()
+        """Ask for a transition; return whether it was made, and the state."""
+        before, request = self.state(), ChangeState.Request()
         request.transition.id = transition
-        future = self.change.call_async(request)
-        rclpy.spin_until_future_complete(self.node, future, timeout_sec=60)
-        after = self.present_state()
-        return future.result().success if future.done() else before != after, after
-
-    def until(self, condition, action=lambda: None, timeout_s: float = 60.0) -> None:
-        """Do something again and again until a condition holds."""
-        deadline = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < deadline, self.errors
-            action()
-            rclpy.spin_once(self.node, timeout_sec=0.05)
-
-    def close(self) -> None:
-        self.node.destroy_node()
-        rclpy.try_shutdown()
-        self.process.terminate()
-        assert self.process.wait(60) == 0, self.errors
-        self._reader.join(5)
+        answer = self.graph.call(ChangeState, '/mixtac/fger/change_state', request)
+        after = self.state()
+        # Asked twice, it is refused the second time.
+        return answer.success or before != after, after
 
 
 @pytest.fixture
-def harness(ros_domain, tmp_path, model) -> Iterator[Harness]:
+def estimator(node_under_test, tmp_path, model, monkeypatch) -> Estimator:
     path = tmp_path / 'toy.safetensors'
     write_model(path, model)
+    monkeypatch.setenv('MIXTAC_HOME', str(tmp_path))
     # All that the toy sensor does is below this threshold, so that ~/tare does not refuse.
-    env = {**ros_domain, 'MIXTAC_HOME': str(tmp_path)}
-    harness = Harness(env, str(path), contact_threshold=10.0, reference='reference.npz')
-    yield harness
-    harness.close()
+    return Estimator(node_under_test, str(path), contact_threshold=10.0, reference='reference.npz')
 
 
 def packets(trial) -> Iterator[tuple[int, EventPacket]]:
@@ -150,20 +110,17 @@ def image(trial, index: int) -> Image:
     return message
 
 
-def play(harness: Harness, trial) -> tuple[list[WrenchStamped], list[ForceQuality]]:
+def play(graph, trial) -> tuple[list[WrenchStamped], list[ForceQuality]]:
     """Publish the trial and return the forces that came back, and their quality.
 
     The trial waits for a slow node: its length in time does not matter to the camera clock.
     """
-    node, received, quality = harness.node, [], []
-    node.create_subscription(ForceQuality, 'force_quality', quality.append, QOS)
-    events = node.create_publisher(EventPacket, 'events', QOS)
-    images = node.create_publisher(Image, 'image_raw', QOS)
-    node.create_subscription(WrenchStamped, 'force', received.append, QOS)
-    deadline = time.monotonic() + 10
-    while not (events.get_subscription_count() and images.get_subscription_count()):
-        rclpy.spin_once(node, timeout_sec=0.05)
-        assert time.monotonic() < deadline
+    events = graph.node.create_publisher(EventPacket, '/mixtac/events', QOS)
+    images = graph.node.create_publisher(Image, '/mixtac/image_raw', QOS)
+    quality = graph.listen(ForceQuality, '/mixtac/force_quality', QOS)
+    received = graph.listen(WrenchStamped, '/mixtac/force', QOS)
+    graph.spin_until(events.get_subscription_count)
+    graph.spin_until(images.get_subscription_count)
     frame = 0
 
     def behind_us(until: int) -> int:
@@ -174,25 +131,16 @@ def play(harness: Harness, trial) -> tuple[list[WrenchStamped], list[ForceQualit
             images.publish(image(trial, frame))
             frame += 1
         events.publish(message)
-        rclpy.spin_once(node, timeout_sec=0)
+        graph.executor.spin_once(timeout_sec=0)
         # Without a force so far, the node is still reading the first frames.
         time.sleep(PACKET_US * (1e-6 if received else 5e-6))
-        harness.until(lambda until=until: behind_us(until) < 100_000)
+        graph.spin_until(lambda until=until: behind_us(until) < 100_000)
     last_us = ORIGIN_US + int(trial.t_us[-1]) - 2000
-    harness.until(lambda: stamp_to_us(received[-1].header.stamp) >= last_us if received else False)
-    harness.until(lambda: len(quality) >= len(received))
+    graph.spin_until(
+        lambda: stamp_to_us(received[-1].header.stamp) >= last_us if received else False
+    )
+    graph.spin_until(lambda: len(quality) >= len(received))
     return received, quality
-
-
-def diagnostics(node) -> list[DiagnosticStatus]:
-    """Return a list that fills with what the estimator says of itself."""
-    found: list[DiagnosticStatus] = []
-
-    def keep(message: DiagnosticArray) -> None:
-        found.extend(status for status in message.status if status.name == 'mixtac/fger')
-
-    node.create_subscription(DiagnosticArray, '/diagnostics', keep, 10)
-    return found
 
 
 def check_quality(received, quality) -> None:
@@ -205,35 +153,38 @@ def check_quality(received, quality) -> None:
         assert not message.saturated
 
 
-def tare_with_still_frames(harness, trial) -> None:
-    images = harness.node.create_publisher(Image, 'image_raw', QOS_SENSOR)
+def tare_with_still_frames(estimator, trial) -> None:
+    images = estimator.graph.node.create_publisher(Image, '/mixtac/image_raw', QOS_SENSOR)
     replies = []
 
     def ask() -> None:
         images.publish(image(trial, 0))
-        replies.append(harness.call(harness.tare, Trigger.Request()))
+        replies.append(estimator.tare())
 
-    harness.until(lambda: bool(replies) and replies[-1].success, ask)
+    estimator.graph.spin_until(lambda: bool(replies) and replies[-1].success, ask)
     assert 'reference.npz' in replies[-1].message
 
 
-def test_forces_come_every_2_ms_of_the_camera_clock(harness, trial, tmp_path, config):
-    refused = harness.call(harness.tare, Trigger.Request())
+def test_forces_come_every_2_ms_of_the_camera_clock(estimator, trial, tmp_path, config):
+    refused = estimator.tare()
     assert not refused.success
     assert 'not active' in refused.message
-    assert harness.transition(Transition.TRANSITION_CONFIGURE) == (
+    assert estimator.transition(Transition.TRANSITION_CONFIGURE) == (
         True,
         State.PRIMARY_STATE_INACTIVE,
     )
-    assert harness.transition(Transition.TRANSITION_ACTIVATE) == (True, State.PRIMARY_STATE_ACTIVE)
-    reports = diagnostics(harness.node)
-    received, quality = play(harness, trial)
+    assert estimator.transition(Transition.TRANSITION_ACTIVATE) == (
+        True,
+        State.PRIMARY_STATE_ACTIVE,
+    )
+    estimator.graph.listen(DiagnosticArray, '/diagnostics', 10)
+    received, quality = play(estimator.graph, trial)
     stamps = np.array([stamp_to_us(message.header.stamp) for message in received])
     assert {message.header.frame_id for message in received} == {'mixtac_contact'}
     assert (stamps % 2000 == 0).all()
     assert (np.diff(stamps) == 2000).all()
     # A transition that is not possible now is refused, and the node goes on.
-    assert harness.transition(Transition.TRANSITION_CONFIGURE) == (
+    assert estimator.transition(Transition.TRANSITION_CONFIGURE) == (
         False,
         State.PRIMARY_STATE_ACTIVE,
     )
@@ -241,77 +192,77 @@ def test_forces_come_every_2_ms_of_the_camera_clock(harness, trial, tmp_path, co
     # The first frames are the reference: more than half of the windows come after them.
     assert len(stamps) * 2000 > trial.t_us[-1] / 2
     check_quality(received, quality)
-    assert any(report.message for report in reports)
-    tare_with_still_frames(harness, trial)
+    assert estimator.graph.diagnostics(NAME)['message']
+    tare_with_still_frames(estimator, trial)
     assert Reference(config).load(tmp_path / 'reference.npz').shape == config.frame_shape
-    assert harness.transition(Transition.TRANSITION_DEACTIVATE) == (
+    assert estimator.transition(Transition.TRANSITION_DEACTIVATE) == (
         True,
         State.PRIMARY_STATE_INACTIVE,
     )
-    assert harness.transition(Transition.TRANSITION_ACTIVATE) == (True, State.PRIMARY_STATE_ACTIVE)
+    assert estimator.transition(Transition.TRANSITION_ACTIVATE) == (
+        True,
+        State.PRIMARY_STATE_ACTIVE,
+    )
 
 
-def test_a_camera_that_does_not_fit_is_refused_before_and_after_the_start(harness):
-    node, size = harness.node, [640, 480]
-    infos = node.create_publisher(CameraInfo, 'camera_info', QOS_SENSOR)
-    reports = diagnostics(node)
+def test_a_camera_that_does_not_fit_is_refused_before_and_after_the_start(estimator):
+    graph, size = estimator.graph, [640, 480]
+    infos = graph.node.create_publisher(CameraInfo, '/mixtac/camera_info', QOS_SENSOR)
+    reports = graph.listen(DiagnosticArray, '/diagnostics', 10)
 
     def show() -> None:
         infos.publish(CameraInfo(width=size[0], height=size[1]))
 
     def refused() -> bool:
-        if not harness.transition(Transition.TRANSITION_CONFIGURE)[0]:
+        if not estimator.transition(Transition.TRANSITION_CONFIGURE)[0]:
             return True
-        assert harness.transition(Transition.TRANSITION_CLEANUP)[0]
+        assert estimator.transition(Transition.TRANSITION_CLEANUP)[0]
         return False
 
-    harness.until(refused, show)
-    assert any('640 x 480' in line for line in harness.errors)
+    graph.spin_until(refused, show)
+    assert any('640 x 480' in line for line in estimator.errors)
     size[:] = 346, 260
-    harness.until(lambda: harness.transition(Transition.TRANSITION_CONFIGURE)[0], show)
-    assert harness.transition(Transition.TRANSITION_ACTIVATE)[0]
-    assert not any('640' in report.message for report in reports)
-    assert harness.transition(Transition.TRANSITION_ACTIVE_SHUTDOWN) == (
+    graph.spin_until(lambda: estimator.transition(Transition.TRANSITION_CONFIGURE)[0], show)
+    assert estimator.transition(Transition.TRANSITION_ACTIVATE)[0]
+    assert not any('640' in status.message for report in reports for status in report.status)
+    assert estimator.transition(Transition.TRANSITION_ACTIVE_SHUTDOWN) == (
         True,
         State.PRIMARY_STATE_FINALIZED,
     )
-    harness.until(lambda: bool(reports) and 'not active' in reports[-1].message)
+    graph.spin_until(lambda: 'not active' in graph.diagnostics(NAME).get('message', ''))
 
 
 @pytest.mark.parametrize('kind', ['missing', 'another architecture'])
-def test_a_model_that_cannot_be_used_fails_the_configuration(ros_domain, tmp_path, kind):
+def test_a_model_that_cannot_be_used_fails_the_configuration(node_under_test, tmp_path, kind):
     from safetensors.numpy import save_file
 
     path = tmp_path / 'model.safetensors'
     if kind != 'missing':
         save_file({'w': np.zeros(1)}, path, metadata={'architecture': 'resnet18'})
-    harness = Harness(ros_domain, str(path))
-    try:
-        assert harness.transition(Transition.TRANSITION_CONFIGURE) == (
-            False,
-            State.PRIMARY_STATE_UNCONFIGURED,
-        )
-    finally:
-        harness.close()
-    assert len([line for line in harness.errors if str(path) in line]) == 1
-    assert not any('Traceback' in line for line in harness.errors)
+    estimator = Estimator(node_under_test, str(path))
+    assert estimator.transition(Transition.TRANSITION_CONFIGURE) == (
+        False,
+        State.PRIMARY_STATE_UNCONFIGURED,
+    )
+    assert node_under_test.process.end() == 0
+    assert len([line for line in estimator.errors if str(path) in line]) == 1
+    assert not any('Traceback' in line for line in estimator.errors)
 
 
-def test_parameters_take_effect_at_once_or_are_refused(harness, tmp_path):
-    setter = harness.node.create_client(SetParameters, 'fger/set_parameters')
-    assert setter.wait_for_service(timeout_sec=30)
-
+def test_parameters_take_effect_at_once_or_are_refused(estimator, tmp_path):
     def set_to(**values: object) -> str:
         request = SetParameters.Request(
             parameters=[
                 Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
             ]
         )
-        (result,) = harness.call(setter, request).results
+        (result,) = estimator.graph.call(
+            SetParameters, '/mixtac/fger/set_parameters', request
+        ).results
         return '' if result.successful else result.reason
 
-    harness.transition(Transition.TRANSITION_CONFIGURE)
-    harness.transition(Transition.TRANSITION_ACTIVATE)
+    estimator.transition(Transition.TRANSITION_CONFIGURE)
+    estimator.transition(Transition.TRANSITION_ACTIVATE)
     assert set_to(force_scale=2.0) == ''
     assert set_to(deadline=0.01) == ''
     assert 'clean up' in set_to(model='fger_small')
