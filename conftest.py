@@ -140,15 +140,19 @@ class NodeUnderTest:
     def process(self) -> NodeProcess:
         return self._processes[-1]
 
-    def start(self, module: str, *parameters: str, remap: tuple[str, ...] = ()) -> None:
+    def start(
+        self, module: str, *parameters: str, remap: tuple[str, ...] = (), file: Path | None = None
+    ) -> None:
         """Start a process, with the test's environment.
 
         Args:
             module: The node's module.
             parameters: Parameters, as `name:=value`.
             remap: Remappings, as `from:=to`.
+            file: Parameter file.
         """
-        words = [word for each in parameters for word in ('-p', each)]
+        words = [] if file is None else ['--params-file', str(file)]
+        words += [word for each in parameters for word in ('-p', each)]
         words += [word for each in remap for word in ('-r', each)]
         self._processes.append(NodeProcess(self._server, module, '--ros-args', *words))
 
@@ -244,17 +248,17 @@ class NodeUnderTest:
         return status, self.process.stdout + self.process.stderr
 
     def close(self) -> None:
-        """End everything; fail if a process that still runs does not end well."""
+        """End everything; fail if a process whose end the test has not seen does not end well."""
         import rclpy
 
-        running = [each for each in self._processes if each.poll() is None]
-        for each in running:
+        left = [each for each in self._processes if each.returncode is None]
+        for each in left:
             # Killed, it would still be a peer of the node here, whose end then crashes at times.
             each.end()
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)
-        for each in running:
+        for each in left:
             assert each.returncode == 0, each.stdout + each.stderr
 
 

@@ -4,10 +4,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,12 +14,9 @@ from mixtac_alignment.clock_fit import ClockFit
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 
-rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
+pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 pytest.importorskip('event_camera_msgs.msg', reason='needs the built workspace')
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 pytestmark = pytest.mark.dds
 PACKET_US = 10_000
@@ -29,84 +24,47 @@ PAUSES_S = (0.004, 0.02, 0.08)
 """Between packets, longer after each refusal: a busy machine loses best-effort messages."""
 
 
-@pytest.fixture
-def process(ros_domain: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """Run the node; ended by its pid."""
-    command = [sys.executable, '-m', 'mixtac_alignment.alignment_node']
-    started = subprocess.Popen(command, env=ros_domain, text=True, stderr=subprocess.PIPE)
-    yield started
-    started.terminate()
-    _, errors = started.communicate(timeout=20)
-    assert started.returncode == 0, errors
-
-
-@pytest.fixture
-def peer(ros_domain: dict[str, str]) -> Iterator[Peer]:
-    """Yield the test's own end of the topics."""
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=int(ros_domain['ROS_DOMAIN_ID']))
-    made = Peer(context)
-    yield made
-    made.node.destroy_node()
-    context.try_shutdown()
-
-
 class Peer:
     """Plays a recording, asks for the fit and receives it."""
 
-    def __init__(self, context: Any) -> None:
+    def __init__(self, graph: Any) -> None:
         from event_camera_msgs.msg import EventPacket
         from geometry_msgs.msg import WrenchStamped
-        from rclpy.executors import SingleThreadedExecutor
-        from std_srvs.srv import Trigger
 
-        from mixtac_msgs.msg import ClockFit
-        from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED
+        from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE
 
-        self.node = rclpy.create_node('peer', context=context, namespace='mixtac')
-        self.executor = SingleThreadedExecutor(context=context)
-        self.executor.add_node(self.node)
-        self.fits: list[Any] = []
-        self._packet, self._wrench, self._trigger = EventPacket, WrenchStamped, Trigger
-        self._force_qos = QOS_FORCE
-        self._fit_type, self._latched = ClockFit, QOS_LATCHED
-        self._events = self.node.create_publisher(EventPacket, 'events', QOS_EVENTS)
-        self._force = self.node.create_publisher(WrenchStamped, '/ft_sensor/wrench', QOS_FORCE)
-        self._client = self.node.create_client(Trigger, 'alignment/fit')
+        self.graph = graph
+        self._packet, self._wrench = EventPacket, WrenchStamped
+        make = graph.node.create_publisher
+        self._events = make(EventPacket, '/mixtac/events', QOS_EVENTS)
+        self._force = make(WrenchStamped, '/ft_sensor/wrench', QOS_FORCE)
 
-    def ready(self) -> bool:
-        deadline = time.monotonic() + 40.0
-        while time.monotonic() < deadline:
-            self.executor.spin_once(timeout_sec=0.1)
-            matched = self._events.get_subscription_count() and self._force.get_subscription_count()
-            if matched and self._client.service_is_ready():
-                time.sleep(0.5)  # the other side may not have matched yet
-                return True
-        return False
+    def wait_for_node(self) -> None:
+        for each in (self._events, self._force):
+            self.graph.spin_until(each.get_subscription_count)
+        time.sleep(0.5)  # the other side may not have matched yet
 
     def fit(self) -> Any:
-        future = self._client.call_async(self._trigger.Request())
-        self.executor.spin_until_future_complete(future, timeout_sec=120.0)
-        return future.result()
+        from std_srvs.srv import Trigger
+
+        return self.graph.call(Trigger, '/mixtac/alignment/fit')
 
     def receive_late(self) -> Any:
         """Subscribe after the fact: the fit is latched."""
-        self.node.create_subscription(self._fit_type, 'clock_fit', self.fits.append, self._latched)
-        deadline = time.monotonic() + 20.0
-        while not self.fits and time.monotonic() < deadline:
-            self.executor.spin_once(timeout_sec=0.1)
-        return self.fits[-1]
+        from mixtac_msgs.msg import ClockFit
+        from mixtac_node.base_node import QOS_LATCHED
+
+        fits = self.graph.listen(ClockFit, '/mixtac/clock_fit', QOS_LATCHED)
+        self.graph.spin_until(lambda: fits)
+        return fits[-1]
 
     def hear_aligned(self, case: Any) -> None:
         """Check that a sample comes back on the camera clock."""
-        heard: list[Any] = []
-        self.node.create_subscription(
-            self._wrench, 'alignment/reference', heard.append, self._force_qos
-        )
-        deadline = time.monotonic() + 20.0
-        while not heard and time.monotonic() < deadline:
-            self._send_force(float(case.reference_s(np.array(3.0))), 0.5)
-            self.executor.spin_once(timeout_sec=0.1)
+        from mixtac_node.base_node import QOS_FORCE
+
+        heard = self.graph.listen(self._wrench, '/mixtac/alignment/reference', QOS_FORCE)
+        sent_s = float(case.reference_s(np.array(3.0)))
+        self.graph.spin_until(lambda: heard, lambda: self._send_force(sent_s, 0.5))
         stamp = heard[0].header.stamp
         assert abs(stamp.sec * 1e6 + stamp.nanosec / 1e3 - float(case.camera_us(3.0))) < 2000.0
 
@@ -146,11 +104,10 @@ class Peer:
         self._force.publish(message)
 
 
-def test_the_node_fits_and_latches_the_clock_map(
-    scene: Any, process: subprocess.Popen[str], peer: Peer
-) -> None:
-    assert peer.ready()
-    assert process.poll() is None
+def test_the_node_fits_and_latches_the_clock_map(scene: Any, node_under_test: Any) -> None:
+    node_under_test.start('mixtac_alignment.alignment_node')
+    peer = Peer(node_under_test)
+    peer.wait_for_node()
     refused = peer.fit()
     assert not refused.success
     assert 'no ' in refused.message

@@ -4,22 +4,16 @@
 
 from __future__ import annotations
 
-import os
-import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
-rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
+pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy  # noqa: E402
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from mixtac_node.graph import NodeSpec  # noqa: E402
-from mixtac_node.process import ProcessGroup  # noqa: E402
-from mixtac_node.topics import SERVICES, TOPICS  # noqa: E402
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+from mixtac_node.graph import config_file
+from mixtac_node.topics import SERVICES, TOPICS
 
 pytestmark = pytest.mark.dds
 NAMESPACE = 'left/finger'
@@ -43,46 +37,20 @@ SUBSCRIBED = {
         f'/{NAMESPACE}/alignment/reference': WRENCH,
     },
 }
-LONGEST_S = 90.0
-"""Until both processes are up on a loaded machine."""
 
 
 @pytest.fixture(scope='module')
-def graph(module_ros_domain: dict[str, str], tmp_path_factory: Any) -> Iterator[Any]:
-    """Yield a node of the test's own that sees both nodes, in another namespace than usual."""
-    specs = (
-        NodeSpec(
-            'mixtac_alignment',
-            'alignment_node',
-            'alignment',
-            overrides={'reference_topic': REFERENCE},
-        ),
-        NodeSpec('mixtac_alignment', 'force_error_node', 'force_error'),
-    )
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=int(os.environ['ROS_DOMAIN_ID']))
-    node = rclpy.create_node('contract', context=context)
-    try:
-        with ProcessGroup(tmp_path_factory.mktemp('log')) as processes:
-            for spec in specs:
-                processes.start(spec.name, spec.command(NAMESPACE))
-            until(lambda: set(node.get_node_names()) >= set(PUBLISHED), processes)
-            for owner in PUBLISHED:
-                # The last thing that either makes.
-                until(lambda owner=owner: '/diagnostics' in publishers(node, owner), processes)
-            yield node
-            processes.check()
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
-
-
-def until(holds: Callable[[], bool], processes: ProcessGroup) -> None:
-    deadline = time.monotonic() + LONGEST_S
-    while not holds():
-        processes.check()
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+def graph(module_node_under_test: Any) -> Any:
+    """Return a node of the test's own that sees both nodes, in another namespace than usual."""
+    test, namespace = module_node_under_test, (f'__ns:=/{NAMESPACE}',)
+    for name, parameters in ('alignment', (f'reference_topic:={REFERENCE}',)), ('force_error', ()):
+        module, file = f'mixtac_alignment.{name}_node', config_file(f'{name}.yaml')
+        test.start(module, *parameters, remap=namespace, file=file)
+    test.spin_until(lambda: set(test.node.get_node_names()) >= set(PUBLISHED))
+    for owner in PUBLISHED:
+        # The last thing that either makes.
+        test.spin_until(lambda owner=owner: '/diagnostics' in publishers(test.node, owner))
+    return test.node
 
 
 def publishers(node: Any, owner: str) -> dict[str, list[str]]:

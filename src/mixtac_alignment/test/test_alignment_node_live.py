@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -16,44 +14,16 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 pytest.importorskip('event_camera_msgs.msg', reason='needs the built workspace')
 
-import rclpy
-
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_events.codec import encode
 from mixtac_sim.world.trial import simulate_trial
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mixtac_sim.world.trial import Trial
 
 pytestmark = pytest.mark.dds
 SECONDS = 8.0
 PACKET_US = 20_000
-
-
-@pytest.fixture
-def node_under_test(
-    request: pytest.FixtureRequest, ros_domain: dict[str, str]
-) -> Iterator[subprocess.Popen[str]]:
-    """Run the node with parameters; ended by its pid."""
-    command = [sys.executable, '-m', 'mixtac_alignment.alignment_node', *request.param]
-    started = subprocess.Popen(command, env=ros_domain, text=True, stderr=subprocess.PIPE)
-    yield started
-    started.terminate()
-    _, errors = started.communicate(timeout=20)
-    assert started.returncode == 0, errors
-
-
-@pytest.fixture
-def peer(ros_domain: dict[str, str]) -> Iterator[Peer]:
-    """Yield the test's own end of the topics."""
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=int(ros_domain['ROS_DOMAIN_ID']))
-    made = Peer(context)
-    yield made
-    made.node.destroy_node()
-    context.try_shutdown()
 
 
 PAUSES_S = (0.012, 0.05, 0.2)
@@ -63,44 +33,32 @@ PAUSES_S = (0.012, 0.05, 0.2)
 class Peer:
     """Publishes what camera and reference sensor would, and asks for the fit."""
 
-    def __init__(self, context: Any) -> None:
+    def __init__(self, graph: Any) -> None:
         from event_camera_msgs.msg import EventPacket
         from geometry_msgs.msg import WrenchStamped
-        from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import Image, TimeReference
-        from std_srvs.srv import Trigger
 
         from mixtac_msgs.msg import ClockFit, ExternalEdge, FrameExposure
         from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_LATCHED
 
-        self.node = rclpy.create_node('peer', context=context, namespace='mixtac')
-        self.executor = SingleThreadedExecutor(context=context)
-        self.executor.add_node(self.node)
-        self.fits: list[Any] = []
-        self._trigger = Trigger
+        self.graph = graph
         self._publishers = {
-            name: (kind, self.node.create_publisher(kind, name, qos))
+            name: (kind, graph.node.create_publisher(kind, name, qos))
             for name, kind, qos in (
-                ('events', EventPacket, QOS_EVENTS),
-                ('image_raw', Image, QOS_FORCE),
-                ('image_exposure', FrameExposure, QOS_FORCE),
+                ('/mixtac/events', EventPacket, QOS_EVENTS),
+                ('/mixtac/image_raw', Image, QOS_FORCE),
+                ('/mixtac/image_exposure', FrameExposure, QOS_FORCE),
                 ('/ft_sensor/wrench', WrenchStamped, QOS_FORCE),
-                ('external_edges', ExternalEdge, QOS_FORCE),
-                ('reference_edges', TimeReference, QOS_FORCE),
+                ('/mixtac/external_edges', ExternalEdge, QOS_FORCE),
+                ('/mixtac/reference_edges', TimeReference, QOS_FORCE),
             )
         }
-        self._client = self.node.create_client(Trigger, 'alignment/fit')
-        self.node.create_subscription(ClockFit, 'clock_fit', self.fits.append, QOS_LATCHED)
+        self.fits = graph.listen(ClockFit, '/mixtac/clock_fit', QOS_LATCHED)
 
-    def ready(self) -> bool:
-        deadline = time.monotonic() + 60.0
-        while time.monotonic() < deadline:
-            self.executor.spin_once(timeout_sec=0.1)
-            counts = [one.get_subscription_count() for _, one in self._publishers.values()]
-            if min(counts) and self._client.service_is_ready():
-                time.sleep(0.5)  # the other side may not have matched yet
-                return True
-        return False
+    def wait_for_node(self) -> None:
+        for _, publisher in self._publishers.values():
+            self.graph.spin_until(publisher.get_subscription_count)
+        time.sleep(0.5)  # the other side may not have matched yet
 
     def send(self, topic: str, **fields: Any) -> None:
         kind, publisher = self._publishers[topic]
@@ -114,15 +72,13 @@ class Peer:
         publisher.publish(message)
 
     def fit(self) -> tuple[Any, ClockFit | None]:
+        from std_srvs.srv import Trigger
+
         self.fits.clear()
-        future = self._client.call_async(self._trigger.Request())
-        self.executor.spin_until_future_complete(future, timeout_sec=120.0)
-        answer = future.result()
-        deadline = time.monotonic() + 60.0
-        while answer.success and not self.fits and time.monotonic() < deadline:
-            self.executor.spin_once(timeout_sec=0.1)
-        if not self.fits:
+        answer = self.graph.call(Trigger, '/mixtac/alignment/fit')
+        if not answer.success:
             return answer, None
+        self.graph.spin_until(lambda: self.fits)
         message = self.fits[-1]
         names = message.get_fields_and_field_types()
         return answer, ClockFit.from_fields({name: getattr(message, name) for name in names})
@@ -148,7 +104,7 @@ class Peer:
 
     def _packet(self, number: int, events: Any, until: int) -> None:
         packet = encode(events, complete_until=until)
-        kind, publisher = self._publishers['events']
+        kind, publisher = self._publishers['/mixtac/events']
         message = kind(
             width=346, height=260, seq=number, time_base=packet.time_base, encoding=packet.encoding
         )
@@ -158,13 +114,13 @@ class Peer:
     def _frame(self, trial: Trial, k: int) -> None:
         start, end = int(trial.exposure_start_us[k]), int(trial.exposure_end_us[k])
         stamp = stamp_of((start + end) // 2)
-        kind, publisher = self._publishers['image_raw']
+        kind, publisher = self._publishers['/mixtac/image_raw']
         image = kind(height=260, width=346, encoding='mono16', step=692)
         image.header.stamp = stamp
         image.data.frombytes((trial.frames[k] << 6).astype('<u2').tobytes())
         publisher.publish(image)
         self.send(
-            'image_exposure',
+            '/mixtac/image_exposure',
             header__stamp=stamp,
             exposure_start=stamp_of(start),
             exposure_end=stamp_of(end),
@@ -182,11 +138,11 @@ def stamp_of(t_us: int) -> Any:
     return Time(sec=t_us // 1_000_000, nanosec=t_us % 1_000_000 * 1000)
 
 
-@pytest.mark.parametrize('node_under_test', [()], indirect=True)
-def test_a_trial_with_frames_is_refined(node_under_test: subprocess.Popen[str], peer: Peer) -> None:
+def test_a_trial_with_frames_is_refined(node_under_test: Any) -> None:
+    node_under_test.start('mixtac_alignment.alignment_node')
+    peer = Peer(node_under_test)
     trial = simulate_trial(300_000, 300_101, 'oscillation', SECONDS, sync=True)
-    assert peer.ready()
-    assert node_under_test.poll() is None
+    peer.wait_for_node()
     for pause_s in PAUSES_S:
         peer.play(trial, pause_s)
         time.sleep(0.5)
@@ -203,19 +159,17 @@ def test_a_trial_with_frames_is_refined(node_under_test: subprocess.Popen[str], 
     assert np.all(np.abs(error_s) < 4.0 * fit.std_at(camera_us))
 
 
-@pytest.mark.parametrize(
-    'node_under_test', [('--ros-args', '-p', 'use_edges:=true')], indirect=True
-)
-def test_edges_serve_in_place_of_taps(node_under_test: subprocess.Popen[str], peer: Peer) -> None:
-    assert peer.ready()
-    assert node_under_test.poll() is None
+def test_edges_serve_in_place_of_taps(node_under_test: Any) -> None:
+    node_under_test.start('mixtac_alignment.alignment_node', 'use_edges:=true')
+    peer = Peer(node_under_test)
+    peer.wait_for_node()
     refused, _ = peer.fit()
     assert not refused.success
     assert 'external_edges' in refused.message
     for at_us in np.cumsum(np.random.default_rng(1).integers(300_000, 900_000, 20)):
-        peer.send('external_edges', header__stamp=stamp_of(int(at_us)))
+        peer.send('/mixtac/external_edges', header__stamp=stamp_of(int(at_us)))
         other = stamp_of(round(float(at_us) * (1.0 + 3e-5)) + 7_000_000)
-        peer.send('reference_edges', time_ref=other)
+        peer.send('/mixtac/reference_edges', time_ref=other)
         time.sleep(0.01)
     time.sleep(0.5)
     answer, fit = peer.fit()
