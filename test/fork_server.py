@@ -4,7 +4,7 @@
 
 Imports and compiled code cost a node 1 to 3 s of processor time, more than most tests need beside.
 A forked node runs its module as `python -m MODULE` does, from the first line of the module to the
-end of the interpreter. The server itself never initialises ROS and starts no thread.
+end of the interpreter. The server itself never initialises ROS, and starts no thread.
 
 Run as a script, this is the server.
 """
@@ -12,6 +12,7 @@ Run as a script, this is the server.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import importlib
 import itertools
@@ -25,6 +26,7 @@ import sys
 import tempfile
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -160,6 +162,28 @@ def load(module: str) -> None:
     gc.freeze()
 
 
+def fork_tracing() -> None:
+    """Let LTTng, which rclpy loads, start its threads anew in forked processes.
+
+    Without that a process crashes, now and then, when LTTng cancels them at its end.
+    """
+    importlib.import_module('rclpy.node')
+    signals = ctypes.create_string_buffer(128)  # a sigset_t
+    loaded = {
+        word for word in Path('/proc/self/maps').read_text().split() if 'liblttng-ust' in word
+    }
+    for library in map(ctypes.CDLL, loaded):
+        # The longer names since LTTng 2.13.
+        prefix = 'lttng_ust' if hasattr(library, 'lttng_ust_before_fork') else 'ust'
+        if hasattr(library, f'{prefix}_before_fork'):
+            before, parent, child = (
+                partial(getattr(library, f'{prefix}_{name}'), signals)
+                for name in ('before_fork', 'after_fork_parent', 'after_fork_child')
+            )
+            os.register_at_fork(before=before, after_in_parent=parent, after_in_child=child)
+            return
+
+
 def serve(channel: socket.socket) -> tuple[dict[str, Any], list[int]] | None:
     """Answer requests until the other end is closed.
 
@@ -196,6 +220,7 @@ def main() -> None:
     """Run the server, and the nodes that it forks."""
     # Ctrl-C in a terminal reaches the server as well; it ends with the tests.
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    fork_tracing()
     with socket.socket(fileno=int(sys.argv[1])) as channel:
         node = serve(channel)
     if node is None:

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 import time
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -18,12 +16,11 @@ import pytest
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 
-rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
+pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 pytest.importorskip('event_camera_msgs.msg', reason='needs the built workspace')
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
 pytestmark = pytest.mark.dds
@@ -61,120 +58,81 @@ class Arm:
 """
 
 
+VALUES = {
+    'arm': 'fr3',
+    'detector': 'count',
+    'learning_time': 0.2,
+    'settling_time': 0.05,
+    'max_events_age': 1.0,
+    'max_force_age': 1.0,
+    'max_joint_age': 1.0,
+    'max_heartbeat_age': 5.0,
+}
+"""A short learning time, and ages for a loaded machine."""
+
+
 @pytest.fixture
-def arm(request: pytest.FixtureRequest, tmp_path: Path) -> Path | None:
-    """Return the folder of a package with a backend, or None for trajectories."""
-    if getattr(request, 'param', '') != 'recorded':
-        return None
+def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the folder of a package with a backend, which nodes find."""
     (tmp_path / 'recorded_arm.py').write_text(BACKEND)
     info = tmp_path / 'recorded_arm-1.0.dist-info'
     info.mkdir()
     (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: recorded-arm\nVersion: 1.0\n')
     (info / 'entry_points.txt').write_text('[mixtac.arm_backends]\nrecorded = recorded_arm:Arm\n')
+    path = os.pathsep.join([str(tmp_path), os.environ.get('PYTHONPATH', '')])
+    monkeypatch.setenv('PYTHONPATH', path)
     return tmp_path
-
-
-@pytest.fixture
-def process(ros_domain: dict[str, str], arm: Path | None) -> Iterator[subprocess.Popen[str]]:
-    """Run the node with a short learning time and ages for a loaded machine; ended by its pid."""
-    values: dict[str, object] = {
-        'arm': 'fr3',
-        'detector': 'count',
-        'learning_time': 0.2,
-        'settling_time': 0.05,
-        'max_events_age': 1.0,
-        'max_force_age': 1.0,
-        'max_joint_age': 1.0,
-        'max_heartbeat_age': 5.0,
-    }
-    command = [sys.executable, '-m', 'mixtac_slip_control.slip_control_node', '--ros-args']
-    for name, value in values.items():
-        command += ['-p', f'{name}:={value}']
-    environment = dict(ros_domain)
-    if arm is not None:
-        command += ['-p', 'arm_backend:=recorded']
-        environment['PYTHONPATH'] = os.pathsep.join([str(arm), os.environ.get('PYTHONPATH', '')])
-    started = subprocess.Popen(command, env=environment, text=True, stderr=subprocess.PIPE)
-    yield started
-    started.terminate()
-    _, errors = started.communicate(timeout=40)
-    assert started.returncode == 0, errors
-
-
-@pytest.fixture
-def peer(ros_domain: dict[str, str]) -> Iterator[Peer]:
-    """Yield the test's own end of the topics."""
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=int(ros_domain['ROS_DOMAIN_ID']))
-    made = Peer(context)
-    yield made
-    made.node.destroy_node()
-    context.try_shutdown()
 
 
 class Peer:
     """Plays driver, estimator, arm and supervisor; collects what the node says."""
 
-    def __init__(self, context: Any) -> None:
+    def __init__(self, graph: Any) -> None:
         from event_camera_msgs.msg import EventPacket
         from geometry_msgs.msg import WrenchStamped
-        from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import Image, JointState
         from std_msgs.msg import Empty
-        from std_srvs.srv import SetBool, Trigger
         from trajectory_msgs.msg import JointTrajectory
 
         from mixtac_msgs.msg import SlipState
         from mixtac_node.base_node import QOS_EVENTS, QOS_FORCE, QOS_SENSOR
 
-        self.node = rclpy.create_node('peer', context=context, namespace='mixtac')
-        self.executor = SingleThreadedExecutor(context=context)
-        self.executor.add_node(self.node)
+        self.graph, self.executor = graph, graph.executor
         self.states: dict[int, Any] = {}
-        self.trajectories: list[Any] = []
         self._types = (EventPacket, WrenchStamped, JointState, Empty)
-        make = self.node.create_publisher
-        self._events = make(EventPacket, 'events', QOS_EVENTS)
-        self._force = make(WrenchStamped, 'force', QOS_FORCE)
+        make = graph.node.create_publisher
+        self._events = make(EventPacket, '/mixtac/events', QOS_EVENTS)
+        self._force = make(WrenchStamped, '/mixtac/force', QOS_FORCE)
         self._image_type = Image
-        self._images = make(Image, 'image_raw', QOS_SENSOR)
+        self._images = make(Image, '/mixtac/image_raw', QOS_SENSOR)
         self._joints = make(JointState, '/joint_states', 10)
-        self._heartbeat = make(Empty, 'slip_control/heartbeat', 10)
-        self._set_bool, self._trigger = SetBool, Trigger
-        self._enable = self.node.create_client(SetBool, 'slip_control/enable')
-        self._triggers = {
-            name: self.node.create_client(Trigger, f'slip_control/{name}')
-            for name in ('reset', 'tare')
-        }
-        self.node.create_subscription(SlipState, 'slip', self._on_slip, QOS_FORCE)
-        self.node.create_subscription(JointTrajectory, TOPIC, self.trajectories.append, 10)
+        self._heartbeat = make(Empty, '/mixtac/slip_control/heartbeat', 10)
+        graph.node.create_subscription(SlipState, '/mixtac/slip', self._on_slip, QOS_FORCE)
+        self.trajectories = graph.listen(JointTrajectory, TOPIC, 10)
         self._sent = 0
         self.force = 0.5
 
-    def ready(self, *, trajectories: bool = True) -> bool:
-        deadline = time.monotonic() + 240.0  # the first run compiles
+    def start(self, *parameters: str, trajectories: bool = True) -> None:
+        """Start the node and wait until both sides know each other."""
+        values = [f'{name}:={value}' for name, value in VALUES.items()]
+        self.graph.start('mixtac_slip_control.slip_control_node', *values, *parameters)
         inputs = [self._events, self._force, self._heartbeat, self._images]
         inputs += [self._joints] * trajectories
-        while time.monotonic() < deadline:
-            self.executor.spin_once(timeout_sec=0.1)
-            matched = all(each.get_subscription_count() for each in inputs)
-            answers = self.node.count_publishers('slip')
-            answers = answers and (self.node.count_publishers(TOPIC) or not trajectories)
-            if matched and answers and self._enable.service_is_ready():
-                time.sleep(0.5)  # the other side may not have matched yet
-                return True
-        return False
+        outputs = ['/mixtac/slip'] + [TOPIC] * trajectories
+        self.graph.spin_until(lambda: all(each.get_subscription_count() for each in inputs))
+        self.graph.spin_until(lambda: all(map(self.graph.node.count_publishers, outputs)))
+        time.sleep(0.5)  # the other side may not have matched yet
 
     def enable(self, wanted: bool) -> Any:
-        return self._call(self._enable, self._set_bool.Request(data=wanted))
+        from std_srvs.srv import SetBool
+
+        request = SetBool.Request(data=wanted)
+        return self.graph.call(SetBool, '/mixtac/slip_control/enable', request)
 
     def trigger(self, name: str) -> Any:
-        return self._call(self._triggers[name], self._trigger.Request())
+        from std_srvs.srv import Trigger
 
-    def _call(self, client: Any, request: Any) -> Any:
-        future = client.call_async(request)
-        self.executor.spin_until_future_complete(future, timeout_sec=40.0)
-        return future.result()
+        return self.graph.call(Trigger, f'/mixtac/slip_control/{name}')
 
     def send(self, counts: list[int], *, inputs: bool = True) -> list[Any]:
         """Send one packet per count and millisecond; return the states of their windows."""
@@ -235,12 +193,6 @@ class Peer:
         self._joints.publish(joints(name=NAMES[::-1], position=READY[::-1]))
         self._heartbeat.publish(empty())
 
-    def wait(self, condition: Any) -> bool:
-        deadline = time.monotonic() + 30.0
-        while not condition() and time.monotonic() < deadline:
-            self.executor.spin_once(timeout_sec=0.05)
-        return bool(condition())
-
     def _on_slip(self, message: Any) -> None:
         stamp = message.header.stamp
         self.states[stamp.sec * 1_000_000 + stamp.nanosec // 1000] = message
@@ -250,11 +202,9 @@ def quiet(number: int) -> list[int]:
     return [30 + k % 5 for k in range(number)]
 
 
-def test_slip_moves_the_arm_when_enabled_and_a_fault_stops_it(
-    process: subprocess.Popen[str], peer: Peer
-) -> None:
-    assert peer.ready()
-    assert process.poll() is None
+def test_slip_moves_the_arm_when_enabled_and_a_fault_stops_it(node_under_test: Any) -> None:
+    peer = Peer(node_under_test)
+    peer.start()
     assert not peer.enable(wanted=True).success
     states = peer.send(quiet(400))
     assert len(states) > 300
@@ -263,7 +213,7 @@ def test_slip_moves_the_arm_when_enabled_and_a_fault_stops_it(
 
     assert not any(s.flow for s in states)
     peer.send_frame()
-    assert peer.wait(lambda: any(s.flow > 0.0 for s in peer.send(quiet(20))))
+    peer.graph.spin_until(lambda: any(s.flow > 0.0 for s in peer.send(quiet(20))))
 
     disabled = peer.send([30, 600, *quiet(50)])
     assert any(s.slipping and s.count_slipping and s.count == 600 for s in disabled)
@@ -272,13 +222,13 @@ def test_slip_moves_the_arm_when_enabled_and_a_fault_stops_it(
 
     answer = peer.enable(wanted=True)
     assert answer.success, answer.message
-    assert peer.wait(lambda: len(peer.trajectories) == 1)
+    peer.graph.spin_until(lambda: len(peer.trajectories) == 1)
     assert np.allclose(peer.trajectories[0].points[-1].positions, READY)
     peer.rest(0.3)  # the settling time runs on the host clock
     slips = peer.send([30, 600, 600, *quiet(40)])
     assert all(s.enabled and s.state == s.ENABLED for s in slips)
     assert slips[-1].total_advance > 0.0
-    assert peer.wait(lambda: len(peer.trajectories) > 1)
+    peer.graph.spin_until(lambda: len(peer.trajectories) > 1)
     check_trajectory(peer.trajectories[-1])
     assert not peer.trigger('tare').success
     assert not peer.trigger('reset').success
@@ -299,12 +249,11 @@ def test_slip_moves_the_arm_when_enabled_and_a_fault_stops_it(
     assert peer.trigger('tare').success
 
 
-@pytest.mark.parametrize('arm', ['recorded'], indirect=True)
 def test_a_backend_of_another_package_drives_the_arm_and_its_fault_stops(
-    process: subprocess.Popen[str], peer: Peer, arm: Path
+    node_under_test: Any, arm: Path
 ) -> None:
-    assert peer.ready(trajectories=False)
-    assert process.poll() is None
+    peer = Peer(node_under_test)
+    peer.start('arm_backend:=recorded', trajectories=False)
     peer.send(quiet(400))
     answer = peer.enable(wanted=True)
     assert answer.success, answer.message
@@ -318,7 +267,7 @@ def test_a_backend_of_another_package_drives_the_arm_and_its_fault_stops(
     assert states[-1].total_advance > 0.0
     assert np.allclose(sent()[0][0], np.array(READY) + 1e-3, atol=1e-6)
     (arm / 'broken').touch()
-    assert peer.wait(lambda: peer.send(quiet(20))[-1].state == states[-1].STOPPED)
+    peer.graph.spin_until(lambda: peer.send(quiet(20))[-1].state == states[-1].STOPPED)
     assert 'broken' in peer.enable(wanted=True).message
     assert peer.trajectories == []
 
