@@ -18,6 +18,7 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from mixtac_fger.config import ModelError
+from mixtac_fger.validity import Reason
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from mixtac_events.arrays import Events
     from mixtac_fger.reference import Reference
+    from mixtac_fger.validity import PictureFigures
     from mixtac_fger.weights import Model, ModelCard
 
     Image = NDArray[np.uint8] | NDArray[np.uint16]
@@ -43,12 +45,17 @@ class EncodedFrame:
         force: Frames-only force [N].
         reference: `Reference.number` of the reference it was compared with, 0 without one.
         content: Private to the estimator.
+        contrast: Coarse log contrast, float32 [rows, columns]; None of an architecture that does
+            not compute it, whose frames are not compared with the events.
+        picture: What it has in common with the reference; None without one.
     """
 
     mid_us: int
     force: float
     reference: int
     content: Any
+    contrast: NDArray[np.float32] | None = None
+    picture: PictureFigures | None = None
 
 
 class Estimator(Protocol):
@@ -159,6 +166,7 @@ class Estimate(NamedTuple):
         frame_age_us: From the centre of the latest frame's exposure to the end of the window [us].
         complete: All packets of the window arrived.
         saturated: Whether the sensor's readout has probably lost events because there were so many.
+        reason: Why the force cannot be trusted; `Reason.TRUSTED` if nothing was found.
     """
 
     end_us: int
@@ -167,6 +175,12 @@ class Estimate(NamedTuple):
     frame_age_us: int = 0
     complete: bool = True
     saturated: bool = False
+    reason: Reason = Reason.TRUSTED
+
+    @property
+    def valid(self) -> bool:
+        """Whether the force can be trusted."""
+        return self.reason is Reason.TRUSTED
 
 
 @dataclass(slots=True)
@@ -178,6 +192,7 @@ class EstimatorCounters:
         estimates: Forces given.
         withheld: Windows without a force although there was an estimate: no packet covered them, or
             the latest frame was too old.
+        invalid: Forces that cannot be trusted.
         incomplete: Forces of windows with missing packets.
         saturated: Windows with so many events that the sensor has probably lost some.
         frames: Frames applied.
@@ -193,6 +208,7 @@ class EstimatorCounters:
     windows: int = 0
     estimates: int = 0
     withheld: int = 0
+    invalid: int = 0
     incomplete: int = 0
     saturated: int = 0
     frames: int = 0
@@ -215,6 +231,7 @@ class EstimatorStatus(EstimatorCounters):
         frame_age_us: Camera time since the centre of the latest frame's exposure, -1 without one.
         frame_force: Frames-only force of the latest frame [N].
         deviation: Standard deviation of the latest force [N], -1 from a model that gives none.
+        validity: Why the latest force cannot be trusted, by name; `TRUSTED` if it can.
     """
 
     ready: bool = False
@@ -222,6 +239,7 @@ class EstimatorStatus(EstimatorCounters):
     frame_age_us: int = -1
     frame_force: float = 0.0
     deviation: float = -1.0
+    validity: str = Reason.TRUSTED.name
 
 
 SERIAL_KEY = 'sensor_serial'

@@ -15,6 +15,7 @@ from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.frames import bin_mean, displacement, gradients, log_contrast
 from mixtac_fger.config import CELL_FEATURES, FgerConfig
+from mixtac_fger.validity import PictureFigures, picture_figures
 
 F32 = NDArray[np.float32]
 Index = NDArray[np.int64]
@@ -172,6 +173,7 @@ class FramePreparation:
         self._coarse = np.empty(config.frame_shape, np.float32)
         self._work = np.empty((9, *config.frame_shape), np.float32)
         self._flow = np.empty((2, *config.frame_shape), np.float32)
+        self._reads_flow = bool({'flow_x', 'flow_y'} & set(config.frame_channels))
         self._row_cell, self._column_cell = bin_cells(config)
 
     def contrast(self, image: NDArray[np.uint16] | NDArray[np.uint8]) -> Contrast:
@@ -221,15 +223,8 @@ class FramePreparation:
             reference: Coarse log contrast without contact.
         """
         config = self._config
-        if {'flow_x', 'flow_y'} & set(config.frame_channels):
-            displacement(
-                reference,
-                contrast.coarse,
-                config.flow_radius,
-                config.flow_regularisation,
-                self._work,
-                self._flow,
-            )
+        if self._reads_flow:
+            self._displace(contrast, reference)
         channels = {
             'frame': contrast.coarse,
             'difference': contrast.coarse - reference,
@@ -237,6 +232,16 @@ class FramePreparation:
             'flow_y': self._flow[1],
         }
         return np.stack([channels[name] for name in config.frame_channels])
+
+    def picture(self, contrast: Contrast, reference: F32) -> PictureFigures:
+        """Return what the frame of the latest `network_input` has in common with the reference."""
+        if not self._reads_flow:
+            self._displace(contrast, reference)
+        return PictureFigures(*picture_figures(reference, contrast.coarse, self._flow))
+
+    def _displace(self, contrast: Contrast, reference: F32) -> None:
+        radius, ridge = self._config.flow_radius, self._config.flow_regularisation
+        displacement(reference, contrast.coarse, radius, ridge, self._work, self._flow)
 
 
 def mean_contrast(parts: Iterable[F32]) -> F32:

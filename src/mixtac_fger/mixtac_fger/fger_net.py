@@ -195,10 +195,12 @@ class FgerEstimator:
                 return None
             reference, number = found
             inputs = self._preparation.network_input(contrast, reference)
+            picture = self._preparation.picture(contrast, reference)
             feature = np.empty(self.config.frame_size, np.float32)
             force = frame_step(inputs, self._weights, self._maps, self._scratch, feature)
             guide = self._preparation.guide(contrast)
-            return EncodedFrame(mid_us, float(force), number, _Content(feature, guide))
+            content = _Content(feature, guide)
+            return EncodedFrame(mid_us, float(force), number, content, contrast.coarse, picture)
 
     def correct(self, frame: EncodedFrame, lag: int) -> None:
         """Correct the estimate at the centre of the exposure, and with it all later ones."""

@@ -54,6 +54,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._estimator: Estimator | None = None
         self._reference: NDArray[Any] | None = None
         self._feed: LiveFeed | None = None
+        self._trusted: float | None = None
         self._camera = CameraFacts()
         self._misfit = ''
         self._inputs: list[object] = []
@@ -91,6 +92,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         assert self._model is not None  # noqa: S101  (the state machine configures first)
         settings = self._settings
         self._estimator = open_estimator(self._model)
+        self._trusted = None
         if self._reference is not None and self._estimator.reference is not None:
             self._estimator.reference.use(self._reference)
         self._feed = LiveFeed(
@@ -100,6 +102,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
                 force_scale=settings.force_scale,
                 contact_threshold_n=settings.contact_threshold,
                 longest_without_frame_us=round(settings.longest_without_frame * 1e6),
+                stale_frame_us=round(settings.stale_frame_age * 1e6),
             ),
             deadline_s=settings.deadline,
         )
@@ -184,6 +187,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             estimator.force_scale = wanted.force_scale
             estimator.contact_threshold_n = wanted.contact_threshold
             estimator.longest_without_frame_us = round(wanted.longest_without_frame * 1e6)
+            estimator.stale_frame_us = round(wanted.stale_frame_age * 1e6)
             self._feed.deadline_s = wanted.deadline
         self._message = ForceMessage(wanted.frame_id)
         self._settings = wanted
@@ -229,7 +233,9 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if not estimates:
             return
         for estimate in estimates:
-            self._force.publish(self._message.serialised(estimate.end_us, estimate.force))
+            force = self._published(estimate)
+            if force is not None:
+                self._force.publish(self._message.serialised(estimate.end_us, force))
         now_ns = time.time_ns()
         # Off the critical path from here on.
         arrival_ns = (
@@ -242,6 +248,16 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             for estimate in estimates:
                 self._quality.publish(self._quality_of(estimate))
 
+    def _published(self, estimate: Estimate) -> float | None:
+        """Return the force to publish by the parameter `invalid_force`; None for none [N]."""
+        if estimate.valid:
+            self._trusted = estimate.force
+            return estimate.force
+        policy = self._settings.invalid_force
+        if policy == 'publish':
+            return estimate.force
+        return self._trusted if policy == 'hold' else None
+
     def _quality_of(self, estimate: Estimate) -> ForceQuality:
         message = ForceQuality()
         message.header.stamp = us_to_stamp(estimate.end_us)
@@ -250,6 +266,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         message.deviation = -1.0 if estimate.deviation is None else estimate.deviation
         message.frame_age = estimate.frame_age_us * 1e-6
         message.complete, message.saturated = estimate.complete, estimate.saturated
+        message.valid, message.reason = estimate.valid, int(estimate.reason)
         return message
 
     def _on_image(self, message: Image) -> None:
@@ -287,7 +304,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if self._feed is None:
             return Status(OK, 'not active: no force is published')
         found = self._feed.status()
-        level, message = feed_diagnosis(found, self._settings.stale_frame_age)
+        level, message = feed_diagnosis(found)
         values = found.values() | {'camera_checked': bool(self._camera.width)}
         return Status(level, message, values)
 

@@ -13,7 +13,8 @@ from mixtac_events.codec import PacketMessage, decode_message
 from mixtac_events.packets import CDR_LITTLE_ENDIAN, CodecError
 from mixtac_events.sequence import SequenceCounter
 from mixtac_fger.features import ImageError
-from mixtac_node.diagnostics import OK, WARN, RateMeter, RecentValues
+from mixtac_fger.validity import Reason
+from mixtac_node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues
 from mixtac_node.images import ImageConversionError, grey
 
 if TYPE_CHECKING:
@@ -272,24 +273,27 @@ class LiveFeed:
         return {name: rise for name in WATCHED if (rise := now[name] - before[name]) > 0}
 
 
-def feed_diagnosis(found: FeedStatus, stale_s: float) -> tuple[int, str]:
+def feed_diagnosis(found: FeedStatus) -> tuple[int, str]:
     """Return the level and the message of a status on /diagnostics.
+
+    A force that cannot be trusted is an error, an unknown zero a warning: it waits for ~/tare.
 
     Args:
         found: Status of the active estimator.
-        stale_s: Frames older than this are too old [s].
     """
+    estimator, level = found.estimator, WARN
     parts = []
-    if found.estimator.reason:
-        parts.append(found.estimator.reason)
+    if estimator.reason:
+        parts.append(estimator.reason)
     elif found.rate_hz == 0.0:
         parts.append('no force in the last second: no event packets arrive')
-    age_s = found.estimator.frame_age_us * 1e-6
-    if found.estimator.ready and age_s > stale_s:
-        parts.append(f'latest frame is {age_s:.1f} s old: the force drifts')
+    if estimator.ready and estimator.validity != Reason.TRUSTED.name:
+        reason = Reason[estimator.validity]
+        parts.append(f'the force is not valid: {reason.text}')
+        level = WARN if reason is Reason.ZERO_UNKNOWN else ERROR
     if found.lately:
         rises = (f'{count} {WATCHED[name]}' for name, count in found.lately.items())
         parts.append('since the last report: ' + ', '.join(rises))
     if found.problem:
         parts.append(found.problem)
-    return (WARN, '; '.join(parts)) if parts else (OK, 'estimating')
+    return (level, '; '.join(parts)) if parts else (OK, 'estimating')

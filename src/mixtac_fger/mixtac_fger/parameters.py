@@ -5,9 +5,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from mixtac_fger.weights import DEFAULT_MODEL
 from mixtac_node.parameters import parameter
+
+POLICIES: Final = ('withhold', 'hold', 'publish')
+"""What becomes of a force that cannot be trusted; the first is the default."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,10 @@ class FgerParameters:
             first still frames are the reference, so the sensor must be untouched when the node is
             activated.
         contact_threshold: Forces above this count as contact; ~/tare is refused during contact.
-        stale_frame_age: Age of the latest frame above which the diagnostics warn. Without frames
+        invalid_force: What becomes of a force that cannot be trusted: `withhold` publishes none,
+            `hold` publishes the latest trusted one, `publish` publishes it as it is. In each case
+            `force_quality` says that the force is not valid, and why.
+        stale_frame_age: Age of the latest frame above which the force is not valid. Without frames
             the force drifts.
         longest_without_frame: Age of the latest frame above which no force is published until the
             next frame.
@@ -41,6 +48,7 @@ class FgerParameters:
     force_scale: float = parameter(1.0, within=(0.1, 10.0))
     reference: str = parameter('')
     contact_threshold: float = parameter(0.15, unit='N', within=(0.01, 10.0))
+    invalid_force: str = parameter('withhold', choices=POLICIES)
     stale_frame_age: float = parameter(0.5, unit='s', within=(0.05, 60.0))
     longest_without_frame: float = parameter(2.0, unit='s', within=(0.05, 3600.0))
     deadline: float = parameter(0.003, unit='s', within=(0.0005, 1.0))

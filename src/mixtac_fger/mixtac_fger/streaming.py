@@ -34,9 +34,11 @@ import numpy as np
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode, encode
 from mixtac_events.windows import WindowSlicer
+from mixtac_fger import validity
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus
 from mixtac_fger.features import ImageError, correction_lag
 from mixtac_fger.reference import Reference, TareError
+from mixtac_fger.validity import HIGHEST_FORCE, LOWEST_FORCE, Reason, Validity
 from mixtac_node.process import lower_priority
 
 if TYPE_CHECKING:
@@ -216,6 +218,8 @@ FRAME_AHEAD_US = 100_000
 """Frames exposed later than the events by more than this are on another clock [us]."""
 FRAME_BEHIND_US = 1_000_000
 """Frames exposed earlier than the events by more than this are too old or on another clock [us]."""
+STALE_FRAME_US = 500_000
+"""Default of `ForceEstimator.stale_frame_us`."""
 NO_LIMIT_US = 2**62
 
 
@@ -231,12 +235,14 @@ class ForceEstimator:
         force_scale: See below.
         contact_threshold_n: See below.
         longest_without_frame_us: See below.
+        stale_frame_us: See below.
 
     Attributes:
         force_scale: Factor of the estimates, from the calibration of the sensor; may be changed at
             any time, as the next two.
         contact_threshold_n: Estimates above this count as contact, in which `tare` refuses [N].
         longest_without_frame_us: Age of the latest frame beyond which no force is given [us].
+        stale_frame_us: Age of the latest frame beyond which the force is not trusted [us].
     """
 
     def __init__(
@@ -247,10 +253,12 @@ class ForceEstimator:
         force_scale: float = 1.0,
         contact_threshold_n: float = 0.15,
         longest_without_frame_us: int = NO_LIMIT_US,
+        stale_frame_us: int = STALE_FRAME_US,
     ) -> None:
         self.force_scale = force_scale
         self.contact_threshold_n = contact_threshold_n
         self.longest_without_frame_us = longest_without_frame_us
+        self.stale_frame_us = stale_frame_us
         self._estimator = estimator
         self._width_us = estimator.window_us
         self._saturation = SATURATION_PER_US * estimator.window_us
@@ -260,6 +268,9 @@ class ForceEstimator:
         self._encoded: deque[EncodedFrame] = deque()
         self._frame: EncodedFrame | None = None
         self._recent: deque[float] = deque(maxlen=TARE_WINDOWS)
+        self._validity = Validity(estimator.window_us, estimator.width)
+        self._reason_now = Reason.TRUSTED
+        self._saturated = False
         self._deviation: float | None = None
         self._since_us = -NO_LIMIT_US
         self._count = EstimatorCounters()
@@ -355,6 +366,7 @@ class ForceEstimator:
             )
         reference.renew()
         self._estimator.clear()
+        self._validity.clear()
         self._recent.clear()
 
     def reset(self) -> None:
@@ -386,6 +398,7 @@ class ForceEstimator:
             frame_age_us=self._frame_age_us(),
             frame_force=self.frame_force,
             deviation=-1.0 if self._deviation is None else self._deviation,
+            validity=self._reason_now.name,
         )
 
     def _frame_age_us(self) -> int:
@@ -426,15 +439,33 @@ class ForceEstimator:
         self._deviation = deviation
         age_us = end_us - self._frame.mid_us
         covered, complete = self._time.covered(end_us, self._width_us)
+        self._validity.window(end_us, events, complete=complete)
         if not covered or age_us > self.longest_without_frame_us:
             count.withheld += 1
             return None
         saturated = len(events) > self._saturation
+        self._saturated |= saturated
+        self._recent.append(raw)
+        reason = self._reason_now = self._distrust(raw, age_us)
         count.estimates += 1
         count.incomplete += not complete
         count.saturated += saturated
-        self._recent.append(raw)
-        return Estimate(end_us, force, deviation, age_us, complete, saturated)
+        count.invalid += reason is not Reason.TRUSTED
+        return Estimate(end_us, force, deviation, age_us, complete, saturated, reason)
+
+    def _check(self, frame: EncodedFrame, then: float | None) -> None:
+        self._validity.frame(frame.mid_us, frame.contrast, frame.picture, frame.force, then)
+
+    def _distrust(self, raw: float, age_us: int) -> Reason:
+        """Return why a force cannot be trusted, before `force_scale` [N]."""
+        reason = self._validity.reason
+        if reason is not Reason.TRUSTED:
+            return reason
+        if not LOWEST_FORCE <= raw <= HIGHEST_FORCE:
+            return Reason.OUT_OF_RANGE
+        if self._saturated:
+            return Reason.SATURATED
+        return Reason.STALE if age_us > self.stale_frame_us else Reason.TRUSTED
 
     def _keep(self, frames: list[EncodedFrame]) -> None:
         self._encoded.extend(frames)
@@ -459,15 +490,21 @@ class ForceEstimator:
             self._count.frames_dropped += 1
             return
         if self._frame is None and self._since_us > -NO_LIMIT_US:
+            self._check(frame, None)
             self._estimator.start_at(frame)
         else:
             width = self._width_us
-            self._estimator.correct(frame, correction_lag(end_us - width, frame.mid_us, width))
+            lag = correction_lag(end_us - width, frame.mid_us, width)
+            then = self._recent[-1 - lag] if lag < len(self._recent) else None
+            self._check(frame, then)
+            self._estimator.correct(frame, lag)
         self._frame = frame
+        self._saturated = False
         self._count.frames += 1
 
     def _forget(self) -> None:
         self._estimator.clear()
+        self._validity.clear()
         self._recent.clear()
         self._encoded.clear()
         self._frame = None
@@ -484,6 +521,7 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
     Returns:
         Its estimates; none would mean that a part has not been run.
     """
+    validity.warm_up()
     feed = ForceEstimator(estimator)
     reference = estimator.reference
     frames = 1 if reference is None else reference.frames

@@ -28,6 +28,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 
 from mixtac_fger.reference import Reference
+from mixtac_fger.validity import Reason
 from mixtac_msgs.msg import ForceQuality
 from mixtac_node.base_node import QOS_SENSOR
 from mixtac_node.stamps import stamp_to_us, us_to_stamp
@@ -87,7 +88,14 @@ def estimator(node_under_test, tmp_path, model, monkeypatch) -> Estimator:
     write_model(path, model)
     monkeypatch.setenv('MIXTAC_HOME', str(tmp_path))
     # All that the toy sensor does is below this threshold, so that ~/tare does not refuse.
-    return Estimator(node_under_test, str(path), contact_threshold=10.0, reference='reference.npz')
+    # Random weights give forces that no sensor gives, and the toy's frames have no noise.
+    return Estimator(
+        node_under_test,
+        str(path),
+        contact_threshold=10.0,
+        reference='reference.npz',
+        invalid_force='publish',
+    )
 
 
 def packets(trial) -> Iterator[tuple[int, EventPacket]]:
@@ -143,6 +151,11 @@ def play(graph, trial) -> tuple[list[WrenchStamped], list[ForceQuality]]:
     return received, quality
 
 
+def test_the_numbers_of_the_reasons_are_those_of_the_message():
+    for reason in Reason:
+        assert getattr(ForceQuality, reason.name) == reason
+
+
 def check_quality(received, quality) -> None:
     forces = {stamp_to_us(m.header.stamp): m.wrench.force.z for m in received}
     assert len(quality) == len(received)
@@ -151,6 +164,7 @@ def check_quality(received, quality) -> None:
         assert message.deviation > 0
         assert 0 <= message.frame_age < 10
         assert not message.saturated
+        assert message.valid == (message.reason == ForceQuality.TRUSTED)
 
 
 def tare_with_still_frames(estimator, trial) -> None:

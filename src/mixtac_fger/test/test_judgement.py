@@ -11,9 +11,8 @@ import pytest
 from mixtac_fger.fger_net import FgerEstimator
 from mixtac_fger.live_feed import WATCHED, LiveFeed, feed_diagnosis
 from mixtac_fger.streaming import ForceEstimator
-from mixtac_node.diagnostics import OK, WARN
-
-STALE_S = 0.5
+from mixtac_fger.validity import Reason
+from mixtac_node.diagnostics import ERROR, OK, WARN
 
 
 @pytest.fixture(scope='module')
@@ -26,34 +25,35 @@ def good(model):
 
 
 def test_all_is_well(good):
-    assert feed_diagnosis(good, STALE_S) == (OK, 'estimating')
+    assert feed_diagnosis(good) == (OK, 'estimating')
 
 
 def test_the_reason_for_no_force_comes_first(good):
     estimator = replace(good.estimator, ready=False, reason='waiting for a frame')
     found = replace(good, estimator=estimator, rate_hz=0.0, lately={'lost_packets': 3})
-    level, text = feed_diagnosis(found, STALE_S)
+    level, text = feed_diagnosis(found)
     assert level == WARN
     assert text.startswith('waiting for a frame; ')
     assert '3 event packets lost' in text
 
 
 def test_no_packets(good):
-    level, text = feed_diagnosis(replace(good, rate_hz=0.0), STALE_S)
+    level, text = feed_diagnosis(replace(good, rate_hz=0.0))
     assert level == WARN
     assert 'no event packets arrive' in text
 
 
-def test_old_frames(good):
-    old = replace(good, estimator=replace(good.estimator, frame_age_us=700_000))
-    level, text = feed_diagnosis(old, STALE_S)
-    assert level == WARN
-    assert '0.7 s old' in text
+@pytest.mark.parametrize('reason', [each for each in Reason if each is not Reason.TRUSTED])
+def test_a_force_that_cannot_be_trusted(good, reason):
+    invalid = replace(good, estimator=replace(good.estimator, validity=reason.name))
+    level, text = feed_diagnosis(invalid)
+    assert level == (WARN if reason is Reason.ZERO_UNKNOWN else ERROR)
+    assert reason.text in text
 
 
 @pytest.mark.parametrize('name', WATCHED)
 def test_every_watched_counter_warns(good, name):
-    level, text = feed_diagnosis(replace(good, lately={name: 7}), STALE_S)
+    level, text = feed_diagnosis(replace(good, lately={name: 7}))
     assert level == WARN
     assert f'7 {WATCHED[name]}' in text
 

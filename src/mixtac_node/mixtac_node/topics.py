@@ -140,8 +140,9 @@ FORCE_QUALITY = Topic(
     'force_quality',
     'mixtac_msgs/msg/ForceQuality',
     depth=100,
-    description='For each `force`, with the same stamp: its standard deviation [N], the age of '
-    'the latest frame, and whether all events of the window arrived.',
+    description='For each window, with the stamp of its `force`: the standard deviation [N], the '
+    'age of the latest frame, whether all events arrived, and whether the force is valid or why '
+    'not. Also while invalid forces are withheld.',
 )
 ForceMessage: TypeAlias = 'WrenchStamped'
 """Message of `FORCE` and of the reference force sensors."""

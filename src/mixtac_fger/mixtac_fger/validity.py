@@ -1,0 +1,534 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a force can be trusted, and why not.
+
+Four groups of checks, none of which knows a particular fault:
+
+* The picture: a pressed gel is the gel of the reference, displaced and nothing else. What is left
+  after the reference is displaced, tile by tile, no contact explains.
+* Frames and events: the change from one frame to the next is what the events between them say.
+* The estimate: the frame's force is the force that was estimated at the centre of its exposure.
+* Rates: neither ON nor OFF events ever stop where the sensor at rest has noise of both kinds.
+
+Thresholds lie outside of all that 44 simulated trials without a fault show (presets `easy`,
+`paper_like` and `hard`, 0 to 10 N, blows, vibrations; 5.6 minutes), most by a factor of two or
+more; none was chosen by a fault. `mixtac experiments faults` counts false alarms on other trials.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from mixtac_events.arrays import Events
+
+F32 = NDArray[np.float32]
+
+
+class Reason(IntEnum):
+    """Why a force cannot be trusted; the numbers are those of `mixtac_msgs/ForceQuality`."""
+
+    TRUSTED = 0
+    PICTURE_UNLIKE_REFERENCE = 1
+    LIGHT_CHANGED = 2
+    FRAME_FROZEN = 3
+    EVENTS_MISSING = 4
+    EVENTS_WITHOUT_MOTION = 5
+    EVENTS_DISAGREE = 6
+    CAMERA_MOVED = 7
+    OTHER_CAMERA = 8
+    ZERO_UNKNOWN = 9
+    OUT_OF_RANGE = 10
+    SATURATED = 11
+    STALE = 12
+
+    @property
+    def text(self) -> str:
+        """One line for people, with what to do."""
+        return TEXTS[self]
+
+
+TEXTS = {
+    Reason.TRUSTED: 'trusted',
+    Reason.PICTURE_UNLIKE_REFERENCE: 'the picture is not that of the reference under any contact:'
+    ' look at the image; after a change of the gel release the sensor and call ~/tare',
+    Reason.LIGHT_CHANGED: 'the light changed beyond what contact explains: check the LEDs, then'
+    ' release the sensor and call ~/tare',
+    Reason.FRAME_FROZEN: 'the camera sends the same frame again and again: restart the driver',
+    Reason.EVENTS_MISSING: 'there are no events, or too few for the motion that the frames show:'
+    ' check the biases and restart the driver',
+    Reason.EVENTS_WITHOUT_MOTION: 'there are many events although the frames do not move: check'
+    ' for hot pixels, flicker and biases',
+    Reason.EVENTS_DISAGREE: 'events and frames tell of different motions: check that both are of'
+    ' the same camera and neither is mirrored or late',
+    Reason.CAMERA_MOVED: 'the whole picture has moved against the reference: fix the camera,'
+    ' release the sensor and call ~/tare',
+    Reason.OTHER_CAMERA: 'another camera was connected: release the sensor and call ~/tare',
+    Reason.ZERO_UNKNOWN: 'the zero is unknown: touch the sensor, release it and call ~/tare, or set'
+    ' assume_free if nothing touched it at the start',
+    Reason.OUT_OF_RANGE: 'the force is outside of what the model was trained on',
+    Reason.SATURATED: 'the sensor sent more events than it can, until the next frame',
+    Reason.STALE: 'the latest frame is too old',
+}
+
+TILE_ROWS, TILE_COLUMNS = 6, 8
+"""Tiles of a picture: about eight beads each."""
+TILE_SUMS = 10
+LEAST_VARIANCE = 1e-3
+"""Added to the variance of a tile [log units^2]: a tile without texture is like any other."""
+WORST_TILES = 3
+"""Tiles that may be unlike the reference: those below a very sharp contact, and a defect."""
+
+
+class PictureFigures(NamedTuple):
+    """What a picture has in common with the reference.
+
+    Attributes:
+        likeness: Correlation with the displaced reference, the fourth lowest of the tiles.
+        fading: Variance of a tile over that of the reference, the lowest of the tiles.
+        roughness: The same, the highest of the tiles.
+        shading: Change of the mean of a tile against the median of all tiles, the largest [log
+            units].
+        unevenness: The same, the median of the tiles.
+        shift: Displacement of the median tile [bins].
+        displacement: Displacement of the tile that moved most [bins].
+        outward: Mean component of the displacement away from where it is largest [bins].
+    """
+
+    likeness: float
+    fading: float
+    roughness: float
+    shading: float
+    unevenness: float
+    shift: float
+    displacement: float
+    outward: float
+
+
+@njit(cache=True, nogil=True)
+def _tile_sums(reference: F32, image: F32, flow: F32, sums: NDArray[np.float64]) -> None:
+    """Write, per tile, the sums that `picture_figures` reads."""
+    rows, columns = image.shape
+    sums[:] = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            u, v = flow[0, row, column], flow[1, row, column]
+            x = min(max(column - u, np.float32(0.0)), np.float32(columns - 1))
+            y = min(max(row - v, np.float32(0.0)), np.float32(rows - 1))
+            left, top = min(int(x), columns - 2), min(int(y), rows - 2)
+            p, q = x - left, y - top
+            above = (1 - p) * reference[top, left] + p * reference[top, left + 1]
+            below = (1 - p) * reference[top + 1, left] + p * reference[top + 1, left + 1]
+            moved = np.float64((1 - q) * above + q * below)
+            here, before = np.float64(image[row, column]), np.float64(reference[row, column])
+            tile = sums[row * TILE_ROWS // rows, column * TILE_COLUMNS // columns]
+            tile[0] += 1.0
+            tile[1] += moved
+            tile[2] += moved * moved
+            tile[3] += here
+            tile[4] += here * here
+            tile[5] += moved * here
+            tile[6] += before
+            tile[7] += before * before
+            tile[8] += u
+            tile[9] += v
+
+
+@njit(cache=True, nogil=True)
+def _sort(values: NDArray[np.float64]) -> None:
+    """Sort a few values in place; np.sort and np.median take seconds to compile."""
+    for index in range(1, values.shape[0]):
+        value, place = values[index], index
+        while place > 0 and values[place - 1] > value:
+            values[place] = values[place - 1]
+            place -= 1
+        values[place] = value
+
+
+@njit(cache=True, nogil=True)
+def _median(values: NDArray[np.float64]) -> float:
+    """Return the (upper) median."""
+    ordered = values.copy()
+    _sort(ordered)
+    return ordered[values.shape[0] // 2]  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True)
+def picture_figures(
+    reference: F32, image: F32, flow: F32
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Compare a picture with the reference; returns the fields of `PictureFigures`.
+
+    Args:
+        reference: Coarse log contrast without contact, float32 [rows, columns].
+        image: Coarse log contrast now, same shape.
+        flow: Displacement of the image against the reference along x and y [bins], float32
+            [2, rows, columns], of `mixtac_events.frames.displacement`.
+    """
+    sums = np.empty((TILE_ROWS, TILE_COLUMNS, TILE_SUMS), np.float64)
+    _tile_sums(reference, image, flow, sums)
+    tiles = sums.reshape(TILE_ROWS * TILE_COLUMNS, TILE_SUMS)
+    count = tiles.shape[0]
+    likeness, change = np.empty(count), np.empty(count)
+    u, v = np.empty(count), np.empty(count)
+    fading, roughness = np.inf, 0.0
+    for index in range(count):
+        tile = tiles[index] / tiles[index, 0]
+        moved = tile[2] - tile[1] * tile[1] + LEAST_VARIANCE
+        here = tile[4] - tile[3] * tile[3] + LEAST_VARIANCE
+        before = tile[7] - tile[6] * tile[6] + LEAST_VARIANCE
+        likeness[index] = (tile[5] - tile[1] * tile[3] + LEAST_VARIANCE) / np.sqrt(moved * here)
+        fading, roughness = min(fading, here / before), max(roughness, here / before)
+        change[index] = tile[3] - tile[6]
+        u[index], v[index] = tile[8], tile[9]
+    change = np.abs(change - _median(change))
+    _sort(change)
+    _sort(likeness)
+    squared = u * u + v * v
+    total = squared.sum() + 1e-12
+    middle_x = middle_y = outward = np.float64(0.0)
+    for index in range(count):
+        middle_x += squared[index] / total * (index % TILE_COLUMNS)
+        middle_y += squared[index] / total * (index // TILE_COLUMNS)
+    for index in range(count):
+        away_x, away_y = index % TILE_COLUMNS - middle_x, index // TILE_COLUMNS - middle_y
+        distance = np.sqrt(away_x * away_x + away_y * away_y) + 1e-3
+        outward += (u[index] * away_x + v[index] * away_y) / distance / count
+    return (
+        likeness[WORST_TILES],
+        fading,
+        roughness,
+        change[-1],
+        change[count // 2],
+        np.hypot(_median(u), _median(v)),
+        np.sqrt(squared.max()),
+        outward,
+    )
+
+
+MOST_EVENTS_PER_PIXEL = np.float64(2.0)
+"""Events of a pixel of a bin between two frames beyond which more count as so many: hot pixels."""
+
+
+@njit(cache=True, nogil=True)
+def add_signs(
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    polarity: NDArray[np.bool_],
+    size: int,
+    out: F32,
+) -> None:
+    """Add ON less OFF events per pixel to bins.
+
+    Args:
+        x: Columns, uint16 [n].
+        y: Rows, uint16 [n].
+        polarity: True where brighter, bool [n].
+        size: Pixels of a bin along each axis.
+        out: float32 [rows, columns] of bins.
+    """
+    rows, columns = out.shape
+    share = np.float32(1.0 / (size * size))
+    for index in range(x.shape[0]):
+        row, column = y[index] // size, x[index] // size
+        if row < rows and column < columns:
+            out[row, column] += share if polarity[index] else -share
+
+
+STRONG_CHANGE = 0.25
+"""Change of a bin that lies above the thresholds of its pixels [log units]."""
+
+
+@njit(cache=True, nogil=True)
+def agreement(before: F32, after: F32, signs: F32) -> tuple[float, float, float, int, float]:
+    """Compare the change between two frames with the events between their exposures.
+
+    Args:
+        before: Coarse log contrast of the earlier frame, float32 [rows, columns].
+        after: The same of the later one.
+        signs: ON less OFF events per pixel between their centres, of `add_signs`.
+
+    Returns:
+        Root mean square of the change [log units] and of the events per pixel; their correlation, 0
+        where one of them is constant; number of bins with a `STRONG_CHANGE`; events per pixel and
+        log unit of change there, by least squares.
+    """
+    rows, columns = before.shape
+    change = told = both = change_mean = told_mean = strong = told_of = np.float64(0.0)
+    bins = 0
+    for row in range(rows):
+        for column in range(columns):
+            a = np.float64(after[row, column]) - np.float64(before[row, column])
+            b = np.float64(signs[row, column])
+            b = min(max(b, -MOST_EVENTS_PER_PIXEL), MOST_EVENTS_PER_PIXEL)
+            change_mean += a
+            told_mean += b
+            change += a * a
+            told += b * b
+            both += a * b
+            if abs(a) > STRONG_CHANGE:
+                bins += 1
+                strong += a * a
+                told_of += a * b
+    count = rows * columns
+    change_mean, told_mean = change_mean / count, told_mean / count
+    change = max(change / count - change_mean * change_mean, np.float64(0.0))
+    told = max(told / count - told_mean * told_mean, np.float64(0.0))
+    spread = np.sqrt(change * told)
+    correlation = (both / count - change_mean * told_mean) / spread if spread > 0.0 else 0.0
+    slope = told_of / strong if strong > 0.0 else 0.0
+    return np.sqrt(change), np.sqrt(told), correlation, bins, slope
+
+
+def warm_up() -> None:
+    """Compile what a frame needs, so that the first one is not late."""
+    contrast, flow = np.zeros((8, 8), np.float32), np.zeros((2, 8, 8), np.float32)
+    place = np.zeros(1, np.uint16)
+    picture_figures(contrast, contrast, flow)
+    add_signs(place, place, np.ones(1, np.bool_), 4, contrast)
+    agreement(contrast, contrast, contrast)
+
+
+LEAST_LIKENESS = 0.75
+"""Without a fault 0.89 or more."""
+LEAST_FADING, MOST_ROUGHNESS = 0.4, 1.8
+"""Without a fault 0.64 to 1.29."""
+MOST_SHADING, MOST_UNEVENNESS = 0.17, 0.03
+"""Without a fault up to 0.077 and 0.0125 [log units]."""
+MOST_SHIFT = 0.08
+"""Without a fault up to 0.029 bins; a bin has four pixels."""
+STRONG_BINS = 10
+"""Bins with a strong change from which on events have to tell of it; of twice as many it counts
+twice."""
+LEAST_SLOPE = 0.2
+"""Events per pixel and log unit of change; without a fault 1.1 to 4, the inverse of a threshold.
+Two of 44 sensors, with the slowest pixels of `hard`, have 0.4 and more."""
+LEAST_SLOPE_OF_OWN = 0.25
+"""The same over the sensor's own, without a fault 0.39 and more."""
+JUDGEMENTS = 2
+"""Slopes in a row that have to be too low; without a fault a single one of few bins."""
+LONGEST_COMPARISON = 12
+"""Frames after which the comparison of frames and events starts over."""
+BUSY_PER_MS = 750
+"""Rate of a blow [events/ms]: its motion during an exposure is no fault."""
+BUSY_MARGIN_US = 8_000
+"""Half an exposure and more, before and after a comparison [us]."""
+MOST_UNTOLD, STILL, UNTOLD_FRAMES = 4.0, 1.3, 3
+"""Events over those at rest while the change of frames over that at rest is below the second, in so
+many frames in a row; without a fault two in a row at most, from blows between two frames."""
+RATE_WINDOWS = 10
+"""Windows over which the rate of each polarity is averaged."""
+LEAST_RATE, LEAST_REST = 0.25, 3.0
+"""Rate over that at rest, without a fault 0.5 and more; not judged below so many per window."""
+MOST_RATE = 4.0
+"""Rate over that at rest in all windows between frames that are still."""
+MOST_DISAGREEMENT, DISAGREEING_FRAMES = 1.5, 3
+"""Frame force less estimate over `disagreement_scale`, the mean of so many frames; without a fault
+up to 1.1, but for two trials of vibration in which the estimate was wrong by 0.5 N."""
+LOWEST_FORCE, HIGHEST_FORCE = -0.5, 10.0
+"""Range of the forces in training with a margin, before `force_scale` [N]."""
+HOLD_FRAMES = 5
+"""Frames without a finding after which a force is trusted again."""
+FALL, RISE = 0.2, 0.002
+"""Shares of a new value by which levels of noise follow it."""
+AT_REST = 1.5
+"""Events over those at rest up to which a frame without motion counts as rest."""
+WINDOWS_KEPT = 96
+"""Windows whose events are kept for the next frame."""
+
+
+def disagreement_scale(force: float) -> float:
+    """Return how far the frame's force and an estimate may differ [N]."""
+    return 0.1 + 0.3 * abs(force)
+
+
+class Validity:
+    """Follows frames and windows, and says why the force cannot be trusted.
+
+    Memory is bounded; the work per frame is that of a few thousand additions, that per window does
+    not depend on what came before.
+
+    Args:
+        window_us: Length of a window [us].
+        width: Columns of the sensor [px].
+    """
+
+    def __init__(self, window_us: int, width: int) -> None:
+        self._window_us, self._width = window_us, width
+        self._windows: deque[tuple[int, Events]] = deque(maxlen=WINDOWS_KEPT)
+        self._rest = [0.0, 0.0]  # ON and OFF events per window
+        self._rests = 0
+        self._noise = self._murmur = self._slope = 0.0
+        self._held: dict[Reason, int] = {}
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the stream: a hole, a restart or another reference. Noise levels are kept."""
+        self._windows.clear()
+        self._held.clear()
+        self._rate = list(self._rest)
+        self._before: tuple[int, F32 | None] = (0, None)
+        self._anchor: F32 | None = None
+        self._signs = np.zeros((0, 0), np.float32)
+        self._age = self._untold = self._low = 0
+        self._busy = False
+        self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
+
+    @property
+    def reason(self) -> Reason:
+        """Why not, by the latest frames and windows; `TRUSTED` if nothing was found."""
+        return min(self._held) if self._held else Reason.TRUSTED
+
+    def window(self, end_us: int, events: Events, *, complete: bool) -> None:
+        """Take a window.
+
+        Args:
+            end_us: Its end, camera clock [us].
+            events: Its events.
+            complete: Whether all of its packets arrived.
+        """
+        if not complete:
+            self._start_over()
+            return
+        self._windows.append((end_us, events))
+        count = len(events)
+        brighter = int(np.count_nonzero(events.polarity))
+        for kind, number in enumerate((brighter, count - brighter)):
+            self._rate[kind] += (number - self._rate[kind]) / RATE_WINDOWS
+            rest = self._rest[kind]
+            if rest > LEAST_REST and self._rate[kind] < LEAST_RATE * rest:
+                self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
+
+    def frame(
+        self,
+        mid_us: int,
+        contrast: F32 | None,
+        picture: PictureFigures | None,
+        force: float,
+        estimate: float | None,
+    ) -> None:
+        """Take a frame that corrects the estimate.
+
+        Args:
+            mid_us: Centre of its exposure, camera clock [us].
+            contrast: Its coarse log contrast, float32 [rows, columns]; None if unknown.
+            picture: Comparison with the reference; None without one.
+            force: Its force [N].
+            estimate: Estimate at the centre of its exposure [N]; None if there is none.
+        """
+        found = set() if picture is None else picture_findings(picture)
+        if contrast is not None:
+            found |= self._compare(mid_us, contrast)
+        if estimate is not None:
+            scale = disagreement_scale(max(abs(force), abs(estimate)))
+            self._disagreements.append((force - estimate) / scale)
+            total = abs(sum(self._disagreements))
+            if total > MOST_DISAGREEMENT * DISAGREEING_FRAMES:
+                found.add(Reason.EVENTS_DISAGREE)
+        for reason, left in list(self._held.items()):
+            if left > 1:
+                self._held[reason] = left - 1
+            else:
+                del self._held[reason]
+        self._held.update(dict.fromkeys(found, HOLD_FRAMES))
+
+    def _compare(self, mid_us: int, contrast: F32) -> set[Reason]:
+        """Return what the frame says about the events since the frames before it."""
+        before_us, before = self._before
+        self._before = mid_us, contrast
+        if before is None or self._anchor is None:
+            self._anchor, self._signs, self._age = contrast, np.zeros_like(contrast), 0
+            self._busy = self._is_busy(mid_us, mid_us)
+            return set()
+        if np.array_equal(before, contrast):
+            return {Reason.FRAME_FROZEN}
+        parts = self._between(before_us, mid_us)
+        if parts is None:
+            self._start_over()
+            return set()
+        told = np.zeros_like(contrast)
+        size = self._width // contrast.shape[1]
+        for part in parts:
+            add_signs(part.x, part.y, part.polarity, size, told)
+        self._signs += told
+        self._age += 1
+        busy = self._is_busy(before_us, mid_us)
+        self._busy |= busy
+        found = self._untold_by_frames(before, contrast, told, parts)
+        *_, strong, slope = agreement(self._anchor, contrast, self._signs)
+        if strong >= STRONG_BINS and not self._busy:
+            low = slope < max(LEAST_SLOPE, LEAST_SLOPE_OF_OWN * self._slope)
+            self._low = self._low + (1 + (strong >= 2 * STRONG_BINS)) if low else 0
+            if not low:
+                self._slope += (slope - self._slope) * (FALL if self._slope else 1.0)
+            if self._low >= JUDGEMENTS:
+                found.add(Reason.EVENTS_DISAGREE)
+        if strong >= STRONG_BINS or self._age >= LONGEST_COMPARISON:
+            self._anchor, self._age, self._busy = contrast, 0, busy
+            self._signs[:] = 0.0
+        return found
+
+    def _untold_by_frames(
+        self, before: F32, contrast: F32, told: F32, parts: list[Events]
+    ) -> set[Reason]:
+        """Compare two frames in a row; follows the noise of frames and events at rest."""
+        change, events, correlation, *_ = agreement(before, contrast, told)
+        if not self._noise:
+            self._noise, self._murmur = change, events
+        self._noise += (change - self._noise) * (FALL if change < self._noise else RISE)
+        self._murmur += (events - self._murmur) * (FALL if events < self._murmur else RISE)
+        total = sum(len(part) for part in parts)
+        brighter = sum(int(np.count_nonzero(part.polarity)) for part in parts)
+        rates = [number / max(len(parts), 1) for number in (brighter, total - brighter)]
+        still = change < STILL * self._noise
+        alone = events * math.sqrt(max(1.0 - correlation * correlation, 0.0))
+        # A blow makes many events in a few windows, a storm in all of them.
+        most = MOST_RATE * sum(self._rest)
+        many = most > 0.0 and all(len(part) > most for part in parts)
+        untold = still and (many or alone > MOST_UNTOLD * self._murmur)
+        self._untold = self._untold + 1 if untold else 0
+        if still and not many and alone < AT_REST * self._murmur:
+            self._rests += 1
+            share = max(1.0 / self._rests, RISE)
+            self._rest = [a + (b - a) * share for a, b in zip(self._rest, rates, strict=True)]
+            if self._rests == 1:
+                self._rate = list(self._rest)
+        return {Reason.EVENTS_WITHOUT_MOTION} if self._untold >= UNTOLD_FRAMES else set()
+
+    def _between(self, start_us: int, end_us: int) -> list[Events] | None:
+        """Return the windows between the centres of two exposures; None if some are missing."""
+        half = self._window_us // 2
+        parts = [part for end, part in self._windows if start_us < end - half <= end_us]
+        whole = (end_us - start_us) // self._window_us
+        return parts if whole - 1 <= len(parts) <= whole + 1 else None
+
+    def _is_busy(self, start_us: int, end_us: int) -> bool:
+        """Return whether there was a blow in a comparison or at its ends."""
+        most = BUSY_PER_MS * self._window_us // 1000
+        first, last = start_us - BUSY_MARGIN_US, end_us + BUSY_MARGIN_US
+        return any(first < end <= last and len(part) > most for end, part in self._windows)
+
+    def _start_over(self) -> None:
+        self._windows.clear()
+        self._rate = list(self._rest)
+        self._before, self._anchor = (0, None), None
+
+
+def picture_findings(picture: PictureFigures) -> set[Reason]:
+    """Return what is wrong with a picture; nothing below any contact."""
+    found = set()
+    if picture.shading > MOST_SHADING or picture.unevenness > MOST_UNEVENNESS:
+        found.add(Reason.LIGHT_CHANGED)
+    if picture.shift > MOST_SHIFT:
+        found.add(Reason.CAMERA_MOVED)
+    unlike = picture.likeness < LEAST_LIKENESS
+    if unlike or picture.fading < LEAST_FADING or picture.roughness > MOST_ROUGHNESS:
+        found.add(Reason.PICTURE_UNLIKE_REFERENCE)
+    return found

@@ -1,0 +1,257 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""When a force counts as valid: pictures, frames against events, silence, and their order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+from toy_sensor import EXPOSURE_US, INTERVAL_US
+
+from mixtac_events.arrays import Events
+from mixtac_fger.config import FgerConfig
+from mixtac_fger.estimator import EncodedFrame
+from mixtac_fger.features import FramePreparation
+from mixtac_fger.validity import (
+    HOLD_FRAMES,
+    STRONG_CHANGE,
+    Reason,
+    Validity,
+    add_signs,
+    agreement,
+    picture_findings,
+)
+
+WINDOW_US = 2000
+WIDTH = 346
+
+
+def noisy(image: np.ndarray, seed: int) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(0.0, 3.0, image.shape)
+    return np.clip(image + noise, 0, 1023).astype(np.uint16)
+
+
+@pytest.fixture(scope='module')
+def preparation() -> FramePreparation:
+    return FramePreparation(FgerConfig())
+
+
+@pytest.fixture(scope='module')
+def encoded(preparation, trial):
+    """Return a function from an image to its frame, compared with the first one."""
+    reference = preparation.contrast(trial.frames[0]).coarse
+
+    def encode(image: np.ndarray, mid_us: int = 0) -> EncodedFrame:
+        contrast = preparation.contrast(image)
+        preparation.network_input(contrast, reference)
+        picture = preparation.picture(contrast, reference)
+        return EncodedFrame(mid_us, 0.0, 1, None, contrast.coarse, picture)
+
+    return encode
+
+
+def show(validity: Validity, frame: EncodedFrame, force=0.0, estimate=0.0) -> None:
+    validity.frame(frame.mid_us, frame.contrast, frame.picture, force, estimate)
+
+
+def test_no_contact_is_a_finding(encoded, trial):
+    for index, image in enumerate(trial.frames):
+        assert picture_findings(encoded(noisy(image, index)).picture) == set()
+
+
+@pytest.mark.parametrize(
+    ('change', 'expected'),
+    [
+        (lambda image: np.roll(image, 2, 1), Reason.CAMERA_MOVED),
+        (lambda image: np.roll(image, -3, 0), Reason.CAMERA_MOVED),
+        (lambda image: image * np.linspace(0.3, 1.0, WIDTH), Reason.LIGHT_CHANGED),
+        (lambda image: image * (np.arange(WIDTH) > 173), Reason.LIGHT_CHANGED),
+        (lambda image: image[:, ::-1], Reason.PICTURE_UNLIKE_REFERENCE),
+        (lambda image: image[::-1], Reason.PICTURE_UNLIKE_REFERENCE),
+        (lambda image: 1023 - np.minimum(image, 1023), Reason.PICTURE_UNLIKE_REFERENCE),
+        (lambda image: gaussian_filter(image.astype(float), 8), Reason.PICTURE_UNLIKE_REFERENCE),
+        (lambda image: np.full_like(image, 1023), Reason.PICTURE_UNLIKE_REFERENCE),
+    ],
+)
+def test_what_no_contact_does_to_a_picture_is_found(encoded, trial, change, expected):
+    image = np.ascontiguousarray(change(trial.frames[4])).astype(np.uint16)
+    assert expected in picture_findings(encoded(image).picture)
+
+
+@given(
+    places=st.lists(st.tuples(st.integers(0, 70), st.integers(0, 50), st.booleans()), max_size=60),
+    size=st.integers(1, 8),
+)
+@settings(deadline=None, max_examples=30)
+def test_signs_are_a_histogram(places, size):
+    x, y, on = (np.array([place[k] for place in places], int) for k in range(3))
+    out = np.zeros((40 // size, 60 // size), np.float32)
+    add_signs(x.astype(np.uint16), y.astype(np.uint16), on.astype(bool), size, out)
+    edges = [np.arange(n + 1) * size for n in out.shape]
+    inside = (x < out.shape[1] * size) & (y < out.shape[0] * size)
+    expected, *_ = np.histogram2d(y[inside], x[inside], bins=edges, weights=2.0 * on[inside] - 1.0)
+    np.testing.assert_allclose(out, expected / size**2, atol=1e-5)
+
+
+def test_agreement_is_a_correlation():
+    random = np.random.default_rng(2)
+    before, after, signs = random.normal(0.0, 0.3, (3, 20, 30)).astype(np.float32)
+    signs += 2.0 * (after - before)
+    change, told, correlation, strong, slope = agreement(before, after, signs)
+    # Events count up to two per pixel.
+    limited = np.clip(signs, -2.0, 2.0)
+    assert change == pytest.approx((after - before).std(), rel=1e-4)
+    assert told == pytest.approx(limited.std(), rel=1e-4)
+    expected = np.corrcoef((after - before).ravel(), limited.ravel())[0, 1]
+    assert correlation == pytest.approx(expected, abs=1e-4)
+    chosen = np.abs(after - before) > STRONG_CHANGE
+    assert strong == chosen.sum()
+    line = np.linalg.lstsq((after - before)[chosen][:, None], limited[chosen], rcond=None)[0]
+    assert slope == pytest.approx(line[0], rel=1e-4)
+    assert agreement(before, before, signs)[2:] == (0.0, 0, 0.0)
+
+
+def noise(start_us: int, end_us: int, count: int = 60) -> Events:
+    random = np.random.default_rng(start_us)
+    return Events(
+        np.sort(random.integers(start_us, end_us, count)),
+        random.integers(0, 346, count).astype(np.uint16),
+        random.integers(0, 260, count).astype(np.uint16),
+        random.random(count) > 0.4,
+    )
+
+
+def follow(trial, encoded, events: Events, frames, *, until_us: int = 1_150_000) -> list[Reason]:
+    """Return what is said of each window of a trial with noise at its pixels."""
+    validity = Validity(WINDOW_US, WIDTH)
+    reasons, frame = [], 0
+    middle = trial.exposure_start_us + EXPOSURE_US // 2
+    for end in range(WINDOW_US, until_us, WINDOW_US):
+        while frame < len(frames) and trial.arrival_us[frame] <= end:
+            show(validity, encoded(frames[frame], int(middle[frame])))
+            frame += 1
+        part = Events.concatenate([events.between(end - WINDOW_US, end), noise(end - 2000, end)])
+        validity.window(end, part, complete=True)
+        reasons.append(validity.reason)
+    return reasons
+
+
+@pytest.fixture(scope='module')
+def frames(trial) -> list[np.ndarray]:
+    return [noisy(image, index) for index, image in enumerate(trial.frames)]
+
+
+def test_a_trial_without_a_fault_is_trusted(trial, encoded, frames):
+    assert set(follow(trial, encoded, trial.events, frames)) == {Reason.TRUSTED}
+
+
+def told_by_events(before: np.ndarray, after: np.ndarray, start_us: int, seed: int) -> Events:
+    """Return the events of a change of log contrast with a threshold of 0.4, in 40 ms."""
+    random = np.random.default_rng(seed)
+    number = np.round(16 * (after - before) / 0.4).astype(int)
+    row, column = (
+        np.repeat(each.ravel(), abs(number).ravel()) for each in np.indices(number.shape)
+    )
+    count = len(row)
+    order = np.argsort(t := random.integers(start_us, start_us + INTERVAL_US, count))
+    return Events(
+        t[order],
+        (4 * column + random.integers(0, 4, count)).astype(np.uint16)[order],
+        (4 * row + random.integers(0, 4, count)).astype(np.uint16)[order],
+        (np.repeat(number.ravel(), abs(number).ravel()) > 0)[order],
+    )
+
+
+@pytest.mark.parametrize(
+    ('change', 'expected'),
+    [
+        (lambda events: events, Reason.TRUSTED),
+        (lambda events: events[:0], Reason.EVENTS_DISAGREE),
+        (
+            lambda events: replace(events, x=(WIDTH - 1 - events.x).astype(np.uint16)),
+            Reason.EVENTS_DISAGREE,
+        ),
+        (lambda events: replace(events, polarity=~events.polarity), Reason.EVENTS_DISAGREE),
+        (
+            lambda events: replace(events, y=np.random.default_rng(1).permutation(events.y)),
+            Reason.EVENTS_DISAGREE,
+        ),
+    ],
+    ids=['as they are', 'none', 'mirrored', 'inverted', 'shuffled'],
+)
+def test_events_have_to_tell_of_the_motion(change, expected):
+    random = np.random.default_rng(3)
+    pattern = random.normal(0.0, 0.5, (65, 86))
+    validity = Validity(WINDOW_US, WIDTH)
+    reasons, before = set(), np.zeros_like(pattern)
+    for index, phase in enumerate([0, 0, 0.3, 0.6, 0.9, 0.6, 0.3, 0.0, 0.3]):
+        start = 1_000_000 + index * INTERVAL_US
+        after = pattern * phase
+        told = change(told_by_events(before, after, start, index))
+        for end in range(start + WINDOW_US, start + INTERVAL_US + 1, WINDOW_US):
+            parts = [told.between(end - WINDOW_US, end), noise(end - 2000, end)]
+            validity.window(end, Events.concatenate(parts), complete=True)
+        picture = (after + random.normal(0.0, 0.01, after.shape)).astype(np.float32)
+        validity.frame(start + INTERVAL_US, picture, None, 0.0, 0.0)
+        reasons.add(validity.reason)
+        before = after
+    assert reasons == {Reason.TRUSTED, expected}
+
+
+def test_the_same_frame_again_is_frozen_until_frames_differ(trial, encoded, frames):
+    held = [*frames[:8], frames[7], frames[7], *frames[10:]]
+    reasons = follow(trial, encoded, trial.events, held)
+    wrong = [index for index, reason in enumerate(reasons) if reason is Reason.FRAME_FROZEN]
+    first, last = trial.arrival_us[8] // WINDOW_US, trial.arrival_us[9 + HOLD_FRAMES] // WINDOW_US
+    assert wrong[0] == pytest.approx(first, abs=1)
+    assert wrong[-1] == pytest.approx(last, abs=2)
+
+
+def test_events_everywhere_while_nothing_moves(trial, encoded, frames):
+    still = [noisy(trial.frames[0], index) for index in range(len(frames))]
+    random = np.random.default_rng(5)
+    count = 40_000
+    pixels = random.integers(0, 346 * 260, 200)[random.integers(0, 200, count)]
+    storm = Events(
+        np.sort(random.integers(600_000, 1_100_000, count)),
+        (pixels % 346).astype(np.uint16),
+        (pixels // 346).astype(np.uint16),
+        np.ones(count, bool),
+    )
+    reasons = follow(trial, encoded, storm, still)
+    assert set(reasons[:300]) == {Reason.TRUSTED}
+    assert Reason.EVENTS_WITHOUT_MOTION in reasons[300:420]
+
+
+@pytest.mark.parametrize('kept', [True, False])
+def test_a_polarity_that_falls_silent_is_missed_within_40_ms(trial, encoded, kept):
+    validity = Validity(WINDOW_US, WIDTH)
+    for end in range(WINDOW_US, 600_000, WINDOW_US):
+        if end % INTERVAL_US == 0:
+            image = noisy(trial.frames[0], end)
+            show(validity, encoded(image, end - 10_000))
+        events = noise(end - 2000, end)
+        late = end > 500_000
+        validity.window(end, events[events.polarity == kept] if late else events, complete=True)
+        if end == 500_000:
+            assert validity.reason is Reason.TRUSTED
+        if end == 540_000:
+            assert validity.reason is Reason.EVENTS_MISSING
+
+
+def test_a_lasting_difference_between_frame_and_estimate_is_found(trial, encoded):
+    for difference, expected in ((0.1, Reason.TRUSTED), (2.0, Reason.EVENTS_DISAGREE)):
+        validity = Validity(WINDOW_US, WIDTH)
+        for index in range(6):
+            frame = encoded(noisy(trial.frames[0], index), index * INTERVAL_US)
+            show(validity, frame, 0.5 + difference, 0.5)
+        assert validity.reason is expected
+
+
+def test_every_reason_has_a_text():
+    assert len({reason.text for reason in Reason}) == len(Reason)
