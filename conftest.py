@@ -12,6 +12,7 @@ import signal
 import sys
 import tempfile
 import time
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from unittest import mock
@@ -24,7 +25,9 @@ sys.path.insert(0, str(ROOT / 'test'))
 from fork_server import ForkServer, NodeProcess  # noqa: E402
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
+
+    from mixtac_node.graph import NodeSpec
 
 # 0 is everybody's default; above 100 the ports run into Linux's ephemeral range.
 DOMAINS = range(1, 100)
@@ -122,7 +125,7 @@ class NodeUnderTest:
     """
 
     def __init__(self, server: ForkServer) -> None:
-        import rclpy
+        rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
 
@@ -140,21 +143,34 @@ class NodeUnderTest:
     def process(self) -> NodeProcess:
         return self._processes[-1]
 
-    def start(
-        self, module: str, *parameters: str, remap: tuple[str, ...] = (), file: Path | None = None
-    ) -> None:
+    def start(self, module: str, *parameters: str, remap: tuple[str, ...] = ()) -> None:
         """Start a process, with the test's environment.
 
         Args:
             module: The node's module.
             parameters: Parameters, as `name:=value`.
             remap: Remappings, as `from:=to`.
-            file: Parameter file.
         """
-        words = [] if file is None else ['--params-file', str(file)]
-        words += [word for each in parameters for word in ('-p', each)]
+        words = [word for each in parameters for word in ('-p', each)]
         words += [word for each in remap for word in ('-r', each)]
         self._processes.append(NodeProcess(self._server, module, '--ros-args', *words))
+
+    def start_nodes(self, nodes: Iterable[NodeSpec], namespace: str) -> None:
+        """Start the processes of a graph, as their executables would."""
+        for each in nodes:
+            path, *arguments = each.command(namespace)
+            (script,) = entry_points(group='console_scripts', name=Path(path).name)
+            self._processes.append(NodeProcess(self._server, script.module, *arguments))
+
+    def check(self) -> None:
+        """Fail if a process has ended."""
+        for each in self._processes:
+            if each.poll() is not None:
+                pytest.fail(f'status {each.returncode}: {each.stdout}{each.stderr}')
+
+    def last_error(self, _name: str) -> str:
+        """Return what all processes have written to their standard errors."""
+        return ''.join(each.stderr for each in self._processes)
 
     def listen(self, kind: Any, topic: str, qos: Any) -> list[Any]:  # noqa: ANN401
         """Subscribe to an absolute topic; return the list that its messages are appended to."""
@@ -176,9 +192,7 @@ class NodeUnderTest:
         deadline = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < deadline, {k: len(v) for k, v in self.got.items()}
-            for each in self._processes:
-                if each.poll() is not None:
-                    pytest.fail(f'status {each.returncode}: {each.stdout}{each.stderr}')
+            self.check()
             if action is not None:
                 action()
             self.executor.spin_once(timeout_sec=0.02 if action else 0.1)
@@ -251,7 +265,7 @@ class NodeUnderTest:
         """End everything; fail if a process whose end the test has not seen does not end well."""
         import rclpy
 
-        left = [each for each in self._processes if each.returncode is None]
+        left = [each for each in reversed(self._processes) if each.returncode is None]
         for each in left:
             # Killed, it would still be a peer of the node here, whose end then crashes at times.
             each.end()

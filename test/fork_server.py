@@ -138,6 +138,10 @@ class ForkServer:
                 if found == number:
                     return value
 
+    def load(self, module: str) -> None:
+        """Import what nodes would import later on, for all that are started from now on."""
+        self.ask({'load': module})
+
     def close(self) -> None:
         """End the server, which ends the nodes that still run."""
         self._channel.close()
@@ -149,14 +153,13 @@ def _text(descriptor: int) -> str:
 
 
 def load(module: str) -> None:
-    """Import what a module imports; the module itself is left to be run as `__main__`."""
+    """Import a module and load compiled code."""
     # Where that fails, the node says why.
     with contextlib.suppress(Exception):
         importlib.import_module(module)
-    sys.modules.pop(module, None)
-    for name in WARM_UPS:
-        if name in sys.modules:
-            sys.modules[name].warm_up()
+        for name in WARM_UPS:
+            if name in sys.modules:
+                sys.modules[name].warm_up()
     # A collection in a forked process would copy every object.
     gc.collect()
     gc.freeze()
@@ -199,13 +202,17 @@ def serve(channel: socket.socket) -> tuple[dict[str, Any], list[int]] | None:
                 os.kill(pid, signal.SIGTERM)
             return None
         number, request = json.loads(message)
-        if 'wait for' in request:
+        if 'load' in request:
+            answer = load(request['load'])
+        elif 'wait for' in request:
             pid, status = os.waitpid(request['wait for'], os.WNOHANG)
             running.discard(pid)
             answer = os.waitstatus_to_exitcode(status) if pid else None
         else:
             if request['module'] not in loaded:
                 load(request['module'])
+                # What it imports stays; it is run itself, as `__main__`.
+                sys.modules.pop(request['module'], None)
                 loaded.add(request['module'])
             answer = os.fork()
             if answer == 0:

@@ -15,8 +15,8 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,47 +46,23 @@ HIDE = textwrap.dedent(
 ).format(hidden=HIDDEN)
 
 
-def started(process: subprocess.Popen[str], node: str, env: dict[str, str]) -> bool:
-    """Wait until the node is in the graph; False when its process ends before."""
-    look = textwrap.dedent(
-        """
-        import sys, time, rclpy
-        rclpy.init()
-        node = rclpy.create_node('look')
-        end = time.monotonic() + 60
-        while sys.argv[1] not in node.get_node_names():
-            if time.monotonic() > end:
-                sys.exit(1)
-            rclpy.spin_once(node, timeout_sec=0.1)
-        """
-    )
-    looking = subprocess.Popen([sys.executable, '-c', look, node], env=env)
-    try:
-        while looking.poll() is None and process.poll() is None:
-            time.sleep(0.1)
-        return process.poll() is None and looking.wait() == 0
-    finally:
-        looking.kill()
-        looking.wait()
-
-
 @pytest.mark.dds
 @pytest.mark.parametrize('node', NODES)
-def test_nodes_start_with_nothing_that_robots_lack(node: str, ros_domain: dict[str, str]):
+def test_nodes_start_with_nothing_that_robots_lack(node: str, node_under_test: Any):
     command = [sys.executable, '-c', HIDE, NODES[node], '--ros-args']
     if node == 'driver':
         # Without a camera the driver says so and ends.
         command += ['-p', 'device:=davis346']
-    process = subprocess.Popen(
-        command, env=ros_domain, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    )
+    process = subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     try:
         if node == 'driver':
             output, _ = process.communicate(timeout=120)
             assert 'device:=virtual' in output
             assert 'Traceback' not in output
         else:
-            assert started(process, node, ros_domain)
+            look = node_under_test.node.get_node_names
+            node_under_test.spin_until(lambda: process.poll() is not None or node in look())
+            assert process.poll() is None
             process.send_signal(signal.SIGINT)
             output, _ = process.communicate(timeout=60)
             assert 'Traceback' not in output

@@ -12,7 +12,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from mixtac_node.graph import config_file
+from mixtac_node.graph import NodeSpec
 from mixtac_node.topics import SERVICES, TOPICS
 
 pytestmark = pytest.mark.dds
@@ -42,10 +42,15 @@ SUBSCRIBED = {
 @pytest.fixture(scope='module')
 def graph(module_node_under_test: Any) -> Any:
     """Return a node of the test's own that sees both nodes, in another namespace than usual."""
-    test, namespace = module_node_under_test, (f'__ns:=/{NAMESPACE}',)
-    for name, parameters in ('alignment', (f'reference_topic:={REFERENCE}',)), ('force_error', ()):
-        module, file = f'mixtac_alignment.{name}_node', config_file(f'{name}.yaml')
-        test.start(module, *parameters, remap=namespace, file=file)
+    test = module_node_under_test
+    alignment = NodeSpec(
+        'mixtac_alignment',
+        'alignment_node',
+        'alignment',
+        overrides={'reference_topic': REFERENCE},
+    )
+    force_error = NodeSpec('mixtac_alignment', 'force_error_node', 'force_error')
+    test.start_nodes([alignment, force_error], NAMESPACE)
     test.spin_until(lambda: set(test.node.get_node_names()) >= set(PUBLISHED))
     for owner in PUBLISHED:
         # The last thing that either makes.

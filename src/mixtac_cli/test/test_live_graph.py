@@ -14,7 +14,6 @@ rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_cli.monitor_node import Monitor  # noqa: E402
 from mixtac_node.graph import sensor_graph  # noqa: E402
-from mixtac_node.process import ProcessGroup  # noqa: E402
 from mixtac_node.topics import TOPICS, message_class  # noqa: E402
 
 if TYPE_CHECKING:
@@ -31,21 +30,15 @@ OTHER_GRAPHS = {
 
 
 @pytest.fixture(scope='module')
-def graph(module_ros_domain, tmp_path_factory) -> Iterator[Monitor]:
+def graph(module_node_under_test) -> Iterator[Monitor]:
     """Return a monitor of the sensor graph, running and active."""
-    with (
-        ProcessGroup(tmp_path_factory.mktemp('log')) as processes,
-        Monitor('mixtac', 120) as monitor,
-    ):
-        for node in sensor_graph('virtual', virtual_sensor={'scenario': 'idle'}):
-            processes.start(node.name, node.command('mixtac'))
+    processes = module_node_under_test
+    with Monitor('mixtac', 120) as monitor:
+        nodes = sensor_graph('virtual', virtual_sensor={'scenario': 'idle'})
+        processes.start_nodes(nodes, 'mixtac')
         monitor.bring_up('fger', processes)
         monitor.listen()
-        deadline = time.monotonic() + 60
-        while monitor.force_count < 500 and time.monotonic() < deadline:
-            time.sleep(0.1)
-            processes.check()
-        assert monitor.force_count >= 500
+        processes.spin_until(lambda: monitor.force_count >= 500)
         yield monitor
         processes.check()
 

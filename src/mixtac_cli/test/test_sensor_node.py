@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import threading
-import time
 
 import pytest
 
@@ -14,7 +13,6 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.sensor_node import DirectPublisher, DirectTopic
 from mixtac_node.graph import sensor_graph
-from mixtac_node.process import ProcessGroup
 
 
 class RosPublisher:
@@ -72,28 +70,21 @@ def test_a_callback_may_end_itself_and_others():
 
 
 @pytest.mark.dds
-def test_one_process_has_the_nodes_topics_and_force_of_two(ros_domain, tmp_path):
+def test_one_process_has_the_nodes_topics_and_force_of_two(node_under_test, tmp_path):
     graph = sensor_graph(
         f'virtual:{tmp_path}/usb.sock', virtual_sensor={'scenario': 'idle'}, single_process=True
     )
-    with ProcessGroup(tmp_path / 'log') as processes, Monitor('one', 60) as monitor:
-        for node in graph:
-            processes.start(node.name, node.command('one'))
-        monitor.bring_up('fger', processes)
+    with Monitor('one', 60) as monitor:
+        node_under_test.start_nodes(graph, 'one')
+        monitor.bring_up('fger', node_under_test)
         monitor.listen()
-        deadline = time.monotonic() + 60
-        while monitor.force_count < 250 and time.monotonic() < deadline:
-            time.sleep(0.05)
-            processes.check()
-        assert monitor.force_count >= 250
+        node_under_test.spin_until(lambda: monitor.force_count >= 250)
         _, stamps, _ = monitor.force()
         steps = stamps[1:] - stamps[:-1]
         assert (steps > 0).all()
         assert (steps % 2_000_000 == 0).all()
-        monitor.trigger('fger/tare', processes.check)
+        monitor.trigger('fger/tare', node_under_test.check)
         assert monitor.publishers('/one/events')
         assert monitor.publishers('/one/image_raw')
-        while {'one/driver', 'one/fger'} - set(monitor.diagnostics):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        node_under_test.spin_until(lambda: {'one/driver', 'one/fger'} <= set(monitor.diagnostics))
         assert monitor.diagnostics['one/fger']['lost_packets'] == '0'

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -64,18 +62,14 @@ def test_forces_come_per_window_and_there_is_nothing_to_tare(weights, trial):
 
 
 @pytest.mark.dds
-def test_the_node_runs_the_papers_network(weights, ros_domain):
-    rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
-    from mixtac_node.lifecycle_node import LifecycleClient
+def test_the_node_runs_the_papers_network(weights, node_under_test, fork_server):
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
 
-    command = [sys.executable, '-m', 'mixtac_fger.fger_node', '--ros-args']
-    process = subprocess.Popen([*command, '-p', f'model:={weights}'], env=ros_domain)
-    rclpy.init()
-    node = rclpy.create_node('paper_test')
-    try:
-        LifecycleClient(node, '/mixtac/fger', lambda: None).bring_up()
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-        process.terminate()
-        assert process.wait(30) == 0
+    fork_server.load('mixtac_learning.paper.live')
+    node_under_test.start('mixtac_fger.fger_node', f'model:={weights}')
+    for wanted in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+        request = ChangeState.Request()
+        request.transition.id = wanted
+        assert node_under_test.call(ChangeState, '/mixtac/fger/change_state', request).success
+    assert node_under_test.process.end() == 0
