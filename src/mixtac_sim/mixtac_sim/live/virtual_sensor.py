@@ -97,6 +97,8 @@ PERIOD_S: Final = 0.001
 _CHUNK_US: Final = 4000
 # Little beside any lead; a scenario begins two chunks later at the earliest.
 _AHEAD_PERIOD_S: Final = 0.02
+# What is computed ahead is kept: frames of 30 s are 130 MB.
+_MOST_AHEAD_US: Final = 30_000_000
 # Niceness of the releasing thread of a patient sensor, and of the thread that computes ahead.
 _PATIENT_NICENESS: Final = 5
 _AHEAD_NICENESS: Final = 10
@@ -235,15 +237,16 @@ class VirtualSensor:
 
         Args:
             scenario: The scenario.
-            lead_us: Time by which it starts later [us]. It is computed up to twice as far ahead;
-                what is played meanwhile and new settings of the camera take effect as late.
+            lead_us: Time by which it starts later [us]. It is computed up to twice as far ahead,
+                30 s at most; what is played meanwhile and new settings of the camera take effect
+                as late.
 
         Returns:
             When it starts [us, simulated time].
         """
         start_us = self._next_start_us() + lead_us
         self._profile.play(scenario, start_us)
-        self._ahead_us = 2 * lead_us
+        self._ahead_us = min(2 * lead_us, _MOST_AHEAD_US)
         self._ahead_until_us = start_us + round(scenario.duration_s * 1e6)
         return start_us
 

@@ -202,8 +202,9 @@ class Oscillator:
 
 # Beyond this share of the buffer events are dropped, so that frames and time still pass.
 _EVENT_SHARE: Final = 0.5
-# The simulation may run ahead; more waiting data mean that the device is not advanced.
-_MAX_WAITING: Final = 4096
+# The simulation may run ahead: half a minute of inertial samples. More means that the device is not
+# advanced; then the oldest go, and events are counted.
+_MAX_WAITING: Final = 1 << 15
 
 
 class StreamAssembler:
@@ -258,6 +259,8 @@ class StreamAssembler:
     ) -> None:
         """Hand over data [us, true time] that goes out when `advance` reaches it."""
         if len(events):
+            if len(self._events) == _MAX_WAITING:
+                self._count_dropped(len(self._events[0]))
             self._events.append(events)
         self._frames.extend(frames)
         self._readings.extend(readings)

@@ -339,3 +339,19 @@ def test_a_scenario_is_computed_ahead_so_that_a_slow_moment_does_not_show(host, 
         wait_for(lambda: sensor.state().late_us == 0)
     assert sensor.state().ahead_us < 50_000
     sensor.close()
+
+
+def test_nothing_is_lost_of_what_is_computed_far_ahead(host, clock, simulation):
+    sensor = make_sensor(simulation, clock)
+    sensor.start()
+    sensor.play(Profile('scenario', 5.0, ()), lead_us=25_000_000)
+    wait_for(lambda: sensor.state().ahead_us > 29_000_000)
+    got = []
+    for _ in range(125):
+        host.ns += 200_000_000
+        wait_for(lambda: sensor.state().late_us == 0)
+        got.append(words(sensor.device))
+    sensor.close()
+    data = np.concatenate(got)
+    assert np.count_nonzero(data >> 12 == 3) == 25_000
+    assert np.count_nonzero(data == 5) == 25_000
