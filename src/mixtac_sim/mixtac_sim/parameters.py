@@ -67,8 +67,8 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
             impulses
         seconds: Length of the scenario
         lead_seconds: Delay of the start of a scenario, which is computed up to twice as far ahead
-            meanwhile, 30 s at most. Gestures and camera settings during a scenario are delayed by up to twice
-            this time
+            meanwhile, 30 s at most. Gestures and camera settings during a scenario are delayed by
+            up to twice this time
         slow_host: What happens when the host does not keep up: drop loses data, as a real camera
             does; wait stops simulated time of camera, truth and reference until it does
         play_on_start: Play the scenario once a driver reads the camera
