@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
-from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.mechanics.contact import GRAVITY, Mode
 from mixtac_sim.mechanics.indenters import HEMISPHERE, INDENTERS, WEIGHT_20_G, Indenter
 from mixtac_sim.random_streams import stream
 from mixtac_sim.world.effects import EASY, Preset
@@ -299,6 +299,27 @@ def drop(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     return [fall, raised]
 
 
+WEIGHTS_G = (20.0, 50.0, 100.0)
+"""Masses of the profile `weights` [g]."""
+
+
+def weights(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return weights that are put on by hand in turn, held in place, and taken off."""
+    segments: list[Segment] = []
+    turn = 0.3 * span_s
+    for index, grams in enumerate(WEIGHTS_G):
+        force = 1e-3 * GRAVITY * grams
+        begin = start_s + 0.1 * span_s + index * turn
+        down = begin + rng.uniform(0.08, 0.2) * turn
+        up, end = begin + 0.6 * turn, begin + 0.67 * turn
+        segments += [
+            Segment(begin, down, Mode.FORCE, (0.0, down - begin), (0.0, force)),
+            Segment(down, up, Mode.FORCE, (0.0,), (force,), tremor(rng, force)),
+            Segment(up, end, Mode.FORCE, (0.0, end - up), (force, 0.0)),
+        ]
+    return segments
+
+
 def long_hold(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     """Return one slow press that is held, in force or in position, for nearly the whole span."""
     force = rng.uniform(0.1, 1.0)
@@ -369,7 +390,8 @@ def make_profile(
         name: ``idle``, ``press`` (press and hold), ``oscillation`` (2-5 Hz), ``impact`` (20 g from
             5 cm, bounces, hold), ``dynamic`` (all paces between 0 and 1 N), ``static`` (steps
             and ramps between 0 and 1 N; one long hold at ``easy``), ``long_term`` (one long
-            hold), ``vibration`` (50 to 250 Hz) or ``demo`` (a bit of everything).
+            hold), ``vibration`` (50 to 250 Hz), ``weights`` (20, 50 and 100 g in turn) or ``demo``
+            (a bit of everything).
         seed: Fixes every random choice.
         duration_s: Length [s]; at least 10 for ``demo``.
         sync: Start and end with a synchronising impulse; by default only ``demo`` does.
@@ -469,6 +491,7 @@ PROFILES: dict[str, Callable[[Generator, float, float], list[Segment]]] = {
     'static': long_hold,
     'long_term': long_hold,
     'vibration': _repeated(vibration, 2.0, 4.0),
+    'weights': weights,
     'demo': _demo,
 }
 """Bodies of the profiles by name: (random stream, start [s], span [s]) -> segments."""

@@ -22,6 +22,12 @@ from rich.progress import Progress
 
 from mixtac_cli.options import JsonFile
 from mixtac_fger.config import ConfigError
+from mixtac_fger.force_calibration import (
+    ForceCalibrationError,
+    find_plateaus,
+    fit_gain,
+    load_of,
+)
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.harness import Context
 from mixtac_lab.experiments.report import Value
@@ -65,6 +71,7 @@ from mixtac_learning.trials.store import CachedSource
 from mixtac_learning.trials.trial import TrialArrays, TrialSource
 from mixtac_node.files import write_text
 from mixtac_sim.world import training_trials as generation
+from mixtac_sim.world.profiles import WEIGHTS_G
 from mixtac_sim.world.training_trials import TrialSpec
 
 # typer evaluates these under Python 3.10.
@@ -295,7 +302,11 @@ def train_and_test(context: Context, chosen: Sequence[str]) -> dict[str, list[di
     return found
 
 
-BEFORE, ONE_GAIN, ADAPTED = 'before', 'one_gain', 'adapted'
+BEFORE, WEIGHTS, ONE_GAIN, ADAPTED = 'before', 'known_weights', 'one_gain', 'adapted'
+WEIGHTS_S = 18.0
+"""Length of the recording in which the known weights are put on [s]."""
+WEIGHT_ERROR_G = 1.0
+"""Each weight is wrong by up to this much [g]."""
 PRESSES = 3
 """Recordings of 8 s for the adaptation: the press that gives the one gain, and others."""
 
@@ -312,17 +323,19 @@ def adaptation_study(
         log: Called with each step.
 
     Returns:
-        `before`, `one_gain` (from one press of 8 s) and `adapted` (by `PRESSES` recordings), each
-        with the figures of `summarise` and `sensor_mae`, one value per sensor; `ways`: the kinds
-        of adaptation chosen.
+        `before`, `known_weights` (one gain of three weights whose times nobody notes), `one_gain`
+        (from one press of 8 s beside a reference sensor) and `adapted` (by `PRESSES` recordings),
+        each with the figures of `summarise` and `sensor_mae`, one value per sensor; `ways`: the
+        kinds of adaptation chosen; `refused`: sensors whose weights were refused.
     """
 
     def cached(spec: TrialSpec) -> TrialSource:
         return CachedSource(SimulatedSource(spec), cache)
 
     chosen = replace(TABLE_FULL, unseen=sensors)
-    found: dict[str, list[Any]] = {name: [] for name in (BEFORE, ONE_GAIN, ADAPTED)}
+    found: dict[str, list[Any]] = {name: [] for name in (BEFORE, WEIGHTS, ONE_GAIN, ADAPTED)}
     ways: list[str] = []
+    refused = 0
     for test, press in zip(*unseen_specs(chosen), strict=True):
         log(f'sensor {test.device_seed}')
         seeds = [press.trial_seed + 10_000 * number for number in range(PRESSES)]
@@ -333,6 +346,15 @@ def adaptation_study(
         network, way = _adapted(model, presses)
         ways.append(way)
         found[BEFORE] += raw
+        put_on = replace(
+            press, trial_seed=press.trial_seed + 100_000, profile='weights', seconds=WEIGHTS_S
+        )
+        try:
+            gain = weights_gain(estimator(cached(put_on).load()), test.device_seed)
+        except ForceCalibrationError as error:
+            log(f'sensor {test.device_seed}: {error}')
+            gain, refused = 1.0, refused + 1
+        found[WEIGHTS] += [each.scaled(gain) for each in raw]
         found[ONE_GAIN] += [each.scaled(scales[each.device]) for each in raw]
         after = trial_estimator(model_of(network, model.card))
         found[ADAPTED] += judge_sources(after, [cached(test)]).estimates
@@ -340,7 +362,26 @@ def adaptation_study(
     for name, estimates in found.items():
         each = [round(float(np.mean(np.abs(e.force - e.known))), 4) for e in estimates]
         rows[name] = summarise(estimates) | {'sensor_mae': each}
-    return rows | {'ways': ways}
+    return rows | {'ways': ways, 'refused': refused}
+
+
+def weights_gain(estimate: TrialEstimate, seed: int) -> float:
+    """Return the gain by the weights of the profile `weights`, each named wrong.
+
+    Args:
+        estimate: Estimate of the trial.
+        seed: Fixes the errors of the weights.
+
+    Raises:
+        ForceCalibrationError: They are refused.
+    """
+    errors = np.random.default_rng(seed).uniform(-WEIGHT_ERROR_G, WEIGHT_ERROR_G, len(WEIGHTS_G))
+    loads = [
+        load_of(grams + error, WEIGHT_ERROR_G)
+        for grams, error in zip(WEIGHTS_G, errors.tolist(), strict=True)
+    ]
+    t_s = np.asarray(1e-6 * estimate.t_us, np.float64)
+    return fit_gain(loads, find_plateaus(t_s, estimate.force, loads)).gain
 
 
 def _adapted(model: Model, presses: list[TrialSource]) -> tuple[Any, str]:
@@ -362,11 +403,13 @@ def adaptation(
     out: Annotated[Path, typer.Option(help='Folder for stored trials.')] = Path('runs/models'),
     json: JsonFile = None,
 ) -> None:
-    """Test a model on unseen simulated sensors: unchanged, with one gain, and adapted."""
+    """Test a model on unseen simulated sensors: unchanged, with a gain, and adapted."""
     torch.set_num_threads(1)
     console = Console()
     found = adaptation_study(read_model(find_model(model)), sensors, out / 'trials', console.print)
     rows = {name: row for name, row in found.items() if isinstance(row, dict)}
     show_figures(console, f'dynamic trials of {sensors} unseen sensors, simulated', rows)
     console.print(f'adapted by: {", ".join(found["ways"])}')
+    if found['refused']:
+        console.print(f'known weights refused, gain 1 taken: {found["refused"]} sensors')
     save_result(json, {'model': model, 'sensors': sensors, 'simulated': True} | found)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from mixtac_lab.experiments.sizes import (
@@ -19,9 +20,12 @@ from mixtac_lab.experiments.studies.models import (
     table_data,
     test_specs,
     unseen_specs,
+    weights_gain,
 )
+from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.train.config import find_run_config, read_run_config
 from mixtac_learning.train.run import training_sources
+from mixtac_sim.world.profiles import make_profile
 
 test_specs.__test__ = False
 
@@ -63,3 +67,17 @@ def test_shipped_run_is_that_of_the_table():
     shipped = read_run_config(find_run_config('ours'))
     for size in ('full', 'reduced'):
         assert shipped.fingerprint() == config(size, OURS_MANY, 0).fingerprint()
+
+
+def test_known_weights_give_the_gain_within_their_error():
+    t_us = np.arange(2000, 18_000_001, 2000)
+    true = np.zeros(len(t_us))
+    for segment in make_profile('weights', 3, 18.0).segments:
+        inside = (t_us > 1e6 * segment.start_s) & (t_us <= 1e6 * segment.end_s)
+        true[inside] = np.interp(
+            1e-6 * t_us[inside] - segment.start_s, segment.times_s, segment.values
+        )
+    noise = np.random.default_rng(1).normal(0.0, 0.004, len(t_us))
+    estimate = TrialEstimate('w', 'weights', 'd', t_us, true / 1.4 + noise, true, None)
+    # The 100 g weight, wrong by 1 g at most, counts most.
+    assert weights_gain(estimate, 5) == pytest.approx(1.4, rel=0.02)
