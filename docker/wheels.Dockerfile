@@ -22,7 +22,7 @@ COPY models/ models/
 COPY src/ src/
 COPY docker/await_force.py docker/
 COPY mixtac ./
-ENV PIP_NO_CACHE_DIR=1
+ENV PIP_NO_CACHE_DIR=1 UV_NO_CACHE=1
 ARG VIEW=0
 # The estimator needs no PyTorch; training and the paper's networks do: cpu (200 MB) or cuda (3 GB).
 ARG TORCH=none
