@@ -38,6 +38,7 @@ setup(
             'export = mixtac_cli.export:export',
             'inspect = mixtac_cli.export:inspect',
             'record = mixtac_cli.record.session:record',
+            'repair = mixtac_cli.export:repair',
             'simulate = mixtac_cli.simulate:simulate',
             'up = mixtac_cli.up:up',
             'up.slip = mixtac_cli.up:slip',

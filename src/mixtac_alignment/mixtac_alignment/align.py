@@ -43,6 +43,7 @@ class Recording:
         force: Its normal force [N], of either sign.
         edges_us: Edges at the camera's synchronisation input, camera clock [us].
         reference_edges_s: The same edges on the reference clock [s].
+        damage: What is missing because the bag is incomplete; empty for a sound one.
     """
 
     counts: EventCounts
@@ -52,6 +53,7 @@ class Recording:
     force: Floats
     edges_us: NDArray[np.int64]
     reference_edges_s: Floats
+    damage: str = ''
 
 
 def align(

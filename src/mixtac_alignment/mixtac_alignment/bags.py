@@ -213,6 +213,7 @@ def read_recording(
         force=np.array(force),
         edges_us=np.array(edges, np.int64),
         reference_edges_s=np.array(reference_edges),
+        damage=bag.damage,
     )
 
 
@@ -419,15 +420,7 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
     try:
         with BagFile(bag) as source, McapBag(out) as writer:
             copied = {c.topic: c for c in source.connections if c.topic != fit_topic}
-            handles = {
-                topic: writer.add_connection(
-                    topic,
-                    c.msgtype,
-                    typestore=types,
-                    offered_qos_profiles=c.ext.offered_qos_profiles,  # type: ignore[union-attr]
-                )
-                for topic, c in copied.items()
-            }
+            handles = {topic: writer.add_like(connection) for topic, connection in copied.items()}
             fit_handle = writer.add_connection(
                 fit_topic,
                 topics.CLOCK_FIT.type_name,

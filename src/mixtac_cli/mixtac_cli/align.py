@@ -32,6 +32,7 @@ from mixtac_cli.options import JsonFile, OptionalPath, ReferenceTopic
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.files import write_json
+from mixtac_recordings.bag import find_bags
 
 METHODS: Final = ('refined', 'two_impulse', 'paper', 'edges')
 POOLED: Final = ('refined', 'two_impulse')
@@ -48,17 +49,20 @@ class BagOutcome:
         fit: Its clock map; None if it was refused.
         reason: Why it was refused.
         seconds: Computing time [s].
+        damage: What of the bag is missing; empty for a sound one.
     """
 
     bag: str
     fit: ClockFit | None
     reason: str
     seconds: float
+    damage: str = ''
 
     def as_dict(self) -> dict[str, object]:
         """Return the fields for JSON."""
         fields = {} if self.fit is None else self.fit.to_fields()
-        return {'bag': self.bag, 'refused': self.reason, 'seconds': self.seconds, **fields}
+        own = {'bag': self.bag, 'refused': self.reason, 'seconds': self.seconds}
+        return {**own, 'damage': self.damage, **fields}
 
     def row(self) -> list[str]:
         """Return the row of the table."""
@@ -128,17 +132,14 @@ def align(
     for outcome in outcomes:
         table.add_row(*outcome.row())
     console.print(table)
+    for outcome in outcomes:
+        if outcome.damage:
+            text = f'warning: {outcome.bag}: {outcome.damage}'
+            console.print(text, style='yellow', markup=False)
     if json is not None:
         write_json(json, [outcome.as_dict() for outcome in outcomes])
     if any(outcome.fit is None for outcome in outcomes):
         sys.exit(1)
-
-
-def find_bags(path: Path) -> list[Path]:
-    """Return a bag itself, or the bags in a folder in the order of their names."""
-    if (path / 'metadata.yaml').exists() or path.is_file():
-        return [path]
-    return sorted(found.parent for found in path.glob('*/metadata.yaml'))
 
 
 def align_bag(
@@ -177,7 +178,7 @@ def align_bag(
             draw_alignment(figures / f'{bag.name}.png', recording, fit, bag.name)
     except MixtacError as error:
         return BagOutcome(bag.name, None, str(error), time.perf_counter() - began)
-    return BagOutcome(bag.name, fit, '', took)
+    return BagOutcome(bag.name, fit, '', took, recording.damage)
 
 
 def draw_alignment(path: Path, recording: Recording, fit: ClockFit, title: str) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac export` and `mixtac inspect`: recordings as other files, and their contents."""
+"""`mixtac export | inspect | repair`: recordings as other files, and their contents."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from mixtac_recordings.bag_writer import repair as repair_bag
 from mixtac_recordings.export import export_recording
-from mixtac_recordings.recording import DamagedRecordingError
+from mixtac_recordings.recording import AEDAT4_SUFFIX, DamagedRecordingError
 from mixtac_recordings.summary import summarise
 
 
@@ -63,3 +64,26 @@ def inspect(
     Console().print(table)
     if summary.damage:
         raise DamagedRecordingError(f'{bag}: {summary.damage}')
+
+
+def repair(
+    recording: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3 or .aedat4.')],
+    out: Annotated[Path, typer.Option(help='New folder for the repaired recording.')],
+) -> None:
+    """Write what is whole of a damaged recording as a new one, and say what is missing.
+
+    Bags become MCAP with an index, checksums and metadata.yaml; AEDAT4 files stay AEDAT4.
+    """
+    console = Console()
+    if recording.suffix == AEDAT4_SUFFIX:
+        counts = export_recording(recording, 'aedat4', out)
+        damage = counts.damage
+        console.print(f'{out}: {counts.events} events, {counts.frames} frames')
+    else:
+        repaired = repair_bag(recording, out)
+        damage = repaired.damage
+        console.print(f'{out}: {sum(repaired.counts.values())} messages')
+        for topic, count in sorted(repaired.counts.items()):
+            console.print(f'{topic}: {count} messages')
+    if damage:
+        console.print(f'warning: {damage}', style='yellow', markup=False)

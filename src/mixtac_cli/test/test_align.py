@@ -16,7 +16,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from mixtac_alignment.bags import fit_path, read_fit, read_recording, sensor_of
 from mixtac_alignment.errors import AlignmentError
-from mixtac_cli.align import align_bag, find_bags
+from mixtac_cli.align import align_bag
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_recordings.bag import BagFile, typestore
@@ -142,11 +142,6 @@ def test_what_cannot_be_aligned_is_refused_with_the_reason(bag: Path, tmp_path: 
     fit_path(bag).write_text('[1, 2]')
     with pytest.raises(AlignmentError):
         read_fit(bag)
-
-
-def test_bags_of_a_data_set_are_found(bag: Path) -> None:
-    assert find_bags(bag) == [bag]
-    assert find_bags(bag.parent) == [bag]
 
 
 def test_counts_are_those_of_the_events(bag: Path) -> None:

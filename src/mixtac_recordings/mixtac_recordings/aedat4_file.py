@@ -11,7 +11,6 @@ packets at the end. If it is missing or incomplete, the file is scanned up to it
 from __future__ import annotations
 
 import struct
-import sys
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -24,20 +23,21 @@ from numpy.typing import NDArray
 
 from mixtac_recordings import flatbuffer
 from mixtac_recordings.flatbuffer import FlatBufferWriter, Octets
-from mixtac_recordings.recording import DamagedRecordingError, RecordingError
+from mixtac_recordings.recording import (
+    LARGEST_EXPANDED,
+    DamagedRecordingError,
+    RecordingError,
+    expand,
+)
 
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 MAGIC = b'#!AER-DAT4.0\r\n'
-LARGEST_PACKET = 1 << 28
-"""Most bytes of a packet, compressed or not: 16 million events."""
 ENTRY = np.dtype(
     [('stream', '<i4'), ('size', '<i4'), ('offset', '<i8'), ('start_us', '<i8'), ('end_us', '<i8')]
 )
 """A packet: its stream, bytes on disk, their position in the file, first and last time [us]."""
-_LZ4, _LZ4_HIGH, _ZSTD, _ZSTD_HIGH = 1, 2, 3, 4
+_LZ4 = 1
+_COMPRESSIONS = {_LZ4: 'lz4', 2: 'lz4', 3: 'zstd', 4: 'zstd'}
+"""Each with a number for fast and one for high compression."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,27 +137,14 @@ class Aedat4File:
         return len(MAGIC) + len(header), header
 
     def _read(self, offset: int, size: int) -> bytes:
-        if not (offset >= 0 and 0 <= size <= LARGEST_PACKET and offset + size <= self._size):
+        if not (offset >= 0 and 0 <= size <= LARGEST_EXPANDED and offset + size <= self._size):
             raise DamagedRecordingError(f'{size} bytes at byte {offset} of {self._size}')
         self._file.seek(offset)
         return self._file.read(size)
 
     def _expanded(self, data: bytes) -> Octets:
-        try:
-            if self._compression in {_LZ4, _LZ4_HIGH}:
-                unpacker: Any = lz4.frame.LZ4FrameDecompressor()
-            elif self._compression in {_ZSTD, _ZSTD_HIGH}:
-                unpacker = zstd.ZstdDecompressor()
-            else:
-                return np.frombuffer(data, np.uint8)
-            data = unpacker.decompress(data, LARGEST_PACKET)
-        except (RuntimeError, EOFError, zstd.ZstdError) as error:
-            raise DamagedRecordingError(f'compressed data are damaged: {error}') from error
-        if not unpacker.eof:
-            raise DamagedRecordingError(
-                f'compressed data are cut off, or expand to more than {LARGEST_PACKET} bytes'
-            )
-        return np.frombuffer(data, np.uint8)
+        name = _COMPRESSIONS.get(self._compression)
+        return np.frombuffer(data if name is None else expand(name, data), np.uint8)
 
     def _table(self) -> NDArray[Any]:
         data = self._expanded(self._read(self._table_at, self._size - self._table_at))

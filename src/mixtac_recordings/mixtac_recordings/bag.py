@@ -2,31 +2,42 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading rosbag2 bags (a folder, .mcap or .db3) and the message types in them, without rclpy.
 
-A bag that was not closed, because its recorder was killed or the disk was full, is read up to its
-last complete record (https://mcap.dev/spec).
+A bag that was not closed, because its recorder was killed or the disk was full, is read as far as
+its files are whole (`mixtac_recordings.recovery`).
 """
 
 from __future__ import annotations
 
 import functools
-import struct
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, Nodetype
 from rosbags.rosbag2 import Reader
-from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mixtac_node import topics
 from mixtac_node.stamps import stamp_to_ns
-from mixtac_recordings.recording import BAG_SUFFIXES, DamagedRecordingError, RecordingError
+from mixtac_recordings.recording import (
+    BAG_SUFFIXES,
+    DamagedRecordingError,
+    RecordingError,
+    expand,
+)
+from mixtac_recordings.recovery import (
+    PACKED_SUFFIX,
+    recovered,
+    shortened,
+    temporary_folder,
+    unfinished,
+    unpack,
+)
 
 _OWN_TYPES = (
     topics.EVENTS.type_name,
@@ -83,18 +94,23 @@ def _blank_value(node: Nodetype, content: Any) -> Any:  # noqa: ANN401
     return np.zeros(count, kind)
 
 
+_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+"""First bytes of a message that is compressed by itself; those of CDR are 0, 0 or 0, 1."""
+
+
 class BagFile:
     """A bag, open for reading.
 
     Args:
         path: Folder, .mcap or .db3 file.
+        whole: Read all of every file, without its index, and leave out what is damaged.
 
     Attributes:
         path: As given.
         start_ns: When the first message was received [ns, host clock of the recorder].
         duration_ns: From the first to the last message [ns].
         counts: Messages by topic.
-        types: Type name by topic.
+        types: Type name by topic; with the encoding of the messages where that is not CDR.
         damage: What is missing because the bag is incomplete; empty for a sound one.
 
     Raises:
@@ -102,16 +118,19 @@ class BagFile:
         DamagedRecordingError: Nothing of it can be read.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, whole: bool = False) -> None:
         self.path = path
         self.damage = ''
+        self._unpacked: TemporaryDirectory[str] | None = None
         if not path.exists():
             raise RecordingError(f'no bag at {path}', remedy='give its folder, .mcap or .db3 file')
         self._types = typestore()
+        self._readers: list[Reader] = []
         try:
-            self._readers = [_opened(Reader(path))]
-        except Exception as error:  # noqa: BLE001  (parsers raise whatever damage leads them to)
-            self._readers = self._rescued(error)
+            self._open(whole=whole)
+        except BaseException:
+            self.close()
+            raise
         filled = [each for each in self._readers if each.message_count]
         self.start_ns = min((each.start_time for each in filled), default=0)
         self.duration_ns = max((each.end_time for each in filled), default=0) - self.start_ns
@@ -120,7 +139,9 @@ class BagFile:
         for connection in self.connections:
             topic = connection.topic
             self.counts[topic] = self.counts.get(topic, 0) + connection.msgcount
-            self.types[topic] = connection.msgtype
+            form = connection.ext.serialization_format  # type: ignore[union-attr]
+            kind = connection.msgtype
+            self.types[topic] = kind if form == 'cdr' else f'{kind} in {form}'.strip()
 
     def __enter__(self) -> BagFile:
         """Return the open bag."""
@@ -135,6 +156,8 @@ class BagFile:
         for reader in self._readers:
             if reader.is_open:
                 reader.close()
+        if self._unpacked is not None:
+            self._unpacked.cleanup()
 
     @property
     def connections(self) -> list[Connection]:
@@ -172,6 +195,8 @@ class BagFile:
             while True:
                 try:
                     connection, received_ns, data = next(messages)
+                    if data[:4] == _ZSTD_MAGIC:
+                        data = expand('zstd', data)
                     message = (
                         data
                         if connection.topic in raw
@@ -191,91 +216,92 @@ class BagFile:
             forces.append(topics.normal_force(message))
         return np.array(stamps, np.int64), np.array(forces, np.float64)
 
-    def _rescued(self, error: Exception) -> list[Reader]:
-        """Open the files of the bag one by one and note in `damage` what is missing."""
-        found = [p for p in self.path.glob('*') if p.suffix in BAG_SUFFIXES]
+    def _open(self, *, whole: bool) -> None:
+        """Open the bag by its index or, where that fails, its files one by one."""
+        folder = self.path.is_dir()
+        suffixes = (*BAG_SUFFIXES, PACKED_SUFFIX)
+        files = [p for p in self.path.glob('*') if p.suffix in suffixes] if folder else [self.path]
         # In the order of their numbers, which have no leading zeros.
-        found.sort(key=lambda each: (len(each.name), each.name))
-        if self.path.is_dir() and not found:
-            raise self._damaged(error) from error
-        there = not self.path.is_dir() or (self.path / 'metadata.yaml').exists()
-        readers, notes = [], [] if there else ['metadata.yaml is missing']
-        for path in found or [self.path]:
+        files.sort(key=lambda each: (len(each.name), each.name))
+        cause: Exception | None = None
+        if not (whole or any(map(_needs_more, files))):
             try:
-                readers.append(_opened(Reader(path)))
-            except Exception as wrong:  # noqa: BLE001  (as above)
-                try:
-                    readers.append(_opened_incomplete(path))
-                    notes.append(f'{path.name} ends early')
-                except Exception:  # noqa: BLE001  (as above)
-                    notes.append(f'{path.name}: {_text(wrong)}')
-        if not any(reader.message_count for reader in readers):
-            raise self._damaged(error) from error
-        read = sum(reader.message_count for reader in readers)
-        notes = notes or [f'metadata.yaml cannot be used: {_text(error)}']
-        self.damage = f'the bag is incomplete ({"; ".join(notes)}): {read} messages can be read'
-        return readers
+                self._readers = [_opened(Reader(self.path))]
+            except Exception as error:  # noqa: BLE001  (parsers raise whatever damage leads them to)
+                cause = error
+            else:
+                return
+        notes = [f'{path.name} was not closed' for path in files if unfinished(path)]
+        if folder and not (self.path / 'metadata.yaml').exists():
+            notes.append('metadata.yaml is missing')
+        for path in files:
+            try:
+                notes += self._open_alone(path, whole=whole)
+            except Exception as error:  # noqa: BLE001  (as above)
+                cause = error
+                notes.append(f'{path.name} cannot be read: {_text(error)}')
+        read = sum(reader.message_count for reader in self._readers)
+        if not read and (cause or notes or not files):
+            why = cause or RecordingError('; '.join(notes) or 'it has no .mcap or .db3 file')
+            raise self._damaged(why) from cause
+        if cause and not notes:
+            notes.append(f'metadata.yaml cannot be used: {_text(cause)}')
+        if notes:
+            self.damage = f'the bag is incomplete ({"; ".join(notes)}): {read} messages can be read'
+
+    def _open_alone(self, path: Path, *, whole: bool) -> list[str]:
+        """Open one file; return what is missing."""
+        note = ''
+        if path.suffix == PACKED_SUFFIX:
+            self._unpacked = self._unpacked or temporary_folder()
+            path = unpack(path, self._unpacked.name)
+        if not (whole or _needs_more(path)):
+            try:
+                self._readers.append(_opened(Reader(path)))
+            except Exception as error:  # noqa: BLE001  (as above)
+                note = f'the index of {path.name} cannot be used: {_text(error)}'
+            else:
+                return []
+        reader, damage = recovered(path)
+        self._readers.append(reader)
+        return [text for text in (damage or note,) if text]
 
     def _damaged(self, error: Exception) -> DamagedRecordingError:
         return DamagedRecordingError(
             f'{self.path} is damaged or not a bag ({_text(error)})',
-            remedy='copy or record it again',
+            remedy='copy it again, or try `mixtac repair`',
         )
+
+
+def _needs_more(path: Path) -> bool:
+    """Return whether the library would overlook changes or a cut, or expand a file of any size."""
+    return path.suffix == PACKED_SUFFIX or unfinished(path) or shortened(path)
 
 
 def _text(error: Exception) -> str:
     return ' '.join(str(error).split()) or type(error).__name__
 
 
+def find_bags(path: Path) -> list[Path]:
+    """Return a bag itself, or the bags in a folder in the order of their names.
+
+    A bag that was cut off has its data but no metadata.yaml; hidden folders are left out.
+    """
+    if path.is_file() or _holds_bag(path):
+        return [path]
+    inside = path.iterdir() if path.is_dir() else ()
+    return sorted(each for each in inside if each.name[0] != '.' and _holds_bag(each))
+
+
+def _holds_bag(folder: Path) -> bool:
+    return (folder / 'metadata.yaml').exists() or any(
+        next(folder.glob(f'*{suffix}'), None) for suffix in BAG_SUFFIXES
+    )
+
+
 def _opened(reader: Reader) -> Reader:
     reader.open()
+    # The library would expand messages of any size: `BagFile.messages` expands them.
+    found = reader.storage.metadata
+    reader.storage.metadata = found._replace(compression_mode=None)
     return reader
-
-
-def _opened_incomplete(path: Path) -> Reader:
-    reader = Reader(path)
-    reader.storage = _IncompleteMcap(path)
-    return _opened(reader)
-
-
-class _IncompleteMcap(McapReader):
-    """An MCAP file without its end, read up to the last complete record."""
-
-    _MAGIC = b'\x89MCAP0\r\n'
-    _END_OF_DATA = (0x00, 0x02, 0x0F)
-
-    def open(self) -> None:
-        self.bio = bio = Path(str(self.path)).open('rb')  # noqa: SIM115  (closed by `close`)
-        if bio.read(len(self._MAGIC)) != self._MAGIC:
-            raise ReaderError('it does not begin as an MCAP file')
-        self.data_start, self.data_end = len(self._MAGIC), self._complete(bio)
-        self.meta_scan()
-        found = self.statistics
-        assert found is not None  # noqa: S101  (set by meta_scan)
-        counts = found.channel_message_counts
-        self.connections = [
-            each._replace(msgcount=counts.get(each.id, 0)) for each in self.connections
-        ]
-        self.metadata = self.metadata._replace(
-            duration=found.end_time - found.start_time + 1,
-            start_time=found.start_time,
-            end_time=found.end_time + 1,
-            message_count=found.message_count,
-        )
-
-    def messages(
-        self, connections: Collection[Connection], start: int | None = None, stop: int | None = None
-    ) -> Any:  # noqa: ANN401
-        # The base class refuses unsorted messages without an index.
-        return self.messages_scan(connections, start, stop)
-
-    def _complete(self, bio: BinaryIO) -> int:
-        """Return where the last complete record ends."""
-        at, size = bio.tell(), self.path.stat().st_size
-        while at + 9 <= size:
-            bio.seek(at)
-            code, length = struct.unpack('<BQ', bio.read(9))
-            if code in self._END_OF_DATA or at + 9 + length > size:
-                break
-            at += 9 + length
-        return at

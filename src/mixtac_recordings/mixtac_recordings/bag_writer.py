@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Writing MCAP bags with checksums, directly or from a background thread."""
+"""Writing MCAP bags with checksums, directly or from a background thread, and repairing bags."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import struct
 import threading
 import zlib
 from collections import deque
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
 from rosbags.interfaces import (
     Connection,
+    ConnectionExtRosbag2,
     Qos,
     QosDurability,
     QosHistory,
@@ -24,7 +26,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from mixtac_recordings.bag import typestore
+from mixtac_recordings.bag import BagFile, typestore
 from mixtac_recordings.recording import RecordingError
 
 QUEUE_SIZE = 20_000
@@ -63,6 +65,75 @@ class McapBag(Writer):
         super().__init__(path, version=9, storage_plugin=StoragePlugin.MCAP)
         if compressed:
             self.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+
+    def add_like(self, connection: Connection) -> Connection:
+        """Announce a topic of another bag and return the handle to write its messages with.
+
+        A type that nobody knows, and that the other bag does not define, is kept by its name.
+
+        Args:
+            connection: The topic in the other bag.
+        """
+        definition, known = connection.msgdef.data, typestore()
+        if connection.msgtype in known.fielddefs:
+            definition = definition or known.generate_msgdef(connection.msgtype, ros_version=2)[0]
+            digest = known.hash_rihs01(connection.msgtype)
+        else:
+            digest = connection.digest or _NO_DIGEST
+        extension = connection.ext
+        assert isinstance(extension, ConnectionExtRosbag2)  # noqa: S101  (all bags are)
+        return self.add_connection(
+            connection.topic,
+            connection.msgtype,
+            msgdef=definition,
+            rihs01=digest,
+            serialization_format=extension.serialization_format,
+            offered_qos_profiles=extension.offered_qos_profiles,
+        )
+
+
+_NO_DIGEST = f'RIHS01_{0:064}'
+
+
+@dataclass(frozen=True)
+class Repair:
+    """Result of a repair.
+
+    Attributes:
+        counts: Messages of the new bag, by topic.
+        damage: What of the old one is missing, empty for nothing.
+    """
+
+    counts: dict[str, int]
+    damage: str
+
+
+def repair(path: Path, out: Path) -> Repair:
+    """Write what is whole of a bag as a new one.
+
+    Args:
+        path: Folder, .mcap or .db3 file.
+        out: New folder.
+
+    Raises:
+        RecordingError: Nothing can be read, or the folder exists or cannot be written.
+    """
+    counts: dict[str, int] = {}
+    with BagFile(path, whole=True) as bag:
+        try:
+            with McapBag(out) as writer:
+                handles = {}
+                for connection in bag.connections:
+                    if connection.topic not in handles:
+                        handles[connection.topic] = writer.add_like(connection)
+                for topic, received_ns, data in bag.messages(*handles, raw=handles):
+                    writer.write(handles[topic], received_ns, data)
+                    counts[topic] = counts.get(topic, 0) + 1
+        except (WriterError, OSError) as error:
+            raise RecordingError(
+                f'cannot write {out}: {error}', remedy='choose a new folder with free space'
+            ) from error
+        return Repair(counts, bag.damage)
 
 
 def offered_qos(*, reliable: bool, latched: bool) -> Qos:

@@ -7,15 +7,23 @@ Readers of a format are in `mixtac_recordings.camera_stream` (bags) and `mixtac_
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
+
+import lz4.frame
 
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.readings import NO_EDGES, NO_SAMPLES, Edges, Frame, InertialSamples
 from mixtac_events.windows import RESTART_US
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 
 class RecordingError(MixtacError):
@@ -24,6 +32,37 @@ class RecordingError(MixtacError):
 
 class DamagedRecordingError(RecordingError):
     """Recorded data that violate their format."""
+
+
+LARGEST_EXPANDED = 1 << 28
+"""Most bytes that a packet, chunk or message may hold or expand to: 16 million events."""
+
+
+def expand(compression: str, data: bytes, size: int = LARGEST_EXPANDED) -> bytes:
+    """Return compressed data expanded, to at most `LARGEST_EXPANDED` bytes.
+
+    Args:
+        compression: `lz4` or `zstd`.
+        data: One frame of it.
+        size: Most bytes of the result.
+
+    Raises:
+        DamagedRecordingError: The data are damaged or cut off, or expand to more.
+    """
+    limit = min(size, LARGEST_EXPANDED)
+    unpacker: Any = (
+        lz4.frame.LZ4FrameDecompressor() if compression == 'lz4' else zstd.ZstdDecompressor()
+    )
+    try:
+        # One byte more: the end of a frame is found only when its last block has been taken.
+        found: bytes = unpacker.decompress(data, limit + 1)
+    except (RuntimeError, EOFError, zstd.ZstdError) as error:
+        raise DamagedRecordingError(f'compressed data are damaged: {error}') from error
+    if not unpacker.eof or len(found) > limit:
+        raise DamagedRecordingError(
+            f'compressed data are cut off, or expand to more than {limit} bytes'
+        )
+    return found
 
 
 AEDAT4_SUFFIX = '.aedat4'

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recording_samples import assert_equal, read, some_events
 
-from mixtac_recordings import aedat4, aedat4_file
+from mixtac_recordings import aedat4, aedat4_file, recording
 from mixtac_recordings.aedat4_file import Aedat4Writer
 from mixtac_recordings.recording import DamagedRecordingError, RecordingError
 
@@ -58,7 +58,7 @@ def test_what_a_packet_expands_to_is_bounded(tmp_path, monkeypatch):
     write(path)
     bomb = lz4.frame.compress(bytes(1 << 20))
     data = path.read_bytes()
-    monkeypatch.setattr(aedat4_file, 'LARGEST_PACKET', 1 << 16)
+    monkeypatch.setattr(recording, 'LARGEST_EXPANDED', 1 << 16)
     path.write_bytes(data + struct.pack('<ii', 0, len(bomb)) + bomb)
     assert len(read(path).events) == len(EVENTS)
     file = aedat4_file.Aedat4File(path)

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -75,13 +77,17 @@ def run_evaluation(
     content: dict[str, Any] = {'model': str(path)}
     sources: Sequence[TrialSource]
     if bags:
-        sources = [
-            source
+        chosen_bags = [
+            replace(source, incomplete=True)
             for folder in bags
             for source in bag_sources(folder, reference)
             if source.path == folder or source.origin.get('split', 'test') == 'test'
         ]
+        sources = chosen_bags
         judged = judge_sources(estimator, track(sources, 'judging', transient=True))
+        for source in chosen_bags:
+            if source.name not in judged.skipped and (damage := source.damage()):
+                print(f'warning: {source.name}: {damage}', file=sys.stderr)
         rows = by_profile(judged.estimates)
         title = f'{path.name} on {len(judged.estimates)} bags'
         content |= {'bags': [source.name for source in sources], 'metrics': {'bags': rows}}

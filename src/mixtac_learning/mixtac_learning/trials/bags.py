@@ -80,7 +80,9 @@ _TRUE_FIT = '/truth/clock_fit'
 _CAMERA_CLOCK = '/camera_clock'
 
 
-def read_forces(path: Path, reference: str) -> tuple[ForceLabel | None, ForceLabel | None]:
+def read_forces(
+    path: Path, reference: str, *, incomplete: bool = False
+) -> tuple[ForceLabel | None, ForceLabel | None]:
     """Return the true and the measured normal force of a bag on the camera clock.
 
     The true one is None where the bag has none; the measured one where it has none or no clock map
@@ -90,6 +92,7 @@ def read_forces(path: Path, reference: str) -> tuple[ForceLabel | None, ForceLab
     Args:
         path: The bag.
         reference: Topic of the reference force.
+        incomplete: Take what is whole of a bag that was cut off.
 
     Raises:
         RecordingError: The bag is damaged.
@@ -105,8 +108,8 @@ def read_forces(path: Path, reference: str) -> tuple[ForceLabel | None, ForceLab
     pairs: list[tuple[int, int]] = []
     fits: dict[bool, ClockFit] = {}
     with BagFile(path) as bag:
-        if bag.damage:
-            raise DamagedRecordingError(f'{path}: {bag.damage}', remedy='record it again')
+        if bag.damage and not incomplete:
+            raise DamagedRecordingError(f'{path}: {bag.damage}', remedy='run `mixtac repair`')
         chosen = [
             topic
             for topic, kind in bag.types.items()
@@ -155,11 +158,24 @@ class BagSource:
         path: Its folder.
         reference: Topic of the reference force.
         described: Facts from a description of the bag: profile, device_seed and so on.
+        incomplete: Take what is whole of a bag that was cut off.
     """
 
     path: Path
     reference: str = REFERENCE
     described: tuple[tuple[str, Any], ...] = ()
+    incomplete: bool = False
+
+    def damage(self) -> str:
+        """Return what is missing of the bag; empty for a sound one.
+
+        Raises:
+            RecordingError: Nothing of it can be read.
+        """
+        from mixtac_recordings.bag import BagFile
+
+        with BagFile(self.path) as bag:
+            return bag.damage
 
     @property
     def name(self) -> str:
@@ -196,7 +212,7 @@ class BagSource:
             RecordingError: The bag is damaged or holds no events and frames.
             DatasetError: It has no frames, no force, or no clock fit.
         """
-        truth, reference = read_forces(self.path, self.reference)
+        truth, reference = read_forces(self.path, self.reference, incomplete=self.incomplete)
         return replace(self.load_camera(), truth=truth, reference=reference)
 
     def load_camera(self) -> TrialArrays:
@@ -262,13 +278,9 @@ def bag_sources(folder: Path, reference: str = REFERENCE) -> list[BagSource]:
     Raises:
         DatasetError: There are none.
     """
-    bags = sorted(path.parent for path in folder.glob('*/metadata.yaml'))
-    # A bag that was cut off has its data but no metadata; it is named when it is loaded.
-    bags += sorted(
-        {p.parent for p in folder.glob('*/*.mcap') if not p.parent.name.startswith('.')} - {*bags}
-    )
-    if (folder / 'metadata.yaml').exists():
-        bags = [folder]
+    from mixtac_recordings.bag import find_bags
+
+    bags = find_bags(folder)
     if not bags:
         raise DatasetError(f'{folder} holds no bags: give a bag or a folder of bags')
     return [
