@@ -4,13 +4,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import shutil
 import struct
+import tempfile
 import threading
 import zlib
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import IO
 
 from rosbags.interfaces import (
     Connection,
@@ -36,16 +41,82 @@ _CHECKSUM_AT = 1 + 8 + 3 * 8
 """Place of the checksum in a chunk record: after code, length, two times and a size."""
 
 
+RESERVE = 1 << 26
+"""Space kept free for the end of a live recording: index and metadata of about 80 hours [bytes]."""
+
+
 class _ChecksummedMcap(McapWriter):
-    """Adds the CRC-32 of each chunk, so that readers notice flipped bytes."""
+    """Adds the CRC-32 of each chunk, so that readers notice flipped bytes; survives a full disk.
+
+    Attributes:
+        full: Error of the disk once it is full: no message is written any more.
+    """
+
+    def __init__(self, path: Path, compression: CompressionMode) -> None:
+        super().__init__(path, compression)
+        self.bio.flush()
+        self.full: OSError | None = None
+        self._whole = self.bio.tell()
+        self._reserve: IO[bytes] | None = None
+
+    def reserve(self, size: int) -> None:
+        """Keep space free for the last chunk, the index and the metadata.
+
+        The space is that of a file without a name: it is free again when the process is killed.
+        """
+        self._reserve = tempfile.TemporaryFile(dir=self.path.parent)  # noqa: SIM115
+        os.posix_fallocate(self._reserve.fileno(), 0, size)
+
+    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
+        if self.full is not None:
+            raise self.full
+        super().write(connection, timestamp, data)
 
     def close_chunk(self) -> None:
+        pending, count = self.chunk, len(self.chunks)
+        try:
+            self._write_chunk()
+        except OSError as error:
+            if self._reserve is None:
+                raise
+            self.full = error
+            self._release()
+            self._forget_buffered()
+            del self.chunks[count:]
+            self.chunk = pending
+            self._write_chunk()
+        self._whole = self.bio.tell()
+
+    def close(self, version: int, metadata: str) -> None:
+        self._release()
+        super().close(version, metadata)
+
+    def abort(self) -> None:
+        self._release()
+        super().abort()
+
+    def _release(self) -> None:
+        if self._reserve is not None:
+            self._reserve.close()
+            self._reserve = None
+
+    def _forget_buffered(self) -> None:
+        """Cut the file behind its last whole chunk, without what could not be written."""
+        with Path(os.devnull).open('wb') as nowhere:
+            os.dup2(nowhere.fileno(), self.bio.fileno())
+        self.bio.close()
+        self.bio = self.path.open('r+b')  # type: ignore[assignment]
+        self.bio.truncate(self._whole)
+        self.bio.seek(self._whole)
+
+    def _write_chunk(self) -> None:
         start, checksum = self.bio.tell(), zlib.crc32(self.chunk.bio.getbuffer())
         super().close_chunk()
         end = self.bio.tell()
         self.bio.seek(start + _CHECKSUM_AT)
         self.bio.write(struct.pack('<I', checksum))
         self.bio.seek(end)
+        self.bio.flush()
 
 
 class McapBag(Writer):
@@ -161,7 +232,7 @@ class BagWriter:
     """Takes messages without blocking and writes them in order.
 
     Messages that arrive when the queue is full are dropped and counted: a slow disk must not block
-    the subscriptions.
+    the subscriptions. When the disk is full, the bag is finished at once.
 
     Args:
         path: Folder of the new bag; must not exist.
@@ -178,13 +249,22 @@ class BagWriter:
         self.written: dict[str, int] = {}
         self.dropped = 0
         self._failure: Exception | None = None
+        self._finished = False
         self._types = typestore()
         try:
             self._writer = McapBag(path)
             self._writer.open()
+            storage = self._writer.storage
+            assert isinstance(storage, _ChecksummedMcap)  # noqa: S101  (the only plugin)
+            storage.reserve(RESERVE)
         except (WriterError, OSError) as error:
+            if isinstance(error, OSError):
+                # The folder is ours: an existing one is a WriterError.
+                with contextlib.suppress(OSError):
+                    self._writer.abort()
+                shutil.rmtree(path, ignore_errors=True)
             raise RecordingError(
-                f'cannot record to {path}: {error}', remedy='choose a new folder'
+                f'cannot record to {path}: {error}', remedy='choose a new folder with free space'
             ) from error
         self._queue: deque[tuple[Connection, int, bytes]] = deque()
         self._closing = threading.Event()
@@ -221,27 +301,35 @@ class BagWriter:
         return ' '.join(str(self._failure).split()) if self._failure else ''
 
     def close(self) -> None:
-        """Write what is queued and finish the bag.
+        """Write what is queued and finish the bag; after a failure it is finished already.
 
         Raises:
-            RecordingError: The disk was full or failed; messages written before are readable.
+            RecordingError: The bag could not be finished.
         """
         self._closing.set()
         self._thread.join()
-        try:
-            self._writer.close()
-        except OSError as error:
-            self._failure = self._failure or error
-        if self._failure is not None:
+        if not self._finished:
             raise RecordingError(
-                f'the bag is incomplete: {self.failure}', remedy='free some space'
+                f'the bag is incomplete: {self.failure}',
+                remedy='free some space, and run `mixtac repair`',
             ) from self._failure
 
     def _work(self) -> None:
         closing = False
         while not closing:
             closing = self._closing.wait(FLUSH_PERIOD_S)
+            failed = self._failure is not None
             self._flush()
+            # A full disk is likely to become fuller: the bag is finished at the first failure.
+            if not failed and (closing or self._failure is not None):
+                self._finish()
+
+    def _finish(self) -> None:
+        try:
+            self._writer.close()
+            self._finished = True
+        except OSError as error:
+            self._failure = self._failure or error
 
     def _flush(self) -> None:
         while self._queue:
@@ -254,5 +342,6 @@ class BagWriter:
             except (OSError, WriterError) as error:
                 # The thread keeps emptying the queue, so that close() does not block.
                 self._failure = error
+                self.dropped += 1
                 continue
             self.written[connection.topic] += 1

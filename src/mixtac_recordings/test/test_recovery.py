@@ -7,6 +7,8 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import struct
+import subprocess
+import sys
 import zlib
 
 import numpy as np
@@ -252,3 +254,40 @@ def test_damage_anywhere_is_an_error_or_harmless(tmp_path, mcap, sqlite, seed):
             contents(damaged, **options)
         except RecordingError as error:
             assert str(damaged) in str(error)  # noqa: PT017  (it may be harmless)
+
+
+FULL_DISK = """
+import os, sys, time
+from pathlib import Path
+from mixtac_recordings import bag_writer
+from mixtac_recordings.bag import BagFile
+bag_writer.RESERVE = 1 << 20
+path = Path(sys.argv[1]) / 'bag'
+writer = bag_writer.BagWriter(path)
+topic = writer.add_topic('/x', 'std_msgs/msg/String', reliable=True, latched=False)
+number = 0
+while not writer.failure:
+    writer.write(topic, 10**18 + number, os.urandom(10_000))
+    number += 1
+    while number % 40 == 0 and writer.written['/x'] + writer.dropped < number:
+        time.sleep(0.01)
+writer.close()
+with BagFile(path) as bag:
+    found = [t for _, t, _ in bag.messages('/x', raw=['/x'])]
+    assert found == [10**18 + n for n in range(len(found))]
+    assert len(found) == writer.written['/x'] == number - writer.dropped
+    assert not bag.damage
+print(len(found))
+"""
+
+
+def test_a_full_disk_ends_a_bag_that_is_complete(tmp_path):
+    mount = f'mount -t tmpfs -o size=8m none {tmp_path} && exec "$@"'
+    command = ['unshare', '-rm', 'sh', '-c', mount, 'sh']
+    try:
+        subprocess.run([*command, 'true'], check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip('needs unprivileged mounts')
+    run = [*command, sys.executable, '-c', FULL_DISK, str(tmp_path)]
+    found = subprocess.run(run, check=True, capture_output=True, text=True)
+    assert 400 < int(found.stdout) < 800

@@ -115,10 +115,11 @@ class RecordingSummary:
 
     Attributes:
         seconds: Its length on the host clock [s].
-        dropped: Messages that arrived but were not written, because the disk was too slow.
+        dropped: Messages that arrived but were not written: the disk was too slow, or failed.
         simulated: Whether the diagnostics report simulated data.
         serial: Hardware id of the driver.
         topics: Figures of the topics with messages, by name; see `TopicMeter.figures`.
+        stopped: Error of the disk that ended the recording early; empty for none.
     """
 
     seconds: float
@@ -126,6 +127,7 @@ class RecordingSummary:
     simulated: bool
     serial: str
     topics: Mapping[str, Mapping[str, float]]
+    stopped: str = ''
 
     @property
     def missing(self) -> int:
@@ -136,8 +138,11 @@ class RecordingSummary:
         """Return one line about the losses."""
         lost = [f'{each["missing"]} of {n}' for n, each in self.topics.items() if each['missing']]
         parts = [f'messages lost: {", ".join(lost)}'] if lost else []
+        if self.stopped:
+            parts.append(f'ended early ({self.stopped}), complete until then')
         if self.dropped:
-            parts.append(f'{self.dropped} messages not written because the disk was too slow')
+            why = 'failed' if self.stopped else 'was too slow'
+            parts.append(f'{self.dropped} messages not written because the disk {why}')
         back = [name for name, each in self.topics.items() if each['backwards']]
         if back:
             parts.append(f'stamps or numbers went backwards on {", ".join(back)}')
@@ -149,6 +154,7 @@ class RecordingSummary:
             'seconds': round(self.seconds, 3),
             'simulated': self.simulated,
             'serial': self.serial,
+            'stopped': self.stopped,
             'not_written': self.dropped,
             'not_arrived': self.missing,
             'topics': {name: dict(each) for name, each in self.topics.items()},

@@ -137,7 +137,7 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
         """Write the queued messages and close the bag; return its summary, None without a bag.
 
         Raises:
-            RecordingError: The disk was full, or failed.
+            RecordingError: The bag could not be finished.
         """
         writer, self.writer = self.writer, None
         if writer is None:
@@ -145,7 +145,9 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
         seconds = (time.time_ns() - self._began_ns) / 1e9
         writer.close()
         figures = {meter.topic.name: meter.figures() for meter in self.meters if meter.messages}
-        return RecordingSummary(seconds, writer.dropped, self.simulated, self.serial, figures)
+        return RecordingSummary(
+            seconds, writer.dropped, self.simulated, self.serial, figures, writer.failure
+        )
 
     def _on_message(self, meter: TopicMeter, data: bytes) -> None:
         received_ns = time.time_ns()
@@ -196,6 +198,7 @@ class RecorderNode(Listener):
         read_recordings(self._output.absolute().parent / FILE_NAME)
         self.listen(self._p.reference_topic)
         self.start(self._output)
+        self._failed = False
         self._diagnostics = DiagnosticsPublisher(self, 'recorder', self._status)
 
     def close(self) -> None:
@@ -210,7 +213,8 @@ class RecorderNode(Listener):
         except MixtacError as error:
             self.get_logger().error(str(error))
             return
-        log = self.get_logger().warning if summary.dropped else self.get_logger().info
+        lossy = summary.dropped or summary.stopped
+        log = self.get_logger().warning if lossy else self.get_logger().info
         log(f'{self._output}: {summary.seconds:.1f} s, {summary.verdict()}')
 
     def _status(self) -> Status:
@@ -224,6 +228,12 @@ class RecorderNode(Listener):
             **{f'lost {name}': count for name, count in missing.items()},
         }
         if writer is not None and writer.failure:
+            if not self._failed:
+                self._failed = True
+                self.get_logger().error(
+                    f'{self._output}: recording stopped: {writer.failure}; what was recorded until'
+                    ' now is complete'
+                )
             return Status(WARN, f'recording stopped: {writer.failure}', values)
         if dropped:
             return Status(WARN, f'{dropped} messages dropped: disk too slow', values)

@@ -89,6 +89,10 @@ def record(
     console.print(f'described in {path}')
     if json is not None:
         write_json(json, summary.as_dict())
+    if summary.stopped:
+        raise RecordingError(
+            f'{out} ends early: {summary.stopped}', remedy='free some space for the next one'
+        )
 
 
 @contextlib.contextmanager
