@@ -45,9 +45,9 @@ from mixtac_alignment.histories import (
 from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
 from mixtac_alignment.refinement import Refinement
 from mixtac_events.arrays import Events
-from mixtac_events.codec import decode
+from mixtac_events.codec import StreamDecoder
 from mixtac_events.errors import MixtacError
-from mixtac_events.packets import CodecError, read_packet
+from mixtac_events.packets import read_packet
 from mixtac_events.sequence import SequenceCounter
 from mixtac_node import topics
 from mixtac_node.files import read_data, write_json
@@ -69,6 +69,7 @@ class PacketCollector:
 
     def __init__(self, span_s: float) -> None:
         self._history = EventHistory(span_s)
+        self._decoder = StreamDecoder()
         self._parts: list[tuple[int, NDArray[np.int64]]] = []
         self._lost: list[tuple[int, int]] = []
         self._packets = SequenceCounter()
@@ -85,16 +86,7 @@ class PacketCollector:
             CodecError: It is cut off, or its events are damaged.
         """
         message = read_packet(data)
-        if message.is_bigendian:
-            raise CodecError('event packet is big-endian: record or publish it little-endian')
-        packet = decode(
-            # A copy lies at an aligned address, for which the decoders are compiled already.
-            bytes(message.events),
-            message.encoding,
-            message.time_base,
-            width=message.width,
-            height=message.height,
-        )
+        packet = self._decoder.decode(message)
         start_us = packet.start_us
         size = (message.width, message.height)
         if size != self._size or start_us < self._newest_us - RESTART_US:

@@ -13,7 +13,7 @@ from typing import Final, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events import libcaer, libcaer_cmp
+from mixtac_events import foreign, libcaer, libcaer_cmp
 from mixtac_events.arrays import Events
 from mixtac_events.packets import CodecError, DecodedPacket, EncodedPacket
 
@@ -36,6 +36,8 @@ class Codec(Protocol):
 _CODECS: dict[str, Codec] = {libcaer_cmp.NAME: libcaer_cmp, libcaer.NAME: libcaer}
 ENCODINGS = tuple(_CODECS)
 """Names of the encodings, the preferred one first."""
+READABLE = (*ENCODINGS, foreign.MONO, foreign.EVT3)
+"""Names of the encodings that recordings may have."""
 MAX_TIME_BASE: Final = (1 << 31) * 1_000_000_000
 """Times from here on [ns] do not fit into ROS stamps."""
 MAX_SPAN_US: Final = 1 << 24
@@ -104,7 +106,7 @@ def decode(
 
     Args:
         payload: Encoded bytes: anything with a buffer, for example the field `events` of a message.
-        encoding: One of `ENCODINGS`.
+        encoding: One of `ENCODINGS`, or `mono`.
         time_base: Field of the same name, camera clock [ns].
         width: Columns of the sensor; events outside are an error.
         height: Rows of the sensor.
@@ -116,7 +118,7 @@ def decode(
         CodecError: Unknown encoding, truncated or damaged payload, an event outside the sensor, or
             a `time_base` that is negative or too large.
     """
-    codec = _codec(encoding)
+    codec = None if encoding == foreign.MONO else _codec(encoding)
     start_us = int(time_base) // 1000
     if not 0 <= time_base < MAX_TIME_BASE:
         raise CodecError(f'time_base {time_base} ns is outside 0 .. {MAX_TIME_BASE} ns')
@@ -124,6 +126,8 @@ def decode(
     data = np.frombuffer(payload, np.uint8).copy()
     if data.size == 0:
         return DecodedPacket(Events.empty(), start_us)
+    if codec is None:
+        return foreign.decode_mono(data, int(time_base), width=int(width), height=int(height))
     return codec.decode(data, start_us, width=int(width), height=int(height))
 
 
@@ -138,13 +142,40 @@ def decode_message(message: PacketMessage) -> DecodedPacket:
     """
     if message.is_bigendian:
         raise CodecError('event packet is big-endian: record or publish it little-endian')
-    packet = decode(
-        message.events,
-        message.encoding,
-        message.time_base,
-        width=message.width,
-        height=message.height,
+    return _bounded(
+        decode(
+            message.events,
+            message.encoding,
+            message.time_base,
+            width=message.width,
+            height=message.height,
+        )
     )
+
+
+class StreamDecoder:
+    """Decodes the messages of one topic of a recording in their order; each pass needs its own.
+
+    It reads all of `READABLE`: packets of `evt3` continue the ones before them.
+    """
+
+    def __init__(self) -> None:
+        self._evt3 = foreign.Evt3Decoder()
+
+    def decode(self, message: PacketMessage) -> DecodedPacket:
+        """Decode the next message; see `decode_message`.
+
+        Raises:
+            CodecError: As `decode_message`.
+        """
+        if message.encoding != foreign.EVT3:
+            return decode_message(message)
+        data = np.frombuffer(message.events, np.uint8).copy()
+        size = {'width': int(message.width), 'height': int(message.height)}
+        return _bounded(self._evt3.decode(data, **size))
+
+
+def _bounded(packet: DecodedPacket) -> DecodedPacket:
     if packet.complete_until - packet.start_us > MAX_SPAN_US:
         raise CodecError(
             f'event packet of {packet.complete_until - packet.start_us} us is longer than '

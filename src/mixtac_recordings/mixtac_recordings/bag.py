@@ -94,6 +94,8 @@ def _blank_value(node: Nodetype, content: Any) -> Any:  # noqa: ANN401
     return np.zeros(count, kind)
 
 
+_RENAMED = {'event_array_msgs/msg/EventArray': topics.EVENTS.type_name}
+"""Former names of message types whose fields are the same."""
 _ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 """First bytes of a message that is compressed by itself; those of CDR are 0, 0 or 0, 1."""
 
@@ -140,7 +142,7 @@ class BagFile:
             topic = connection.topic
             self.counts[topic] = self.counts.get(topic, 0) + connection.msgcount
             form = connection.ext.serialization_format  # type: ignore[union-attr]
-            kind = connection.msgtype
+            kind = _RENAMED.get(connection.msgtype, connection.msgtype)
             self.types[topic] = kind if form == 'cdr' else f'{kind} in {form}'.strip()
 
     def __enter__(self) -> BagFile:
@@ -200,7 +202,9 @@ class BagFile:
                     message = (
                         data
                         if connection.topic in raw
-                        else self._types.deserialize_cdr(data, connection.msgtype)
+                        else self._types.deserialize_cdr(
+                            data, _RENAMED.get(connection.msgtype, connection.msgtype)
+                        )
                     )
                 except StopIteration:
                     break

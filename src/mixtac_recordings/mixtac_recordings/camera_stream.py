@@ -14,7 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mixtac_events.codec import ENCODINGS, decode_message
+from mixtac_events.codec import READABLE, StreamDecoder
+from mixtac_events.foreign import EVT3
 from mixtac_events.packets import CodecError
 from mixtac_events.sequence import SequenceCounter
 from mixtac_events.windows import RESTART_US
@@ -64,6 +65,8 @@ class BagRecording:
         self._path = path
         self._bag = BagFile(path)
         self._unreadable: dict[str, str] = {}
+        self._decoder = StreamDecoder()
+        self._seekable = True
         try:
             self._choose(selection or Selection())
             self._offset_us = 0
@@ -90,6 +93,7 @@ class BagRecording:
         named = (self._events, self._images, self._imu, self._exposures, self._edges)
         chosen = [topic for topic in named if topic]
         start_ns = self._received_before(from_us)
+        self._decoder = StreamDecoder()
         # A frame waits for the message with its exposure, at most PATIENCE messages.
         held: Piece | None = None
         passed = 0
@@ -165,6 +169,8 @@ class BagRecording:
             apart_us = stamp_to_us(first.header.stamp) - start_us
             self._offset_us = apart_us if abs(apart_us) > OTHER_CLOCK_US else 0
             size = (int(first.width), int(first.height))
+            # Times roll over every 17 s: they are known only from the beginning on.
+            self._seekable = first.encoding != EVT3
         else:
             start_us = stamp_to_us(first.header.stamp)
         color_filter = 0
@@ -209,7 +215,7 @@ class BagRecording:
 
     def _received_before(self, from_us: int) -> int | None:
         """Return a time of reception before all data after a camera time; None for the start."""
-        if from_us <= self.info.start_us:
+        if from_us <= self.info.start_us or not self._seekable:
             return None
         margin_ns = MARGIN_NS
         while True:
@@ -235,7 +241,7 @@ class BagRecording:
 
     def _converted(self, topic: str, message: Any) -> Piece:  # noqa: ANN401
         if topic == self._events:
-            packet = decode_message(message)
+            packet = self._decoder.decode(message)
             return Piece(
                 packet.start_us, packet.complete_until, advances=True, events=packet.events
             )
@@ -253,9 +259,9 @@ class BagRecording:
 
 
 def _check_packet(message: Any) -> None:  # noqa: ANN401
-    if message.encoding not in ENCODINGS:
+    if message.encoding not in READABLE:
         raise RecordingError(
-            f'encoding {message.encoding!r} cannot be decoded, only {", ".join(ENCODINGS)}'
+            f'encoding {message.encoding!r} cannot be decoded, only {", ".join(READABLE)}'
         )
 
 

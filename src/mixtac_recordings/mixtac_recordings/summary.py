@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mixtac_events.arrays import Events
-from mixtac_events.codec import decode_message
+from mixtac_events.codec import StreamDecoder
 from mixtac_events.packets import CodecError
 from mixtac_events.sequence import SequenceCounter
 from mixtac_node.topics import EVENTS
@@ -85,9 +85,10 @@ def summarise(path: Path) -> BagSummary:
 
 
 def _packets(bag: BagFile, topic: str, counter: SequenceCounter) -> Iterable[Events]:
+    decoder = StreamDecoder()
     for _, _, message in bag.messages(topic):
         counter.update(message.seq)
-        yield decode_message(message).events
+        yield decoder.decode(message).events
 
 
 def _summarise_aedat4(path: Path) -> BagSummary:

@@ -164,16 +164,16 @@ def test_a_restart_of_the_driver_is_not_a_loss(tmp_path):
 
 def test_a_topic_in_an_unknown_encoding_leaves_the_others(tmp_path):
     events = some_events()
-    encoded = EncodedPacket('evt3', START_US * 1000, np.zeros(8, np.uint8))
+    encoded = EncodedPacket('evt2', START_US * 1000, np.zeros(8, np.uint8))
     with Bag(tmp_path / 'bag') as bag:
-        bag.packet(None, START_US, encoding='evt3', encoded=encoded, topic='/other/events')
+        bag.packet(None, START_US, encoding='evt2', encoded=encoded, topic='/other/events')
         bag.events(events)
         bag.image(np.zeros((4, 12), np.uint8), START_US, encoding='bgr8')
         bag.imu(START_US, (0.5, 1.0, 9.8))
     found = read(tmp_path / 'bag')
     assert_equal(found.events, events)
     assert (len(found.frames), len(found.imu)) == (0, 1)
-    assert all(each in found.info.damage for each in ('/other/events', 'evt3', 'bgr8'))
+    assert all(each in found.info.damage for each in ('/other/events', 'evt2', 'bgr8'))
 
 
 def test_packets_that_the_recorder_missed_are_counted(tmp_path):

@@ -15,7 +15,7 @@ from mixtac_recordings.camera_stream import open_recording
 from mixtac_recordings.recording import DamagedRecordingError, RecordingError
 
 
-@pytest.mark.parametrize('encoding', ['evt3', 'mono'])
+@pytest.mark.parametrize('encoding', ['evt2', 'jpeg'])
 def test_an_unknown_encoding_of_events_is_named(tmp_path, encoding):
     with Bag(tmp_path / 'bag') as bag:
         encoded = EncodedPacket(encoding, START_US * 1000, np.zeros(8, np.uint8))
