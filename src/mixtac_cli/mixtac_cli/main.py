@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import io
 import sys
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -116,10 +117,19 @@ def main(arguments: list[str] | None = None) -> int:
         Exit status: 0, 1 after an expected failure (one line on stderr), 2 for wrong usage,
         130 after Ctrl-C.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # Names of files need not be UTF-8.
+            stream.reconfigure(errors='backslashreplace')
     try:
         result = group('')(arguments, prog_name='mixtac', standalone_mode=False)
     except MixtacError as error:
         print(f'error: {error}', file=sys.stderr)
+        return 1
+    except OSError as error:
+        # A disk that is full, a name that is too long: what a path meets outside of the program.
+        place = f'{error.filename}: ' if error.filename else ''
+        print(f'error: {place}{error.strerror or error}', file=sys.stderr)
         return 1
     except typer.Exit as leave:
         return leave.exit_code

@@ -4,16 +4,40 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
 
+from mixtac_node.files import writable
+
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 JsonFile = Annotated[
-    OptionalPath, typer.Option('--json', help='Also write the result to this JSON file.')
+    OptionalPath,
+    typer.Option('--json', help='Also write the result to this JSON file.', callback=writable),
 ]
-Namespace = Annotated[str, typer.Option('--namespace', help='ROS namespace of the sensor.')]
+_NAMESPACE = re.compile(r'/*([A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*)?/*')
+
+
+def check_namespace(value: str) -> str:
+    """Return a ROS namespace, checked.
+
+    Raises:
+        BadParameter: It has other characters, or is too long.
+    """
+    if len(value) > _LONGEST or not _NAMESPACE.fullmatch(value):
+        raise typer.BadParameter(
+            f'{value[:_LONGEST]!r} is no ROS namespace: use letters, digits, _ and /'
+        )
+    return value
+
+
+_LONGEST = 200
+Namespace = Annotated[
+    str,
+    typer.Option('--namespace', help='ROS namespace of the sensor.', callback=check_namespace),
+]
 ParamsFile = Annotated[
     OptionalPath,
     typer.Option('--params-file', exists=True, help='Parameter file that overrides the defaults.'),

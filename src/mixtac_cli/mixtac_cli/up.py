@@ -70,6 +70,15 @@ def run_until(processes: ProcessGroup, seconds: float) -> None:
         processes.check()
 
 
+def _check_level(value: str) -> str:
+    if value.lower() not in LEVELS:
+        raise typer.BadParameter(f'{value[:40]!r}: choose one of {", ".join(LEVELS)}')
+    return value
+
+
+LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
+
+
 def up(
     context: typer.Context,
     device: Annotated[
@@ -77,7 +86,9 @@ def up(
     ] = 'davis346',
     namespace: Namespace = DEFAULT_NAMESPACE,
     params_file: ParamsFile = None,
-    log_level: Annotated[str, typer.Option(help='debug, info, warn, error or fatal.')] = 'info',
+    log_level: Annotated[
+        str, typer.Option(help='debug, info, warn, error or fatal.', callback=_check_level)
+    ] = 'info',
     seconds: RunTime = 0,
     record: Annotated[OptionalPath, typer.Option(help='Record to this new bag folder.')] = None,
     autostart: Annotated[

@@ -18,6 +18,7 @@ from mixtac_learning.train.config import (
     read_run_config,
     with_overrides,
 )
+from mixtac_node.files import writable
 from mixtac_node.topics import REFERENCE
 from mixtac_sim.world.training_trials import TRAINING_PRESET
 
@@ -31,7 +32,9 @@ Preset = Annotated[str, typer.Option('--preset', help='Difficulty: easy, paper_l
 ReferenceTopic = Annotated[
     str, typer.Option('--reference', help='Topic of the reference force in the bags.')
 ]
-JsonFile = Annotated[OptionalPath, typer.Option('--json', help='JSON file for the figures.')]
+JsonFile = Annotated[
+    OptionalPath, typer.Option('--json', help='JSON file for the figures.', callback=writable)
+]
 
 
 def train(
@@ -41,7 +44,9 @@ def train(
             help='YAML file, or a shipped one: ours, fger_paper, frames, events, fusion, smoke.'
         ),
     ] = None,
-    out: Annotated[OptionalPath, typer.Option(help='Weight file to write.')] = None,
+    out: Annotated[
+        OptionalPath, typer.Option(help='Weight file to write.', callback=writable)
+    ] = None,
     seed: Annotated[
         OptionalInt,
         typer.Option(min=0, help='Random seed for data, initial weights and shuffling.'),
@@ -112,7 +117,7 @@ def evaluate(
     preset: Preset = TRAINING_PRESET,
     reference: ReferenceTopic = REFERENCE,
     figures: Annotated[
-        OptionalPath, typer.Option(help='Image file for plots of the trials.')
+        OptionalPath, typer.Option(help='Image file for plots of the trials.', callback=writable)
     ] = None,
     robustness: Annotated[
         bool,
@@ -145,7 +150,7 @@ Paths = List[Path]  # noqa: UP006
 
 def adapt(
     bags: Annotated[Paths, typer.Argument(help='Recordings of presses on the new sensor.')],
-    out: Annotated[Path, typer.Option(help='Weight file to write.')],
+    out: Annotated[Path, typer.Option(help='Weight file to write.', callback=writable)],
     model: ModelFile = DEFAULT_MODEL,
     load: Annotated[
         OptionalStrings,

@@ -63,6 +63,25 @@ def state_file(name: str) -> Path:
     return folder / plain
 
 
+def writable(path: Path | None) -> Path | None:
+    """Return the path of a file to write, checked before the work whose result it is to hold.
+
+    Raises:
+        FileError: It is a folder, or lies in none that can be written or made.
+    """
+    if path is None:
+        return None
+    try:
+        if not path.name or path.is_dir():
+            raise FileError(f'cannot write {path}: it is a folder', remedy='name a file')
+        folder = next(each for each in path.absolute().parents if each.exists())
+        if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
+            raise FileError(f'cannot write {path}', remedy='choose a writable folder')
+    except OSError as error:
+        raise FileError(f'cannot write {path}: {error.strerror or error}') from error
+    return path
+
+
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, with its suffix, and move it into place on success.
@@ -72,6 +91,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         FileError: The file cannot be written.
     """
+    writable(path)
     scratch = path.with_name(f'.{path.stem}.{secrets.token_hex(4)}{path.suffix}')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -7,9 +7,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import difflib
+import functools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from ament_index_python.packages import (
     PackageNotFoundError,
@@ -17,6 +20,7 @@ from ament_index_python.packages import (
     get_package_share_directory,
 )
 
+from mixtac_node.files import read_data
 from mixtac_node.process import GraphError
 from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS
 
@@ -50,13 +54,13 @@ class NodeSpec:
             params_file: File that overrides the shipped ones.
 
         Raises:
-            GraphError: A file does not exist.
+            GraphError: A file does not exist, or sets an unknown parameter.
+            FileError: The file is not YAML.
         """
         shipped = [config_file(f'{name}.yaml') for name in self.files or (self.name,)]
         if params_file is None:
             return shipped
-        if not params_file.is_file():
-            raise GraphError(f'no parameter file {params_file}')
+        check_parameters(params_file)
         return [*shipped, params_file]
 
     def ros_arguments(self, params_file: Path | None = None, log_level: str = 'info') -> list[str]:
@@ -126,6 +130,75 @@ def config_file(name: str) -> Path:
     except PackageNotFoundError as error:
         raise GraphError('package mixtac_bringup is not built: run `make setup`') from error
     return Path(share) / 'config' / name
+
+
+def check_parameters(path: Path) -> None:
+    """Check that a parameter file sets only parameters that our nodes have.
+
+    ROS ignores unknown ones. Sections of nodes that are not ours may hold anything.
+
+    Args:
+        path: The file.
+
+    Raises:
+        GraphError: It does not exist or is no parameter file, or a name in it is unknown.
+        FileError: It is not YAML.
+    """
+    if not path.is_file():
+        raise GraphError(f'no parameter file {path}')
+    known = _shipped_parameters(config_file('fger.yaml').parent)
+    for section, values in _sections(read_data(path), '', path):
+        node = section.rpartition('/')[2]
+        if '*' in node:
+            names = frozenset(name for each in known.values() for name in each)
+        elif node in known:
+            names = known[node]
+        else:
+            if near := difflib.get_close_matches(node, known, 1, 0.75):
+                raise GraphError(f'{path}: no node {node!r}', remedy=f'did you mean {near[0]}?')
+            continue
+        unknown = sorted(
+            name
+            for name in map(str, values)
+            if name not in names and name.partition('.')[0] not in _OF_ROS
+        )
+        if unknown:
+            near = difflib.get_close_matches(unknown[0], names, 1)
+            raise GraphError(
+                f'{path}: {section} has no parameter {unknown[0]}',
+                remedy=f'did you mean {near[0]}?' if near else 'see docs/reference.md',
+            )
+
+
+_OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
+"""Parameters that every node has."""
+_VALUES = 'ros__parameters'
+
+
+@functools.cache
+def _shipped_parameters(folder: Path) -> dict[str, frozenset[str]]:
+    """Return the names of the parameters of each node, by the name of the node."""
+    found = {}
+    for path in folder.glob('*.yaml'):
+        content = read_data(path)
+        values = content.get(f'/**/{path.stem}') if isinstance(content, dict) else None
+        if values is not None:
+            found[path.stem] = frozenset(values[_VALUES])
+    return found
+
+
+def _sections(content: Any, name: str, path: Path) -> Iterator[tuple[str, Mapping[str, Any]]]:  # noqa: ANN401
+    """Yield the name of each node in a parameter file and its parameters."""
+    if not isinstance(content, dict) or not isinstance(content.get(_VALUES, {}), dict):
+        raise GraphError(
+            f'{path} is no parameter file{f" at {name}" if name else ""}',
+            remedy=f'write NODE: {_VALUES}: with one parameter per line',
+        )
+    if _VALUES in content:
+        yield name, content[_VALUES]
+        return
+    for key, value in content.items():
+        yield from _sections(value, f'{name}/{key}' if name else str(key), path)
 
 
 def is_virtual(device: str) -> bool:

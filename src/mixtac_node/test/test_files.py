@@ -16,6 +16,7 @@ from mixtac_node.files import (
     read_dataclass,
     replacing,
     structure,
+    writable,
     write_json,
     write_text,
 )
@@ -120,3 +121,18 @@ def test_a_file_that_is_not_yaml_is_refused(tmp_path, content):
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(FileError):
         read_dataclass(tmp_path / 'none.yaml', Config)
+
+
+@pytest.mark.parametrize('name', ['', 'folder', 'file/below', 'a' * 300])
+def test_what_cannot_be_written_is_refused_before_the_work(tmp_path, name):
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'file').touch()
+    with pytest.raises(FileError):
+        writable(tmp_path / name)
+
+
+def test_what_can_be_written_is_left_alone(tmp_path):
+    path = tmp_path / 'new' / 'x.json'
+    assert writable(path) == path
+    assert writable(None) is None
+    assert not path.parent.exists()

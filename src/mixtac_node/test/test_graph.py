@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_node.graph import (
+    check_parameters,
     config_file,
     live_view,
     recorder,
@@ -137,3 +138,41 @@ def test_rosbag2_subscribes_compatibly_and_with_long_queues():
         # A subscriber may ask for no more than its publisher offers.
         assert chosen['reliability'] == 'best_effort' or topic.reliable
         assert chosen['durability'] == 'volatile' or topic.latched
+
+
+@pytest.mark.parametrize(
+    ('text', 'named'),
+    [
+        ('/**/fger:\n  ros__parameters:\n    force_scal: 2.0\n', 'force_scale'),
+        ('/mixtac/driver:\n  ros__parameters:\n    devise: virtual\n', 'device'),
+        ('mixtac:\n  fgre:\n    ros__parameters:\n      model: x\n', 'fger'),
+        ('/**:\n  ros__parameters:\n    force_scal: 2.0\n', 'force_scale'),
+    ],
+)
+def test_an_unknown_parameter_is_refused_with_the_nearest_known_one(tmp_path, text, named):
+    path = tmp_path / 'own.yaml'
+    path.write_text(text)
+    with pytest.raises(GraphError) as caught:
+        check_parameters(path)
+    assert named in caught.value.remedy
+
+
+@pytest.mark.parametrize('text', ['- 1', '5', '/**/fger: 3', 'fger:\n  ros__parameters: [1]\n', ''])
+def test_a_file_that_is_no_parameter_file_is_refused(tmp_path, text):
+    path = tmp_path / 'own.yaml'
+    path.write_text(text)
+    with pytest.raises(GraphError):
+        check_parameters(path)
+
+
+def test_files_that_ros_reads_are_accepted(tmp_path):
+    path = tmp_path / 'own.yaml'
+    path.write_text(
+        '/**:\n  ros__parameters:\n    use_sim_time: true\n    force_scale: 2.0\n'
+        'left:\n  fger:\n    ros__parameters:\n      model: fger_small\n'
+        '/lidar:\n  ros__parameters:\n    anything: 1\n'
+    )
+    check_parameters(path)
+    for shipped in config_file('fger.yaml').parent.glob('*.yaml'):
+        if 'ros__parameters' in shipped.read_text():
+            check_parameters(shipped)
