@@ -26,6 +26,7 @@ import sys
 import tempfile
 import threading
 import time
+import warnings
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -214,7 +215,10 @@ def serve(channel: socket.socket) -> tuple[dict[str, Any], list[int]] | None:
                 # What it imports stays; it is run itself, as `__main__`.
                 sys.modules.pop(request['module'], None)
                 loaded.add(request['module'])
-            answer = os.fork()
+            with warnings.catch_warnings():
+                # Python 3.12 warns of LTTng's threads.
+                warnings.simplefilter('ignore', DeprecationWarning)
+                answer = os.fork()
             if answer == 0:
                 return request, descriptors
             running.add(answer)
