@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from mixtac_driver.davis346.registers import PIXEL_FILTERS
 from mixtac_driver.errors import ConfigurationError
 from mixtac_events.arrays import Events
+from mixtac_node.files import FileError, replacing
 
 IN_CAMERA, ON_HOST = 255, 128
 """Grey values in the image of a mask."""
@@ -148,28 +149,36 @@ def check_path(path: str) -> None:
     """Raise if `save_mask` cannot write to a path.
 
     Raises:
-        ConfigurationError: It is not a PNG file in an existing folder.
+        ConfigurationError: It is not a PNG file, or another file than a mask is there.
     """
-    if not path.endswith('.png') or not Path(path).resolve().parent.is_dir():
+    if not path.endswith('.png'):
         raise ConfigurationError(
-            f'pixel mask {path!r} cannot be written',
-            remedy='give a path that ends with .png in a folder that exists',
+            f'pixel mask {path!r} cannot be written', remedy='give a name that ends with .png'
         )
+    if Path(path).exists():
+        try:
+            load_mask(path)
+        except ConfigurationError as error:
+            raise ConfigurationError(
+                f'{path!r} is not a pixel mask and stays as it is', remedy='give another name'
+            ) from error
 
 
 def save_mask(mask: PixelMask, path: str) -> None:
-    """Write a mask to a PNG file.
+    """Write a mask to a PNG file, whole or not at all; makes the folder.
 
     Raises:
-        ConfigurationError: The file cannot be written.
+        ConfigurationError: The file cannot be written, or another file than a mask is there.
     """
     check_path(path)
     import cv2
 
-    if not cv2.imwrite(path, mask.image()):
-        raise ConfigurationError(
-            f'pixel mask {path!r} cannot be written', remedy='check its permissions'
-        )
+    _, octets = cv2.imencode('.png', mask.image())
+    try:
+        with replacing(Path(path)) as scratch:
+            scratch.write_bytes(octets.tobytes())
+    except FileError as error:
+        raise ConfigurationError(error.message, remedy=error.remedy) from error
 
 
 def warm_up() -> None:

@@ -92,7 +92,11 @@ def test_files_that_are_no_masks_are_refused(tmp_path):
     with pytest.raises(ConfigurationError):
         load_mask(str(tmp_path / 'none.png'))
     with pytest.raises(ConfigurationError):
-        save_mask(PixelMask(), str(tmp_path / 'none' / 'mask.png'))
+        save_mask(PixelMask([(0, 0)], SIZE), f'{small}/mask.png')
+    (tmp_path / 'notes.png').write_text('mine')
+    with pytest.raises(ConfigurationError):
+        save_mask(PixelMask([(0, 0)], SIZE), str(tmp_path / 'notes.png'))
+    assert (tmp_path / 'notes.png').read_text() == 'mine'
     with pytest.raises(ConfigurationError):
         save_mask(PixelMask(), str(tmp_path / 'mask.foo'))
     with pytest.raises(ConfigurationError):

@@ -172,13 +172,21 @@ def write_camera_info(path: Path, calibration: CameraCalibration, comment: str =
     """Write a file, and its folder if necessary; readers never see a partial file.
 
     Args:
-        path: File to write; an existing one is replaced.
+        path: File to write; an existing calibration is replaced.
         calibration: What to write.
         comment: Lines to put at the top, without `#`.
 
     Raises:
-        CalibrationError: The file cannot be written.
+        CalibrationError: The file cannot be written, or is not a calibration.
     """
+    if path.exists():
+        try:
+            read_camera_info(path)
+        except CalibrationError as error:
+            raise CalibrationError(
+                f'{path} is not a calibration and stays as it is ({error.message})',
+                remedy='remove it, or name another file',
+            ) from error
     try:
         write_text(path, format_camera_info(calibration, comment))
     except FileError as error:

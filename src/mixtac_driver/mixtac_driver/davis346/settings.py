@@ -93,8 +93,9 @@ class SensorParameters:
         hot_pixels_minimum_rate: Lowest event rate of a hot pixel
         hot_pixels_factor: A hot pixel has at least this many times the events of the fourth
             noisiest pixel around it
-        hot_pixels_file: File to which the service find_hot_pixels writes the mask (an image for
-            dvs_pixel_mask). Empty: not written
+        hot_pixels_file: Name of the file, such as left_mask.png, to which the service
+            find_hot_pixels writes the mask (an image for dvs_pixel_mask), in the state folder
+            ($MIXTAC_HOME, by default ~/.local/state/mixtac). Empty: not written
         aps_enabled: Enable frame output
         aps_exposure: Exposure time; the shipped force estimator was trained at the default
         aps_frame_interval: Frame interval; 0: as fast as possible

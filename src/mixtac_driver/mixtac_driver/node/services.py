@@ -24,6 +24,7 @@ from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.readings import Frame
 from mixtac_node.base_node import answering
+from mixtac_node.files import state_file
 
 MARGIN_S = 1.0
 """Additional time allowed for a frame or a count."""
@@ -131,10 +132,12 @@ class DriverServices:
 
         Raises:
             DriverError: There is no stream, or a request failed; the mask stays unchanged.
+            FileError: The file of the mask is not in the state folder.
         """
         p, before = self._settings.parameters, self._settings.mask
-        if p.hot_pixels_file:
-            check_path(p.hot_pixels_file)
+        path = str(state_file(p.hot_pixels_file)) if p.hot_pixels_file else ''
+        if path:
+            check_path(path)
         identity = self._source.status().identity
         if identity is None:
             raise StreamError('no camera was opened yet', remedy='attach it and try again')
@@ -154,8 +157,8 @@ class DriverServices:
             self._settings.use_mask(before, self._source.apply)
             raise
         self._settings.use_mask(mask, self._source.apply)
-        if p.hot_pixels_file:
-            save_mask(mask, p.hot_pixels_file)
+        if path:
+            save_mask(mask, path)
         listed = ', '.join(str(pixel) for pixel in found[:LISTED_PIXELS])
         more = ', ...' if len(found) > LISTED_PIXELS else ''
         return (

@@ -154,6 +154,14 @@ def test_writing_makes_folders_and_replaces_whole_files(tmp_path):
     assert [each.name for each in path.parent.iterdir()] == ['camera.yaml']
 
 
+def test_other_files_are_not_replaced(tmp_path):
+    path = tmp_path / 'notes.yaml'
+    path.write_text('mine: 1\n')
+    with pytest.raises(CalibrationError):
+        write_camera_info(path, calibration())
+    assert path.read_text() == 'mine: 1\n'
+
+
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / 'file').write_text('')
     with pytest.raises(CalibrationError):

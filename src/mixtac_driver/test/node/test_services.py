@@ -78,10 +78,11 @@ def rig(monkeypatch, tmp_path):
     monkeypatch.setattr('mixtac_driver.davis346.writes.BIASES_SETTLE_S', 0.0)
     monkeypatch.setattr('mixtac_driver.davis346.writes.LOGIC_SETTLE_S', 0.0)
     monkeypatch.setattr(driver_services, 'REPORT_PERIOD_S', 0.05)
+    monkeypatch.setenv('MIXTAC_HOME', str(tmp_path))
     parameters = replace(
         DriverParameters(),
         hot_pixels_duration=0.3,
-        hot_pixels_file=str(tmp_path / 'mask.png'),
+        hot_pixels_file='mask.png',
         aps_enabled=False,
         aps_frame_interval=1000,
     )
@@ -102,7 +103,7 @@ def watch(rig):
     rig.services.watch_events(events(), rig.time_us)
 
 
-def test_hot_pixels_are_found_masked_and_saved(rig):
+def test_hot_pixels_are_found_masked_and_saved(rig, tmp_path):
     rig.settings.file_mask = PixelMask([(300, 200)], SIZE)
     # Found before, quiet now.
     rig.settings.use_mask(PixelMask([(99, 99)], SIZE), rig.camera.apply)
@@ -120,7 +121,7 @@ def test_hot_pixels_are_found_masked_and_saved(rig):
     ]
     assert slots == HOT[:8]
     assert rig.settings.mask.pixels == (*HOT, (300, 200))
-    saved = load_mask(rig.settings.parameters.hot_pixels_file)
+    saved = load_mask(str(tmp_path / 'mask.png'))
     assert set(saved.in_camera) == set(HOT[:8])
     assert set(saved.pixels) == {*HOT, (300, 200)}
     assert rig.reports
