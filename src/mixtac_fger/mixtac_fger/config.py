@@ -82,7 +82,8 @@ class FgerConfig:
             [1/bin^2, log units]: how much texture a displacement needs.
         reference_frames: No-contact frames averaged into the reference.
         reference_stillness: Largest mean change of log contrast among these frames; a frame that
-            changed more restarts the reference, so that a moving contact does not become "nothing".
+            changed more, and not by noise alone, restarts the reference, so that a moving contact
+            does not become "nothing".
         grid_columns: Columns of the event grid.
         grid_rows: Rows of the event grid.
         gradient_flow: Sum polarity times log-gradient of the latest frame per cell and solve for

@@ -44,7 +44,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
     """Estimates force while active.
 
     Configure loads the model and the reference and checks them against the camera; activate starts.
-    Without a stored reference the sensor must be untouched for the first frames.
+    Without a stored reference the forces are not valid until ~/tare, unless `assume_free` is set.
     """
 
     def __init__(self) -> None:
@@ -76,7 +76,9 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             model = read_model(path)
             estimator = open_estimator(model)
             check_camera(estimator, model.card, self._camera)
-            self._reference = _stored_reference(settings, estimator)
+            self._reference = _stored_reference(
+                _reference_file(settings, self._camera.serial), estimator
+            )
         except MixtacError as error:
             self.get_logger().error(f'{settings.model}: {error}')
             return TransitionCallbackReturn.FAILURE
@@ -103,6 +105,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
                 contact_threshold_n=settings.contact_threshold,
                 longest_without_frame_us=round(settings.longest_without_frame * 1e6),
                 stale_frame_us=round(settings.stale_frame_age * 1e6),
+                assume_free=settings.assume_free,
             ),
             deadline_s=settings.deadline,
         )
@@ -181,7 +184,8 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if wanted.reference != before.reference:
             state_file(wanted.reference or 'none')
             if self._estimator is not None:
-                self._reference = _stored_reference(wanted, self._estimator)
+                name = _reference_file(wanted, self._camera.serial)
+                self._reference = _stored_reference(name, self._estimator)
         if self._feed is not None:
             estimator = self._feed.estimator
             estimator.force_scale = wanted.force_scale
@@ -209,15 +213,34 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
     def _take(self, camera: CameraFacts) -> None:
         if camera == self._camera:
             return
-        self._camera = camera
+        before, self._camera = self._camera, camera
         if self._model is None or self._estimator is None:
             return
+        if camera.serial != before.serial:
+            self._know_serial(before.serial)
         try:
             check_camera(self._estimator, self._model.card, camera)
             self._misfit = ''
         except MixtacError as error:
             self._misfit = str(error)
             self.get_logger().error(self._misfit)
+
+    def _know_serial(self, before: str) -> None:
+        """Use the kept reference of a camera that was not known before; forget another's."""
+        feed, model = self._feed, self._model
+        if before and feed is not None:
+            feed.estimator.change_camera()
+            self.get_logger().warning(f'camera {self._camera.serial} in place of {before}')
+        if self._settings.reference or model is None:
+            return
+        self._reference = None
+        try:
+            name = _reference_file(self._settings, self._camera.serial)
+            self._reference = _stored_reference(name, open_estimator(model))
+        except MixtacError as error:
+            self.get_logger().warning(f'{error}')
+        if feed is not None and self._reference is not None:
+            feed.estimator.use_reference(self._reference)
 
     def _on_events(self, message: bytes | EventPacket) -> None:
         """Take a packet: bytes from the middleware, a message from within the process."""
@@ -287,9 +310,10 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
 
     def _store_reference(self, feed: LiveFeed) -> str:
         reference = feed.estimator.reference
-        if not self._settings.reference or reference is None:
+        name = _reference_file(self._settings, self._camera.serial)
+        if not name or reference is None:
             return ''
-        path = state_file(self._settings.reference)
+        path = state_file(name)
         reference.save(path)
         self._reference = reference.array
         return f'; reference written to {path}'
@@ -309,15 +333,26 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         return Status(level, message, values)
 
 
-def _stored_reference(settings: FgerParameters, estimator: Estimator) -> NDArray[Any] | None:
+def _reference_file(settings: FgerParameters, serial: str) -> str:
+    """Return the name of the reference's file; empty if there is to be none."""
+    if settings.reference or settings.assume_free:
+        return settings.reference
+    return f'reference_{serial}.npz' if serial.isalnum() else ''
+
+
+def _stored_reference(name: str, estimator: Estimator) -> NDArray[Any] | None:
     """Give an estimator its stored reference, and return it; None where there is none.
+
+    Args:
+        name: Name of the file; empty for none.
+        estimator: Its reference is set.
 
     Raises:
         MixtacError: The name is not plain, or the file cannot be used.
     """
-    if not settings.reference:
+    if not name:
         return None
-    path = state_file(settings.reference)
+    path = state_file(name)
     if estimator.reference is None or not path.exists():
         return None
     return estimator.reference.load(path)

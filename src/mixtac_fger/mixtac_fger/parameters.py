@@ -27,9 +27,12 @@ class FgerParameters:
             calibration of this sensor. Gels differ in stiffness, which no image shows.
         reference: Name of the file of the no-contact reference of this sensor, such as
             left_finger.npz, in the state folder ($MIXTAC_HOME, by default ~/.local/state/mixtac).
-            ~/tare writes it. If it exists, the sensor may be in contact at the start. If empty, the
-            first still frames are the reference, so the sensor must be untouched when the node is
-            activated.
+            If empty, the file is that of the camera's serial number, reference_SERIAL.npz. ~/tare
+            writes it. If it exists, the sensor may be in contact at the start. Otherwise the zero
+            is unknown until ~/tare, unless assume_free is set.
+        assume_free: Nothing touches the sensor when the node is activated: the first still frames
+            are the reference where no reference is named. Set by `mixtac up` and the launch files
+            for the virtual sensor and recordings.
         contact_threshold: Forces above this count as contact; ~/tare is refused during contact.
         invalid_force: What becomes of a force that cannot be trusted: `withhold` publishes none,
             `hold` publishes the latest trusted one, `publish` publishes it as it is. In each case
@@ -47,6 +50,7 @@ class FgerParameters:
     frame_id: str = parameter('mixtac_contact')
     force_scale: float = parameter(1.0, within=(0.1, 10.0))
     reference: str = parameter('')
+    assume_free: bool = parameter(False)
     contact_threshold: float = parameter(0.15, unit='N', within=(0.01, 10.0))
     invalid_force: str = parameter('withhold', choices=POLICIES)
     stale_frame_age: float = parameter(0.5, unit='s', within=(0.05, 60.0))

@@ -31,6 +31,31 @@ class ReferenceFileError(MixtacError):
 _REMEDY = 'delete it, or write a new one with ~/tare while the sensor is untouched'
 
 
+NOISIEST = 5.0
+"""Largest noise of a still frame over `FgerConfig.reference_stillness`."""
+WHITE = 1.05
+"""Change over that of white noise of the same roughness, up to which it is noise: in simulated
+trials 0.95 to 1.05 at rest, 1.05 to 1.7 in motion of more than the stillness."""
+
+
+def is_still(change: F32, stillness: float) -> bool:
+    """Return whether a change of the picture is small, or noise alone.
+
+    Noise has no neighbours: a second difference along both axes is six times as large as the change
+    itself. Motion of beads, which are several bins wide, is smoother.
+
+    Args:
+        change: Difference of two pictures [log units], float32 [rows, columns].
+        stillness: Mean change up to which a picture is still, whatever the change [log units].
+    """
+    mean = float(np.mean(np.abs(change)))
+    if mean <= stillness:
+        return True
+    along = change[:, :-2] - 2.0 * change[:, 1:-1] + change[:, 2:]
+    rough = along[:-2] - 2.0 * along[1:-1] + along[2:]
+    return mean < min(NOISIEST * stillness, WHITE * float(np.mean(np.abs(rough))) / 6.0)
+
+
 class Reference:
     """The no-contact reference of a sensor; may be used from any thread.
 
@@ -42,11 +67,14 @@ class Reference:
     Attributes:
         frames: Still frames that make a reference.
         disturbances: How often motion restarted the collection of the first reference.
+        assume_free: Whether the first still frames count as those without contact.
     """
 
     def __init__(self, config: FgerConfig) -> None:
         self.frames = config.reference_frames
         self.disturbances = 0
+        self.assume_free = False
+        self._known = False
         self._shape, self._stillness = config.frame_shape, config.reference_stillness
         # What decides how a frame becomes a coarse contrast.
         self._preparation = np.array(
@@ -61,6 +89,11 @@ class Reference:
     def array(self) -> F32 | None:
         """Coarse log contrast without contact, float32 `FgerConfig.frame_shape`; None so far."""
         return self._array
+
+    @property
+    def known(self) -> bool:
+        """Whether the reference is known to be without contact: stored, tared or assumed."""
+        return self._known or self.assume_free
 
     @property
     def number(self) -> int:
@@ -79,11 +112,9 @@ class Reference:
             coarse: Coarse log contrast of the frame, float32 `FgerConfig.frame_shape`.
         """
         with self._lock:
-            if self._recent:
-                change = np.mean(np.abs(coarse - mean_contrast(self._recent)))
-                if change > self._stillness:
-                    self._recent.clear()
-                    self.disturbances += self._array is None
+            if self._recent and not is_still(coarse - mean_contrast(self._recent), self._stillness):
+                self._recent.clear()
+                self.disturbances += self._array is None
             self._recent.append(coarse)
             if self._array is None and len(self._recent) == self.frames:
                 self._set(mean_contrast(self._recent))
@@ -102,6 +133,7 @@ class Reference:
                     remedy='leave the sensor untouched and try again',
                 )
             self._set(mean_contrast(self._recent))
+            self._known = True
 
     def use(self, array: F32) -> None:
         """Use a stored reference from now on.
@@ -111,11 +143,12 @@ class Reference:
         """
         with self._lock:
             self._set(array)
+            self._known = True
 
     def forget(self) -> None:
         """Start over: the next still frames become the reference."""
         with self._lock:
-            self._array = None
+            self._array, self._known = None, False
             self._recent.clear()
 
     def save(self, path: Path) -> None:

@@ -38,11 +38,22 @@ from mixtac_fger import validity
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus
 from mixtac_fger.features import ImageError, correction_lag
 from mixtac_fger.reference import Reference, TareError
-from mixtac_fger.validity import HIGHEST_FORCE, LOWEST_FORCE, Reason, Validity
+from mixtac_fger.validity import (
+    CONTACT,
+    HIGHEST_FORCE,
+    LEAST_LIKENESS,
+    LOWEST_FORCE,
+    Reason,
+    Release,
+    Validity,
+)
 from mixtac_node.process import lower_priority
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
+    from mixtac_fger.validity import PictureFigures
 
 
 BACKWARD_US: Final = 20_000
@@ -236,6 +247,8 @@ class ForceEstimator:
         contact_threshold_n: See below.
         longest_without_frame_us: See below.
         stale_frame_us: See below.
+        assume_free: Nothing touches the sensor at the start. Otherwise the forces are not valid
+            until the reference is a stored one or `tare` has been called.
 
     Attributes:
         force_scale: Factor of the estimates, from the calibration of the sensor; may be changed at
@@ -254,12 +267,15 @@ class ForceEstimator:
         contact_threshold_n: float = 0.15,
         longest_without_frame_us: int = NO_LIMIT_US,
         stale_frame_us: int = STALE_FRAME_US,
+        assume_free: bool = False,
     ) -> None:
         self.force_scale = force_scale
         self.contact_threshold_n = contact_threshold_n
         self.longest_without_frame_us = longest_without_frame_us
         self.stale_frame_us = stale_frame_us
         self._estimator = estimator
+        if estimator.reference is not None:
+            estimator.reference.assume_free = assume_free
         self._width_us = estimator.window_us
         self._saturation = SATURATION_PER_US * estimator.window_us
         self._worker = FrameWorker(estimator) if background_frames else None
@@ -270,7 +286,8 @@ class ForceEstimator:
         self._recent: deque[float] = deque(maxlen=TARE_WINDOWS)
         self._validity = Validity(estimator.window_us, estimator.width)
         self._reason_now = Reason.TRUSTED
-        self._saturated = False
+        self._saturated = self._other_camera = False
+        self._release = Release()
         self._deviation: float | None = None
         self._since_us = -NO_LIMIT_US
         self._count = EstimatorCounters()
@@ -348,6 +365,9 @@ class ForceEstimator:
     def tare(self) -> None:
         """Make the present state zero: the latest frames become the reference.
 
+        While the zero is unknown, a release must have been seen since the start: a contact that was
+        there from the beginning looks like none.
+
         Raises:
             TareError: Not ready, in contact, too few still frames, or a model without reference.
         """
@@ -359,19 +379,62 @@ class ForceEstimator:
         if self._frame is None or not self._recent:
             raise TareError(f'there are no estimates yet: {self._reason()}')
         largest = self.force_scale * max(self._recent, key=abs)
-        if abs(largest) > self.contact_threshold_n:
+        if reference.known and abs(largest) > self.contact_threshold_n:
             raise TareError(
                 f'in contact ({largest:.2f} N within the last {len(self._recent)} windows)',
                 remedy='release the sensor and try again',
             )
+        self._refuse_contact(reference, self._frame.picture)
         reference.renew()
+        self._other_camera = False
         self._estimator.clear()
         self._validity.clear()
+        self._release = Release()
         self._recent.clear()
+
+    def _refuse_contact(self, reference: Reference, picture: PictureFigures | None) -> None:
+        """Raise where the picture shows a contact, or cannot rule one out."""
+        if picture is None:
+            return
+        alike = picture.likeness >= LEAST_LIKENESS
+        if reference.known and alike and abs(picture.outward) > CONTACT:
+            raise TareError(
+                'in contact: the skin is displaced against the reference',
+                remedy='release the sensor and try again; delete the stored reference if it is that'
+                ' of a contact',
+            )
+        if not reference.known and not self._release.seen:
+            raise TareError(
+                'nobody knows whether something touched the sensor at the start, and no release'
+                ' was seen since',
+                remedy='touch the sensor, release it and try again, or set assume_free',
+            )
+
+    def use_reference(self, array: NDArray[np.float32]) -> None:
+        """Use a stored reference of the connected camera from now on.
+
+        Args:
+            array: Coarse log contrast without contact, of `Reference.array`.
+        """
+        if self._estimator.reference is not None:
+            self._estimator.reference.use(array)
+        self._other_camera = False
+        self._start_over()
+
+    def change_camera(self) -> None:
+        """Forget the zero: another camera was connected."""
+        self.reset()
+        self._other_camera = True
+        if self._estimator.reference is not None:
+            self._estimator.reference.assume_free = False
+
+    def _start_over(self) -> None:
+        self._forget()
+        self._release = Release()
 
     def reset(self) -> None:
         """Start over: the next still frames become the reference."""
-        self._forget()
+        self._start_over()
         if self._estimator.reference is not None:
             self._estimator.reference.forget()
 
@@ -455,9 +518,16 @@ class ForceEstimator:
 
     def _check(self, frame: EncodedFrame, then: float | None) -> None:
         self._validity.frame(frame.mid_us, frame.contrast, frame.picture, frame.force, then)
+        if frame.picture is not None:
+            self._release.frame(frame.picture)
 
     def _distrust(self, raw: float, age_us: int) -> Reason:
         """Return why a force cannot be trusted, before `force_scale` [N]."""
+        reference = self._estimator.reference
+        if self._other_camera:
+            return Reason.OTHER_CAMERA
+        if reference is not None and not reference.known:
+            return Reason.ZERO_UNKNOWN
         reason = self._validity.reason
         if reason is not Reason.TRUSTED:
             return reason

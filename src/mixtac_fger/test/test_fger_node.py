@@ -95,6 +95,7 @@ def estimator(node_under_test, tmp_path, model, monkeypatch) -> Estimator:
         contact_threshold=10.0,
         reference='reference.npz',
         invalid_force='publish',
+        assume_free=True,
     )
 
 

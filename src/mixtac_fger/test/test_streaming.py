@@ -12,6 +12,7 @@ from mixtac_fger.features import ImageError
 from mixtac_fger.fger_net import SPREAD_WINDOWS, FgerEstimator
 from mixtac_fger.reference import TareError
 from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.validity import Reason
 
 
 def still_frames(estimator: ForceEstimator, trial, count: int = 5) -> None:
@@ -119,7 +120,7 @@ def test_events_outside_the_sensor_are_ignored(model, trial):
 
 
 def test_tare_refuses_in_contact_and_zeroes_otherwise(model, trial):
-    estimator = ForceEstimator(FgerEstimator(model))
+    estimator = ForceEstimator(FgerEstimator(model), assume_free=True)
     with pytest.raises(TareError):
         estimator.tare()
     still_frames(estimator, trial)
@@ -128,18 +129,108 @@ def test_tare_refuses_in_contact_and_zeroes_otherwise(model, trial):
     with pytest.raises(TareError) as caught:
         estimator.tare()
     assert caught.value.remedy
-    lenient = ForceEstimator(FgerEstimator(model), contact_threshold_n=1e6)
+    lenient = ForceEstimator(FgerEstimator(model), contact_threshold_n=1e6, assume_free=True)
     still_frames(lenient, trial)
     lenient.push_events(noise_events(200_000, 240_000, 20_000), 240_000)
     lenient.tare()
     seen = FgerEstimator(model)
-    fresh = ForceEstimator(seen)
+    fresh = ForceEstimator(seen, assume_free=True)
     still_frames(fresh, trial)
     fresh.push_events(noise_events(200_000, 240_000, 100), 240_000)
     seen.clear()
     assert lenient.push_events(Events.empty(), 242_000) == fresh.push_events(
         Events.empty(), 242_000
     )
+
+
+def noisy_frames(estimator: ForceEstimator, image, start_us: int, count: int = 6) -> None:
+    random = np.random.default_rng(start_us)
+    for index in range(count):
+        shown = np.clip(image + random.normal(0.0, 3.0, image.shape), 0, 1023).astype(np.uint16)
+        middle = start_us + index * 40_000
+        estimator.push_frame(shown, middle)
+        events = noise_events(middle, middle + 40_000, 600, middle)
+        estimator.push_events(events, middle + 40_000)
+
+
+def states(trial) -> tuple[np.ndarray, np.ndarray]:
+    """Return pictures of the toy sensor, free and pressed."""
+    return trial.frames[0], trial.frames[
+        int(np.argmax(np.interp(trial.exposure_start_us + 3000, trial.t_us, trial.force)))
+    ]
+
+
+def reasons(estimator: ForceEstimator, end_us: int) -> set[Reason]:
+    return {each.reason for each in estimator.push_events(Events.empty(), end_us)}
+
+
+@pytest.mark.parametrize('pressed', [False, True])
+def test_no_force_is_valid_before_the_zero_is_known(model, trial, pressed):
+    estimator = ForceEstimator(FgerEstimator(model), contact_threshold_n=1e6)
+    noisy_frames(estimator, states(trial)[pressed], 0, 12)
+    assert reasons(estimator, 490_000) == {Reason.ZERO_UNKNOWN}
+    with pytest.raises(TareError):
+        estimator.tare()
+    assert reasons(estimator, 500_000) == {Reason.ZERO_UNKNOWN}
+
+
+@pytest.mark.parametrize(
+    ('steps', 'accepted'),
+    [
+        ((1, 0), True),
+        ((0, 1, 0), True),
+        ((0, 1), False),
+        ((0, 0), False),
+        ((1, 1), False),
+    ],
+    ids=['released', 'touched', 'pressed', 'never touched', 'always pressed'],
+)
+def test_tare_of_an_unknown_zero_asks_for_a_release(model, trial, steps, accepted):
+    estimator = ForceEstimator(FgerEstimator(model), contact_threshold_n=1e6)
+    for place, pressed in enumerate(steps):
+        noisy_frames(estimator, states(trial)[pressed], place * 400_000, 10)
+    if not accepted:
+        with pytest.raises(TareError):
+            estimator.tare()
+        return
+    estimator.tare()
+    noisy_frames(estimator, states(trial)[0], 1_200_000)
+    assert Reason.ZERO_UNKNOWN not in reasons(estimator, 1_460_000)
+
+
+def test_tare_refuses_in_contact_whatever_the_estimate(model, trial):
+    estimator = ForceEstimator(FgerEstimator(model), contact_threshold_n=1e6, assume_free=True)
+    free, pressed = states(trial)
+    noisy_frames(estimator, free, 0, 8)
+    noisy_frames(estimator, pressed, 400_000, 10)
+    with pytest.raises(TareError):
+        estimator.tare()
+    noisy_frames(estimator, free, 800_000, 10)
+    estimator.tare()
+
+
+def test_another_camera_needs_a_zero_of_its_own(model, trial):
+    estimator = ForceEstimator(FgerEstimator(model), assume_free=True)
+    noisy_frames(estimator, trial.frames[0], 0, 8)
+    kept = estimator.reference.array
+    assert Reason.OTHER_CAMERA not in reasons(estimator, 330_000)
+    estimator.change_camera()
+    noisy_frames(estimator, trial.frames[0], 400_000, 10)
+    assert reasons(estimator, 810_000) == {Reason.OTHER_CAMERA}
+    estimator.use_reference(kept)
+    noisy_frames(estimator, trial.frames[0], 840_000)
+    assert Reason.OTHER_CAMERA not in reasons(estimator, 1_100_000)
+
+
+@pytest.mark.parametrize(('level', 'moves', 'still'), [(12, 0, True), (3, 0, True), (12, 4, False)])
+def test_noise_alone_does_not_disturb_the_reference(model, trial, level, moves, still):
+    estimator = ForceEstimator(FgerEstimator(model))
+    random = np.random.default_rng(1)
+    for index in range(6):
+        image = np.roll(trial.frames[0], index * moves, axis=1)
+        shown = np.clip(image + random.normal(0.0, 3.0 * level, image.shape), 1, 1023)
+        estimator.push_frame(shown.astype(np.uint16), index * 40_000)
+    assert (estimator.reference.array is not None) == still
 
 
 def test_reset_starts_over(model, trial):

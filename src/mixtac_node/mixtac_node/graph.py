@@ -206,6 +206,11 @@ def is_virtual(device: str) -> bool:
     return device.partition(':')[0] == 'virtual'
 
 
+def is_camera(device: str) -> bool:
+    """Return whether a device is a real camera: neither the virtual sensor nor a recording."""
+    return not is_virtual(device) and not Path(device).exists() and '/' not in device
+
+
 def sensor_graph(
     device: str,
     *,
@@ -257,6 +262,8 @@ def sensor_graph(
         ]
     clock = {'playback_clock': True} if simulated_time else {}
     follow = {'use_sim_time': True} if simulated_time else {}
+    # Nothing touches the virtual sensor before it is asked to, nor a sensor that is being recorded.
+    free = {} if is_camera(device) else {'assume_free': True}
     estimation = [
         NodeSpec(
             'mixtac_driver',
@@ -271,7 +278,7 @@ def sensor_graph(
             'fger',
             lifecycle=True,
             required=True,
-            overrides={**follow, **(estimator or {})},
+            overrides={**free, **follow, **(estimator or {})},
         ),
     ]
     if single_process and simulated_time:

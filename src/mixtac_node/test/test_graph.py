@@ -36,6 +36,8 @@ def test_a_camera_needs_driver_and_estimator():
     assert names(nodes) == ['driver', 'fger']
     assert [node.name for node in nodes if node.lifecycle] == ['fger']
     assert all(node.required for node in nodes)
+    # Whether something touches a real sensor at the start is not known.
+    assert overrides(nodes)['fger'] == {}
 
 
 def test_the_virtual_sensor_comes_first_and_shares_its_socket():
@@ -43,6 +45,7 @@ def test_the_virtual_sensor_comes_first_and_shares_its_socket():
     assert names(nodes) == ['virtual_sensor', 'driver', 'fger']
     assert overrides(nodes)['virtual_sensor'] == {'socket': '/a/b.sock', 'device_seed': 5}
     assert overrides(nodes)['driver'] == {'device': 'virtual:/a/b.sock'}
+    assert overrides(nodes)['fger'] == {'assume_free': True}
 
 
 def test_additions_stand_between_sensor_and_driver():
@@ -58,7 +61,7 @@ def test_simulated_time_comes_from_the_driver():
     found = overrides(sensor_graph('/some/bag', simulated_time=True))
     assert found == {
         'driver': {'device': '/some/bag', 'playback_clock': True},
-        'fger': {'use_sim_time': True},
+        'fger': {'assume_free': True, 'use_sim_time': True},
     }
     with pytest.raises(GraphError):
         sensor_graph('/some/bag', simulated_time=True, single_process=True)

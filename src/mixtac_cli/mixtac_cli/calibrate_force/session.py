@@ -125,7 +125,8 @@ class LiveProcedure:
             ForceCalibrationError: The sensor cannot be calibrated by what was seen.
             GraphError: A node failed.
         """
-        estimator = {'model': str(model.resolve()), 'force_scale': 1.0}
+        # It asks for an untouched sensor before it starts one.
+        estimator = {'model': str(model.resolve()), 'force_scale': 1.0, 'assume_free': True}
         nodes = sensor_graph(self._device, estimator=estimator)
         self._console.print('starting the sensor; a first start compiles for some minutes')
         with ProcessGroup() as processes, Monitor(self._namespace, SESSION_S) as monitor:
