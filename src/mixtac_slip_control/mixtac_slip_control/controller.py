@@ -175,6 +175,11 @@ class SlipController:
             self._advance.on_force(force_n, stamp_us, now_s)
         self.tick(now_s)
 
+    def on_quality(self, untrusted: str, now_s: float) -> None:
+        """Take why the latest force cannot be trusted; empty if it can."""
+        self.watch.on_quality(untrusted)
+        self.tick(now_s)
+
     def on_joint_state(self, positions: Sequence[float], now_s: float) -> None:
         """Take the joint positions [rad] of the arm, in the planner's order."""
         self.watch.on_joint_state(positions, now_s)

@@ -120,6 +120,7 @@ class SafetyWatch:
         self._wrong: dict[str, str] = {}
         self._saturated = self._lost = 0
         self._force_stamp_us: int | None = None
+        self._untrusted = ''
 
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other limits and ages from now on."""
@@ -143,6 +144,10 @@ class SafetyWatch:
         self.force = force_n
         self._arrived[FORCE] = now_s
         return True
+
+    def on_quality(self, untrusted: str) -> None:
+        """Record why the latest force cannot be trusted; empty if it can."""
+        self._untrusted = untrusted
 
     def on_joint_state(self, positions: Sequence[float], now_s: float) -> None:
         """Record joint positions [rad]."""
@@ -168,6 +173,8 @@ class SafetyWatch:
 
     def fault(self, now_s: float) -> str | None:
         """Return why the arm may not follow slip now, or None."""
+        if self._untrusted:
+            return f'the force is not valid: {self._untrusted}'
         return self._stale(now_s) or self._limits()
 
     def _stale(self, now_s: float) -> str | None:

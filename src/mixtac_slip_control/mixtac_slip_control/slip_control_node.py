@@ -21,7 +21,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError
-from mixtac_msgs.msg import SlipState
+from mixtac_msgs.msg import ForceQuality, SlipState
 from mixtac_node import topics
 from mixtac_node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
@@ -40,6 +40,12 @@ from mixtac_slip_control.parameters import SlipControlParameters
 from mixtac_slip_control.safety import InterlockState
 
 STEP_FIELDS = tuple(f.name for f in dataclasses.fields(SlipStep) if f.name != 'end_us')
+REASONS = {
+    getattr(ForceQuality, name): name.lower().replace('_', ' ')
+    for name in dir(type(ForceQuality))
+    if name.isupper()
+}
+"""Why a force is not valid, by the number in the message."""
 WATCH_PERIOD_S = 5e-3
 """Period of the watchdogs while nothing arrives [s]."""
 
@@ -72,6 +78,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self.subscribe_topic(topics.EVENTS, self._on_events)
         self.subscribe_topic(topics.IMAGE_RAW, self._on_image)
         self.subscribe_topic(topics.FORCE, self._on_force)
+        self.subscribe_topic(topics.FORCE_QUALITY, self._on_quality)
         self.create_subscription(Empty, p.heartbeat_topic, self._on_heartbeat, QOS_SENSOR)
         self.create_timer(WATCH_PERIOD_S, self._watch)
         self._diagnostics = DiagnosticsPublisher(self, 'slip_control', self._status)
@@ -142,6 +149,11 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
     def _on_force(self, message: topics.ForceMessage) -> None:
         stamp_us = stamp_to_us(message.header.stamp)
         self._controller.on_force(topics.normal_force(message), stamp_us, self._now_s())
+        self._brake()
+
+    def _on_quality(self, message: ForceQuality) -> None:
+        untrusted = '' if message.valid else REASONS.get(message.reason, 'unknown reason')
+        self._controller.on_quality(untrusted, self._now_s())
         self._brake()
 
     def _on_heartbeat(self, _message: Empty) -> None:

@@ -209,6 +209,24 @@ def test_each_fault_stops_for_good(reason: str) -> None:
     assert rig.controller.total_advance == 0.0
 
 
+def test_a_force_that_is_not_valid_stops_and_cannot_be_enabled_on() -> None:
+    rig = Rig().enabled()
+    rig.controller.on_quality('zero unknown', rig.now)
+    lock = rig.controller.interlock
+    assert lock.state is InterlockState.STOPPED
+    assert 'zero unknown' in lock.reason
+    with pytest.raises(SlipControlError):
+        rig.controller.reset(rig.now)
+    rig.controller.on_quality('', rig.now)
+    rig.controller.reset(rig.now)
+    rig.controller.on_quality('stale', rig.now)
+    with pytest.raises(SlipControlError):
+        rig.controller.enable(rig.now)
+    rig.controller.on_quality('', rig.now)
+    rig.controller.enable(rig.now)
+    assert rig.controller.enabled
+
+
 def test_a_stop_is_not_reset_while_its_cause_lasts() -> None:
     rig = Rig().enabled()
     rig.controller.on_force(2.0, 1000 * rig.ms + 1, rig.now)

@@ -64,11 +64,20 @@ def test_an_input_never_heard_of_stops(name: str) -> None:
     assert watch.fault(NOW) == f'no {name} so far'
 
 
+def test_a_force_that_is_valid_again_may_be_followed() -> None:
+    watch = heard()
+    watch.on_quality('stale')
+    assert watch.fault(NOW) is not None
+    watch.on_quality('')
+    assert watch.fault(NOW) is None
+
+
 TRIPS: dict[str, Callable[[SafetyWatch], None]] = {
     'force is nan': lambda w: w.on_force(math.nan, 2000, NOW),
     'force is inf': lambda w: w.on_force(math.inf, 2000, NOW),
     'joint positions are': lambda w: w.on_joint_state((math.nan, *READY[1:]), NOW),
     'joint 1 is at its end': lambda w: w.on_joint_state((2.5, *READY[1:]), NOW),
+    'not valid: light changed': lambda w: w.on_quality('light changed'),
     'above max_force': lambda w: w.on_force(1.6, 2000, NOW),
     'saturated': lambda w: [w.on_window(9000, complete=True, now_s=NOW) for _ in range(2)] and None,
     'missing': lambda w: [w.on_window(30, complete=False, now_s=NOW) for _ in range(5)] and None,
