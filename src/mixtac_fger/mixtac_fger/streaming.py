@@ -384,7 +384,10 @@ class ForceEstimator:
                 f'in contact ({largest:.2f} N within the last {len(self._recent)} windows)',
                 remedy='release the sensor and try again',
             )
-        self._refuse_contact(reference, self._frame.picture)
+        if self._worker is not None:
+            self._keep(self._worker.results())
+        latest = self._encoded[-1] if self._encoded else self._frame
+        self._refuse_contact(reference, latest.picture)
         reference.renew()
         self._other_camera = False
         self._estimator.clear()

@@ -169,7 +169,7 @@ def check_quality(received, quality) -> None:
 
 
 def tare_with_still_frames(estimator, trial) -> None:
-    images = estimator.graph.node.create_publisher(Image, '/mixtac/image_raw', QOS_SENSOR)
+    images = estimator.graph.node.create_publisher(Image, '/mixtac/image_raw', QOS)
     replies = []
 
     def ask() -> None:
