@@ -8,15 +8,14 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-rclpy = pytest.importorskip('rclpy', reason='needs ROS 2')
+pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from mixtac_node.stamps import ns_to_stamp, stamp_to_ns, stamp_to_us, us_to_stamp  # noqa: E402
+from mixtac_node.stamps import ns_to_stamp, stamp_to_ns, stamp_to_us, us_to_stamp
 
 NODE = textwrap.dedent(
     """
@@ -109,47 +108,35 @@ def test_bad_start_values_are_refused(start, value: str):
 
 
 @pytest.mark.dds
-def test_parameters_and_diagnostics_over_dds(start):
+def test_parameters_and_diagnostics_over_dds(start, node_under_test):
     from diagnostic_msgs.msg import DiagnosticArray
-    from rclpy.node import Node
+    from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import Parameter
-    from rclpy.parameter_client import AsyncParameterClient
 
     process = start('gain:=2')
-    rclpy.init()
-    try:
-        node = Node('probe')
-        seen: list[DiagnosticArray] = []
-        node.create_subscription(DiagnosticArray, '/diagnostics', seen.append, 10)
-        client = AsyncParameterClient(node, 'example')
-        assert client.wait_for_services(20)
+    seen = node_under_test.listen(DiagnosticArray, '/diagnostics', 10)
 
-        def set_value(name: str, value: object):
-            future = client.set_parameters([Parameter(name, value=value)])
-            rclpy.spin_until_future_complete(node, future, timeout_sec=10)
-            return future.result().results[0]
+    def set_value(name: str, value: object):
+        request = SetParameters.Request()
+        request.parameters = [Parameter(name, value=value).to_parameter_msg()]
+        return node_under_test.call(SetParameters, '/example/set_parameters', request).results[0]
 
-        assert set_value('gain', 4.0).successful
-        refused = set_value('gain', 3.0)
-        assert not refused.successful
-        assert refused.reason == 'gain 3 is taken'
-        fixed = set_value('device', 'b')
-        assert not fixed.successful
-        assert 'device' in fixed.reason
-        seen.clear()
-        deadline = time.monotonic() + 10
-        while not seen and time.monotonic() < deadline:
-            rclpy.spin_once(node, timeout_sec=0.1)
-        status = seen[-1].status[0]
-        assert (status.name, status.hardware_id, status.message) == (
-            'example',
-            'serial-7',
-            'running',
-        )
-        assert {each.key: each.value for each in status.values} == {'gain': '4', 'frames': '3'}
-        node.destroy_node()
-    finally:
-        rclpy.shutdown()
+    assert set_value('gain', 4.0).successful
+    refused = set_value('gain', 3.0)
+    assert not refused.successful
+    assert refused.reason == 'gain 3 is taken'
+    fixed = set_value('device', 'b')
+    assert not fixed.successful
+    assert 'device' in fixed.reason
+    seen.clear()
+    node_under_test.spin_until(lambda: seen)
+    assert node_under_test.diagnostics('example') == {
+        'gain': '4',
+        'frames': '3',
+        'level': '0',
+        'message': 'running',
+        'hardware_id': 'serial-7',
+    }
     process.send_signal(signal.SIGTERM)
     stdout, _ = process.communicate(timeout=20)
     assert process.returncode == 0
