@@ -305,7 +305,13 @@ def find_plateaus(t_s: F64, force_n: F64, loads: Sequence[Load]) -> list[Plateau
         before = stretches[max(i for i in free if i < index)]
         after = next((stretches[i] for i in free if i > index), None)
         if after is None:
-            raise zero_lost(before.mean_n, float(binned(t_s, force_n)[1][-5:].mean()))
+            last = stretches[index]
+            raise ForceCalibrationError(
+                f'the estimate does not come to rest near zero after the load at {last.start_s:.1f}'
+                f' to {last.end_s:.1f} s; at the end it is'
+                f' {float(binned(t_s, force_n)[1][-5:].mean()):.3f} N',
+                'zero',
+            )
         unloading = touched[index - 1] and stretches[index - 1].mean_n > stretches[index].mean_n
         plateaus.append(plateau_of(stretches[index], before, after, unloading=unloading))
     if not plateaus or 0 < len(plateaus) < len(loads):
