@@ -309,7 +309,7 @@ def weights(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     turn = 0.3 * span_s
     for index, grams in enumerate(WEIGHTS_G):
         force = 1e-3 * GRAVITY * grams
-        begin = start_s + 0.05 * span_s + index * turn
+        begin = start_s + 0.08 * span_s + index * turn
         down = begin + rng.uniform(0.08, 0.2) * turn
         up, end = begin + 0.6 * turn, begin + 0.67 * turn
         segments += [

@@ -70,7 +70,7 @@ def test_shipped_run_is_that_of_the_table():
 
 
 def test_known_weights_give_the_gain_within_their_error():
-    t_us = np.arange(2000, 18_000_001, 2000)
+    t_us = np.arange(300_000, 18_000_001, 2000)
     true = np.zeros(len(t_us))
     for segment in make_profile('weights', 3, 18.0).segments:
         inside = (t_us > 1e6 * segment.start_s) & (t_us <= 1e6 * segment.end_s)
