@@ -26,6 +26,7 @@ STUDIES = {
     'grasps': f'{PAPER}.slip:grasps',
     'difficulty': f'{STUDY}.difficulty:difficulty',
     'ablation': f'{STUDY}.difficulty:ablation',
+    'faults': f'{STUDY}.faults:faults',
     'models': f'{STUDY}.models:models',
     'adaptation': f'{STUDY}.models:adaptation',
     'alignment': f'{STUDY}.alignment:alignment',

@@ -1,0 +1,549 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the force says when it cannot be trusted: faults in simulated trials, and false alarms.
+
+A fault is a change of the frames and events of a trial from some time on. `SEEN` faults were known
+when the checks were made; no threshold was chosen by any of them. `UNSEEN` faults were written
+afterwards and tell what the checks are worth for faults that nobody thought of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+
+from mixtac_cli.options import JsonFile
+from mixtac_events.arrays import Events
+from mixtac_fger.estimator import Estimate, open_estimator
+from mixtac_fger.reference import TareError
+from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.validity import Reason
+from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
+from mixtac_lab.figures import make_table, save_result
+from mixtac_learning.judge.metrics import fit_scale
+from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_learning.trials.trial import TrialArrays
+from mixtac_recordings.messages import left_aligned
+from mixtac_sim.world.training_trials import TrialSpec
+
+FULL_SCALE = 1023
+"""Brightest value of a frame [DN]."""
+Image = NDArray[np.uint16]
+Random = np.random.Generator
+
+
+@dataclass(slots=True)
+class Stream:
+    """A trial as it arrives; faults change it from `begin_us` on. Camera clock [us].
+
+    Attributes:
+        frames: Images, uint16, 0 to `FULL_SCALE`; None for one that does not arrive.
+        mid_us: Centre of each exposure.
+        arrival_us: Arrival of each frame.
+        events: Events.
+        begin_us: When the fault begins.
+        random: For the fault's own choices.
+        other: A trial of another sensor.
+    """
+
+    frames: list[Image | None]
+    mid_us: NDArray[np.int64]
+    arrival_us: NDArray[np.int64]
+    events: Events
+    begin_us: int
+    random: Random
+    other: TrialArrays
+
+    @property
+    def later(self) -> NDArray[np.bool_]:
+        """Which events come after the begin of the fault."""
+        return self.events.t >= self.begin_us
+
+
+def stream_of(trial: TrialArrays, begin_us: int, other: TrialArrays, seed: int = 0) -> Stream:
+    """Return a trial without a fault."""
+    middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
+    random = np.random.default_rng(seed)
+    frames: list[Image | None] = list(np.minimum(trial.frames, np.uint16(FULL_SCALE)))
+    return Stream(frames, middle, trial.arrival_us, trial.events, begin_us, random, other)
+
+
+Fault = Callable[[Stream], None]
+
+
+def of_images(change: Callable[[NDArray[np.float64], Random], NDArray[np.floating]]) -> Fault:
+    """Return the fault that changes every image, given as float64 [DN]."""
+
+    def fault(stream: Stream) -> None:
+        for index, (image, middle) in enumerate(zip(stream.frames, stream.mid_us, strict=True)):
+            if image is not None and middle >= stream.begin_us:
+                found = change(image.astype(np.float64), stream.random)
+                stream.frames[index] = np.clip(found, 0, FULL_SCALE).astype(np.uint16)
+
+    return fault
+
+
+def of_events(change: Callable[[Events, Random], Events]) -> Fault:
+    """Return the fault that changes the events after its begin."""
+
+    def fault(stream: Stream) -> None:
+        later = stream.later
+        parts = [stream.events[~later], change(stream.events[later], stream.random)]
+        events = Events.concatenate(parts)
+        stream.events = events[np.argsort(events.t, kind='stable')]
+
+    return fault
+
+
+def both(*faults: Fault) -> Fault:
+    """Return several faults at once."""
+
+    def fault(stream: Stream) -> None:
+        for each in faults:
+            each(stream)
+
+    return fault
+
+
+def _frozen(stream: Stream) -> None:
+    latest = None
+    for index, middle in enumerate(stream.mid_us):
+        if middle < stream.begin_us or latest is None:
+            latest = stream.frames[index]
+        stream.frames[index] = latest
+
+
+def _frames_of_another(stream: Stream) -> None:
+    for index, middle in enumerate(stream.mid_us):
+        if middle >= stream.begin_us:
+            theirs = stream.other.frames[index % len(stream.other.frames)]
+            stream.frames[index] = np.minimum(theirs, np.uint16(FULL_SCALE))
+
+
+def _all_of_another(stream: Stream) -> None:
+    _frames_of_another(stream)
+    events = stream.events[~stream.later]
+    stream.events = Events.concatenate(
+        [events, stream.other.events[stream.other.events.t >= stream.begin_us]]
+    )
+
+
+def _no_frames(stream: Stream) -> None:
+    for index, middle in enumerate(stream.mid_us):
+        if middle >= stream.begin_us:
+            stream.frames[index] = None
+
+
+def _frames_in_a_loop(stream: Stream) -> None:
+    chosen = [k for k, middle in enumerate(stream.mid_us) if middle >= stream.begin_us]
+    loop = stream.frames[chosen[0] - 10 : chosen[0]]
+    for place, index in enumerate(chosen):
+        stream.frames[index] = loop[place % len(loop)]
+
+
+def _events_in_a_loop(stream: Stream) -> None:
+    length = 400_000
+    events, begin = stream.events, stream.begin_us
+    source = events.between(begin - length, begin)
+    end = int(events.t[-1])
+    copies = [source.shifted(shift) for shift in range(length, end - begin, length)]
+    stream.events = Events.concatenate([events[~stream.later], *copies])
+
+
+def _torn(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
+    return np.concatenate([image[130:], image[:130]])
+
+
+def _striped(image: NDArray[np.float64], random: Random) -> NDArray[np.float64]:
+    return image + random.normal(0.0, 150.0, (len(image), 1))
+
+
+def _speckled(image: NDArray[np.float64], random: Random) -> NDArray[np.float64]:
+    return np.where(random.random(image.shape) < 0.1, random.integers(0, 1024, image.shape), image)
+
+
+def _dim(share: float) -> Fault:
+    """Return a lamp at a share of its light, with the shot noise and steps of so little."""
+
+    def change(image: NDArray[np.float64], random: Random) -> NDArray[np.float64]:
+        electrons = random.poisson(np.maximum(image * share * 10.0, 0.0))
+        return np.asarray(electrons / 10.0 + random.normal(0.0, 1.0, image.shape))
+
+    return of_images(change)
+
+
+def _blurred(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(image, 6.0))
+
+
+def _turned(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
+    from scipy.ndimage import rotate
+
+    return np.asarray(rotate(image, 2.0, reshape=False, mode='nearest', order=1))
+
+
+def _grown(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
+    from scipy.ndimage import affine_transform
+
+    middle = np.array(image.shape) / 2.0
+    return np.asarray(affine_transform(image, [0.96, 0.96], middle * 0.04, order=1, mode='nearest'))
+
+
+def _covered(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
+    image[60:160, 90:200] = 180.0
+    return image
+
+
+def _drop(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
+    y, x = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
+    return np.asarray(image + 500.0 * np.exp(-((x - 120) ** 2 + (y - 90) ** 2) / 800.0))
+
+
+def _moved(columns: int, rows: int = 0) -> Fault:
+    """Return a camera that moved: frames and events."""
+
+    def shift(events: Events, _: Random) -> Events:
+        x = np.clip(events.x.astype(np.int64) + columns, 0, 345).astype(np.uint16)
+        y = np.clip(events.y.astype(np.int64) + rows, 0, 259).astype(np.uint16)
+        return replace(events, x=x, y=y)
+
+    frames = of_images(lambda image, _: np.roll(image, (rows, columns), (0, 1)))
+    return both(frames, of_events(shift))
+
+
+def _mirrored_events(events: Events, _: Random) -> Events:
+    return replace(events, x=(345 - events.x).astype(np.uint16))
+
+
+def _brighter(events: Events, _: Random) -> Events:
+    return replace(events, polarity=np.ones(len(events), np.bool_))
+
+
+def _hot(pixels: int, hz: float) -> Callable[[Events, Random], Events]:
+    def change(events: Events, random: Random) -> Events:
+        first, last = int(events.t[0]), int(events.t[-1])
+        count = int(pixels * hz * 1e-6 * (last - first))
+        places = random.integers(0, 346 * 260, pixels)[random.integers(0, pixels, count)]
+        hot = Events(
+            np.sort(random.integers(first, last, count)),
+            (places % 346).astype(np.uint16),
+            (places // 346).astype(np.uint16),
+            np.ones(count, np.bool_),
+        )
+        return Events.concatenate([events, hot])
+
+    return change
+
+
+def _thinned(share: float) -> Callable[[Events, Random], Events]:
+    return lambda events, random: events[random.random(len(events)) < share]
+
+
+def _swapped(events: Events, _: Random) -> Events:
+    x = np.minimum(events.y.astype(np.int64) * 346 // 260, 345)
+    y = np.minimum(events.x.astype(np.int64) * 260 // 346, 259)
+    return replace(events, x=x.astype(np.uint16), y=y.astype(np.uint16))
+
+
+def _noise_storm(events: Events, random: Random) -> Events:
+    count = int(0.4 * (events.t[-1] - events.t[0]))
+    noise = Events(
+        np.sort(random.integers(events.t[0], events.t[-1], count)),
+        random.integers(0, 346, count).astype(np.uint16),
+        random.integers(0, 260, count).astype(np.uint16),
+        random.random(count) < 0.5,
+    )
+    return Events.concatenate([events, noise])
+
+
+def _half(value: float) -> Callable[[NDArray[np.float64], Random], NDArray[np.float64]]:
+    def change(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
+        image[:, :173] = np.minimum(image[:, :173], value)
+        return image
+
+    return change
+
+
+def _flat(value: float) -> Fault:
+    return of_images(lambda image, random: random.normal(value, 2.0, image.shape))
+
+
+SEEN: dict[str, Fault] = {
+    'lamp at 2 %': _dim(0.02),
+    'one LED dead': of_images(_half(4.0)),
+    'all black': _flat(2.0),
+    'all white': _flat(FULL_SCALE + 50.0),
+    'frame frozen': _frozen,
+    'camera moved by 1 px': _moved(1),
+    'camera moved by 3 px': _moved(2, -2),
+    'camera moved by 10 px': _moved(10),
+    'frames mirrored': of_images(lambda image, _: image[:, ::-1]),
+    'camera mirrored': both(
+        of_images(lambda image, _: image[:, ::-1]), of_events(_mirrored_events)
+    ),
+    'no events': of_events(lambda events, _: events[:0]),
+    'one polarity only': of_events(
+        lambda events, _: replace(events, polarity=events.polarity | 1 > 0)
+    ),
+    '200 hot pixels': of_events(_hot(200, 1000.0)),
+    'another camera': _all_of_another,
+    'no frames': _no_frames,
+    'picture inverted': of_images(lambda image, _: FULL_SCALE - image),
+    'lens out of focus': of_images(_blurred),
+    'lens covered in part': of_images(_covered),
+    'stray light': of_images(lambda image, _: image + 300.0),
+    'events mirrored': of_events(_mirrored_events),
+    'polarity inverted': of_events(lambda events, _: replace(events, polarity=~events.polarity)),
+}
+"""Faults that were known when the checks were made."""
+UNSEEN: dict[str, Fault] = {
+    'frame torn': of_images(_torn),
+    'row noise': of_images(_striped),
+    'a tenth of the pixels random': of_images(_speckled),
+    'picture turned by 2 degrees': of_images(_turned),
+    'picture grown by 4 %': of_images(_grown),
+    'drop on the lens': of_images(_drop),
+    'frames of another sensor': _frames_of_another,
+    'frames in a loop': _frames_in_a_loop,
+    'events in a loop': _events_in_a_loop,
+    'columns and rows of events swapped': of_events(_swapped),
+    'noise of 0.4 Mev/s': of_events(_noise_storm),
+    'a tenth of the events': of_events(_thinned(0.1)),
+    'upside down': both(
+        of_images(lambda image, _: image[::-1]),
+        of_events(lambda events, _: replace(events, y=(259 - events.y).astype(np.uint16))),
+    ),
+    'two bits lost': of_images(lambda image, _: np.mod(image * 4.0, 1024.0)),
+    'exposure 5 times': of_images(lambda image, _: image * 5.0),
+}
+"""Faults that were written after the thresholds were set."""
+
+
+@dataclass(slots=True)
+class Run:
+    """Estimates of a stream; T windows.
+
+    Attributes:
+        end_us: End of each window, camera clock [us], int64 [T].
+        force: Estimate [N], float64 [T].
+        deviation: Its standard deviation [N], float64 [T].
+        reason: Number of the `Reason`, int64 [T].
+    """
+
+    end_us: NDArray[np.int64]
+    force: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    reason: NDArray[np.int64]
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Which forces are valid."""
+        return np.asarray(self.reason == Reason.TRUSTED)
+
+
+def follow(model: Model, stream: Stream, *, from_us: int = 0, tare_us: int = 0) -> Run:
+    """Run the live estimator on a stream.
+
+    Args:
+        model: Content of a weight file.
+        stream: What arrives.
+        from_us: The estimator starts here; other than 0 without the assumption of no contact.
+        tare_us: When to tare; 0 for never.
+
+    Raises:
+        TareError: The tare was refused.
+    """
+    opened = open_estimator(model)
+    estimator = ForceEstimator(opened, assume_free=not from_us)
+    width = opened.window_us
+    ends = np.arange(from_us // width * width + width, int(stream.arrival_us[-1]), width)
+    cuts = np.searchsorted(stream.events.t, [ends[0] - width, *ends])
+    frame = int(np.searchsorted(stream.arrival_us, from_us))
+    rows: list[Estimate] = []
+    for index, end in enumerate(ends.tolist()):
+        while frame < len(stream.frames) and stream.arrival_us[frame] <= end:
+            image = stream.frames[frame]
+            if image is not None:
+                estimator.push_frame(left_aligned(image), int(stream.mid_us[frame]))
+            frame += 1
+        rows += estimator.push_events(stream.events[cuts[index] : cuts[index + 1]], end)
+        if tare_us and end - width < tare_us <= end:
+            estimator.tare()
+    table = [(each.end_us, each.force, each.deviation or 0.0, int(each.reason)) for each in rows]
+    columns = np.array(table, np.float64).reshape(-1, 4).T
+    return Run(columns[0].astype(np.int64), columns[1], columns[2], columns[3].astype(np.int64))
+
+
+AT_MOST_N = 0.1
+"""Error of a valid force that needs no deviation to cover it."""
+COVERED = 1.96
+"""Deviations that cover an error."""
+
+
+def judge_fault(name: str, fault: Fault, model: Model, trials: list[TrialArrays]) -> dict[str, Any]:
+    """Return a row of the table.
+
+    The fault begins at two fifths of each trial. Errors are differences from the same window
+    without the fault: what the model errs without one is no fault's.
+
+    Args:
+        name: Name of the fault.
+        fault: The fault.
+        model: Content of a weight file.
+        trials: Trials of different sensors, in contact from time to time; two or more.
+    """
+    seconds, worst, uncovered, reasons = [], 0.0, 0.0, set()
+    for index, trial in enumerate(trials):
+        begin_us = int(trial.arrival_us[-1]) * 2 // 5
+        other = trials[(index + 1) % len(trials)]
+        whole = follow(model, stream_of(trial, begin_us, other, index))
+        stream = stream_of(trial, begin_us, other, index)
+        fault(stream)
+        run = follow(model, stream)
+        change = np.abs(run.force - np.interp(run.end_us, whole.end_us, whole.force))
+        scale = fit_scale(whole.force, trial.label().at(whole.end_us).astype(np.float64))
+        after = run.end_us > begin_us
+        found = run.end_us[after & ~run.valid]
+        # An undetected fault that changes the force by less than noise does no harm.
+        harmless = not len(found) and scale * change[after].max(initial=0.0) < AT_MOST_N
+        late = np.inf if not len(found) else 1e-6 * (found[0] - begin_us)
+        seconds.append(0.0 if harmless else late)
+        trusted = after & run.valid
+        error = scale * change[trusted]
+        worst = max(worst, float(error.max(initial=0.0)))
+        excess = error - COVERED * scale * run.deviation[trusted]
+        uncovered = max(uncovered, float(np.minimum(error, excess + AT_MOST_N).max(initial=0.0)))
+        reasons |= {Reason(int(each)).name for each in np.unique(run.reason[after & ~run.valid])}
+    return {
+        'fault': name,
+        'seen': name in SEEN,
+        'seconds_to_invalid': max(seconds) if np.isfinite(max(seconds)) else None,
+        'worst_error_valid_n': round(worst, 4),
+        'worst_uncovered_n': round(uncovered, 4),
+        'undetected': int(np.sum(~np.isfinite(seconds))),
+        'trials': len(trials),
+        'reasons': sorted(reasons),
+    }
+
+
+def false_alarms(model: Model, trials: list[TrialArrays]) -> dict[str, Any]:
+    """Return how often forces of trials without a fault are not valid, but for real saturation."""
+    hours = invalid = 0.0
+    for trial in trials:
+        run = follow(model, stream_of(trial, 0, trial))
+        hours += len(run.end_us) * 2e-3 / 3600.0
+        invalid += float(np.sum(~run.valid & (run.reason != Reason.SATURATED)))
+    return {
+        'false_invalid_per_hour': invalid / hours,
+        'false_invalid_minutes_in_ten_hours': invalid * 2e-3 / 60.0 / hours * 10.0,
+        'hours_without_fault': hours,
+    }
+
+
+def pressed_starts(model: Model, trials: list[TrialArrays]) -> dict[str, int]:
+    """Start the estimator, and tare it, while the sensor is pressed with 0.1 N or more."""
+    counts = dict.fromkeys(('starts', 'forces_valid', 'tares', 'tares_accepted'), 0)
+    for trial in trials:
+        label = trial.label()
+        middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
+        force = label.at(middle)
+        held = [
+            int(trial.arrival_us[k])
+            for k in range(10, len(force) - 20)
+            if force[k - 6 : k + 12].min() > 0.1 and np.ptp(force[k - 6 : k + 12]) < 0.02
+        ]
+        if not held:
+            continue
+        at_us = held[len(held) // 2]
+        stream = stream_of(trial, 0, trial)
+        counts['starts'] += 1
+        run = follow(model, stream, from_us=at_us - 200_000)
+        counts['forces_valid'] += int(run.valid.sum())
+        for from_us in (0, at_us - 200_000):
+            counts['tares'] += 1
+            try:
+                follow(model, stream, from_us=from_us, tare_us=at_us + 200_000)
+            except TareError:
+                continue
+            counts['tares_accepted'] += 1
+    return counts
+
+
+FIRST_SEED = 880_000
+"""First seed of sensors and trials: beyond those of training, evaluation and thresholds."""
+PRESETS = ('paper_like', 'easy', 'hard')
+
+
+def _trials(profile: str, count: int, seconds: float, first: int) -> list[TrialArrays]:
+    return [
+        SimulatedSource(
+            TrialSpec(first + k, first + k, profile, seconds, PRESETS[k % len(PRESETS)])
+        ).load()
+        for k in range(count)
+    ]
+
+
+def faults(
+    model: Annotated[
+        str, typer.Option(help='Weight file, or name of a shipped model.')
+    ] = DEFAULT_MODEL,
+    quick: Annotated[
+        bool, typer.Option('--quick', help='All faults, on two sensors; fewer other trials.')
+    ] = False,
+    json: JsonFile = None,
+) -> None:
+    """Show how soon a force says that it cannot be trusted, and how often it says so wrongly."""
+    loaded = read_model(find_model(model))
+    sensors, others, starts = (2, 3, 3) if quick else (6, 60, 50)
+    seconds = 5.0 if quick else 12.0
+    table = {**SEEN, **UNSEEN}
+    with Progress(transient=True) as progress:
+        bar = progress.add_task('simulating', total=len(table) + 3)
+        trials = _trials('dynamic', sensors, seconds, FIRST_SEED)
+        free = [
+            *trials,
+            *_trials('press', others, seconds, FIRST_SEED + 1000),
+            *_trials('oscillation', others, seconds, FIRST_SEED + 2000),
+        ]
+        progress.advance(bar)
+        alarms = false_alarms(loaded, free)
+        progress.advance(bar)
+        held = free if quick else _trials('static', starts, 4.0, FIRST_SEED + 3000)
+        pressed = pressed_starts(loaded, held)
+        progress.advance(bar)
+        rows = []
+        for name, fault in table.items():
+            progress.update(bar, description=name)
+            rows.append(judge_fault(name, fault, loaded, trials))
+            progress.advance(bar)
+    shown = [
+        (
+            row['fault'] + ('' if row['seen'] else ' *'),
+            'never' if row['seconds_to_invalid'] is None else f'{row["seconds_to_invalid"]:.2f}',
+            f'{row["worst_error_valid_n"]:.3f}',
+            f'{row["worst_uncovered_n"]:.3f}',
+            ', '.join(row['reasons']),
+        )
+        for row in rows
+    ]
+    headings = (
+        'fault (* not known before)',
+        'invalid after [s]',
+        'worst valid [N]',
+        'not covered [N]',
+        'reasons',
+    )
+    console = Console()
+    console.print(make_table('faults, simulated', headings, shown))
+    console.print({**alarms, **pressed})
+    result = {'model': str(find_model(model)), 'quick': quick, **alarms, 'pressed': pressed}
+    save_result(json, {**result, 'rows': rows})
