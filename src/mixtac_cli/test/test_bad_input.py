@@ -30,6 +30,7 @@ TOPICS = {
 NOT_UTF8 = b'no\xff\xfe'.decode('utf8', 'surrogateescape')
 PATHS = ('nowhere', 'empty', 'junk', 'folder', 'deep.yaml', 'latin.yaml', 'list.yaml', 'typo.yaml')
 PATHS += ('x.mcap', 'x.db3', 'x.aedat4', 'x.safetensors', 'short', 'wild', 'a' * 300, NOT_UTF8, '')
+OPTIONS = ('nowhere', 'empty', 'folder', 'deep.yaml', 'latin.yaml', 'typo.yaml', NOT_UTF8, '')
 OUTPUTS = ('empty/below', 'folder', 'a' * 300, '')
 COMPUTING = ('bench', 'experiments', 'train', 'evaluate', 'simulate', 'demo')
 """Commands that work without a recording: values that they take would start the work."""
@@ -95,12 +96,16 @@ def calls(words: str, command: Any) -> Iterator[list[str]]:
         elif computing and parameter.name != 'json':
             continue
         elif kind(parameter) == 'Path':
-            outputs = parameter.name in {'out', 'json', 'figures', 'figure'}
-            yield from (line(parameter, value) for value in (OUTPUTS if outputs else PATHS))
+            values = PATHS if parameter.param_type_name == 'argument' else OPTIONS
+            if parameter.name in {'out', 'json', 'figures', 'figure'}:
+                values = OUTPUTS
+            yield from (line(parameter, value) for value in values)
         else:
             yield from (line(parameter, value) for value in ('', '/no such', NOT_UTF8))
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_no_command_ends_in_a_traceback(commands, inputs, tmp_path, monkeypatch, capsys):
     def refuse(*_: object, **__: object) -> None:
         raise GraphError('no process in this test')
