@@ -248,7 +248,7 @@ STRONG_CHANGE = 0.25
 """Change of a bin that lies above the thresholds of its pixels [log units]."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={'reassoc', 'contract', 'nsz'})
 def agreement(before: F32, after: F32, signs: F32) -> tuple[float, float, float, int, float]:
     """Compare the change between two frames with the events between their exposures.
 
@@ -264,7 +264,7 @@ def agreement(before: F32, after: F32, signs: F32) -> tuple[float, float, float,
     """
     rows, columns = before.shape
     change = told = both = change_mean = told_mean = strong = told_of = np.float64(0.0)
-    bins = 0
+    bins = np.float64(0.0)
     for row in range(rows):
         for column in range(columns):
             a = np.float64(after[row, column]) - np.float64(before[row, column])
@@ -275,10 +275,11 @@ def agreement(before: F32, after: F32, signs: F32) -> tuple[float, float, float,
             change += a * a
             told += b * b
             both += a * b
-            if abs(a) > STRONG_CHANGE:
-                bins += 1
-                strong += a * a
-                told_of += a * b
+            # No branch, so that it is vectorised.
+            counts = np.float64(abs(a) > STRONG_CHANGE)
+            bins += counts
+            strong += counts * a * a
+            told_of += counts * a * b
     count = rows * columns
     change_mean, told_mean = change_mean / count, told_mean / count
     change = max(change / count - change_mean * change_mean, np.float64(0.0))
@@ -286,7 +287,7 @@ def agreement(before: F32, after: F32, signs: F32) -> tuple[float, float, float,
     spread = np.sqrt(change * told)
     correlation = (both / count - change_mean * told_mean) / spread if spread > 0.0 else 0.0
     slope = told_of / strong if strong > 0.0 else 0.0
-    return np.sqrt(change), np.sqrt(told), correlation, bins, slope
+    return np.sqrt(change), np.sqrt(told), correlation, int(bins), slope
 
 
 def warm_up() -> None:
@@ -354,6 +355,15 @@ def disagreement_scale(force: float) -> float:
     return 0.1 + 0.3 * abs(force)
 
 
+class _Window(NamedTuple):
+    """A window, with the numbers of its events and of those that are ON."""
+
+    end_us: int
+    events: Events
+    number: int
+    brighter: int
+
+
 class Validity:
     """Follows frames and windows, and says why the force cannot be trusted.
 
@@ -367,7 +377,7 @@ class Validity:
 
     def __init__(self, window_us: int, width: int) -> None:
         self._window_us, self._width = window_us, width
-        self._windows: deque[tuple[int, Events]] = deque(maxlen=WINDOWS_KEPT)
+        self._windows: deque[_Window] = deque(maxlen=WINDOWS_KEPT)
         self._rest = [0.0, 0.0]  # ON and OFF events per window
         self._rests = 0
         self._noise = self._murmur = self._slope = 0.0
@@ -402,14 +412,16 @@ class Validity:
         if not complete:
             self._start_over()
             return
-        self._windows.append((end_us, events))
         count = len(events)
         brighter = int(np.count_nonzero(events.polarity))
-        for kind, number in enumerate((brighter, count - brighter)):
-            self._rate[kind] += (number - self._rate[kind]) / RATE_WINDOWS
-            rest = self._rest[kind]
-            if rest > LEAST_REST and self._rate[kind] < LEAST_RATE * rest:
-                self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
+        self._windows.append(_Window(end_us, events, count, brighter))
+        rate, rest = self._rate, self._rest
+        rate[0] += (brighter - rate[0]) / RATE_WINDOWS
+        rate[1] += (count - brighter - rate[1]) / RATE_WINDOWS
+        if (rate[0] < LEAST_RATE * rest[0] and rest[0] > LEAST_REST) or (
+            rate[1] < LEAST_RATE * rest[1] and rest[1] > LEAST_REST
+        ):
+            self._held[Reason.EVENTS_MISSING] = HOLD_FRAMES
 
     def frame(
         self,
@@ -460,8 +472,11 @@ class Validity:
             return set()
         told = np.zeros_like(contrast)
         size = self._width // contrast.shape[1]
-        for part in parts:
-            add_signs(part.x, part.y, part.polarity, size, told)
+        # At once: a call of compiled code takes longer than the few events of a window.
+        x = np.concatenate([part.events.x for part in parts])
+        y = np.concatenate([part.events.y for part in parts])
+        polarity = np.concatenate([part.events.polarity for part in parts])
+        add_signs(x, y, polarity, size, told)
         self._signs += told
         self._age += 1
         busy = self._is_busy(before_us, mid_us)
@@ -481,7 +496,7 @@ class Validity:
         return found
 
     def _untold_by_frames(
-        self, before: F32, contrast: F32, told: F32, parts: list[Events]
+        self, before: F32, contrast: F32, told: F32, parts: list[_Window]
     ) -> set[Reason]:
         """Compare two frames in a row; follows the noise of frames and events at rest."""
         change, events, correlation, *_ = agreement(before, contrast, told)
@@ -489,14 +504,14 @@ class Validity:
             self._noise, self._murmur = change, events
         self._noise += (change - self._noise) * (FALL if change < self._noise else RISE)
         self._murmur += (events - self._murmur) * (FALL if events < self._murmur else RISE)
-        total = sum(len(part) for part in parts)
-        brighter = sum(int(np.count_nonzero(part.polarity)) for part in parts)
+        total = sum(part.number for part in parts)
+        brighter = sum(part.brighter for part in parts)
         rates = [number / max(len(parts), 1) for number in (brighter, total - brighter)]
         still = change < STILL * self._noise
         alone = events * math.sqrt(max(1.0 - correlation * correlation, 0.0))
         # A blow makes many events in a few windows, a storm in all of them.
         most = MOST_RATE * sum(self._rest)
-        many = most > 0.0 and all(len(part) > most for part in parts)
+        many = most > 0.0 and all(part.number > most for part in parts)
         untold = still and (many or alone > MOST_UNTOLD * self._murmur)
         self._untold = self._untold + 1 if untold else 0
         if still and not many and alone < AT_REST * self._murmur:
@@ -507,18 +522,19 @@ class Validity:
                 self._rate = list(self._rest)
         return {Reason.EVENTS_WITHOUT_MOTION} if self._untold >= UNTOLD_FRAMES else set()
 
-    def _between(self, start_us: int, end_us: int) -> list[Events] | None:
+    def _between(self, start_us: int, end_us: int) -> list[_Window] | None:
         """Return the windows between the centres of two exposures; None if some are missing."""
         half = self._window_us // 2
-        parts = [part for end, part in self._windows if start_us < end - half <= end_us]
+        first, last = start_us + half, end_us + half
+        parts = [part for part in self._windows if first < part.end_us <= last]
         whole = (end_us - start_us) // self._window_us
-        return parts if whole - 1 <= len(parts) <= whole + 1 else None
+        return parts if parts and whole - 1 <= len(parts) <= whole + 1 else None
 
     def _is_busy(self, start_us: int, end_us: int) -> bool:
         """Return whether there was a blow in a comparison or at its ends."""
         most = BUSY_PER_MS * self._window_us // 1000
         first, last = start_us - BUSY_MARGIN_US, end_us + BUSY_MARGIN_US
-        return any(first < end <= last and len(part) > most for end, part in self._windows)
+        return any(part.number > most and first < part.end_us <= last for part in self._windows)
 
     def _start_over(self) -> None:
         self._windows.clear()
