@@ -5,33 +5,48 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 from mixtac_fger.weights import write_model
 from mixtac_learning.judge import evaluation
+from mixtac_learning.trials.trial import TrialArrays
 
 
-def test_a_bag_that_is_named_is_judged_whatever_its_split(model, trial, tmp_path, monkeypatch):
-    def sources(folder: Path, _reference: str) -> list[SimpleNamespace]:
+@dataclass(frozen=True)
+class Source:
+    """A recording that needs no file."""
+
+    path: Path
+    trial: TrialArrays
+    origin: dict[str, str]
+    incomplete: bool = False
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+    def load(self) -> TrialArrays:
+        return replace(self.trial, origin=self.origin)
+
+    def damage(self) -> str:
+        return '' if self.name != 'b' else 'its end is missing'
+
+
+def test_a_bag_that_is_named_is_judged_whatever_its_split(
+    model, trial, tmp_path, monkeypatch, capsys
+):
+    def sources(folder: Path, _reference: str) -> list[Source]:
         bags = [folder] if folder.suffix == '.bag' else [folder / 'a', folder / 'b']
         origins = [
             {'name': bag.name, 'split': 'test' if bag.name == 'b' else 'train'} for bag in bags
         ]
-        return [
-            SimpleNamespace(
-                path=bag,
-                name=bag.name,
-                origin=origin,
-                load=lambda origin=origin: replace(trial, origin=origin),
-            )
-            for bag, origin in zip(bags, origins, strict=True)
-        ]
+        return [Source(bag, trial, origin) for bag, origin in zip(bags, origins, strict=True)]
 
     monkeypatch.setattr(evaluation, 'bag_sources', sources)
     path, out = tmp_path / 'm.safetensors', tmp_path / 'figures.json'
     write_model(path, model)
     bags = [Path('one.bag'), Path('folder')]
     evaluation.run_evaluation(path, bags, reference='/w', json=out)
+    assert 'its end is missing' in capsys.readouterr().err
     assert json.loads(out.read_text())['bags'] == ['one.bag', 'b']
