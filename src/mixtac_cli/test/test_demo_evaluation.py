@@ -72,6 +72,7 @@ def streams_of(force_n, ages_ms, complete_us=(), arrival_ns=()) -> Streams:
         force_ns=end_ns,
         force_n=np.array(force_n),
         frame_ages=np.stack([end_ns, 1_000_000 * np.array(ages_ms)], axis=1),
+        invalid=0,
         reference_ns=nothing,
         reference_n=np.empty(0),
         truth_ns=nothing,

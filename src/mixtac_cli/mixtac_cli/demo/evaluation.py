@@ -54,6 +54,7 @@ class Streams:
         force_n: Estimated normal force [N].
         frame_ages: (end of the window [ns, camera clock], age of the latest frame [ns]) of each
             force, shape (N, 2), int64.
+        invalid: Forces that are marked as not valid.
         reference_ns: Stamps of the reference, reference clock [ns], int64.
         reference_n: Reference normal force [N].
         truth_ns: Stamps of the simulated force, host clock [ns], int64.
@@ -67,6 +68,7 @@ class Streams:
     force_ns: NDArray[np.int64]
     force_n: NDArray[np.float64]
     frame_ages: NDArray[np.int64]
+    invalid: int
     reference_ns: NDArray[np.int64]
     reference_n: NDArray[np.float64]
     truth_ns: NDArray[np.int64]
@@ -105,12 +107,13 @@ def read_streams(path: Path, namespace: str) -> Streams:
     times: list[NDArray[np.int64]] = []
     complete_us, arrival_ns, ages = [], [], []
     events, quality = (each.resolved(namespace) for each in (topics.EVENTS, topics.FORCE_QUALITY))
-    counter = SequenceCounter()
+    counter, invalid = SequenceCounter(), 0
     with BagFile(path) as bag:
         for topic, _, message in bag.messages(events, quality):
             stamp_ns = stamp_to_ns(message.header.stamp)
             if topic == quality:
                 ages.append((stamp_ns, round(1e9 * message.frame_age)))
+                invalid += not message.valid
                 continue
             counter.update(message.seq)
             packet = decode_message(message)
@@ -128,6 +131,7 @@ def read_streams(path: Path, namespace: str) -> Streams:
         np.array(arrival_ns, np.int64),
         *force,
         np.array(ages, np.int64).reshape(-1, 2),
+        invalid,
         *reference,
         *truth,
     )
