@@ -127,7 +127,9 @@ class LiveProcedure:
         """
         # It asks for an untouched sensor before it starts one.
         estimator = {'model': str(model.resolve()), 'force_scale': 1.0, 'assume_free': True}
-        nodes = sensor_graph(self._device, estimator=estimator)
+        # A virtual sensor on a slow host takes longer rather than losing events.
+        virtual = {'slow_host': 'wait'}
+        nodes = sensor_graph(self._device, estimator=estimator, virtual_sensor=virtual)
         self._console.print('starting the sensor; a first start compiles for some minutes')
         with ProcessGroup() as processes, Monitor(self._namespace, SESSION_S) as monitor:
             start_nodes(processes, nodes, self._namespace, params_file, 'warn')
