@@ -44,6 +44,7 @@ class TrialEstimate:
         reference: Reference's force, None where there is none or it is `known` [N] [T].
         frames_only: The model's force of the latest frame, None where it has none [N] [T].
         deviation: Standard deviation that the model gives, None where it gives none [N] [T].
+        corrected: Windows in which a frame was first used, None where that is not known, bool [T].
     """
 
     name: str
@@ -55,6 +56,7 @@ class TrialEstimate:
     reference: NDArray[np.float64] | None
     frames_only: NDArray[np.float64] | None = None
     deviation: NDArray[np.float64] | None = None
+    corrected: NDArray[np.bool_] | None = None
 
     def scaled(self, scale: float) -> TrialEstimate:
         """Return the estimate of a sensor that was calibrated to this scale."""
@@ -113,11 +115,13 @@ def stream(
         lost_before = index > 0 and bool(packet_lost[index - 1])
         for found in estimator.push_events(events, end, lost_before=lost_before):
             deviation = found.deviation or 0.0
-            rows.append((found.end_us, found.force, estimator.frame_force, deviation))
-    table = np.array(rows, np.float64).reshape(-1, 4)
+            age_us = found.frame_age_us
+            rows.append((found.end_us, found.force, estimator.frame_force, deviation, age_us))
+    table = np.array(rows, np.float64).reshape(-1, 5)
     deviations = table[:, 3] if opened.gives_deviation else None
-    times = table[:, 0].astype(np.int64)
-    return _estimate(trial, times, table[:, 1], table[:, 2], deviations)
+    times, ages = table[:, 0].astype(np.int64), table[:, 4]
+    corrected = np.diff(ages, prepend=ages[:1]) < 0.0
+    return _estimate(trial, times, table[:, 1], table[:, 2], deviations, corrected)
 
 
 SETTLE_FRAMES = 5
@@ -197,6 +201,7 @@ def _estimate(
     force: NDArray[np.float64],
     frames_only: NDArray[np.float64] | None = None,
     deviation: NDArray[np.float64] | None = None,
+    corrected: NDArray[np.bool_] | None = None,
 ) -> TrialEstimate:
     """Return estimates beside the known force, at the times at which it is known."""
     label = trial.label()
@@ -213,6 +218,7 @@ def _estimate(
         reference=None if reference is None else reference.at(times).astype(np.float64),
         frames_only=None if frames_only is None else frames_only[inside],
         deviation=None if deviation is None else deviation[inside],
+        corrected=None if corrected is None else corrected[inside],
     )
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from mixtac_events.errors import MixtacError
@@ -163,3 +164,59 @@ def rolling_errors(
     error = np.abs(estimate - known)
     count = max(len(error) // size, 1)
     return np.array([part.mean() for part in np.array_split(error, count)])
+
+
+def frame_jump(estimate: NDArray[np.float64], corrected: NDArray[np.bool_]) -> float:
+    """Return the mean change in windows that a frame corrects over that in the others.
+
+    1 means that frames leave no steps; nan without both kinds.
+    """
+    change, frames = np.abs(np.diff(estimate)), corrected[1:]
+    if frames.all() or not frames.any():
+        return float('nan')
+    return float(change[frames].mean() / change[~frames].mean())
+
+
+HOLD_S, HOLD_N = 1.0, 0.04
+"""A hold is where the known force moves by less than this within this time about a moment."""
+
+
+def hold_noise(
+    known: NDArray[np.float64], estimate: NDArray[np.float64], interval_s: float
+) -> float:
+    """Return the standard deviation of the error in holds, less what is slower than `HOLD_S` [N].
+
+    nan where no force above `SMALLEST_FORCE_N` is held.
+    """
+    width = round(HOLD_S / interval_s)
+    if len(known) < 2 * width:
+        return float('nan')
+    error = estimate - known
+    fast = (error - moving_mean(error, width))[width // 2 :]
+    spans = sliding_window_view(known, width)
+    held = (np.ptp(spans, axis=1) < HOLD_N) & (spans.min(axis=1) > SMALLEST_FORCE_N)
+    return float(fast[: len(held)][held].std()) if held.any() else float('nan')
+
+
+LONGEST_LAG_S = 0.02
+SMOOTH_S = 0.01
+"""Mean before the comparison of changes: noise has no lag."""
+
+
+def lag_ms(known: NDArray[np.float64], estimate: NDArray[np.float64], interval_s: float) -> float:
+    """Return by how much the estimate is late: the maximum of the cross-correlation of changes.
+
+    nan where the known force does not change, or where no lag below `LONGEST_LAG_S` fits best.
+    """
+    reach, width = round(LONGEST_LAG_S / interval_s), max(round(SMOOTH_S / interval_s), 1)
+    if len(known) < 4 * reach:
+        return float('nan')
+    wanted, found = (np.diff(moving_mean(each, width)) for each in (known, estimate))
+    middle = wanted[reach:-reach]
+    products = sliding_window_view(found, len(middle)) @ middle
+    best = int(np.argmax(products))
+    if not 0 < best < len(products) - 1 or not middle.any():
+        return float('nan')
+    left, top, right = products[best - 1 : best + 2]
+    between = 0.5 * (left - right) / (left - 2.0 * top + right)
+    return float(1e3 * interval_s * (best + between - reach))

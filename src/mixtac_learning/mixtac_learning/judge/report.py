@@ -13,7 +13,16 @@ from rich.console import Console
 from rich.table import Table
 
 from mixtac_learning.judge.estimators import TrialEstimate
-from mixtac_learning.judge.metrics import ROLLING_S, fast_error, measure, peak_error, rolling_errors
+from mixtac_learning.judge.metrics import (
+    ROLLING_S,
+    fast_error,
+    frame_jump,
+    hold_noise,
+    lag_ms,
+    measure,
+    peak_error,
+    rolling_errors,
+)
 
 INTERVALS = {'coverage_68': 1.0, 'coverage_95': 1.96}
 """Half widths of the intervals in standard deviations: 68.3 % and 95 % of a Gaussian."""
@@ -65,9 +74,11 @@ def summarise(
     Returns:
         `trials`; of all windows together what `Metrics` holds; the means over trials of
         `peak_error` and of `fast_mae` with `fast_constant_mae`, and of the rolling error in the
-        first and last half second and at its worst; `reference_mae` against the measured reference
-        where the true force is what counts otherwise; `frames_only_mae` where the model has such an
-        output; what `coverage_figures` gives; `calibrated_mae`, `calibrated_rmse` with the scales.
+        first and last half second and at its worst, of `frame_jump`, `hold_noise` and `lag_ms`;
+        `reference_mae` against the measured reference where the true force is what counts
+        otherwise; `frames_only_mae` where the model has such an output; what `coverage_figures`
+        gives; with the scales `calibrated_mae`, `calibrated_rmse`, `calibrated_hold_noise` and
+        `calibrated_` before what `coverage_figures` gives.
     """
     known = np.concatenate([each.known for each in estimates])
     pooled = measure(known, np.concatenate([each.force for each in estimates]))
@@ -79,10 +90,14 @@ def summarise(
         if errors:
             figures[name] = _rounded(float(np.concatenate(errors).mean()))
     if scales is not None:
-        scaled = [each.scaled(scales.get(each.device, 1.0)).force for each in estimates]
-        after = measure(known, np.concatenate(scaled))
-        figures['calibrated_mae'] = _rounded(after.mae)
-        figures['calibrated_rmse'] = _rounded(after.rmse)
+        scaled = [each.scaled(scales.get(each.device, 1.0)) for each in estimates]
+        after = measure(known, np.concatenate([each.force for each in scaled]))
+        found = {'mae': _rounded(after.mae), 'rmse': _rounded(after.rmse)}
+        over_time = _over_time(scaled)
+        if 'hold_noise' in over_time:
+            found['hold_noise'] = over_time['hold_noise']
+        found |= coverage_figures(scaled)
+        figures |= {f'calibrated_{name}': value for name, value in found.items()}
     return figures
 
 
@@ -93,7 +108,11 @@ def _over_time(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
         fast, fast_constant = fast_error(each.known, each.force, interval_s)
         rolling = rolling_errors(each.known, each.force, interval_s)
         peak = peak_error(each.known, each.force, interval_s)
-        rows.append((peak, fast, fast_constant, rolling[0], rolling[-1], rolling.max()))
+        noise = hold_noise(each.known, each.force, interval_s)
+        late = lag_ms(each.known, each.force, interval_s)
+        jump = np.nan if each.corrected is None else frame_jump(each.force, each.corrected)
+        ends = rolling[0], rolling[-1], rolling.max()
+        rows.append((peak, fast, fast_constant, *ends, jump, noise, late))
     names = (
         'peak_error',
         'fast_mae',
@@ -101,6 +120,9 @@ def _over_time(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
         'rolling_first_mae',
         'rolling_last_mae',
         'rolling_worst_mae',
+        'frame_jump',
+        'hold_noise',
+        'lag_ms',
     )
     table = np.array(rows, np.float64)
     return {
@@ -125,8 +147,14 @@ COLUMNS = (
     'peak_error',
     'fast_mae',
     'rolling_worst_mae',
+    'frame_jump',
+    'hold_noise',
+    'lag_ms',
     'coverage_68',
     'coverage_95',
+    'calibrated_hold_noise',
+    'calibrated_coverage_68',
+    'calibrated_coverage_95',
 )
 """Figures in the order shown; those that no row has are left out."""
 _FIGURE = len('-0.000')
@@ -141,7 +169,7 @@ def show_figures(console: Console, title: str, figures: Mapping[str, Mapping[str
         table = Table(title=title, title_justify='left')
         table.add_column('profile', no_wrap=True)
         for name in names:
-            table.add_column(name.replace('_', ' '), justify='right', min_width=_width(name))
+            table.add_column(name.replace('_', ' '), justify='right', width=_width(name))
         for profile, row in figures.items():
             table.add_row(profile, *(f'{row[c]:.3f}' if c in row else '-' for c in names))
         console.print(table)
