@@ -13,8 +13,7 @@ from typing import Any
 
 import yaml
 
-from mixtac_alignment.force_error import ForceErrorParameters
-from mixtac_alignment.parameters import AlignmentParameters
+from mixtac_alignment.parameters import AlignmentParameters, ForceErrorParameters
 from mixtac_cli.parameters import RecorderParameters, SupervisorParameters, ViewParameters
 from mixtac_driver.parameters import DriverParameters
 from mixtac_fger.parameters import FgerParameters

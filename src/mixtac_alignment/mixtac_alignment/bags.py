@@ -17,14 +17,12 @@ latency is the mean delay of the taps under the refined maps.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from rosbags.rosbag2.errors import WriterError
 
@@ -52,8 +50,10 @@ from mixtac_events.sequence import SequenceCounter
 from mixtac_node import topics
 from mixtac_node.files import read_data, write_json
 from mixtac_node.images import ImageConversionError, grey
+from mixtac_node.stamps import stamp_to_ns, stamp_to_us
 from mixtac_recordings.bag import BagFile, typestore
 from mixtac_recordings.bag_writer import McapBag, offered_qos
+from mixtac_recordings.dataset import described_trial
 from mixtac_recordings.recording import RecordingError
 
 BATCH: Final = 256
@@ -177,26 +177,25 @@ def read_recording(
     with BagFile(path) as bag:
         more = (edge, other) if edges_only else (image, exposure, edge, other)
         optional = [topic for topic in more if bag.counts.get(topic)]
-        for topic, _, message in bag.messages(*needed, *optional, raw=(events, reference)):
+        for topic, _, message in bag.messages(*needed, *optional, raw=(events,)):
             if topic == events:
                 packets.add(message)
             elif topic == reference:
-                stamp, normal = _wrench(message)
-                stamps.append(stamp)
-                force.append(normal)
+                stamps.append(stamp_to_ns(message.header.stamp))
+                force.append(topics.normal_force(message))
             elif topic in {image, exposure}:
-                stamp = _ns(message.header.stamp)
+                stamp = stamp_to_ns(message.header.stamp)
                 if topic == image:
                     images[stamp] = _features(message)
                 else:
-                    start, end = _ns(message.exposure_start), _ns(message.exposure_end)
-                    spans[stamp] = start // 1000, end // 1000
+                    start_us = stamp_to_us(message.exposure_start)
+                    spans[stamp] = start_us, stamp_to_us(message.exposure_end)
                 if stamp in images and stamp in spans:
                     frames.push(*spans.pop(stamp), images.pop(stamp))
             elif topic == edge:
-                edges.append(_ns(message.header.stamp) // 1000)
+                edges.append(stamp_to_us(message.header.stamp))
             else:
-                reference_edges.append(_ns(message.time_ref) / 1e9)
+                reference_edges.append(stamp_to_ns(message.time_ref) / 1e9)
     return Recording(
         counts=EMPTY if edges_only else packets.counts(f'{path} topic {events}'),
         events=packets.events(),
@@ -209,29 +208,12 @@ def read_recording(
     )
 
 
-def _wrench(data: bytes) -> tuple[int, float]:
-    """Return stamp [ns] and normal force [N] of a serialised `WrenchStamped`.
-
-    There are 800 a second, and building the message takes ten times as long.
-    """
-    order = '<' if data[1] & 1 else '>'
-    seconds, nanoseconds, length = struct.unpack_from(f'{order}iII', data, 4)
-    # CDR aligns numbers of eight bytes to the end of its own header of four.
-    at = 4 + (12 + length + 7) // 8 * 8
-    (normal,) = struct.unpack_from(f'{order}d', data, at + 16)
-    return seconds * _NS + nanoseconds, normal
-
-
 def _features(message: Any) -> NDArray[np.float32]:  # noqa: ANN401
     try:
         pixels = grey(message)
     except ImageConversionError as error:
         raise RecordingError(f'frames cannot be read: {error}') from error
     return reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
-
-
-def _ns(stamp: Any) -> int:  # noqa: ANN401
-    return int(stamp.sec) * _NS + int(stamp.nanosec)
 
 
 TAP_SCATTER_S: Final = 4.5e-4
@@ -312,7 +294,6 @@ def pool_sensor(refinements: Sequence[Refinement]) -> SensorTiming:
     return SensorTiming(pool_lag(refinements), pool_latency(refinements))
 
 
-DESCRIPTION: Final = 'dataset.yaml'
 SENSOR_KEYS: Final = ('device_seed', 'serial')
 """Keys that name the sensor of a recording: in simulated data sets, in recorded ones."""
 FEWEST: Final = 2
@@ -351,13 +332,11 @@ def sensor_timings(
 def sensor_of(bag: Path) -> str | None:
     """Return which sensor a bag was recorded with, by `dataset.yaml` beside it; None if unknown."""
     try:
-        content: Any = yaml.safe_load((bag.parent / DESCRIPTION).read_text(encoding='utf-8'))
-        entries = content['trials']
-        entry = next(e for e in entries if e['name'] == bag.name)
-        device = next(entry[key] for key in SENSOR_KEYS if entry.get(key) not in (None, ''))
-    except (OSError, KeyError, TypeError, AttributeError, StopIteration, yaml.YAMLError):
+        entry = described_trial(bag)
+    except MixtacError:
         return None
-    return str(device)
+    devices = (entry.get(key) for key in SENSOR_KEYS)
+    return next((str(device) for device in devices if device not in (None, '')), None)
 
 
 SCHEMA: Final = 1

@@ -5,12 +5,13 @@
 from __future__ import annotations
 
 import sys
+from collections import deque
 
 from message_filters import ApproximateTimeSynchronizer, Subscriber
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
-from mixtac_alignment.force_error import ForceErrorParameters, RunningError
+from mixtac_alignment.parameters import ForceErrorParameters
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, qos, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
@@ -19,6 +20,37 @@ WAITING = 50
 """Estimates, or samples of the reference, that wait for each other; 0.1 s of estimates."""
 SLOP_S = 0.001
 """Largest difference of the stamps in a pair [s]."""
+
+
+class RunningError:
+    """Errors of the latest pairs of estimate and reference.
+
+    Args:
+        window: Number of pairs.
+    """
+
+    def __init__(self, window: int) -> None:
+        self._errors: deque[float] = deque(maxlen=window)
+
+    def push(self, estimate_n: float, reference_n: float) -> None:
+        """Add a pair of normal forces [N]."""
+        self._errors.append(estimate_n - reference_n)
+
+    @property
+    def pairs(self) -> int:
+        """Return over how many pairs the errors run."""
+        return len(self._errors)
+
+    @property
+    def mae(self) -> float:
+        """Return the mean absolute error [N]; 0 without pairs."""
+        return sum(map(abs, self._errors)) / max(1, len(self._errors))
+
+    @property
+    def rmse(self) -> float:
+        """Return the root mean square error [N]; 0 without pairs."""
+        mean = sum(error * error for error in self._errors) / max(1, len(self._errors))
+        return float(mean**0.5)
 
 
 class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]

@@ -161,16 +161,10 @@ class EventRateHistory:
             self._first * self._width_us, self._width_us, self._ring[bins % len(self._ring)], lost
         )
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self._first = self._end = self._complete = 0
-        self._lost.clear()
-
     def _restart(self, t_us: int) -> None:
         self.restarts += self._end != 0
-        self.clear()
-        self._first = self._complete = t_us // self._width_us
-        self._end = self._first
+        self._lost.clear()
+        self._first = self._end = self._complete = t_us // self._width_us
 
     def _extend(self, end: int) -> None:
         """Make room for bins up to `end`, dropping the oldest."""
@@ -258,18 +252,14 @@ class EventHistory:
         if not len(part.t_us):
             return
         if self._parts and part.t_us[0] < self._parts[-1].t_us[-1] - RESTART_US:
-            self.clear()
+            self._parts.clear()
+            self._held = 0
         self._parts.append(part)
         self._held += len(part.t_us)
         while self._held > self._most:
             self.dropped += self._forget()
         while self._parts[0].t_us[-1] < part.t_us[-1] - self._span_us:
             self._forget()
-
-    def clear(self) -> None:
-        """Forget everything."""
-        self._parts.clear()
-        self._held = 0
 
     def snapshot(self) -> CellEvents:
         """Return what is remembered, a copy in the order of time."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the alignment node, which are the settings of every fit."""
+"""Parameters of the alignment node, the settings of every fit, and of the force error node."""
 
 from __future__ import annotations
 
@@ -94,3 +94,21 @@ class AlignmentParameters:
 
 
 DEFAULTS = AlignmentParameters()
+
+
+@dataclass(frozen=True)
+class ForceErrorParameters:
+    """Topics and length of the running force error.
+
+    Attributes:
+        force_topic: WrenchStamped topic of the estimate.
+        reference_topic: WrenchStamped topic of the reference on the camera clock.
+        window: Number of latest pairs over which the errors are averaged; 5000 are 10 s of
+            estimates.
+        sign: Sign that makes pressing positive in the reference.
+    """
+
+    force_topic: str = fixed('force')
+    reference_topic: str = fixed('alignment/reference')
+    window: int = fixed(5000, within=(10, 1_000_000))
+    sign: int = fixed(1, within=(-1, 1))

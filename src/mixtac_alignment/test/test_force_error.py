@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_alignment.force_error import RunningError
+from mixtac_alignment.force_error_node import RunningError
 
 
 def test_errors_are_those_of_the_latest_pairs() -> None:

@@ -58,12 +58,7 @@ class Evt3Decoder:
             raise CodecError(f'evt3 payload of {payload.size} bytes: truncated, a word has 2 bytes')
         words = payload.view(np.uint16)
         size = _most_events(words)
-        events = Events(
-            np.empty(size, np.int64),
-            np.empty(size, np.uint16),
-            np.empty(size, np.uint16),
-            np.empty(size, np.bool_),
-        )
+        events = Events.empty(size)
         arrays = (events.t, events.x, events.y, events.polarity)
         count, fault = _decode_words(words, self._state, width, height, *arrays)
         if fault >= 0:

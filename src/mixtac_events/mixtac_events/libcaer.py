@@ -94,12 +94,7 @@ def decode(payload: NDArray[np.uint8], start_us: int, *, width: int, height: int
             f'libcaer payload of {payload.size} bytes: truncated, an event has 8 bytes'
         )
     words = payload.view(np.uint64)
-    events = Events(
-        np.empty(words.size, np.int64),
-        np.empty(words.size, np.uint16),
-        np.empty(words.size, np.uint16),
-        np.empty(words.size, np.bool_),
-    )
+    events = Events.empty(words.size)
     count, last, fault, at = _decode_words(
         words, start_us, width, height, events.t, events.x, events.y, events.polarity
     )

@@ -304,12 +304,7 @@ def decode(payload: NDArray[np.uint8], start_us: int, *, width: int, height: int
     count, at = count_events(words)
     if count < 0:
         raise _decode_error(count, words, at, width, height)
-    events = Events(
-        np.empty(count, np.int64),
-        np.empty(count, np.uint16),
-        np.empty(count, np.uint16),
-        np.empty(count, np.bool_),
-    )
+    events = Events.empty(count)
     dt, at = decode_words(
         words, start_us, width, height, events.t, events.x, events.y, events.polarity
     )

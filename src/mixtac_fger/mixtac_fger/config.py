@@ -40,6 +40,12 @@ def from_mapping(cls: type[T], values: object, where: str) -> T:
         raise ConfigError(error.message, remedy=error.remedy) from error
 
 
+def to_mapping(config: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Return the fields of a configuration as JSON-ready values."""
+    fields = dataclasses.asdict(config)
+    return {name: list(v) if isinstance(v, tuple) else v for name, v in fields.items()}
+
+
 ARCHITECTURE = 'fger_small'
 VERSION = 1
 LOWEST_LOG_DEVIATION, HIGHEST_LOG_DEVIATION = -7.0, 2.0
@@ -186,10 +192,7 @@ class FgerConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON-ready values."""
-        return {
-            key: list(value) if isinstance(value, tuple) else value
-            for key, value in dataclasses.asdict(self).items()
-        }
+        return to_mapping(self)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> FgerConfig:
@@ -256,8 +259,8 @@ def count_parameters(config: FgerConfig) -> int:
     return sum(math.prod(shapes[name]) for name in shapes if name not in STATISTICS)
 
 
-def operations_per_cycle(config: FgerConfig, cycle_us: int = 40_000) -> int:
-    """Return floating-point operations (2 per multiply-add) per frame interval of `cycle_us`."""
+def operations_per_cycle(config: FgerConfig) -> int:
+    """Return floating-point operations (2 per multiply-add) per frame interval of 40 ms."""
     shapes = tensor_shapes(config)
     sizes = {name: math.prod(shapes[name]) for name in shapes if name not in STATISTICS}
     rows, columns = config.frame_shape
@@ -271,4 +274,4 @@ def operations_per_cycle(config: FgerConfig, cycle_us: int = 40_000) -> int:
     per_window = sum(
         size for name, size in sizes.items() if not name.startswith(('frame', 'correction'))
     )
-    return 2 * (total + per_window * cycle_us // config.window_us)
+    return 2 * (total + per_window * 40_000 // config.window_us)

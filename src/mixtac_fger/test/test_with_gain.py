@@ -9,9 +9,8 @@ import pytest
 
 from mixtac_fger.config import ModelError
 from mixtac_fger.fger_net import FgerEstimator, with_gain
-from mixtac_fger.model_card import save_model
 from mixtac_fger.streaming import ForceEstimator
-from mixtac_fger.weights import Model, ModelCard, read_model
+from mixtac_fger.weights import Model, ModelCard, read_model, save_model
 
 
 def estimates(model, trial):

@@ -96,7 +96,6 @@ class DiagnosticsPublisher:
         node: An rclpy node.
         hardware_id: Serial number or name of the device behind the node.
         source: Called once a second for the current status; runs in the node's executor.
-        period_s: Publishing period.
     """
 
     def __init__(
@@ -104,13 +103,12 @@ class DiagnosticsPublisher:
         node: Any,  # noqa: ANN401
         hardware_id: str,
         source: Callable[[], Status],
-        period_s: float = 1.0,
     ) -> None:
         self.hardware_id = hardware_id
         self._node = node
         self._source = source
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._timer = node.create_timer(period_s, self.publish)
+        self._timer = node.create_timer(1.0, self.publish)
 
     def publish(self) -> None:
         """Publish the current status now."""

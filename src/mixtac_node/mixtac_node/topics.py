@@ -207,6 +207,9 @@ SLIP = Topic(
     description='Slip detection per 1 ms window (slip control node).',
 )
 
+TOPICS = tuple(each for each in list(globals().values()) if isinstance(each, Topic))
+"""What the nodes of a sensor publish and subscribe to: all of the above."""
+
 # Only in bags of simulated trials, and of the simulated grasp: no node of the sensor uses them.
 TRUTH_CONTACT = Topic(
     'truth/contact',
@@ -229,30 +232,6 @@ TRUTH_OBJECT = Topic(
     depth=100,
     description='Position of the simulated grasped object, z upwards [m].',
 )
-
-TOPICS = (
-    EVENTS,
-    IMAGE_RAW,
-    CAMERA_INFO,
-    IMAGE_RECT,
-    EVENTS_RECT,
-    IMAGE_EXPOSURE,
-    IMU,
-    TEMPERATURE,
-    EXTERNAL_EDGES,
-    CAMERA_CLOCK,
-    FORCE,
-    FORCE_QUALITY,
-    REFERENCE_WRENCH,
-    TRUTH_WRENCH,
-    DIAGNOSTICS,
-    CLOCK_FIT,
-    ALIGNMENT_REFERENCE,
-    FORCE_ERROR_MAE,
-    FORCE_ERROR_RMSE,
-    SLIP,
-)
-"""What the nodes of a sensor publish and subscribe to."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -180,3 +180,21 @@ def read_recordings(path: Path) -> dict[str, Any]:
             remedy='record to another folder',
         )
     return dict(document)
+
+
+def described_trial(bag: Path) -> dict[str, Any]:
+    """Return what the `dataset.yaml` beside a bag says of it; empty without a file or an entry.
+
+    Raises:
+        DatasetError: The file cannot be read.
+    """
+    path = bag.parent / FILE_NAME
+    if not path.exists():
+        return {}
+    try:
+        trials = {each['name']: dict(each) for each in read_data(path)['trials']}
+    except (FileError, KeyError, TypeError, ValueError) as error:
+        raise DatasetError(
+            f'{path} cannot be read ({error})', remedy='generate the data set again'
+        ) from error
+    return trials.get(bag.name, {})

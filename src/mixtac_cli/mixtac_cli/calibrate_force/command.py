@@ -207,7 +207,7 @@ def save_calibrated(
         FileError: It cannot be written.
     """
     from mixtac_fger.fger_net import with_gain
-    from mixtac_fger.model_card import save_model
+    from mixtac_fger.weights import save_model
 
     training = model.card.training | {KEY: entry}
     if entry['serial']:

@@ -19,8 +19,7 @@ import numpy as np
 import torch
 
 from mixtac_fger.config import FgerConfig
-from mixtac_fger.model_card import save_model
-from mixtac_fger.weights import read_model
+from mixtac_fger.weights import read_model, save_model
 from mixtac_lab.experiments.harness import Context, constant_row
 from mixtac_lab.experiments.report import Outcome, Row, texts
 from mixtac_lab.experiments.sizes import (
@@ -211,8 +210,7 @@ class BagTrials:
         for index, bag in enumerate(self._bags(profile)):
             by_order = 'val' if index % SHARE_TESTED == SHARE_TESTED - 1 else 'train'
             split = bag.origin.get('split', by_order)
-            fields = dict(bag.described) | {'profile': profile}
-            named = replace(bag, described=tuple(sorted(fields.items())))
+            named = replace(bag, described=bag.described | {'profile': profile})
             (trained if split == 'train' else held).append(named)
         return trained, held
 

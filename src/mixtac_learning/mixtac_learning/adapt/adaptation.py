@@ -22,8 +22,7 @@ from torch import Tensor, nn
 
 from mixtac_fger import fger_net
 from mixtac_fger.estimator import SERIAL_KEY
-from mixtac_fger.model_card import save_model
-from mixtac_fger.weights import ModelCard, read_model
+from mixtac_fger.weights import ModelCard, read_model, save_model
 from mixtac_learning.adapt.presses import PressSet, folds, gather_presses, parse_load
 from mixtac_learning.judge.metrics import SMALLEST_FORCE_N, CalibrationError, fit_scale
 from mixtac_learning.network import FgerNetwork, model_of, network_of

@@ -8,7 +8,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from mixtac_fger.config import ConfigError, from_mapping
+from mixtac_fger.config import ConfigError, from_mapping, to_mapping
 
 MODELS = ('fger', 'frames', 'events', 'fusion')
 """FGER-Net; frames only; events only; feature level deep fusion."""
@@ -82,10 +82,7 @@ class PaperConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON-ready values."""
-        return {
-            key: list(value) if isinstance(value, tuple) else value
-            for key, value in dataclasses.asdict(self).items()
-        }
+        return to_mapping(self)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> PaperConfig:

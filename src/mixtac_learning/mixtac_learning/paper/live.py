@@ -56,31 +56,13 @@ class PaperEstimator:
         chosen = device or ('cuda' if torch.cuda.is_available() else 'cpu')
         self._device = torch.device(chosen)
         self._network = paper_network_of(model).to(self._device)
-        self._config = self._network.config
+        self._config = config = self._network.config
+        self.width, self.height, self.window_us = config.width, config.height, config.window_us
+        self.parameters = count_parameters(self._network)
         self._frame: EncodedFrame | None = None
         self._counts = self._no_counts()
         self._state: PaperState
         self.clear()
-
-    @property
-    def width(self) -> int:
-        """Columns of the sensor [px]."""
-        return self._config.width
-
-    @property
-    def height(self) -> int:
-        """Rows of the sensor [px]."""
-        return self._config.height
-
-    @property
-    def window_us(self) -> int:
-        """Length of a window [us]."""
-        return self._config.window_us
-
-    @property
-    def parameters(self) -> int:
-        """Number of trained parameters."""
-        return count_parameters(self._network)
 
     @property
     def operations(self) -> int:

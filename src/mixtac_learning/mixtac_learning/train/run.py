@@ -17,8 +17,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from mixtac_fger.config import FgerConfig, from_mapping
-from mixtac_fger.model_card import save_model
-from mixtac_fger.weights import Model, ModelCard
+from mixtac_fger.weights import Model, ModelCard, save_model
 from mixtac_learning.judge.estimators import trial_estimator
 from mixtac_learning.judge.evaluation import judge_devices
 from mixtac_learning.judge.report import show_figures, show_skipped

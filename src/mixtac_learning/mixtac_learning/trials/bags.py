@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -163,7 +163,7 @@ class BagSource:
 
     path: Path
     reference: str = REFERENCE
-    described: tuple[tuple[str, Any], ...] = ()
+    described: dict[str, Any] = field(default_factory=dict, hash=False)
     incomplete: bool = False
 
     def damage(self) -> str:
@@ -185,7 +185,7 @@ class BagSource:
     @property
     def origin(self) -> dict[str, Any]:
         """The bag's path and what is known of it."""
-        return {'bag': str(self.path)} | dict(self.described) | {'name': self.name}
+        return {'bag': str(self.path)} | self.described | {'name': self.name}
 
     def content_key(self) -> str:
         """Return a digest of the bag's files, its clock fit and the topic of its reference.
@@ -222,7 +222,7 @@ class BagSource:
             RecordingError: The bag is damaged or holds no events and frames.
             DatasetError: It has no frames.
         """
-        events, frames, missing = _camera(self.path)
+        events, frames = _camera(self.path)
         if not frames:
             raise DatasetError(f'{self.path} holds no frames: record image_raw as well')
         return TrialArrays(
@@ -234,12 +234,11 @@ class BagSource:
             truth=None,
             reference=None,
             origin=self.origin,
-            missing_packets=missing,
         )
 
 
-def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]], int]:
-    """Return events, frames with their arrival on the camera clock [us], and lost packets."""
+def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]]]:
+    """Return events, and frames with their arrival on the camera clock [us]."""
     from mixtac_recordings.camera_stream import BagRecording
     from mixtac_recordings.recording import NONE, Selection
 
@@ -257,7 +256,6 @@ def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]], int]:
             frames += [
                 (frame, max(latest_us, frame.frame_end_us + _SETTLE_US)) for frame in piece.frames
             ]
-        missing = recording.counters.packets_missing
     finally:
         recording.close()
     if not parts:
@@ -265,7 +263,7 @@ def _camera(path: Path) -> tuple[Events, list[tuple[Frame, int]], int]:
     events = Events.concatenate(parts)
     if (np.diff(events.t) < 0).any():
         raise DatasetError(f'{path}: the camera clock runs backwards: cut the bag at its reset')
-    return events, frames, missing
+    return events, frames
 
 
 def bag_sources(folder: Path, reference: str = REFERENCE) -> list[BagSource]:
@@ -279,40 +277,23 @@ def bag_sources(folder: Path, reference: str = REFERENCE) -> list[BagSource]:
         DatasetError: There are none.
     """
     from mixtac_recordings.bag import find_bags
+    from mixtac_recordings.dataset import described_trial
 
     bags = find_bags(folder)
     if not bags:
         raise DatasetError(f'{folder} holds no bags: give a bag or a folder of bags')
     return [
-        BagSource(path, reference, _described_beside(path) or _described_inside(path))
-        for path in bags
+        BagSource(bag, reference, described_trial(bag) or _described_inside(bag)) for bag in bags
     ]
 
 
-def _described_inside(bag: Path) -> tuple[tuple[str, Any], ...]:
+def _described_inside(bag: Path) -> dict[str, Any]:
     import yaml
 
     try:
         metadata = yaml.safe_load((bag / 'metadata.yaml').read_text(encoding='utf-8'))
         custom = metadata['rosbag2_bagfile_information']['custom_data']
-        fields: dict[str, Any] = json.loads(custom['mixtac.trial'])
+        return dict(json.loads(custom['mixtac.trial']))
     except (OSError, yaml.YAMLError, ValueError, KeyError, TypeError):
         # Other bags have no such entry; a damaged bag is reported when it is loaded.
-        return ()
-    return tuple(sorted(fields.items()))
-
-
-def _described_beside(bag: Path) -> tuple[tuple[str, Any], ...]:
-    import yaml
-
-    path = bag.parent / 'dataset.yaml'
-    try:
-        trials = yaml.safe_load(path.read_text(encoding='utf-8'))['trials']
-        fields: dict[str, Any] = next((each for each in trials if each['name'] == bag.name), {})
-    except FileNotFoundError:
-        return ()
-    except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
-        raise DatasetError(
-            f'{path} cannot be read ({error})', remedy='generate the data set again'
-        ) from error
-    return tuple((key, json.loads(json.dumps(value))) for key, value in sorted(fields.items()))
+        return {}

@@ -69,14 +69,13 @@ class CachedSource:
                 label: ForceLabel | None = getattr(trial, name)
                 if label is not None:
                     arrays[name] = np.stack([label.t_us, label.force])
-            facts = {'origin': trial.origin, 'missing_packets': trial.missing_packets}
-            write_arrays(path, arrays, facts, _FACTS)
+            write_arrays(path, arrays, {'origin': trial.origin}, _FACTS)
         kept, facts = read_arrays(path, _FACTS, [*_FRAMES, *_EVENTS])
         fields: dict[str, Any] = {name: kept[name] for name in _FRAMES}
         for name in _LABELS:
             fields[name] = ForceLabel(*np.array(kept[name])) if name in kept else None
         events = Events(*(np.array(kept[name]) for name in _EVENTS))
-        return TrialArrays(events=events, **fields, **facts)
+        return TrialArrays(events=events, **fields, origin=facts['origin'])
 
 
 def write_arrays(

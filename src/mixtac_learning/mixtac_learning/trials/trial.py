@@ -82,7 +82,6 @@ class TrialArrays:
         truth: True normal force; None if unknown.
         reference: Normal force that the reference sensor measured; None without one.
         origin: Where it came from: seeds, profile, file.
-        missing_packets: Event packets that the recorder did not get.
     """
 
     events: Events
@@ -93,7 +92,6 @@ class TrialArrays:
     truth: ForceLabel | None
     reference: ForceLabel | None
     origin: dict[str, Any] = field(default_factory=dict)
-    missing_packets: int = 0
 
     @property
     def profile(self) -> str:
