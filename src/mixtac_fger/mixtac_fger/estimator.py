@@ -202,6 +202,7 @@ class EstimatorCounters:
         gaps: Holes in the stream.
         skipped_windows: Windows in holes so long that the estimate started over.
         late_events: Events dropped because their window was closed.
+        tares: Times the reference was renewed on release (`ForceEstimator.tare_on_release`).
         resets: Times the clock went backwards or the state was not finite.
     """
 
@@ -218,6 +219,7 @@ class EstimatorCounters:
     gaps: int = 0
     skipped_windows: int = 0
     late_events: int = 0
+    tares: int = 0
     resets: int = 0
 
 
@@ -232,6 +234,7 @@ class EstimatorStatus(EstimatorCounters):
         frame_force: Frames-only force of the latest frame [N].
         deviation: Standard deviation of the latest force [N], -1 from a model that gives none.
         validity: Why the latest force cannot be trusted, by name; `TRUSTED` if it can.
+        zero_drift: Force that frames show while nothing touches the sensor [N].
     """
 
     ready: bool = False
@@ -240,6 +243,7 @@ class EstimatorStatus(EstimatorCounters):
     frame_force: float = 0.0
     deviation: float = -1.0
     validity: str = Reason.TRUSTED.name
+    zero_drift: float = 0.0
 
 
 SERIAL_KEY = 'sensor_serial'

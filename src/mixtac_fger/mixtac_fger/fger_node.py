@@ -106,6 +106,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
                 longest_without_frame_us=round(settings.longest_without_frame * 1e6),
                 stale_frame_us=round(settings.stale_frame_age * 1e6),
                 assume_free=settings.assume_free,
+                tare_on_release=settings.tare_on_release,
             ),
             deadline_s=settings.deadline,
         )
@@ -190,6 +191,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             estimator = self._feed.estimator
             estimator.force_scale = wanted.force_scale
             estimator.contact_threshold_n = wanted.contact_threshold
+            estimator.tare_on_release = wanted.tare_on_release
             estimator.longest_without_frame_us = round(wanted.longest_without_frame * 1e6)
             estimator.stale_frame_us = round(wanted.stale_frame_age * 1e6)
             self._feed.deadline_s = wanted.deadline

@@ -79,6 +79,8 @@ WATCHED = {
     'frames_dropped': 'frames dropped',
 }
 """Counters whose rise is a warning, and what each counts."""
+MOST_DRIFT_N = 0.05
+"""Drift of the zero beyond which a tare is due [N]."""
 
 
 class NumberedPacket(PacketMessage, Protocol):
@@ -291,6 +293,11 @@ def feed_diagnosis(found: FeedStatus) -> tuple[int, str]:
         reason = Reason[estimator.validity]
         parts.append(f'the force is not valid: {reason.text}')
         level = WARN if reason is Reason.ZERO_UNKNOWN else ERROR
+    if abs(estimator.zero_drift) > MOST_DRIFT_N:
+        parts.append(
+            f'the zero has drifted by {estimator.zero_drift:+.2f} N, or something light rests on'
+            ' the sensor: release it and call ~/tare'
+        )
     if found.lately:
         rises = (f'{count} {WATCHED[name]}' for name, count in found.lately.items())
         parts.append('since the last report: ' + ', '.join(rises))

@@ -34,6 +34,9 @@ class FgerParameters:
             are the reference where no reference is named. Set by `mixtac up` and the launch files
             for the virtual sensor and recordings.
         contact_threshold: Forces above this count as contact; ~/tare is refused during contact.
+        tare_on_release: Tare after each contact, once the sensor has been free and still for 2 s.
+            It removes slow drift of lamp, temperature and gel, and also a contact below about 0.1 N
+            that stays after a release.
         invalid_force: What becomes of a force that cannot be trusted: `withhold` publishes none,
             `hold` publishes the latest trusted one, `publish` publishes it as it is. In each case
             `force_quality` says that the force is not valid, and why.
@@ -52,6 +55,7 @@ class FgerParameters:
     reference: str = parameter('')
     assume_free: bool = parameter(False)
     contact_threshold: float = parameter(0.15, unit='N', within=(0.01, 10.0))
+    tare_on_release: bool = parameter(False)
     invalid_force: str = parameter('withhold', choices=POLICIES)
     stale_frame_age: float = parameter(0.5, unit='s', within=(0.05, 60.0))
     longest_without_frame: float = parameter(2.0, unit='s', within=(0.05, 3600.0))

@@ -37,7 +37,7 @@ from mixtac_events.windows import WindowSlicer
 from mixtac_fger import validity
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus
 from mixtac_fger.features import ImageError, correction_lag
-from mixtac_fger.reference import Reference, TareError
+from mixtac_fger.reference import Reference, TareError, ZeroWatch
 from mixtac_fger.validity import (
     CONTACT,
     HIGHEST_FORCE,
@@ -249,6 +249,7 @@ class ForceEstimator:
         stale_frame_us: See below.
         assume_free: Nothing touches the sensor at the start. Otherwise the forces are not valid
             until the reference is a stored one or `tare` has been called.
+        tare_on_release: See below.
 
     Attributes:
         force_scale: Factor of the estimates, from the calibration of the sensor; may be changed at
@@ -256,6 +257,7 @@ class ForceEstimator:
         contact_threshold_n: Estimates above this count as contact, in which `tare` refuses [N].
         longest_without_frame_us: Age of the latest frame beyond which no force is given [us].
         stale_frame_us: Age of the latest frame beyond which the force is not trusted [us].
+        tare_on_release: Tare after each contact, once the sensor has been free and still for 2 s.
     """
 
     def __init__(
@@ -268,8 +270,10 @@ class ForceEstimator:
         longest_without_frame_us: int = NO_LIMIT_US,
         stale_frame_us: int = STALE_FRAME_US,
         assume_free: bool = False,
+        tare_on_release: bool = False,
     ) -> None:
         self.force_scale = force_scale
+        self.tare_on_release = tare_on_release
         self.contact_threshold_n = contact_threshold_n
         self.longest_without_frame_us = longest_without_frame_us
         self.stale_frame_us = stale_frame_us
@@ -288,6 +292,7 @@ class ForceEstimator:
         self._reason_now = Reason.TRUSTED
         self._saturated = self._other_camera = False
         self._release = Release()
+        self._zero = ZeroWatch()
         self._deviation: float | None = None
         self._since_us = -NO_LIMIT_US
         self._count = EstimatorCounters()
@@ -392,7 +397,7 @@ class ForceEstimator:
         self._other_camera = False
         self._estimator.clear()
         self._validity.clear()
-        self._release = Release()
+        self._release, self._zero = Release(), ZeroWatch()
         self._recent.clear()
 
     def _refuse_contact(self, reference: Reference, picture: PictureFigures | None) -> None:
@@ -433,7 +438,7 @@ class ForceEstimator:
 
     def _start_over(self) -> None:
         self._forget()
-        self._release = Release()
+        self._release, self._zero = Release(), ZeroWatch()
 
     def reset(self) -> None:
         """Start over: the next still frames become the reference."""
@@ -465,6 +470,7 @@ class ForceEstimator:
             frame_force=self.frame_force,
             deviation=-1.0 if self._deviation is None else self._deviation,
             validity=self._reason_now.name,
+            zero_drift=self.force_scale * self._zero.drift,
         )
 
     def _frame_age_us(self) -> int:
@@ -523,6 +529,15 @@ class ForceEstimator:
         self._validity.frame(frame.mid_us, frame.contrast, frame.picture, frame.force, then)
         if frame.picture is not None:
             self._release.frame(frame.picture)
+            self._watch_zero(frame.force, abs(frame.picture.outward) < CONTACT)
+
+    def _watch_zero(self, force: float, apart: bool) -> None:
+        reference = self._estimator.reference
+        assert reference is not None  # noqa: S101  (the frame was compared with it)
+        free = apart if reference.known else self._release.seen
+        below = abs(self.force_scale * force) < self.contact_threshold_n
+        still = reference.progress == reference.frames
+        self._zero.frame(force, free=free, still=still and below)
 
     def _distrust(self, raw: float, age_us: int) -> Reason:
         """Return why a force cannot be trusted, before `force_scale` [N]."""
@@ -574,6 +589,10 @@ class ForceEstimator:
         self._frame = frame
         self._saturated = False
         self._count.frames += 1
+        if self.tare_on_release and self._zero.due:
+            with contextlib.suppress(TareError):
+                self.tare()
+                self._count.tares += 1
 
     def _forget(self) -> None:
         self._estimator.clear()
