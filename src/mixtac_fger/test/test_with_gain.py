@@ -39,6 +39,13 @@ def test_forces_are_multiplied(model, trial, gain):
         assert (tensor == before[name]).all()
 
 
+def test_deviations_can_be_narrowed_beside_the_gain(model):
+    narrow, wide = (with_gain(model, 2.0, deviation) for deviation in (0.5, 1.0))
+    for name, tensor in wide.tensors.items():
+        factor = 0.5 if name == 'deviation.scale' else 1.0
+        assert narrow.tensors[name] == pytest.approx(factor * tensor)
+
+
 def test_impossible_gains_and_other_architectures_are_refused(model):
     for gain in (0.0, -1.0, float('nan'), float('inf')):
         with pytest.raises(ModelError):

@@ -206,13 +206,13 @@ def save_calibrated(
     Raises:
         FileError: It cannot be written.
     """
-    from mixtac_fger.fger_net import with_gain
+    from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
     from mixtac_fger.weights import save_model
 
     training = model.card.training | {KEY: entry}
     if entry['serial']:
         training[SERIAL_KEY] = entry['serial']
-    scaled = with_gain(model, calibration.gain)
+    scaled = with_gain(model, calibration.gain, CALIBRATED_DEVIATION)
     card = ModelCard(training, model.card.metrics)
     save_model(out, Model(scaled.architecture, scaled.version, scaled.config, card, scaled.tensors))
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mixtac_events.errors import MixtacError
 from mixtac_fger.estimator import open_estimator
+from mixtac_fger.fger_net import CALIBRATED_DEVIATION
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import Model
 from mixtac_learning.judge.metrics import CalibrationError, fit_scale
@@ -61,7 +62,8 @@ class TrialEstimate:
     def scaled(self, scale: float) -> TrialEstimate:
         """Return the estimate of a sensor that was calibrated to this scale."""
         frames = None if self.frames_only is None else scale * self.frames_only
-        deviation = None if self.deviation is None else scale * self.deviation
+        narrower = scale * CALIBRATED_DEVIATION
+        deviation = None if self.deviation is None else narrower * self.deviation
         return replace(self, force=scale * self.force, frames_only=frames, deviation=deviation)
 
 
