@@ -6,7 +6,7 @@ An impulse is a sharp tap on the sensor. The force sensor sees a short peak; the
 bursts of events, loading and unloading, with a trough between them where the silicone stands still
 at its largest deformation. Force peak and event trough are the same moment (paper, section Aligning
 Data). The events come later than that: the deformation of the silicone lags the force, and the
-darker a pixel, the later it responds. This latency is a constant of the sensor (`event_latency_s`)
+darker a pixel, the later it responds. This latency is a constant of the sensor (`event_latency`)
 and is subtracted. The delay of the force sensor's filter (1.5 to 3 ms for a stream of 800 Hz)
 cannot be separated from the offset `b` and stays in it: a camera time maps to the stamp of the
 sample that shows the force of that moment.

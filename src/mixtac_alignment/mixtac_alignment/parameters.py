@@ -68,16 +68,6 @@ class AlignmentParameters:
         return self.max_drift * 1e-6
 
     @property
-    def event_latency_s(self) -> float:
-        """Delay of the event trough of a tap [s]."""
-        return self.event_latency * 1e-3
-
-    @property
-    def event_latency_std_s(self) -> float:
-        """Standard deviation of `event_latency_s` from sensor to sensor [s]."""
-        return self.event_latency_std * 1e-3
-
-    @property
     def tap_latency_s(self) -> float:
         """Delay of the events of a tap that is fitted as a whole [s]."""
         return self.tap_latency * 1e-3

@@ -134,12 +134,12 @@ def fit_counts(
         counts, force_t_s, force_N, parameters, find_event_impulses, max_gap_s=max_gap_s
     )
     used = pairs if use_all else (pairs[0], pairs[-1])
-    latency_us = round(1e6 * parameters.event_latency_s)
+    latency_us = round(1e6 * (1e-3 * parameters.event_latency))
     return fit_clock(
         [_anchor(pair, counts.start_us - latency_us, start_s) for pair in used],
         min_baseline_s=parameters.min_baseline,
         max_drift=parameters.max_drift_rate,
-        common_std_s=parameters.event_latency_std_s,
+        common_std_s=1e-3 * parameters.event_latency_std,
     )
 
 

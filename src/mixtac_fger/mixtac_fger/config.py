@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, TypeVar
 
 from mixtac_events.errors import MixtacError
@@ -215,6 +216,16 @@ STATISTICS = ('frame.mean', 'frame.scale', 'event.scale', 'deviation.scale')
 """Tensors of a weight file that are not trained by gradients."""
 
 
+def map_shapes(config: FgerConfig) -> list[tuple[int, int, int]]:
+    """Return rows, columns and channels of the input and of each convolution's output."""
+    rows, columns = config.frame_shape
+    shapes = [(rows, columns, len(config.frame_channels))]
+    for width in config.frame_widths:
+        rows, columns = (rows + 1) // 2, (columns + 1) // 2
+        shapes.append((rows, columns, width))
+    return shapes
+
+
 def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
     """Return the shape of each tensor that a weight file of this configuration holds, by name."""
     shapes: dict[str, tuple[int, ...]] = {}
@@ -224,13 +235,13 @@ def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
         if bias:
             shapes[f'{name}.bias'] = (outputs,)
 
-    channels, (rows, columns) = len(config.frame_channels), config.frame_shape
-    shapes['frame.mean'] = shapes['frame.scale'] = (channels, 1, 1)
-    for index, width in enumerate(config.frame_widths):
+    maps = map_shapes(config)
+    shapes['frame.mean'] = shapes['frame.scale'] = (maps[0][2], 1, 1)
+    for index, (before, after) in enumerate(pairwise(maps)):
         name = f'frame.convolutions.{2 * index}'  # a ReLU stands between two convolutions
-        shapes[f'{name}.weight'], shapes[f'{name}.bias'] = (width, channels, 3, 3), (width,)
-        channels, rows, columns = width, (rows + 1) // 2, (columns + 1) // 2
-    linear('frame.project', channels * rows * columns, config.frame_size)
+        shapes[f'{name}.weight'] = (after[2], before[2], 3, 3)
+        shapes[f'{name}.bias'] = (after[2],)
+    linear('frame.project', math.prod(maps[-1]), config.frame_size)
     linear('frame.head', config.frame_size, 1)
     shapes['event.scale'] = (CELL_FEATURES,)
     linear('event.hidden', config.event_inputs, config.event_hidden)
@@ -263,12 +274,10 @@ def operations_per_cycle(config: FgerConfig) -> int:
     """Return floating-point operations (2 per multiply-add) per frame interval of 40 ms."""
     shapes = tensor_shapes(config)
     sizes = {name: math.prod(shapes[name]) for name in shapes if name not in STATISTICS}
-    rows, columns = config.frame_shape
-    total = 0
-    for name, size in sizes.items():
-        if name.startswith('frame.convolutions') and name.endswith('weight'):
-            rows, columns = (rows + 1) // 2, (columns + 1) // 2
-            total += size * rows * columns
+    total = sum(
+        sizes[f'frame.convolutions.{2 * index}.weight'] * rows * columns
+        for index, (rows, columns, _) in enumerate(map_shapes(config)[1:])
+    )
     total += sizes['frame.project.weight']
     total += sum(size for name, size in sizes.items() if name.startswith('correction'))
     per_window = sum(

@@ -4,20 +4,23 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from geometry_msgs.msg import WrenchStamped
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError, SerialisedPacket, read_packet
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import CameraFacts, check_camera, open_estimator
-from mixtac_fger.live_feed import ForceMessage, LiveFeed, feed_diagnosis
+from mixtac_fger.live_feed import LiveFeed, feed_diagnosis
 from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import TareError
 from mixtac_fger.streaming import ForceEstimator, warm_up
@@ -38,6 +41,37 @@ if TYPE_CHECKING:
 
     from mixtac_fger.estimator import Estimate, Estimator
     from mixtac_fger.weights import Model
+
+
+_STAMP = struct.Struct('<iI')
+_NUMBER = struct.Struct('<d')
+_STAMP_AT, _FORCE_Z_AT = 4, -32
+"""Places in a serialised message: after the representation, and four numbers before the end."""
+
+
+class ForceMessage:
+    """Writes forces along z as serialised messages.
+
+    Args:
+        frame_id: Frame of the force.
+    """
+
+    def __init__(self, frame_id: str) -> None:
+        message = WrenchStamped()
+        message.header.frame_id = frame_id
+        self._bytes = bytearray(serialize_message(message))
+
+    def serialised(self, stamp_us: int, force: float) -> bytes:
+        """Return the message.
+
+        Args:
+            stamp_us: Its stamp [us].
+            force: Its force along z [N].
+        """
+        seconds, rest = divmod(stamp_us, 1_000_000)
+        _STAMP.pack_into(self._bytes, _STAMP_AT, seconds, rest * 1000)
+        _NUMBER.pack_into(self._bytes, _FORCE_Z_AT, force)
+        return bytes(self._bytes)
 
 
 class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from mixtac_fger.config import map_shapes
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -85,16 +87,6 @@ def frame_weights(tensors: Tensors, config: FgerConfig) -> FrameWeights:
         head=copied(tensors['frame.head.weight']).ravel(),
         head_bias=copied(tensors['frame.head.bias']),
     )
-
-
-def map_shapes(config: FgerConfig) -> list[tuple[int, int, int]]:
-    """Return rows, columns and channels of the input and of each convolution's output."""
-    rows, columns = config.frame_shape
-    shapes = [(rows, columns, len(config.frame_channels))]
-    for width in config.frame_widths:
-        rows, columns = (rows + 1) // 2, (columns + 1) // 2
-        shapes.append((rows, columns, width))
-    return shapes
 
 
 def frame_maps(config: FgerConfig) -> tuple[F32, ...]:

@@ -4,13 +4,12 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from mixtac_events.codec import PacketMessage, decode_message
-from mixtac_events.packets import CDR_LITTLE_ENDIAN, CodecError
+from mixtac_events.packets import CodecError
 from mixtac_events.sequence import SequenceCounter
 from mixtac_fger.features import ImageError
 from mixtac_fger.validity import Reason
@@ -23,43 +22,6 @@ if TYPE_CHECKING:
     from mixtac_events.packets import DecodedPacket
     from mixtac_fger.estimator import Estimate, EstimatorStatus
     from mixtac_fger.streaming import ForceEstimator
-
-
-_START: Final = 4
-_STAMP = struct.Struct('<iI')
-_LENGTH = struct.Struct('<I')
-_WRENCH = struct.Struct('<6d')
-_FORCE_Z: Final = 16
-"""Bytes before force.z in a wrench."""
-_NUMBER = struct.Struct('<d')
-
-
-class ForceMessage:
-    """Writes forces along z as serialised messages.
-
-    Args:
-        frame_id: `header.frame_id` of all of them.
-    """
-
-    def __init__(self, frame_id: str) -> None:
-        name = frame_id.encode() + b'\0'
-        content = _STAMP.pack(0, 0) + _LENGTH.pack(len(name)) + name
-        content += bytes(-len(content) % 8)
-        self._force_at = _START + len(content) + _FORCE_Z
-        zero = _WRENCH.pack(*[0.0] * 6)
-        self._bytes = bytearray(CDR_LITTLE_ENDIAN + bytes(2) + content + zero)
-
-    def serialised(self, stamp_us: int, force: float) -> bytes:
-        """Return the message.
-
-        Args:
-            stamp_us: `header.stamp` [us].
-            force: `wrench.force.z` [N].
-        """
-        seconds, rest = divmod(stamp_us, 1_000_000)
-        _STAMP.pack_into(self._bytes, _START, seconds, rest * 1000)
-        _NUMBER.pack_into(self._bytes, self._force_at, force)
-        return bytes(self._bytes)
 
 
 COMPARABLE_NS = 10_000_000_000
@@ -81,12 +43,6 @@ WATCHED = {
 """Counters whose rise is a warning, and what each counts."""
 MOST_DRIFT_N = 0.05
 """Drift of the zero beyond which a tare is due [N]."""
-
-
-class NumberedPacket(PacketMessage, Protocol):
-    """The fields of `event_camera_msgs/EventPacket` in use."""
-
-    seq: int
 
 
 class ImageMessage(Protocol):
@@ -137,12 +93,11 @@ class FeedStatus:
     problem: str
     lately: dict[str, int]
 
-    def values(self) -> dict[str, object]:
+    def values(self) -> dict[str, Any]:
         """Return everything by name, for /diagnostics."""
         own = asdict(self)
         del own['lately']
-        estimator: dict[str, object] = own.pop('estimator')
-        return estimator | own
+        return {**own.pop('estimator'), **own}
 
 
 class LiveFeed:
@@ -169,7 +124,7 @@ class LiveFeed:
         self._rate = RateMeter()
         self._durations, self._ages = RecentValues(), RecentValues()
 
-    def packet(self, message: NumberedPacket) -> list[Estimate]:
+    def packet(self, message: PacketMessage) -> list[Estimate]:
         """Take an event packet and return the forces of the windows that it closes."""
         started = time.perf_counter()
         repeated = self._sequence.repeated
@@ -257,7 +212,7 @@ class LiveFeed:
         """End the estimator's thread."""
         self.estimator.close()
 
-    def _decoded(self, message: NumberedPacket) -> DecodedPacket:
+    def _decoded(self, message: PacketMessage) -> DecodedPacket:
         size, wanted = (message.width, message.height), self.estimator.size
         if size != wanted:
             raise ImageError(
@@ -267,10 +222,8 @@ class LiveFeed:
         return decode_message(message)
 
     def _risen(self, found: FeedStatus) -> dict[str, int]:
-        now = {
-            name: int(getattr(found if hasattr(found, name) else found.estimator, name))
-            for name in WATCHED
-        }
+        values = found.values()
+        now = {name: int(values[name]) for name in WATCHED}
         before, self._before = self._before, now
         return {name: rise for name in WATCHED if (rise := now[name] - before[name]) > 0}
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixtac_fger.live_feed import ForceMessage
+from mixtac_fger.fger_node import ForceMessage
 
 names = st.text(st.characters(min_codepoint=32, max_codepoint=0x3FF), max_size=20)
 

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -18,6 +20,7 @@ from mixtac_fger.config import (
     VERSION,
     FgerConfig,
     ModelError,
+    map_shapes,
 )
 from mixtac_fger.fger_net import checked_config
 from mixtac_fger.weights import Model, ModelCard, Tensors
@@ -113,18 +116,16 @@ class FrameNetwork(nn.Module):
 
     def __init__(self, config: FgerConfig) -> None:
         super().__init__()
-        channels = len(config.frame_channels)
+        maps = map_shapes(config)
         self.mean: Tensor
         self.scale: Tensor
-        self.register_buffer('mean', torch.zeros(channels, 1, 1))
-        self.register_buffer('scale', torch.ones(channels, 1, 1))
+        self.register_buffer('mean', torch.zeros(maps[0][2], 1, 1))
+        self.register_buffer('scale', torch.ones(maps[0][2], 1, 1))
         layers: list[nn.Module] = []
-        rows, columns = config.frame_shape
-        for width in config.frame_widths:
-            layers += [nn.Conv2d(channels, width, 3, stride=2, padding=1), nn.ReLU()]
-            channels, rows, columns = width, (rows + 1) // 2, (columns + 1) // 2
+        for before, after in pairwise(maps):
+            layers += [nn.Conv2d(before[2], after[2], 3, stride=2, padding=1), nn.ReLU()]
         self.convolutions = nn.Sequential(*layers)
-        self.project = nn.Linear(channels * rows * columns, config.frame_size)
+        self.project = nn.Linear(math.prod(maps[-1]), config.frame_size)
         self.head = nn.Linear(config.frame_size, 1)
 
     def forward(self, frames: Tensor) -> Tensor:

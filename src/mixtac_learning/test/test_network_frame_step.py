@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import nn
 
-from mixtac_fger.config import FgerConfig
-from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, map_shapes, row_scratch
+from mixtac_fger.config import FgerConfig, map_shapes
+from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
 from mixtac_learning.network import FrameNetwork, arrays_of
 
 CONFIGS = {

@@ -190,7 +190,12 @@ class ProcessGroup:
             if self._members[each].process.poll() is None:
                 self._members[each].process.terminate()
         deadline = time.monotonic() + STOP_GRACE_S
-        return {each: _wait(self._members.pop(each), deadline) for each in names}
+        codes = {}
+        for each in names:
+            member = self._members.pop(each)
+            codes[each] = _wait(member.process, deadline - time.monotonic())
+            member.reader.join(1.0)
+        return codes
 
 
 class JsonProcess:
@@ -272,11 +277,7 @@ class JsonProcess:
         """End it: SIGTERM, then SIGKILL after a grace time. Its output can still be read."""
         if self._process.poll() is None:
             self._process.terminate()
-            try:
-                self._process.wait(STOP_GRACE_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+            _wait(self._process, STOP_GRACE_S)
         self._thread.join(1.0)
 
     def _read(self) -> None:
@@ -297,11 +298,10 @@ def ending_with_parent(command: list[str]) -> list[str]:
     return [setpriv, '--pdeathsig', 'TERM', '--', *command] if setpriv and main else command
 
 
-def _wait(member: _Member, deadline: float) -> int:
+def _wait(process: subprocess.Popen[str], grace_s: float) -> int:
+    """Return the status of a process that was asked to end; kill it after a grace time [s]."""
     try:
-        code = member.process.wait(max(0.1, deadline - time.monotonic()))
+        return process.wait(max(0.1, grace_s))
     except subprocess.TimeoutExpired:
-        member.process.kill()
-        code = member.process.wait()
-    member.reader.join(1.0)
-    return code
+        process.kill()
+        return process.wait()

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Generator, Iterator
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,8 @@ from mixtac_recordings.recording import (
     choose,
 )
 
+Readings = TypeVar('Readings', Events, InertialSamples, Edges)
+
 SLICE_US = 1000
 """Longest piece [us]: data of other streams are delayed by at most this much."""
 _MONO16 = 2
@@ -50,16 +53,14 @@ _EDGES = {number: kind for kind, number in _TRIGGERS.items()}
 
 
 def read_events(data: Octets) -> Iterator[Events]:
-    """Yield the events of a packet in stretches of at most SLICE_US.
+    """Return the events of a packet in stretches of at most SLICE_US.
 
     Raises:
         DamagedRecordingError: The packet is damaged.
     """
     flatbuffer.check(data, 'EVTS')
     packed = flatbuffer.structs(data, flatbuffer.root(data), 0, EVENT)
-    every = Events(*(packed[name].copy() for name in ('t', 'x', 'y', 'polarity')))
-    for part in _slices(every.t):
-        yield every[part]
+    return _slices(Events(*(packed[name].copy() for name in ('t', 'x', 'y', 'polarity'))))
 
 
 def read_frame(data: Octets) -> Frame:
@@ -93,7 +94,7 @@ def read_frame(data: Octets) -> Frame:
 
 
 def read_samples(data: Octets) -> Iterator[InertialSamples]:
-    """Yield the inertial samples of a packet in stretches of at most SLICE_US, in SI units.
+    """Return the inertial samples of a packet in stretches of at most SLICE_US, in SI units.
 
     Raises:
         DamagedRecordingError: The packet is damaged.
@@ -107,13 +108,11 @@ def read_samples(data: Octets) -> Iterator[InertialSamples]:
         temperature, ax, ay, az, wx, wy, wz = np.array(columns).astype(np.float64)
     acceleration = np.stack((ax, ay, az), 1) * STANDARD_GRAVITY
     rotation = np.deg2rad(np.stack((wx, wy, wz), 1))
-    every = InertialSamples(t, acceleration, rotation, temperature)
-    for part in _slices(t):
-        yield every[part]
+    return _slices(InertialSamples(t, acceleration, rotation, temperature))
 
 
 def read_edges(data: Octets) -> Iterator[Edges]:
-    """Yield the edges of a packet in stretches of at most SLICE_US; other triggers are left out.
+    """Return the edges of a packet in stretches of at most SLICE_US; other triggers are left out.
 
     Raises:
         DamagedRecordingError: The packet is damaged.
@@ -123,9 +122,8 @@ def read_edges(data: Octets) -> Iterator[Edges]:
     t = flatbuffer.column(data, rows, 0, '<i8', 0).astype(np.int64)
     recorded = flatbuffer.column(data, rows, 1, 'i1', 0)
     known = np.isin(recorded, list(_EDGES))
-    every = Edges(t[known], np.array([_EDGES[int(each)] for each in recorded[known]], np.uint8))
-    for part in _slices(every.t):
-        yield every[part]
+    kinds = np.array([_EDGES[int(each)] for each in recorded[known]], np.uint8)
+    return _slices(Edges(t[known], kinds))
 
 
 def _pixels(data: Octets, number: int, width: int, height: int) -> NDArray[np.uint16]:
@@ -143,10 +141,12 @@ def _pixels(data: Octets, number: int, width: int, height: int) -> NDArray[np.ui
     return wide << np.uint16(2) if dtype.itemsize == 1 else wide >> np.uint16(BIT_SHIFT)
 
 
-def _slices(t: NDArray[np.int64]) -> Iterator[slice]:
-    if len(t):
-        cuts = (np.flatnonzero(np.diff(t // SLICE_US)) + 1).tolist()
-        yield from map(slice, [0, *cuts], [*cuts, len(t)])
+def _slices(readings: Readings) -> Iterator[Readings]:
+    """Yield readings in stretches of at most SLICE_US."""
+    if len(readings.t):
+        cuts: list[int] = (np.flatnonzero(np.diff(readings.t // SLICE_US)) + 1).tolist()
+        for start, stop in pairwise([0, *cuts, len(readings.t)]):
+            yield readings[start:stop]
 
 
 _FROM_SENSOR = 1

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
 from mixtac_events.sequence import SequenceCounter
+from mixtac_node.diagnostics import ERROR, OK, WARN
 from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.detectors import Detectors
@@ -352,8 +353,6 @@ class SlipController:
         )
 
 
-OK, WARN, ERROR = range(3)
-"""Levels of `diagnostic_msgs/DiagnosticStatus`."""
 AGES: Final = (EVENTS, FORCE, JOINTS, HEARTBEAT)
 
 

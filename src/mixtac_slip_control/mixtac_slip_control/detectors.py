@@ -126,7 +126,8 @@ class Hysteresis:
 
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other parameters."""
-        self._ratio, self._windows = parameters.release_ratio, parameters.release_windows
+        self._ratio = parameters.release_ratio
+        self._windows = max(1, parameters.windows(parameters.release_time))
 
     def update(self, value: float, background: float, threshold: float) -> bool:
         """Decide on a window and return whether it slips."""
@@ -218,7 +219,7 @@ class CountDetector(Detector):
         """
         middle = self.background.median
         still = max(self.background.threshold, middle + self._parameters.min_excess)
-        own = self._parameters.advance_events_per_m * abs(advance_m)
+        own = 1e3 * self._parameters.advance_events_per_mm * abs(advance_m)
         self.threshold, self.expected = still + own, self.background.start + own
         return self.learned and self._state.update(window.count, middle, self.threshold)
 
@@ -280,7 +281,7 @@ class FlowDetector(Detector):
         slow = math.hypot(float(total[0]), float(total[1]))
         self._latest = (fast, slow)
         p = self._parameters
-        per_m = p.advance_flow_per_m
+        per_m = 1e3 * p.advance_flow_per_mm
         self.threshold = max(self._fast.threshold, p.min_flow) + per_m * abs(advance_m)
         slow_threshold = max(self._slow.threshold, p.min_slow_flow) + per_m * float(total[2])
         # On one scale: the sum as if its threshold were that of the single window.

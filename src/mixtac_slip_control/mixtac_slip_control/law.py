@@ -96,7 +96,7 @@ class AdvanceLaw:
         p = self._parameters
         self._excess = 0.0
         self._held += 1
-        if self._held <= p.hold_windows or force is None or self._preload is None:
+        if self._held <= p.windows(p.hold_time) or force is None or self._preload is None:
             return 0.0
         excess = force - self._preload
         if excess < -p.force_band:

@@ -201,7 +201,7 @@ class SlipControlParameters:
             ('background_time_constant', FEWEST_FOLLOWED),
         ):
             seconds = getattr(self, name)
-            if self._windows(seconds) < fewest:
+            if self.windows(seconds) < fewest:
                 raise ParameterError(
                     f'parameter {name} = {seconds:g} s: give at least {fewest} windows of '
                     f'{self.window:g} s'
@@ -225,37 +225,18 @@ class SlipControlParameters:
     @cached_property
     def learning_windows(self) -> int:
         """Windows at rest from which the background is first learned."""
-        return self._windows(self.learning_time)
+        return self.windows(self.learning_time)
 
     @cached_property
     def settle_windows(self) -> int:
         """Windows without slip and advance after which the background is updated again."""
-        return self._windows(self.settle_time)
-
-    @cached_property
-    def release_windows(self) -> int:
-        """Quiet windows in a row that end a slip."""
-        return max(1, self._windows(self.release_time))
+        return self.windows(self.settle_time)
 
     @cached_property
     def slow_windows(self) -> int:
         """Windows over which translation is summed for slow slip."""
-        return max(2, self._windows(self.slow_time))
+        return max(2, self.windows(self.slow_time))
 
-    @cached_property
-    def hold_windows(self) -> int:
-        """Windows without slip for which the advance is held."""
-        return self._windows(self.hold_time)
-
-    @cached_property
-    def advance_events_per_m(self) -> float:
-        """Events per metre of advance [1/m]."""
-        return 1e3 * self.advance_events_per_mm
-
-    @cached_property
-    def advance_flow_per_m(self) -> float:
-        """Translation per metre of advance [px per contrast threshold / m]."""
-        return 1e3 * self.advance_flow_per_mm
-
-    def _windows(self, seconds: float) -> int:
+    def windows(self, seconds: float) -> int:
+        """Return the number of windows nearest to a time [s]."""
         return round(seconds / self.window)

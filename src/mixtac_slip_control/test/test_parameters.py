@@ -51,10 +51,9 @@ def test_values_without_a_meaning_are_refused(bad: dict[str, object]) -> None:
         assert any(name in str(caught.value) for name in bad)
 
 
-def test_times_are_given_in_windows_and_lengths_in_metres() -> None:
-    p = SlipControlParameters(window=2e-3, learning_time=1.0, advance_events_per_mm=3e4)
+def test_times_are_given_in_windows() -> None:
+    p = SlipControlParameters(window=2e-3, learning_time=1.0)
     assert (p.window_us, p.learning_windows) == (2000, 500)
-    assert p.advance_events_per_m == 3e7
     assert dataclasses.replace(p, window=1e-3).learning_windows == 1000
 
 

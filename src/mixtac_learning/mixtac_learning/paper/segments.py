@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from mixtac_learning.paper.networks import PaperNetwork, SegmentBatch
 from mixtac_learning.paper.samples import PaperSample
-from mixtac_learning.trials.trial import DatasetError
 
 
 class Segment(NamedTuple):
@@ -65,13 +64,7 @@ def assemble(
         model: One of `mixtac_learning.paper.config.MODELS`; what it does not read stays empty. The
             label of a frame is the mean force of its exposure, or for `fusion` the force when it
             arrives, up to which that network has seen events.
-
-    Raises:
-        DatasetError: There are none, or of different lengths.
     """
-    lengths = {segment.stop - segment.start for segment in segments}
-    if len(lengths) != 1:
-        raise DatasetError(f'stretches of lengths {sorted(lengths)}: give equal ones')
     columns = [_Column(samples[s.trial], s, model) for s in segments]
     shift = np.cumsum([0, *(len(c.frames) for c in columns[:-1])])
     slots = np.stack([_shifted(c.slots, k) for c, k in zip(columns, shift, strict=True)], 1)

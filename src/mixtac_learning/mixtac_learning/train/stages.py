@@ -14,21 +14,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from mixtac_fger.config import FgerConfig, ModelError
-from mixtac_learning.network import DeviationHead, FgerNetwork, FrameSlots, SequenceState
+from mixtac_learning.network import Course, DeviationHead, FgerNetwork, FrameSlots, SequenceState
 from mixtac_learning.train.batches import SequenceGroups, Sequences, mirror_events, mirror_frames
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import Stage, TrainingLoop
 from mixtac_learning.train.parallel import Processes
 
 Flip = tuple[bool, bool]
+T = TypeVar('T')
 
 
 _ENCODE_BATCH = 512
@@ -93,11 +95,16 @@ def estimate(network: FgerNetwork, sequences: Sequences) -> tuple[Tensor, Tensor
     Returns:
         Force at the end of each window [T, B] and frames-only force of each frame [N], in N.
     """
+    course, features = _run(network, sequences)
+    return course.force, network.frame.force(features)
+
+
+def _run(network: FgerNetwork, sequences: Sequences) -> tuple[Course, Tensor]:
+    """Return the course of all sequences from their start, and the features of all frames."""
     features = encode(network, sequences)
     state = network.initial_state(sequences.force.shape[1])
     events = sequences.event_features.float()
-    course = network(events, features, sequences.slots, state)
-    return course.force, network.frame.force(features)
+    return network(events, features, sequences.slots, state), features
 
 
 def mean_error(
@@ -288,8 +295,7 @@ class SequenceStage(Stage):
     settings: TrainingSettings
     joint: bool = False
     checked: SequenceGroups | None = None
-    _encoded: dict[tuple[int, Flip], Tensor] = field(default_factory=dict)
-    _cut_out: dict[int, Sequences | None] = field(default_factory=dict)
+    _kept: dict[object, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Take epochs and rate from the settings."""
@@ -323,43 +329,43 @@ class SequenceStage(Stage):
         for group in torch.randperm(len(self.groups), generator=random).tolist():
             sequences = self.groups.load(group).to(self.model.device)
             flip = _flips(self.settings, random)
-            frozen = None if self.joint else self._features(group, sequences, flip)
+            frozen = None
+            if not self.joint:
+                frozen = self._cached(flip, partial(encode, self.model.network, sequences, *flip))
             state = self.model.network.initial_state(sequences.force.shape[1])
-            cut_out = self._impacts(group, sequences)
+            cut_out = None
+            if self.settings.blow_every:
+                cut_out = self._cached('impacts', partial(impacts, sequences))
             for number, (start, stop) in enumerate(self._chunks(len(sequences.force), random)):
                 if cut_out is not None and number % self.settings.blow_every == 0:
                     yield self._impact_loss(cut_out, frozen, flip)
-                slots = FrameSlots(*(part[start:stop] for part in sequences.slots))
-                features, local = (
-                    self._encode_now(sequences, flip, slots) if frozen is None else (frozen, slots)
-                )
-                events = mirror_events(sequences.event_features[start:stop].float(), *flip)
-                course = self.model.network(events, features, local, state)
+                windows = slice(start, stop)
+                course = self._course(sequences, windows, frozen, flip, state)
                 # Truncated back-propagation: the gradient ends here.
                 state = SequenceState(*(part.detach() for part in course.state))
-                yield self._loss(course.force, sequences, slice(start, stop))
-
-    def _impacts(self, group: int, sequences: Sequences) -> Sequences | None:
-        """Return the impacts of a group; cached if there is only one group."""
-        if not self.settings.blow_every:
-            return None
-        if len(self.groups) > 1:
-            return impacts(sequences)
-        if group not in self._cut_out:
-            self._cut_out[group] = impacts(sequences)
-        return self._cut_out[group]
+                yield self._loss(course.force, sequences, windows)
 
     def _impact_loss(self, cut_out: Sequences, frozen: Tensor | None, flip: Flip) -> Tensor:
         """Return the loss of the impacts, each from no contact on."""
-        features, slots = (
-            self._encode_now(cut_out, flip, cut_out.slots)
-            if frozen is None
-            else (frozen, cut_out.slots)
-        )
         state = self.model.network.initial_state(cut_out.force.shape[1])
-        events = mirror_events(cut_out.event_features.float(), *flip)
-        course = self.model.network(events, features, slots, state)
+        course = self._course(cut_out, slice(None), frozen, flip, state)
         return self._loss(course.force, cut_out, slice(None))
+
+    def _course(
+        self,
+        sequences: Sequences,
+        windows: slice,
+        frozen: Tensor | None,
+        flip: Flip,
+        state: SequenceState,
+    ) -> Course:
+        """Run a stretch, with the features of its frames or with gradients through them."""
+        slots = FrameSlots(*(part[windows] for part in sequences.slots))
+        features = frozen
+        if features is None:
+            features, slots = self._encode_now(sequences, flip, slots)
+        events = mirror_events(sequences.event_features[windows].float(), *flip)
+        return self.model.network(events, features, slots, state)  # type: ignore[no-any-return]
 
     def validate(self) -> float | None:
         """Return the mean absolute error on the trials to validate on [N]."""
@@ -369,13 +375,14 @@ class SequenceStage(Stage):
             lambda held: (estimate(self.model.network, held)[0] - held.force)[held.valid],
         )
 
-    def _features(self, group: int, sequences: Sequences, flip: Flip) -> Tensor:
-        """Return the features of all frames; cached if there is only one group."""
+    def _cached(self, key: object, make: Callable[[], T]) -> T:
+        """Return what `make` gives; kept if there is only one group."""
         if len(self.groups) > 1:
-            return encode(self.model.network, sequences, *flip)
-        if (group, flip) not in self._encoded:
-            self._encoded[group, flip] = encode(self.model.network, sequences, *flip)
-        return self._encoded[group, flip]
+            return make()
+        if key not in self._kept:
+            self._kept[key] = make()
+        found: T = self._kept[key]
+        return found
 
     def _encode_now(
         self, sequences: Sequences, flip: Flip, slots: FrameSlots
@@ -502,16 +509,12 @@ def collect(network: FgerNetwork, groups: SequenceGroups, most: int = _WINDOWS) 
     parts = []
     for index in range(len(groups)):
         sequences = groups.load(index).to(device)
-        features = encode(network, sequences)
-        trials = sequences.force.shape[1]
-        state = network.initial_state(trials)
-        events = sequences.event_features.float()
-        course = network(events, features, sequences.slots, state)
+        course, _ = _run(network, sequences)
         rows = torch.nonzero(sequences.valid.flatten())[:, 0]
         rows = rows[torch.randperm(len(rows), generator=random)[:share].to(device)]
         force = course.force.flatten()[rows]
         error = force - sequences.force.flatten()[rows]
-        parts.append(Errors(course.hidden.flatten(0, 1)[rows], force, error, trials))
+        parts.append(Errors(course.hidden.flatten(0, 1)[rows], force, error, len(sequences.device)))
     return joined(parts)
 
 

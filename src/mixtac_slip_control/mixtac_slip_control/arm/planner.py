@@ -53,23 +53,6 @@ class StreamSettings:
     min_change: float = 1e-7
     history_s: float = 0.25
 
-    def __post_init__(self) -> None:
-        """Refuse settings that no trajectory can follow.
-
-        Raises:
-            ArmError: A value that is not finite, not positive or out of its range.
-        """
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if not math.isfinite(value) or value < 0.0:
-                raise ArmError(f'{name} = {value}: give a finite number, zero or more')
-        if not 2e-4 <= self.spacing_s <= 1e-2:
-            raise ArmError(f'spacing_s = {self.spacing_s}: give 0.0002 to 0.01 s')
-        if not 0.0 < self.share <= 1.0:
-            raise ArmError(f'share = {self.share}: give more than 0, at most 1')
-        if self.max_speed == 0.0:
-            raise ArmError(f'max_speed = {self.max_speed} m/s: give a speed above 0')
-
 
 MAX_ADVANCE: Final = 0.02
 """Largest advance since a reset where none is given [m]; the largest `max_total`."""

@@ -7,7 +7,7 @@ import pytest
 from mixtac_sim.arm.fr3 import READY, flange_place
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
-from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
+from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.errors import ArmError, UnreachableError
 
 ARM, LIMITS = SerialArm.fr3(), JointLimits.fr3()
@@ -169,12 +169,3 @@ def test_a_clock_that_was_set_back_is_no_obstacle_to_braking(planner, back_s):
     assert step < 0.25e-3 * 5
     assert not braking.dq[-1].any()
     assert np.abs(braking.ddq).max() <= 10.0
-
-
-@pytest.mark.parametrize(
-    'bad',
-    [{'lead_s': -1.0}, {'share': 0.0}, {'share': 1.5}, {'spacing_s': 0.0}, {'max_speed': 0.0}],
-)
-def test_settings_without_a_meaning_are_refused(bad):
-    with pytest.raises(ArmError):
-        StreamSettings(**bad)
