@@ -12,6 +12,7 @@ import math
 import threading
 import time
 from array import array
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
 
 R = TypeVar('R', bound='Receiver')
 SERVICE_TIMEOUT_S = 20.0
+DEPTH = 1000
+"""Forces that may wait: those of two seconds in which the host has no time for the monitor."""
 FIRST_FORCE_TIMEOUT_S = 180.0
 """The driver compiles, too, before its first packet."""
 
@@ -139,7 +142,7 @@ class Monitor(Receiver):
     def listen(self) -> None:
         """Subscribe and start receiving."""
         node = self._node
-        node.subscribe_topic(topics.FORCE, self._on_force)
+        node.subscribe_topic(replace(topics.FORCE, depth=DEPTH), self._on_force)
         node.subscribe_topic(topics.REFERENCE_WRENCH, self._on_reference)
         node.subscribe_topic(topics.CAMERA_CLOCK, self._on_clock)
         node.subscribe_topic(topics.DIAGNOSTICS, self._on_diagnostics)
