@@ -17,7 +17,7 @@ import re
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, TypeVar
 
 import cattrs
 import yaml
@@ -183,11 +183,9 @@ def _converter() -> cattrs.Converter:
     converter = cattrs.Converter(forbid_extra_keys=True)
     for kind in (bool, int, float, str):
         converter.register_structure_hook(kind, functools.partial(_plain, kind))
-    converter.register_structure_hook(Path, lambda value, _: Path(_plain(str, value)))
     converter.register_structure_hook_factory(
         dataclasses.is_dataclass, functools.partial(_of_mapping, converter)
     )
-    converter.register_structure_hook_func(_is_literal, _choice)
     return converter
 
 
@@ -207,16 +205,6 @@ def _plain(kind: type[Any], value: object, _: object = None) -> Any:  # noqa: AN
         return float(value)
     if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         raise TypeError(f'{kind.__name__} is expected, not {value!r}')
-    return value
-
-
-def _is_literal(kind: object) -> bool:
-    return bool(get_origin(kind) == Literal)
-
-
-def _choice(value: object, kind: Any) -> Any:  # noqa: ANN401
-    if value not in get_args(kind):
-        raise ValueError(f'{value!r} is not one of {", ".join(map(repr, get_args(kind)))}')
     return value
 
 

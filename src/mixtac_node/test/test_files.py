@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal
 
 import pytest
 
@@ -25,7 +23,7 @@ from mixtac_node.files import (
 @dataclass(frozen=True)
 class Part:
     count: int = 1
-    mode: Literal['fast', 'slow'] = 'fast'
+    mode: str = 'fast'
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,6 @@ class Config:
     limit: int | None = None
     parts: list[Part] = field(default_factory=list)
     gains: dict[str, float] = field(default_factory=dict)
-    folder: Path = Path()
 
     def __post_init__(self) -> None:
         if self.rate < 0:
@@ -78,10 +75,10 @@ def test_yaml_becomes_a_dataclass(tmp_path):
     path = tmp_path / 'config.yaml'
     path.write_text(
         'rate: 2\npart: {count: 3, mode: slow}\nsteps: [1, 2.5]\nlimit: 4\n'
-        'parts: [{count: 5}]\ngains: {a: 1}\nfolder: some/where\n'
+        'parts: [{count: 5}]\ngains: {a: 1}\n'
     )
     assert read_dataclass(path, Config) == Config(
-        2.0, Part(3, 'slow'), (1.0, 2.5), 4, [Part(5)], {'a': 1.0}, Path('some/where')
+        2.0, Part(3, 'slow'), (1.0, 2.5), 4, [Part(5)], {'a': 1.0}
     )
 
 
@@ -95,7 +92,6 @@ def test_yaml_becomes_a_dataclass(tmp_path):
         ({'rate': -1.0}, ('-1.0',)),
         ({'rate': 1.0, 'part': {'count': 2.5}}, ('part', 'count', '2.5')),
         ({'rate': 1.0, 'part': {'cuont': 2}}, ('part', 'cuont', 'count')),
-        ({'rate': 1.0, 'part': {'mode': 'fsat'}}, ('mode', "'fsat'", "'fast'")),
         ({'rate': 1.0, 'parts': [{'other': 1}]}, ('parts', 'other')),
         ({'rate': 1.0, 'gains': [1]}, ('gains',)),
         ({'rate': 1.0, 'steps': 3}, ('steps',)),

@@ -9,6 +9,7 @@ import itertools
 import shutil
 import tempfile
 import zipfile
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -179,7 +180,37 @@ def topic_file(topic: str) -> str:
     return topic.strip('/').replace('/', '_')
 
 
-class CsvSink:
+class TableSink(ABC):
+    """What tables hold: arrays by name, one row per reading."""
+
+    @abstractmethod
+    def table(self, name: str, **columns: NDArray[Any]) -> None:
+        """Append rows to a table; columns of several numbers are of shape (N, numbers)."""
+
+    def events(self, events: Events) -> None:
+        """Write events."""
+        self.table('events', t=events.t, x=events.x, y=events.y, polarity=events.polarity)
+
+    def samples(self, samples: InertialSamples) -> None:
+        """Write inertial samples."""
+        self.table(
+            'imu',
+            t=samples.t,
+            acceleration=samples.acceleration,
+            angular_velocity=samples.angular_velocity,
+            temperature=samples.temperature,
+        )
+
+    def edges(self, edges: Edges) -> None:
+        """Write edges."""
+        self.table('edges', t=edges.t, kind=edges.kind)
+
+    def wrenches(self, topic: str, rows: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Write wrenches."""
+        self.table(topic_file(topic), t=rows, force=values[:, :3], torque=values[:, 3:])
+
+
+class CsvSink(TableSink):
     """CSV tables with units in their headings; frames as PNG files of 16 bits, 10 left-aligned.
 
     Args:
@@ -191,11 +222,13 @@ class CsvSink:
         self._files: dict[str, IO[str]] = {}
         self._frames = 0
 
-    def events(self, events: Events) -> None:
-        """Write events."""
-        columns = (events.t, events.x, events.y, events.polarity.astype(np.uint8))
-        rows = zip(*(column.tolist() for column in columns), strict=True)
-        self._write('events', HEADINGS['events'], '%d,%d,%d,%d\n', rows)
+    def table(self, name: str, **columns: NDArray[Any]) -> None:
+        """Append rows to a table."""
+        parts = [part for each in columns.values() for part in np.atleast_2d(each.T)]
+        fraction = '%.9g' if name == 'imu' else '%.17g'
+        form = ','.join(fraction if part.dtype.kind == 'f' else '%d' for part in parts)
+        rows = zip(*(part.tolist() for part in parts), strict=True)
+        self._write(name, HEADINGS.get(name, WRENCH_COLUMNS), form + '\n', rows)
 
     def frame(self, frame: Frame) -> None:
         """Write a frame."""
@@ -207,24 +240,6 @@ class CsvSink:
             raise RecordingError(f'cannot write {path}', remedy='free some space')
         row = (name, frame.exposure_start_us, frame.exposure_end_us, frame.x, frame.y)
         self._write('frames', HEADINGS['frames'], '%s,%d,%d,%d,%d\n', [row])
-
-    def samples(self, samples: InertialSamples) -> None:
-        """Write inertial samples."""
-        table = np.column_stack(
-            (samples.acceleration, samples.angular_velocity, samples.temperature)
-        )
-        rows = [(t, *row) for t, row in zip(samples.t.tolist(), table.tolist(), strict=True)]
-        self._write('imu', HEADINGS['imu'], '%d' + ',%.9g' * 7 + '\n', rows)
-
-    def edges(self, edges: Edges) -> None:
-        """Write edges."""
-        rows = zip(edges.t.tolist(), edges.kind.tolist(), strict=True)
-        self._write('edges', HEADINGS['edges'], '%d,%d\n', rows)
-
-    def wrenches(self, topic: str, rows: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Write wrenches."""
-        table = [(t, *row) for t, row in zip(rows.tolist(), values.tolist(), strict=True)]
-        self._write(topic_file(topic), WRENCH_COLUMNS, '%d' + ',%.17g' * 6 + '\n', table)
 
     def close(self) -> None:
         """Finish the files."""
@@ -238,7 +253,7 @@ class CsvSink:
         self._files[name].write(''.join([form % row for row in rows]))
 
 
-class NpzSink:
+class NpzSink(TableSink):
     """One .npz per kind of data, and `units.txt` with the units of the arrays.
 
     Args:
@@ -249,13 +264,17 @@ class NpzSink:
         self._folder = folder
         self._files: dict[str, GrowingNpz] = {}
 
-    def events(self, events: Events) -> None:
-        """Write events."""
-        self._append('events', t=events.t, x=events.x, y=events.y, polarity=events.polarity)
+    def table(self, name: str, **columns: NDArray[Any]) -> None:
+        """Append rows to the arrays of a file."""
+        file = self._files.get(name)
+        if file is None:
+            file = self._files[name] = GrowingNpz(self._folder / f'{name}.npz')
+        for key, rows in columns.items():
+            file.append(key, rows)
 
     def frame(self, frame: Frame) -> None:
         """Write a frame."""
-        self._append(
+        self.table(
             'frames',
             exposure_start=np.array([frame.exposure_start_us]),
             exposure_end=np.array([frame.exposure_end_us]),
@@ -263,36 +282,11 @@ class NpzSink:
             image=frame.image[None],
         )
 
-    def samples(self, samples: InertialSamples) -> None:
-        """Write inertial samples."""
-        self._append(
-            'imu',
-            t=samples.t,
-            acceleration=samples.acceleration,
-            angular_velocity=samples.angular_velocity,
-            temperature=samples.temperature,
-        )
-
-    def edges(self, edges: Edges) -> None:
-        """Write edges."""
-        self._append('edges', t=edges.t, kind=edges.kind)
-
-    def wrenches(self, topic: str, rows: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Write wrenches."""
-        self._append(topic_file(topic), t=rows, force=values[:, :3], torque=values[:, 3:])
-
     def close(self) -> None:
         """Finish the files."""
         for file in self._files.values():
             file.close()
         (self._folder / 'units.txt').write_text(UNITS, encoding='utf8')
-
-    def _append(self, name: str, **arrays: NDArray[Any]) -> None:
-        file = self._files.get(name)
-        if file is None:
-            file = self._files[name] = GrowingNpz(self._folder / f'{name}.npz')
-        for key, rows in arrays.items():
-            file.append(key, rows)
 
 
 UNITS = """\

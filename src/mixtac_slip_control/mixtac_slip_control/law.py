@@ -121,13 +121,14 @@ class Advance:
 
     Attributes:
         bound: How far the arm may advance.
+        limit: Largest advance in the latest window [m].
     """
 
     def __init__(self, parameters: SlipControlParameters, planner: AdvancePlanner) -> None:
         self._planner = planner
         self._law = AdvanceLaw(parameters)
         self.bound = AdvanceBound(parameters)
-        self._limit = 0.0
+        self.limit = 0.0
         self._window: tuple[int, float] | None = None
         self.configure(parameters)
 
@@ -135,11 +136,6 @@ class Advance:
     def total(self) -> float:
         """Wanted advance since the start [m]."""
         return self._law.total + self.bound.probe.advance
-
-    @property
-    def limit(self) -> float:
-        """Largest advance in the latest window [m]."""
-        return self._limit
 
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other parameters from the next window on."""
@@ -153,7 +149,7 @@ class Advance:
         Raises:
             SlipControlError: The force leaves no room for an advance.
         """
-        preload, self._limit = self.bound.start()
+        preload, self.limit = self.bound.start()
         self._law.reset(preload)
 
     def on_window(self, end_us: int, now_s: float) -> None:
@@ -195,5 +191,5 @@ class Advance:
         force = None if probe.active else stiffness.present
         room = limit - probe.advance
         self._law.update(count, detectors.law_threshold, force, room, slipping=detectors.slipping)
-        self._limit = max(limit, 0.0)
+        self.limit = max(limit, 0.0)
         return self.total - before

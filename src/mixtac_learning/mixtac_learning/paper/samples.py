@@ -127,11 +127,7 @@ class PaperRecipe:
 
     config: PaperConfig
     label: str = 'best'
-
-    @property
-    def suffix(self) -> str:
-        """Samples are folders."""
-        return '.paper'
+    suffix = '.paper'
 
     def fingerprint(self) -> dict[str, Any]:
         """Return what changes a sample."""

@@ -225,11 +225,7 @@ class FgerRecipe:
 
     config: FgerConfig
     label: str = 'best'
-
-    @property
-    def suffix(self) -> str:
-        """Suffix of the files."""
-        return '.npz'
+    suffix = '.npz'
 
     def fingerprint(self) -> dict[str, Any]:
         """Return what changes a sample."""

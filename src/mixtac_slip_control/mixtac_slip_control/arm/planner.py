@@ -73,6 +73,8 @@ class AdvancePlanner:
     All times are on the clock of `now_s`, the one the controller reads.
 
     Attributes:
+        path: Joint path of the present normal; None before it is known.
+        motion_limits: Limits of the advance along the path; None before the normal is known.
         refused: Plans that would have broken a limit and were not made; the last one stands.
 
     Args:
@@ -94,21 +96,11 @@ class AdvancePlanner:
         self._history = math.ceil(self.settings.history_s / self._dt) + self._overlap
         self.refused = 0
         self._q: Floats | None = None
-        self._path: NormalPath | None = None
-        self._motion: MotionLimits | None = None
+        self.path: NormalPath | None = None
+        self.motion_limits: MotionLimits | None = None
         self._max_advance = MAX_ADVANCE
         self._now_ns = 0
         self._clear()
-
-    @property
-    def path(self) -> NormalPath | None:
-        """Joint path of the present normal; None before it is known."""
-        return self._path
-
-    @property
-    def motion_limits(self) -> MotionLimits | None:
-        """Limits of the advance along the path; None before the normal is known."""
-        return self._motion
 
     @property
     def target(self) -> float:
@@ -135,7 +127,7 @@ class AdvancePlanner:
             raise ArmError(f'max_advance = {max_advance} m: give 0 to 0.1 m')
         self._max_advance = max_advance
         self._q = self._arm.checked(q).copy()
-        self._path = self._motion = None
+        self.path = self.motion_limits = None
         self._clear()
         if normal is not None:
             self._prepare(self._q, normal)
@@ -200,7 +192,8 @@ class AdvancePlanner:
         Raises:
             ArmError: A time that is not finite.
         """
-        if self._path is None or self._motion is None or self._epoch_ns is None:
+        path, motion = self.path, self.motion_limits
+        if path is None or motion is None or self._epoch_ns is None:
             return None
         now_ns = self._checked_ns(now_s)
         if now_ns < self._now_ns:
@@ -210,11 +203,11 @@ class AdvancePlanner:
         start = self._at(self._branch(now_ns))
         if not (self._rows(self._branch(now_ns), self._first + len(self._states))[:, 1:]).any():
             return None
-        target = start[0] + stopping_distance(start, self._motion.acceleration, self._motion.jerk)
+        target = start[0] + stopping_distance(start, motion.acceleration, motion.jerk)
         ahead = self.target - start[0]
         if ahead * (target - start[0]) > 0.0 and abs(target - start[0]) >= abs(ahead):
             return None
-        return self._continue(now_ns, float(target), self._path, self._motion)
+        return self._continue(now_ns, float(target), path, motion)
 
     def advance_at(self, t_s: float) -> float:
         """Return the advance [m] that is commanded at a time [s]."""
@@ -247,13 +240,13 @@ class AdvancePlanner:
         high = self._max_advance + PATH_MARGIN
         path = fit_normal_path(self._arm, self._limits, q, normal, -PATH_MARGIN, high)
         motion = path.limits(self._limits, self.settings.share, self.settings.max_speed)
-        self._path, self._motion = path, motion
+        self.path, self.motion_limits = path, motion
         return path, motion
 
     def _ready(self, normal: Floats) -> tuple[NormalPath, MotionLimits]:
-        if self._path is None or self._motion is None:
+        if self.path is None or self.motion_limits is None:
             return self._prepare(self.start, normal)
-        n = self._path.normal
+        n = self.path.normal
         x, y, z = float(normal[0]), float(normal[1]), float(normal[2])
         length = math.sqrt(x * x + y * y + z * z)
         if not abs(x * n[0] + y * n[1] + z * n[2] - length) <= 0.5 * SAME_NORMAL**2 * length:
@@ -261,7 +254,7 @@ class AdvancePlanner:
                 f'the contact normal changed from {n.tolist()} to {[x, y, z]} during an advance: '
                 'reset the planner first'
             )
-        return self._path, self._motion
+        return self.path, self.motion_limits
 
     def _advance_clock(self, now_s: float) -> int:
         now_ns = self._checked_ns(now_s)
