@@ -17,7 +17,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_sim import SimulationError
 from mixtac_sim.arm.fr3 import READY
 
 
@@ -106,8 +105,6 @@ class JointTrajectoryController:
     """
 
     def __init__(self, update_rate_hz: float = 1000.0, *, release: Release = 'jazzy') -> None:
-        if not update_rate_hz > 0.0:
-            raise SimulationError(f'update rate of {update_rate_hz} Hz: give a positive one')
         self._period_s = 1.0 / update_rate_hz
         self._ahead_s = 0.0 if release == 'humble' else self._period_s
         self._late = release == 'humble'

@@ -53,17 +53,6 @@ class Friction:
     roughness: float = 0.05
     grain_mm: float = 0.15
 
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            SimulationError: A coefficient or length that is not positive.
-        """
-        positive = (self.mu, self.rate, self.slip_mm, self.grain_mm)
-        if min(positive) <= 0.0 or self.ageing < 0.0 or self.roughness < 0.0:
-            msg = f'{self}: mu, rate, slip_mm, grain_mm must be > 0, ageing and roughness >= 0'
-            raise SimulationError(msg)
-
     def static(self, rest_s: float) -> float:
         """Return the coefficient up to which a contact that rested for a time [s] holds."""
         aged = self.ageing * float(np.log(REFERENCE_MM_S * rest_s / self.slip_mm))

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
-from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import draw_friction
 from mixtac_sim.grasp.skin import SETTLE_S, Press, Skin, SkinCamera
 from mixtac_sim.grids import STEP_US
@@ -105,15 +104,8 @@ class SlipScene:
         Args:
             speed_mm_s: Speed of the object at the end of each step of 125 us [n] [mm/s].
             force_n: Normal force over each step [n] [N]; that of the start if None.
-
-        Raises:
-            SimulationError: Arrays of unequal lengths.
         """
-        count = len(speed_mm_s)
-        wanted = np.full(count, self._force_n) if force_n is None else force_n
-        if len(wanted) != count:
-            msg = f'{count} speeds and {len(wanted)} forces; give one of each per 125 us'
-            raise SimulationError(msg)
+        wanted = np.full(len(speed_mm_s), self._force_n) if force_n is None else force_n
         path = self._press.hold(wanted)
         patches = self._skin.drag(speed_mm_s, path.force_n, 1e-6 * STEP_US, SCENE_SUBSTEPS)
         self._object_mm += 1e-6 * STEP_US * float(np.sum(speed_mm_s))

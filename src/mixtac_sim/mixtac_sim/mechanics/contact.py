@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 
 if TYPE_CHECKING:
@@ -49,19 +48,6 @@ class PronySeries:
 
     weights: tuple[float, ...]
     times_s: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        """Refuse branches that do not pair up or do not relax.
-
-        Raises:
-            SimulationError: Unequal lengths, a negative weight or a time that is not positive.
-        """
-        paired = len(self.weights) == len(self.times_s)
-        if not paired or min(self.weights) < 0.0 or min(self.times_s) <= 0.0:
-            raise SimulationError(
-                f'Prony series with weights {self.weights} and times {self.times_s} s; give one '
-                'positive time for each non-negative weight'
-            )
 
     def update(self, step_s: float) -> NDArray[np.float64]:
         """Return decay and gain of each branch over a step of this length [2, n]."""

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.mechanics.layer import ALPHA, punch_factor, solve_contact, solve_edge
 
@@ -29,16 +28,6 @@ class Layer:
 
     modulus_kpa: float
     thickness_mm: float
-
-    def __post_init__(self) -> None:
-        """Refuse layers without stiffness or thickness.
-
-        Raises:
-            SimulationError: A value is not positive.
-        """
-        if self.modulus_kpa <= 0.0 or self.thickness_mm <= 0.0:
-            msg = f'layer of {self.modulus_kpa} kPa and {self.thickness_mm} mm; both must be > 0'
-            raise SimulationError(msg)
 
 
 @dataclass(frozen=True, slots=True)

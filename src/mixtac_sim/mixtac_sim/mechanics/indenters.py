@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, Literal
 
-from mixtac_sim import SimulationError
-
 IndenterName = Literal['hemisphere', 'small sphere', 'flat', 'edge']
 
 
@@ -34,22 +32,6 @@ class Indenter:
     radius_mm: float
     mass_g: float = 0.0
     length_mm: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that the layer solutions do not know.
-
-        Raises:
-            SimulationError: Shape, radius or length out of range.
-        """
-        if self.shape not in {'sphere', 'flat', 'edge'}:
-            msg = f"indenter shape {self.shape!r} is unknown; use 'sphere', 'flat' or 'edge'"
-            raise SimulationError(msg)
-        if not 0.5 <= self.radius_mm <= 50.0:
-            msg = f'indenter radius {self.radius_mm} mm is outside 0.5 to 50 mm; choose another'
-            raise SimulationError(msg)
-        if self.shape == 'edge' and not 2.0 <= self.length_mm <= 14.0:
-            msg = f'edge of {self.length_mm} mm is outside 2 to 14 mm; choose another length'
-            raise SimulationError(msg)
 
 
 HEMISPHERE = Indenter('sphere', 9.0)

@@ -10,7 +10,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_sim import SimulationError
 from mixtac_sim.grids import HEIGHT, PIXELS, TILE, WIDTH
 from mixtac_sim.random_streams import BlockStreams, stream
 
@@ -44,20 +43,6 @@ class ApsSettings:
     interval_us: int = 40_000
     first_us: int = 5_000
     enabled: bool = True
-
-    def __post_init__(self) -> None:
-        """Refuse frames that would overlap.
-
-        Raises:
-            SimulationError: The interval has no room for exposure and readout.
-        """
-        shortest = self.exposure_us + READOUT_US + RESET_US
-        if self.exposure_us < 1 or self.interval_us < shortest or self.first_us < RESET_US:
-            raise SimulationError(
-                f'exposure {self.exposure_us} us every {self.interval_us} us from '
-                f'{self.first_us} us; exposure must be >= 1, the interval >= {shortest}, '
-                f'the first >= {RESET_US}'
-            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_sim import SimulationError
 from mixtac_sim.grids import PADDED, PIXELS
 from mixtac_sim.random_streams import stream
 
@@ -136,24 +135,6 @@ class PixelSettings:
     leak_hz_per_lux: float = 0.0005
     shot_hz: float = 0.6
     shot_lux: float = 4.0
-
-    def __post_init__(self) -> None:
-        """Refuse values without meaning.
-
-        Raises:
-            SimulationError: A threshold or corner that is not positive, or a negative rate.
-        """
-        positive = (
-            self.threshold_on,
-            self.threshold_off,
-            self.source_follower_hz,
-            self.hz_per_lux,
-            self.shot_lux,
-        )
-        rates = (self.refractory_us, self.leak_hz, self.leak_hz_per_lux, self.shot_hz)
-        if min(positive) <= 0.0 or min(rates) < 0.0:
-            msg = f'{self}: thresholds, corners and shot_lux must be > 0, times and rates >= 0'
-            raise SimulationError(msg)
 
     @staticmethod
     def from_biases(registers: Mapping[int, int], nominal: PixelSettings) -> PixelSettings:

@@ -23,7 +23,6 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY
 from mixtac_sim.random_streams import log_uniform, stream
@@ -207,34 +206,21 @@ class ReferenceSensor:
         Args:
             t_us: True time [n] [us], increasing from call to call; 1 kHz or more.
             wrench: Force [N] and torque [Nm] on the sensor [n, 6]; zero before the first.
-
-        Raises:
-            SimulationError: Times that do not increase, or arrays that do not pair up.
         """
-        self._append(t_us, wrench)
-        last = int(np.floor(self._stamp_s(1e-6 * self._past_us[-1]) / PERIOD_S))
+        arrived, _ = self.mount.swing(t_us, wrench)
+        self._past_us = np.concatenate([self._past_us, t_us.astype(np.float64)])
+        self._past = np.concatenate([self._past, arrived])
+        rate = 1.0 + 1e-6 * self.drift_ppm
+        last = int(np.floor((self.offset_s + rate * (1e-6 * self._past_us[-1])) / PERIOD_S))
         ticks = np.arange(self._next, last + 1)
         self._next = max(self._next, last + 1)
         stamps_s = ticks.astype(np.float64) * PERIOD_S
-        true_s = (stamps_s - self.offset_s) / (1.0 + 1e-6 * self.drift_ppm)
+        true_s = (stamps_s - self.offset_s) / rate
         values = self._filtered(1e6 * (true_s - self.delay_s)) @ self._mix.T
         values += self._slow(true_s) + self._noise * self._samples.standard_normal(values.shape)
         self._forget()
         rounded = REFERENCE_RESOLUTION * np.round(values / REFERENCE_RESOLUTION)
         return ReferenceSamples(np.round(1e9 * stamps_s).astype(np.int64), rounded)
-
-    def _stamp_s(self, true_s: float) -> float:
-        return self.offset_s + (1.0 + 1e-6 * self.drift_ppm) * true_s
-
-    def _append(self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]) -> None:
-        times = np.concatenate([self._past_us, np.asarray(t_us, np.float64)])
-        if wrench.shape != (len(t_us), 6) or np.any(np.diff(times) <= 0.0):
-            raise SimulationError(
-                f'{len(t_us)} times with a wrench of shape {wrench.shape}: give [n] increasing '
-                'times, later than those before, and [n, 6] forces and torques'
-            )
-        arrived, _ = self.mount.swing(t_us, wrench)
-        self._past_us, self._past = times, np.concatenate([self._past, arrived])
 
     def _filtered(self, centre_us: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the wrench around times [us] under the triangular filter."""

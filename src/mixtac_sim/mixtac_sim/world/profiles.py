@@ -70,16 +70,11 @@ class Segment:
     indenter: Indenter = HEMISPHERE
 
     def __post_init__(self) -> None:
-        """Refuse segments that end before they start or have unpaired knots.
+        """Refuse to drop what has no weight.
 
         Raises:
-            SimulationError: As above, or the indenter of a drop has no mass.
+            SimulationError: The indenter of a drop has no mass.
         """
-        if self.end_s <= self.start_s or len(self.times_s) != len(self.values):
-            raise SimulationError(
-                f'segment from {self.start_s} s to {self.end_s} s with {len(self.times_s)} times '
-                f'and {len(self.values)} values; it must end after its start, with paired knots'
-            )
         if self.mode >= Mode.DROP and self.indenter.mass_g <= 0.0:
             raise SimulationError(f'{self.indenter} cannot be dropped; give it a mass')
 
@@ -143,17 +138,7 @@ class Profile:
     _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Refuse overlapping segments.
-
-        Raises:
-            SimulationError: A segment starts before its predecessor ends.
-        """
-        for earlier, later in zip(self.segments, self.segments[1:], strict=False):
-            if later.start_s < earlier.end_s - 1e-9:
-                raise SimulationError(
-                    f'segment at {later.start_s} s of profile {self.name!r} starts before '
-                    f'{earlier.end_s} s, where the one before it ends; move it'
-                )
+        """Collect the starts of the segments, to search among."""
         object.__setattr__(self, '_starts', tuple(s.start_s for s in self.segments))
 
     @property

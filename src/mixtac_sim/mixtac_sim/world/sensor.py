@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
-from mixtac_sim import SimulationError
 from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US, STEP_US
 from mixtac_sim.mechanics.contact import Contact
 from mixtac_sim.mechanics.elastomer import Layer, Shear, force_law
@@ -146,7 +145,6 @@ class TactileSensor:
         rest = self._beads.place(0, 0.0, (0.0, 0.0))
         self._camera = Camera(device, conditions, preset, trial_seed, rest, aps=aps, pixels=pixels)
         self._block = 0
-        self._now_us = 0
         self._late = NOTHING
 
     def configure_pixels(self, nominal: PixelSettings) -> None:
@@ -162,14 +160,7 @@ class TactileSensor:
 
         Args:
             until_us: True time since the trial's start [us], not before the last call's.
-
-        Raises:
-            SimulationError: Time would run backwards.
         """
-        if until_us < self._now_us:
-            msg = f'cannot advance to {until_us} us: already at {self._now_us} us; ask for later'
-            raise SimulationError(msg)
-        self._now_us = until_us
         parts = [self._late]
         while self._block * BLOCK_US < until_us:
             parts.append(self._run_block())

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
-from mixtac_sim import SimulationError
 from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
 
 RATE_HZ = 1000.0
@@ -103,8 +102,3 @@ def test_rejects_what_the_controller_rejects(trajectory: Trajectory, reason: str
     refused = controller.accept(trajectory, 1.5)
     assert refused is not None
     assert reason in refused
-
-
-def test_refuses_a_rate_of_zero() -> None:
-    with pytest.raises(SimulationError):
-        JointTrajectoryController(0.0)

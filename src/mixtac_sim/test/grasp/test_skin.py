@@ -8,7 +8,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
 from mixtac_sim.grasp.skin import Skin, shear_stiffness, slip_speed, wave_resistance
 from mixtac_sim.mechanics.elastomer import Layer
@@ -88,8 +87,3 @@ def test_time_steps_do_not_matter() -> None:
         skin.drag(np.full(count, 30.0), np.full(count, 0.8), STEP_S / cut)
         ends.append(skin.pull_n)
     assert ends[0] == pytest.approx(ends[1], rel=0.02)
-
-
-def test_refuses_friction_without_a_meaning() -> None:
-    with pytest.raises(SimulationError):
-        Friction(slip_mm=0.0)

@@ -5,7 +5,6 @@
 import numpy as np
 import pytest
 
-from mixtac_sim import SimulationError
 from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
 from mixtac_sim.world.effects import EASY
 
@@ -63,9 +62,3 @@ def test_frames_come_at_their_rate() -> None:
     frames = [f for block in scene.play(np.zeros(1600), block_steps=32) for f in block.frames]
     assert [f.exposure_start_us for f in frames] == [5_000 + 40_000 * k for k in range(5)]
     assert frames[0].intensity.std() > 5.0
-
-
-def test_refuses_unpaired_arrays() -> None:
-    scene = SlipScene(1, 5, EASY)
-    with pytest.raises(SimulationError):
-        scene.advance(np.zeros(8), np.zeros(4))

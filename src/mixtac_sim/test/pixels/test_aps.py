@@ -5,7 +5,6 @@
 import numpy as np
 import pytest
 
-from mixtac_sim import SimulationError
 from mixtac_sim.grids import TILE, TILES
 from mixtac_sim.pixels.aps import READ_NOISE_DN, READOUT_US, Aps, ApsSettings
 
@@ -111,9 +110,3 @@ def test_frames_can_be_switched_off_and_on():
             break
     assert frame.exposure_start_us >= 60_000
     assert frame.intensity.mean() == pytest.approx(353.7, rel=0.01)
-
-
-@pytest.mark.parametrize('values', [(0, 40_000), (35_000, 40_000)])
-def test_impossible_settings_are_refused(values):
-    with pytest.raises(SimulationError):
-        ApsSettings(*values)

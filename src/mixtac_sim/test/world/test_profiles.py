@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.world.profiles import PROFILES, Profile, Segment, Tone, make_profile
+from mixtac_sim.world.profiles import PROFILES, Segment, Tone, make_profile
 
 
 def commands(profile):
@@ -81,11 +81,6 @@ def test_impossible_profiles_are_refused(name, duration):
         make_profile(name, 0, duration)
 
 
-def test_overlapping_and_reversed_segments_are_refused():
-    first, second = Segment(0.0, 1.0, Mode.FREE), Segment(0.5, 2.0, Mode.FREE)
-    with pytest.raises(SimulationError):
-        Profile('x', 2.0, (first, second))
-    with pytest.raises(SimulationError):
-        Segment(1.0, 1.0, Mode.FREE)
+def test_what_has_no_mass_cannot_be_dropped():
     with pytest.raises(SimulationError):
         Segment(0.0, 1.0, Mode.DROP)

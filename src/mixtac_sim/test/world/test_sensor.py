@@ -5,7 +5,6 @@
 import numpy as np
 import pytest
 
-from mixtac_sim import SimulationError
 from mixtac_sim.grids import cut_block
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.pixels.aps import ApsSettings
@@ -137,13 +136,6 @@ def test_settings_reach_pixels_and_frames():
     assert len(output.events) > 5 * few
     assert len(output.frames) in {9, 10}
     assert output.frames[0].exposure_end_us - output.frames[0].exposure_start_us == 3_000
-
-
-def test_time_does_not_run_backwards():
-    body = sensor()
-    body.advance(10_000)
-    with pytest.raises(SimulationError):
-        body.advance(9_999)
 
 
 def test_blocks_are_cut_by_motion():
