@@ -7,7 +7,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 from mixtac_driver.clock import ClockEpochs, Origin
@@ -15,7 +16,7 @@ from mixtac_driver.davis346.control import CameraControl, PixelFilter
 from mixtac_driver.davis346.model import Identity, models_for, read_identity, read_is_master
 from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_driver.decode.state import DecoderCounters
-from mixtac_driver.device import DATA_ENDPOINT, Connection, attached_cameras
+from mixtac_driver.device import DATA_ENDPOINT, DEBUG_ENDPOINT, Connection, attached_cameras
 from mixtac_driver.errors import DriverError, StreamError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.libusb import AsynchronousReader
@@ -182,7 +183,7 @@ class Davis346:
     def status(self) -> SourceStatus:
         """Return the state of the camera and its stream."""
         usb, decoder = self.transport_counters, self.decoder_counters
-        counted = decoder.as_dict() if decoder else {}
+        counted = asdict(decoder) if decoder else {}
         return SourceStatus(
             is_open=self._connection is not None,
             identity=self._identity,
@@ -248,7 +249,9 @@ class Davis346:
         )
         reader = self._make_reader(connection)
         if self._on_debug is not None and self._debug_reader is None:
-            self._debug_reader = DebugReader(connection.read_debug, self._on_debug)
+            self._debug_reader = DebugReader(
+                partial(connection.read, DEBUG_ENDPOINT), self._on_debug
+            )
             self._debug_reader.start()
 
         def begin_reading() -> None:
@@ -336,7 +339,9 @@ class Davis346:
         p, port = self._p, connection.libusb_port()
         if port is None:
             return BulkReader(
-                connection.read_data, connection.clear_halt, transfer_size=p.usb_transfer_size
+                partial(connection.read, DATA_ENDPOINT),
+                connection.clear_halt,
+                transfer_size=p.usb_transfer_size,
             )
         return AsynchronousReader(
             port,

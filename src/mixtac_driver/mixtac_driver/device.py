@@ -288,22 +288,22 @@ class Connection:
         """Return the libusb handle of the camera, or None where another backend serves it."""
         return LibusbPort.of(self._device)
 
-    def read_data(self, buffer: array[int], timeout_ms: int) -> int:
-        """Read from the data endpoint into a buffer; return the number of bytes.
-
-        Raises:
-            usb.core.USBError: As pyusb raises it; a time-out is a USBTimeoutError.
-        """
-        return self._read(DATA_ENDPOINT, buffer, timeout_ms)
-
-    def read_debug(self, buffer: array[int], timeout_ms: int) -> int:
-        """Read from the debug endpoint into a buffer; return the number of bytes.
+    def read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
+        """Read from an endpoint into a buffer; return the number of bytes.
 
         Raises:
             usb.core.USBError: As pyusb raises it; a time-out is a USBTimeoutError.
             ValueError: The camera has no such endpoint.
         """
-        return self._read(DEBUG_ENDPOINT, buffer, timeout_ms)
+        # Counted, so that `close` closes no handle that a read uses.
+        with self._read_ended:
+            self._reads += 1
+        try:
+            return int(self._device.read(endpoint, buffer, timeout_ms))
+        finally:
+            with self._read_ended:
+                self._reads -= 1
+                self._read_ended.notify_all()
 
     def close(self) -> None:
         """Close the camera; harmless when it is gone.
@@ -316,17 +316,6 @@ class Connection:
             return
         with contextlib.suppress(USBError):
             usb.util.dispose_resources(self._device)
-
-    def _read(self, endpoint: int, buffer: array[int], timeout_ms: int) -> int:
-        # Counted, so that `close` closes no handle that a read uses.
-        with self._read_ended:
-            self._reads += 1
-        try:
-            return int(self._device.read(endpoint, buffer, timeout_ms))
-        finally:
-            with self._read_ended:
-                self._reads -= 1
-                self._read_ended.notify_all()
 
     def _wait_for_reads(self, seconds: float) -> bool:
         """Wait for the reads in progress; return whether all ended in time."""

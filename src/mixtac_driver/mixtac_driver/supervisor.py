@@ -121,7 +121,6 @@ class Supervisor:
         try:
             while not self._stopping.is_set():
                 self._stream_until_failure()
-                self._check_patience()
                 self._pause()
             self.state = State.STOPPED
         except EndOfStream:
@@ -208,15 +207,13 @@ class Supervisor:
             for line in lines:
                 self._on_error(line)
 
-    def _check_patience(self) -> None:
-        quiet_s, limit_s = self.quiet_s, self._p.recovery_give_up_after
-        if 0 < limit_s <= quiet_s and not self._stopping.is_set():
-            raise DriverError(f'no stream for {quiet_s:.0f} s, giving up: {self.error}')
-
     def _pause(self) -> None:
-        """Wait for the pause to pass, or for a camera to be plugged in."""
+        """Wait for the pause to pass, or for a camera to be plugged in, unless patience is over."""
         if self._stopping.is_set():
             return
+        quiet_s = self.quiet_s
+        if 0 < self._p.recovery_give_up_after <= quiet_s:
+            raise DriverError(f'no stream for {quiet_s:.0f} s, giving up: {self.error}')
         self.state = State.WAITING
         self._report_if_due()
         before = self._source.attached()

@@ -172,7 +172,7 @@ class HungBackend(FakeBackend):
 def read_in_thread(connection):
     def read():
         with pytest.raises(USBError):
-            connection.read_data(array('B', bytes(64)), 100)
+            connection.read(0x82, array('B', bytes(64)), 100)
 
     thread = threading.Thread(target=read, daemon=True)
     thread.start()

@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -121,7 +121,9 @@ def find_board(
     if grey is None:
         return None
     for scale, find, flags in _SEARCHES if thorough else _SEARCHES[:-1]:
-        found, seen = find(_enlarged(grey, scale), (board.columns, board.rows), flags=flags)
+        # At scale 1 this is a copy.
+        larger = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+        found, seen = find(larger, (board.columns, board.rows), flags=flags)
         if not found:
             continue
         corners = np.asarray(seen, np.float64).reshape(-1, 2)
@@ -144,14 +146,6 @@ def stretched(image: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint8] | None:
     return np.asarray(spread, np.uint8)
 
 
-def _enlarged(grey: NDArray[np.uint8], scale: int) -> NDArray[np.uint8]:
-    if scale == 1:
-        return grey
-    return np.asarray(
-        cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), np.uint8
-    )
-
-
 def _refined(
     grey: NDArray[np.uint8], corners: NDArray[np.float64], board: Board
 ) -> NDArray[np.float64] | None:
@@ -170,9 +164,7 @@ def _refined(
 def _spacing(corners: NDArray[np.float64], board: Board) -> float:
     """Return the distance of the closest neighbours [px]."""
     grid = corners.reshape(board.rows, board.columns, 2)
-    along = np.linalg.norm(np.diff(grid, axis=1), axis=2).min()
-    across = np.linalg.norm(np.diff(grid, axis=0), axis=2).min()
-    return float(min(along, across))
+    return float(min(np.linalg.norm(np.diff(grid, axis=k), axis=2).min() for k in (0, 1)))
 
 
 def _is_board(corners: NDArray[np.float64], board: Board, shape: tuple[int, ...]) -> bool:
@@ -186,10 +178,8 @@ def _is_board(corners: NDArray[np.float64], board: Board, shape: tuple[int, ...]
     for axis in (0, 1):
         step = np.diff(grid, axis=axis)
         length = np.linalg.norm(step, axis=2)
-        shorter = np.minimum(
-            length.take(range(1, length.shape[axis]), axis),
-            length.take(range(length.shape[axis] - 1), axis),
-        )
+        lengths = np.moveaxis(length, axis, 0)
+        shorter = np.moveaxis(np.minimum(lengths[1:], lengths[:-1]), 0, axis)
         if (np.linalg.norm(np.diff(step, axis=axis), axis=2) > _MAX_BEND * shorter).any():
             return False
     return True
@@ -218,8 +208,7 @@ MAX_EDGE_SHARE = 0.5
 """Share of a square; wider edges touch the next corner."""
 
 
-@dataclass(frozen=True, slots=True)
-class ViewMeasures:
+class ViewMeasures(NamedTuple):
     """Place and pose of a board in a view, each 0 .. 1.
 
     Attributes:
@@ -236,7 +225,7 @@ class ViewMeasures:
 
     def distance(self, other: ViewMeasures) -> float:
         """Return the sum of absolute differences."""
-        return float(sum(abs(a - b) for a, b in zip(astuple(self), astuple(other), strict=True)))
+        return float(sum(abs(a - b) for a, b in zip(self, other, strict=True)))
 
 
 class Verdict(Enum):
@@ -287,7 +276,7 @@ def spread(views: list[View]) -> tuple[float, float, float, float]:
     """Return the range of x, y, size and skew over all views."""
     if not views:
         return 0.0, 0.0, 0.0, 0.0
-    x, y, size, skew = np.ptp([astuple(measure(view)) for view in views], axis=0).tolist()
+    x, y, size, skew = np.ptp([measure(view) for view in views], axis=0).tolist()
     return x, y, size, skew
 
 

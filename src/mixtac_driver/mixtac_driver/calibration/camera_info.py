@@ -139,7 +139,7 @@ def parse_camera_info(text: str) -> CameraCalibration:
         width=_typed(document, 'image_width', int),
         height=_typed(document, 'image_height', int),
         model=model,
-        distortion=_matrix(document, 'distortion_coefficients', 1, MODELS[model]).ravel(),
+        distortion=_matrix(document, 'distortion_coefficients', 1, len(MODELS[model])).ravel(),
         camera_matrix=_matrix(document, 'camera_matrix', 3, 3),
         rectification=_matrix(document, 'rectification_matrix', 3, 3),
         projection=_matrix(document, 'projection_matrix', 3, 4),
@@ -223,10 +223,7 @@ def _matrix(document: dict[Any, Any], key: str, rows: int, columns: int) -> NDAr
     data = block['data']
     if not isinstance(data, list) or len(data) != rows * columns:
         raise CalibrationError(f'{key}: data must be a list of {rows * columns} numbers')
-    values = np.array([_float(each, key) for each in data])
-    if not np.isfinite(values).all():
-        raise CalibrationError(f'{key}: data holds a number that is not finite; recalibrate')
-    return values.reshape(rows, columns)
+    return np.array([_float(each, key) for each in data]).reshape(rows, columns)
 
 
 def _float(value: object, key: str) -> float:

@@ -46,8 +46,12 @@ class RefusedError(CalibrationError):
 
 
 EQUIDISTANT = 'equidistant'
-MODELS = {'plumb_bob': 5, 'rational_polynomial': 8, EQUIDISTANT: 4}
-"""Number of coefficients by model."""
+MODELS = {
+    'plumb_bob': ('k1', 'k2', 'p1', 'p2', 'k3'),
+    'rational_polynomial': ('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6'),
+    EQUIDISTANT: ('k1', 'k2', 'k3', 'k4'),
+}
+"""Names of the coefficients by model."""
 MAX_ANGLE_RAD = np.deg2rad(85.0)
 """Largest angle off the axis; a plane cannot show 90 degrees."""
 _STEPS = 4000
@@ -246,10 +250,10 @@ class CameraCalibration:
             raise CalibrationError(
                 f'distortion_model {self.model!r} is unknown: use {", ".join(MODELS)}'
             )
-        if self.distortion.shape != (MODELS[self.model],):
+        if self.distortion.shape != (len(MODELS[self.model]),):
             raise CalibrationError(
                 f'distortion_coefficients: {self.distortion.size} given, '
-                f'{self.model} has {MODELS[self.model]}'
+                f'{self.model} has {len(MODELS[self.model])}'
             )
         for field in ('distortion', 'camera_matrix', 'rectification', 'projection'):
             if not np.isfinite(getattr(self, field)).all():

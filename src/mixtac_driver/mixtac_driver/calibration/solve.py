@@ -95,7 +95,7 @@ def fit_lens(views: Sequence[View], model: str) -> LensFit:
         outer.append(by_pose)
     if not all(np.isfinite(each).all() for each in residuals):
         raise RefusedError(Refusal.NO_FIT, f'the {model} fit diverged', _STEADIER)
-    deviations = np.zeros(_FOCAL_AND_CENTRE + MODELS[model])
+    deviations = np.zeros(_FOCAL_AND_CENTRE + len(MODELS[model]))
     free = np.delete(np.arange(len(deviations)), fixed)
     try:
         deviations[free] = _deviations(residuals, inner, outer)
@@ -129,7 +129,7 @@ def project(
     shaped = points.reshape(-1, 1, 3)
     if model == EQUIDISTANT:
         pixels, jacobian = cv2.fisheye.projectPoints(shaped, turn, place, matrix, coefficients)
-        lens = _FOCAL_AND_CENTRE + MODELS[model]
+        lens = _FOCAL_AND_CENTRE + len(MODELS[model])
         by_lens, by_pose = jacobian[:, :lens], jacobian[:, lens : lens + _POSE]
     else:
         pixels, jacobian = cv2.projectPoints(shaped, turn, place, matrix, coefficients)
@@ -195,7 +195,7 @@ def _solve_brown(
 def _arrays(found: Sequence[Any], model: str) -> _Lens:
     matrix, coefficients, turns, places = (np.asarray(each, np.float64) for each in found)
     # OpenCV 5 appends zeros for models that were not requested.
-    coefficients = coefficients.ravel()[: MODELS[model]]
+    coefficients = coefficients.ravel()[: len(MODELS[model])]
     return matrix, coefficients, turns.reshape(-1, 3), places.reshape(-1, 3)
 
 
@@ -407,11 +407,6 @@ def rectified_camera(
 
 DEFAULT_MODEL = EQUIDISTANT
 """The lens of the sensor sees some 130 degrees; Brown's polynomials need twice the coefficients."""
-COEFFICIENT_NAMES = {
-    'plumb_bob': ('k1', 'k2', 'p1', 'p2', 'k3'),
-    'rational_polynomial': ('k1', 'k2', 'p1', 'p2', 'k3', 'k4', 'k5', 'k6'),
-    EQUIDISTANT: ('k1', 'k2', 'k3', 'k4'),
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -449,7 +444,7 @@ class Solution:
         """Return value and standard deviation by name: fx, fy, cx, cy [px], coefficients."""
         k = self.fit.camera_matrix
         values = [k[0, 0], k[1, 1], k[0, 2], k[1, 2], *self.fit.distortion]
-        names = ('fx', 'fy', 'cx', 'cy', *COEFFICIENT_NAMES[self.calibration.model])
+        names = ('fx', 'fy', 'cx', 'cy', *MODELS[self.calibration.model])
         pairs = zip(values, self.fit.deviations, strict=True)
         return {name: (float(v), float(s)) for name, (v, s) in zip(names, pairs, strict=True)}
 

@@ -85,17 +85,6 @@ class CameraModel:
         """USB vendor and product number."""
         return self.vendor, self.product
 
-    def check_array(self, columns: int, rows: int) -> None:
-        """Raise unless a pixel array has the size of this model, in either orientation.
-
-        Raises:
-            UnsupportedCameraError: The size is another one.
-        """
-        if sorted((columns, rows)) != sorted((self.width, self.height)):
-            raise UnsupportedCameraError(
-                f'pixel array of {columns} x {rows}: a {self.name} has {self.width} x {self.height}'
-            )
-
 
 DAVIS346 = CameraModel(
     name='davis346',
@@ -351,7 +340,9 @@ def _read_features(protocol: Protocol) -> Features:
 def _read_geometry(protocol: Protocol, model: CameraModel) -> Geometry:
     def array(module: Module, columns: int, rows: int, orientation: int) -> tuple[int, int, int]:
         size = protocol.read(module, columns), protocol.read(module, rows)
-        model.check_array(*size)
+        if sorted(size) != sorted((model.width, model.height)):
+            found, wanted = f'{size[0]} x {size[1]}', f'{model.width} x {model.height}'
+            raise UnsupportedCameraError(f'pixel array of {found}: a {model.name} has {wanted}')
         return *size, protocol.read(module, orientation)
 
     dvs = array(Module.DVS, Dvs.SIZE_COLUMNS, Dvs.SIZE_ROWS, Dvs.ORIENTATION)

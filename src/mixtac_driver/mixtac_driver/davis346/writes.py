@@ -8,7 +8,8 @@ Settings are written in the order of libcaer.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 from mixtac_driver.clock import Origin
 from mixtac_driver.davis346.biases import biases
@@ -31,6 +32,19 @@ from mixtac_driver.usb.protocol import Protocol, Write
 DVS_REGION = (Dvs.ROI_START_COLUMN, Dvs.ROI_START_ROW, Dvs.ROI_END_COLUMN, Dvs.ROI_END_ROW)
 APS_REGION = (Aps.START_COLUMN, Aps.START_ROW, Aps.END_COLUMN, Aps.END_ROW)
 """Registers of a region, in the order of the fields of `Region`."""
+
+
+SENSORS: Mapping[tuple[int, int], str] = MappingProxyType(
+    {
+        (Module.DVS, Dvs.RUN): 'dvs_enabled',
+        (Module.APS, Aps.RUN): 'aps_enabled',
+        (Module.IMU, Imu.RUN_ACCELEROMETER): 'imu_acc_enabled',
+        (Module.IMU, Imu.RUN_GYROSCOPE): 'imu_gyro_enabled',
+        (Module.IMU, Imu.RUN_TEMPERATURE): 'imu_temp_enabled',
+        (Module.EXTERNAL_INPUT, ExternalInput.RUN_DETECTOR): 'external_input_enabled',
+    }
+)
+"""Register that runs each sensor, and the parameter that enables it."""
 
 
 def cycles(duration_us: float, clock_mhz: float) -> int:
@@ -79,15 +93,9 @@ def register_writes(
 
 def run_writes(p: CameraParameters, model: CameraModel) -> list[Write]:
     """Return the writes that switch each sensor of a running camera on or off."""
-    wanted = [
-        (Module.DVS, Dvs.RUN, p.dvs_enabled),
-        (Module.APS, Aps.RUN, p.aps_enabled and model.has_frames),
-        (Module.IMU, Imu.RUN_ACCELEROMETER, p.imu_acc_enabled),
-        (Module.IMU, Imu.RUN_GYROSCOPE, p.imu_gyro_enabled),
-        (Module.IMU, Imu.RUN_TEMPERATURE, p.imu_temp_enabled),
-        (Module.EXTERNAL_INPUT, ExternalInput.RUN_DETECTOR, p.external_input_enabled),
-    ]
-    return [Write(module, parameter, int(enabled)) for module, parameter, enabled in wanted]
+    on = {name: getattr(p, name) for name in SENSORS.values()}
+    on['aps_enabled'] &= model.has_frames
+    return [Write(*address, int(on[name])) for address, name in SENSORS.items()]
 
 
 def _dvs_writes(
@@ -192,12 +200,7 @@ QUIET_S = 0.01
 BIASES_SETTLE_S = 0.2
 LOGIC_SETTLE_S = 0.05
 STOP_WRITES = (
-    Write(Module.DVS, Dvs.RUN, 0),
-    Write(Module.APS, Aps.RUN, 0),
-    Write(Module.IMU, Imu.RUN_ACCELEROMETER, 0),
-    Write(Module.IMU, Imu.RUN_GYROSCOPE, 0),
-    Write(Module.IMU, Imu.RUN_TEMPERATURE, 0),
-    Write(Module.EXTERNAL_INPUT, ExternalInput.RUN_DETECTOR, 0),
+    *(Write(module, parameter, 0) for module, parameter in SENSORS),
     Write(Module.MUX, Mux.RUN, 0),
     Write(Module.MUX, Mux.TIMESTAMP_RUN, 0),
     Write(Module.USB, Usb.RUN, 0),

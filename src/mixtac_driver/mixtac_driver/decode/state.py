@@ -9,7 +9,7 @@ between compiled functions is cheap; for arrays, numba counts references at ever
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -100,10 +100,6 @@ class DecoderCounters:
         times = self.timestamps + self.timestamps_backwards + self.wraps + self.resets
         specials = self.specials + self.specials_unknown
         return events + rows + times + specials + self.samples + self.misc + self.misc_unknown
-
-    def as_dict(self) -> dict[str, int]:
-        """Return the counters by name."""
-        return asdict(self)
 
 
 COUNTERS = np.dtype([(each.name, np.int64) for each in fields(DecoderCounters)], align=True)

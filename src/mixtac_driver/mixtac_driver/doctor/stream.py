@@ -8,7 +8,7 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -95,7 +95,7 @@ def measure(camera: Davis346, seconds: float) -> Measurement:
     if len(arrivals_ns) > 2:
         middle, late = np.quantile(np.diff(arrivals_ns[1:]) / 1e6, (0.5, 0.99))
         result.gaps_ms = float(middle), float(late)
-    counted = decoder.as_dict() if decoder else {}
+    counted = asdict(decoder) if decoder else {}
     result.losses = {name: counted[name] for name in LOSSES if counted.get(name)}
     result.clock = camera.clock.estimate() if camera.clock.ready else None
     result.clock_resets = camera.clock_resets

@@ -146,10 +146,6 @@ class BulkTransfer:
         """Free its memory; it must not be queued."""
         self._lib.libusb_free_transfer(self._pointer)
 
-    def abandon(self) -> None:
-        """Keep its memory forever, because the kernel may still write to it."""
-        _abandoned.append(self)
-
 
 def usb_error(code: int) -> USBError:
     """Return pyusb's error for a libusb error code."""
@@ -239,7 +235,7 @@ class AsynchronousReader:
         transfers, self._transfers = self._transfers, []
         for transfer in transfers:
             if transfer in self._waiting:
-                transfer.abandon()
+                _abandoned.append(transfer)
             else:
                 transfer.free()
         if self._waiting:

@@ -8,6 +8,7 @@ import errno
 import struct
 import threading
 import time
+from functools import partial
 
 import pytest
 from davis_fake import FakeBackend, FakeCamera
@@ -30,7 +31,7 @@ def make_reader(fake):
     readers = []
 
     def make(**kwargs):
-        readers.append(BulkReader(connection.read_data, connection.clear_halt, **kwargs))
+        readers.append(BulkReader(partial(connection.read, 0x82), connection.clear_halt, **kwargs))
         readers[-1].start()
         return readers[-1]
 
