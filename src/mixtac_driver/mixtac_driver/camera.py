@@ -99,14 +99,6 @@ LOSSES = (
 LONGEST_GET_S = 0.1
 
 
-@dataclass(slots=True, eq=False)
-class _Stream:
-    """One stream, from `start` on; its counters can still be read after its end."""
-
-    reader: AsynchronousReader | BulkReader
-    decoder: StreamDecoder
-
-
 class Davis346:
     """A DAVIS camera, as a context manager that opens and closes it.
 
@@ -140,7 +132,9 @@ class Davis346:
         self._stopping = threading.Event()
         self._connection: Connection | None = None
         self._identity: Identity | None = None
-        self._stream: _Stream | None = None
+        # Of the stream since the latest start; their counters can still be read after its end.
+        self._reader: AsynchronousReader | BulkReader | None = None
+        self._decoder: StreamDecoder | None = None
         self._debug_reader: DebugReader | None = None
 
     def __enter__(self) -> Davis346:
@@ -173,12 +167,12 @@ class Davis346:
     @property
     def transport_counters(self) -> TransportCounters:
         """Counters of the USB reader since the start."""
-        return self._stream.reader.counters if self._stream else TransportCounters()
+        return self._reader.counters if self._reader else TransportCounters()
 
     @property
     def decoder_counters(self) -> DecoderCounters | None:
         """Counters of the decoder since the start; None before it."""
-        return self._stream.decoder.counters if self._stream else None
+        return self._decoder.counters if self._decoder else None
 
     def status(self) -> SourceStatus:
         """Return the state of the camera and its stream."""
@@ -258,7 +252,7 @@ class Davis346:
             connection.clear_halt()
             reader.start()
 
-        self._stream = _Stream(reader, decoder)
+        self._reader, self._decoder = reader, decoder
         self.control.start(begin_reading)
 
     def batches(self) -> Iterator[CameraBatch]:
@@ -268,18 +262,19 @@ class Davis346:
             UsbError: The camera went away, or no longer answers.
             StreamError: No data came for too long, or the reset was not confirmed.
         """
-        stream, connection, epochs = self._stream, self._connection, self.control.epochs
-        if stream is None or connection is None or epochs is None:
+        reader, decoder, connection = self._reader, self._decoder, self._connection
+        epochs = self.control.epochs
+        if reader is None or decoder is None or connection is None or epochs is None:
             return
         timeout_s = self._p.stream_timeout
         started_s = heard_s = time.monotonic()
         while not self._stopping.is_set():
             connection.check()
-            transfer = stream.reader.get(LONGEST_GET_S)
+            transfer = reader.get(LONGEST_GET_S)
             now_s = time.monotonic()
             if transfer is not None:
                 heard_s = now_s
-                yield from self._decode(stream.decoder, epochs, connection, transfer)
+                yield from self._decode(decoder, epochs, connection, transfer)
             elif now_s - heard_s > timeout_s and not self._stopping.is_set():
                 raise StreamError(
                     f'no data for {timeout_s:g} s: the stream died',
@@ -319,8 +314,8 @@ class Davis346:
         debug_reader, self._debug_reader = self._debug_reader, None
         if debug_reader is not None:
             debug_reader.stop()
-        if self._stream is not None and self._connection is not None:
-            self.control.stop(self._stream.reader.stop)
+        if self._reader is not None and self._connection is not None:
+            self.control.stop(self._reader.stop)
 
     def close(self) -> None:
         """Stop streaming if necessary and close the camera; harmless when it is gone."""

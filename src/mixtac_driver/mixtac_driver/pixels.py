@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from mixtac_driver.davis346.registers import PIXEL_FILTERS
 from mixtac_driver.errors import ConfigurationError
 from mixtac_events.arrays import Events
-from mixtac_node.files import FileError, replacing
+from mixtac_node.files import replacing
 
 IN_CAMERA, ON_HOST = 255, 128
 """Grey values in the image of a mask."""
@@ -168,17 +168,15 @@ def save_mask(mask: PixelMask, path: str) -> None:
     """Write a mask to a PNG file, whole or not at all; makes the folder.
 
     Raises:
-        ConfigurationError: The file cannot be written, or another file than a mask is there.
+        ConfigurationError: Another file than a mask is there, or it is not named as a PNG.
+        FileError: The file cannot be written.
     """
     check_path(path)
     import cv2
 
     _, octets = cv2.imencode('.png', mask.image())
-    try:
-        with replacing(Path(path)) as scratch:
-            scratch.write_bytes(octets.tobytes())
-    except FileError as error:
-        raise ConfigurationError(error.message, remedy=error.remedy) from error
+    with replacing(Path(path)) as scratch:
+        scratch.write_bytes(octets.tobytes())
 
 
 def warm_up() -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from mixtac_driver.errors import ConfigurationError
 from mixtac_driver.pixels import PixelMask, load_mask, mask_of_image, save_mask
 from mixtac_events.arrays import Events
+from mixtac_node.files import FileError
 
 SIZE = (346, 260)
 PIXELS = st.tuples(st.integers(0, 345), st.integers(0, 259))
@@ -91,7 +92,7 @@ def test_files_that_are_no_masks_are_refused(tmp_path):
         load_mask(colour)
     with pytest.raises(ConfigurationError):
         load_mask(str(tmp_path / 'none.png'))
-    with pytest.raises(ConfigurationError):
+    with pytest.raises(FileError):
         save_mask(PixelMask([(0, 0)], SIZE), f'{small}/mask.png')
     (tmp_path / 'notes.png').write_text('mine')
     with pytest.raises(ConfigurationError):

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from mixtac_events.errors import MixtacError
 
+Floats = NDArray[np.float64]
+"""An array of float64."""
+
 
 class EventArrayError(MixtacError):
     """Arrays that do not form events."""

@@ -7,11 +7,11 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from mixtac_events.arrays import Floats
 from mixtac_node.base_node import QOS_SENSOR, BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp, stamp_to_ns
@@ -45,7 +45,7 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
         plant: type[LaggingArm | MujocoArm]
         plant = MujocoArm if parameters.plant == 'mujoco' else LaggingArm
         self._plant = plant(READY, SIDEWAYS, parameters.tracking_lag, self._period_s)
-        self._recent: list[NDArray[np.float64]] = []
+        self._recent: list[Floats] = []
         self._first_s, self._cycles = BEFORE_S, 0
         self._accepted = self._rejected = self._violations = 0
         self._problem = ''
@@ -63,7 +63,7 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
         """Return a time on the controller's scale [s]."""
         return float(BEFORE_S + 1e-9 * (time_ns - self._origin_ns))
 
-    def _restart(self, q: NDArray[np.float64], now_s: float) -> None:
+    def _restart(self, q: Floats, now_s: float) -> None:
         """Stand still from now on."""
         self._recent = []
         self._first_s, self._cycles = now_s, 0
@@ -131,7 +131,7 @@ def _fields(message: JointTrajectory, start_s: float) -> Trajectory:
     """Return the fields of a message that the controller reads, with its start on its scale [s]."""
     points = message.points
 
-    def rows(name: str) -> NDArray[np.float64] | None:
+    def rows(name: str) -> Floats | None:
         values = [getattr(point, name) for point in points]
         return np.array(values, np.float64) if values and all(len(v) for v in values) else None
 

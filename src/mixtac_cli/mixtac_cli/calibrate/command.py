@@ -20,7 +20,8 @@ from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_cli.up import start_nodes
 from mixtac_driver.calibration.board import Board, Verdict, coverage_counts
 from mixtac_driver.calibration.camera_info import resolve, write_camera_info
-from mixtac_driver.calibration.solve import Solution, check_model
+from mixtac_driver.calibration.lens import check_model
+from mixtac_driver.calibration.solve import Solution
 from mixtac_driver.calibration.solve import calibrate as solve
 from mixtac_node.files import write_json
 from mixtac_node.graph import sensor_graph

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_driver.calibration.lens import CalibrationError
+from mixtac_events.arrays import Floats
 
 MIN_INNER_CORNERS = 3
 MIN_SPACING_PX = 4.0
@@ -73,7 +74,7 @@ class Board:
             raise CalibrationError(f'board {text!r}: give inner corners as COLUMNSxROWS, as in 9x6')
         return cls(int(columns), int(rows), square_m)
 
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Floats:
         """Return the corners on the board [columns * rows, 3] [m], row by row, z = 0."""
         rows, columns = np.mgrid[0 : self.rows, 0 : self.columns].astype(np.float64)
         flat = np.stack([columns, rows, np.zeros_like(rows)], axis=-1) * self.square_m
@@ -94,13 +95,13 @@ class View:
     """
 
     board: Board
-    corners: NDArray[np.float64]
+    corners: Floats
     width: int
     height: int
     edge_px: float
     label: str = ''
 
-    def grid(self) -> NDArray[np.float64]:
+    def grid(self) -> Floats:
         """Return the corners as [rows, columns, 2]."""
         return self.corners.reshape(self.board.rows, self.board.columns, 2)
 
@@ -146,9 +147,7 @@ def stretched(image: NDArray[np.uint8 | np.uint16]) -> NDArray[np.uint8] | None:
     return np.asarray(spread, np.uint8)
 
 
-def _refined(
-    grey: NDArray[np.uint8], corners: NDArray[np.float64], board: Board
-) -> NDArray[np.float64] | None:
+def _refined(grey: NDArray[np.uint8], corners: Floats, board: Board) -> Floats | None:
     """Return corners at the saddle points, or None if they do not form a board."""
     spacing = _spacing(corners, board)
     if spacing < MIN_SPACING_PX:
@@ -161,13 +160,13 @@ def _refined(
     return refined if _is_board(refined, board, grey.shape) else None
 
 
-def _spacing(corners: NDArray[np.float64], board: Board) -> float:
+def _spacing(corners: Floats, board: Board) -> float:
     """Return the distance of the closest neighbours [px]."""
     grid = corners.reshape(board.rows, board.columns, 2)
     return float(min(np.linalg.norm(np.diff(grid, axis=k), axis=2).min() for k in (0, 1)))
 
 
-def _is_board(corners: NDArray[np.float64], board: Board, shape: tuple[int, ...]) -> bool:
+def _is_board(corners: Floats, board: Board, shape: tuple[int, ...]) -> bool:
     """Return whether corners lie in the image, on a grid no more bent than lenses bend it."""
     height, width = shape
     if not np.isfinite(corners).all() or corners.min() < 0.0:
@@ -185,7 +184,7 @@ def _is_board(corners: NDArray[np.float64], board: Board, shape: tuple[int, ...]
     return True
 
 
-def _edge_px(grey: NDArray[np.uint8], corners: NDArray[np.float64], board: Board) -> float:
+def _edge_px(grey: NDArray[np.uint8], corners: Floats, board: Board) -> float:
     start = corners.astype(np.float32).reshape(-1, 1, 2)
     size = (board.columns, board.rows)
     across = cv2.estimateChessboardSharpness(grey, size, start, 0.8, False)[0]

@@ -14,8 +14,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from mixtac_driver.calibration.lens import MODELS, CalibrationError, CameraCalibration
-from mixtac_node.files import FileError, write_text
+from mixtac_driver.calibration.lens import MODELS, CalibrationError, CameraCalibration, check_model
+from mixtac_node.files import write_text
 
 T = TypeVar('T')
 DEFAULT_URL = 'file://${ROS_HOME}/camera_info/${NAME}.yaml'
@@ -132,8 +132,7 @@ def parse_camera_info(text: str) -> CameraCalibration:
     if missing:
         raise CalibrationError(f'key {missing[0]} is missing; recalibrate')
     model = _typed(document, 'distortion_model', str)
-    if model not in MODELS:
-        raise CalibrationError(f'distortion_model {model!r} is unknown: use {", ".join(MODELS)}')
+    check_model(model)
     return CameraCalibration(
         name=_typed(document, 'camera_name', str),
         width=_typed(document, 'image_width', int),
@@ -177,7 +176,8 @@ def write_camera_info(path: Path, calibration: CameraCalibration, comment: str =
         comment: Lines to put at the top, without `#`.
 
     Raises:
-        CalibrationError: The file cannot be written, or is not a calibration.
+        CalibrationError: The file is there and is not a calibration.
+        FileError: It cannot be written.
     """
     if path.exists():
         try:
@@ -187,10 +187,7 @@ def write_camera_info(path: Path, calibration: CameraCalibration, comment: str =
                 f'{path} is not a calibration and stays as it is ({error.message})',
                 remedy='remove it, or name another file',
             ) from error
-    try:
-        write_text(path, format_camera_info(calibration, comment))
-    except FileError as error:
-        raise CalibrationError(error.message, remedy=error.remedy) from error
+    write_text(path, format_camera_info(calibration, comment))
 
 
 def _text(path: Path) -> str:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixtac_driver.errors import DriverError
+from mixtac_events.arrays import Floats
 
 
 class CalibrationError(DriverError):
@@ -59,9 +59,17 @@ _NEWTON_STEPS = 8
 _TOLERANCE = 1e-8
 
 
-def distort(
-    model: str, coefficients: NDArray[np.float64], points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def check_model(model: str) -> None:
+    """Raise if a name is not a lens model.
+
+    Raises:
+        CalibrationError: It is not in MODELS.
+    """
+    if model not in MODELS:
+        raise CalibrationError(f'distortion model {model!r} is unknown: use {", ".join(MODELS)}')
+
+
+def distort(model: str, coefficients: Floats, points: Floats) -> Floats:
     """Return the distorted places of ideal points.
 
     Args:
@@ -79,9 +87,7 @@ def distort(
     return inside * _brown(coefficients, points)[0]
 
 
-def undistort(
-    model: str, coefficients: NDArray[np.float64], points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def undistort(model: str, coefficients: Floats, points: Floats) -> Floats:
     """Return the ideal points of distorted ones.
 
     Args:
@@ -105,7 +111,7 @@ def undistort(
     return np.where(good[:, None], ideal, np.nan)
 
 
-def fold_radius(model: str, coefficients: NDArray[np.float64]) -> float:
+def fold_radius(model: str, coefficients: Floats) -> float:
     """Return the ideal radius up to which the distorted radius grows."""
     angles = np.linspace(0.0, MAX_ANGLE_RAD, _STEPS)
     shown = _radial(model, coefficients, np.tan(angles))
@@ -114,17 +120,13 @@ def fold_radius(model: str, coefficients: NDArray[np.float64]) -> float:
     return float(np.tan(angles[last]))
 
 
-def _radial(
-    model: str, coefficients: NDArray[np.float64], radius: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _radial(model: str, coefficients: Floats, radius: Floats) -> Floats:
     if model == EQUIDISTANT:
         return radius * _angle_gain(coefficients, radius)
     return radius * _radial_gain(coefficients, radius**2)[0]
 
 
-def _angle_gain(
-    coefficients: NDArray[np.float64], radius: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _angle_gain(coefficients: Floats, radius: Floats) -> Floats:
     angle = np.arctan(radius)
     square = angle**2
     k1, k2, k3, k4 = coefficients
@@ -132,9 +134,7 @@ def _angle_gain(
     return np.where(radius > 1e-9, shown / np.maximum(radius, 1e-9), 1.0)
 
 
-def _radial_gain(
-    coefficients: NDArray[np.float64], square: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _radial_gain(coefficients: Floats, square: Floats) -> tuple[Floats, Floats]:
     """Return Brown's radial factor and its derivative by the squared radius."""
     k1, k2, _, _, k3, k4, k5, k6 = np.pad(coefficients, (0, 8 - len(coefficients)))
     above = 1.0 + square * (k1 + square * (k2 + square * k3))
@@ -144,9 +144,7 @@ def _radial_gain(
     return above / below, (slope_above * below - above * slope_below) / below**2
 
 
-def _brown(
-    coefficients: NDArray[np.float64], points: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _brown(coefficients: Floats, points: Floats) -> tuple[Floats, Floats]:
     """Return distorted points [n, 2] and their derivatives by the ideal ones [n, 2, 2]."""
     p1, p2 = coefficients[2:4]
     x, y = points[:, 0], points[:, 1]
@@ -167,9 +165,7 @@ def _brown(
     return shown, jacobian
 
 
-def _forward(
-    model: str, coefficients: NDArray[np.float64], points: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _forward(model: str, coefficients: Floats, points: Floats) -> tuple[Floats, Floats]:
     if model != EQUIDISTANT:
         return _brown(coefficients, points)
     radius = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
@@ -187,7 +183,7 @@ def _forward(
     return points * gain[:, None], jacobian
 
 
-def _solve(jacobian: NDArray[np.float64], error: NDArray[np.float64]) -> NDArray[np.float64]:
+def _solve(jacobian: Floats, error: Floats) -> Floats:
     """Return the solutions of n linear systems of two unknowns; NaN stays NaN."""
     a, b, c, d = (jacobian[:, i, j] for i in (0, 1) for j in (0, 1))
     scale = 1.0 / np.where(np.abs(a * d - b * c) > 1e-12, a * d - b * c, np.nan)
@@ -224,10 +220,10 @@ class CameraCalibration:
     width: int
     height: int
     model: str
-    distortion: NDArray[np.float64]
-    camera_matrix: NDArray[np.float64]
-    rectification: NDArray[np.float64]
-    projection: NDArray[np.float64]
+    distortion: Floats
+    camera_matrix: Floats
+    rectification: Floats
+    projection: Floats
 
     def __post_init__(self) -> None:
         """Raise if the values are implausible."""
@@ -246,10 +242,7 @@ class CameraCalibration:
             raise CalibrationError(
                 f'image size {self.width}x{self.height}: give the columns and rows of the camera'
             )
-        if self.model not in MODELS:
-            raise CalibrationError(
-                f'distortion_model {self.model!r} is unknown: use {", ".join(MODELS)}'
-            )
+        check_model(self.model)
         if self.distortion.shape != (len(MODELS[self.model]),):
             raise CalibrationError(
                 f'distortion_coefficients: {self.distortion.size} given, '
@@ -266,14 +259,14 @@ class CameraCalibration:
         """Return columns and rows."""
         return self.width, self.height
 
-    def undistort(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def undistort(self, points: Floats) -> Floats:
         """Return the rectified pixels of raw pixels [n, 2], NaN where there is none."""
         focal, centre = _focal(self.camera_matrix)
         ideal = undistort(self.model, self.distortion, (points - centre) / focal)
         rays = _turned(ideal, self.rectification)
         return rays @ self.projection[:2, :2].T + self.projection[:2, 2]
 
-    def distort(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def distort(self, points: Floats) -> Floats:
         """Return the raw pixels of rectified pixels [n, 2], NaN where there is none."""
         focal, centre = _focal(self.projection)
         ideal = _turned((points - centre) / focal, self.rectification.T)
@@ -281,18 +274,18 @@ class CameraCalibration:
         return distort(self.model, self.distortion, ideal) * focal + centre
 
 
-def _focal(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _focal(matrix: Floats) -> tuple[Floats, Floats]:
     return np.array([matrix[0, 0], matrix[1, 1]]), matrix[:2, 2]
 
 
-def _turned(points: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turned(points: Floats, rotation: Floats) -> Floats:
     rays = points @ rotation[:, :2].T + rotation[:, 2]
     with np.errstate(invalid='ignore', divide='ignore'):
         ahead = np.where(rays[:, 2:] > 0.0, rays[:, 2:], np.nan)
         return np.asarray(rays[:, :2] / ahead)
 
 
-def _check_camera(field: str, matrix: NDArray[np.float64]) -> None:
+def _check_camera(field: str, matrix: Floats) -> None:
     fx, fy = float(matrix[0, 0]), float(matrix[1, 1])
     if fx <= 0.0 or fy <= 0.0:
         raise CalibrationError(f'{field}: focal lengths {fx:g}, {fy:g} px must be positive')

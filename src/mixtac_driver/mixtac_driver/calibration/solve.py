@@ -10,7 +10,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from mixtac_driver.calibration.board import MIN_DISTANCE, View, ViewMeasures, coverage, measure
 from mixtac_driver.calibration.lens import (
@@ -21,9 +20,11 @@ from mixtac_driver.calibration.lens import (
     CameraCalibration,
     Refusal,
     RefusedError,
+    check_model,
     fold_radius,
     undistort,
 )
+from mixtac_events.arrays import Floats
 
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-9)
 # OpenCV 4 keeps this flag in its fisheye module, with another value.
@@ -53,15 +54,15 @@ class LensFit:
             a coefficient that was held at zero.
     """
 
-    camera_matrix: NDArray[np.float64]
-    distortion: NDArray[np.float64]
-    turns: NDArray[np.float64]
-    places: NDArray[np.float64]
-    residuals: list[NDArray[np.float64]]
-    deviations: NDArray[np.float64]
+    camera_matrix: Floats
+    distortion: Floats
+    turns: Floats
+    places: Floats
+    residuals: list[Floats]
+    deviations: Floats
 
     @property
-    def view_rms_px(self) -> NDArray[np.float64]:
+    def view_rms_px(self) -> Floats:
         """Return the root mean square distance of each view's corners [views] [px]."""
         return np.array([np.sqrt((each**2).sum(axis=1).mean()) for each in self.residuals])
 
@@ -105,13 +106,8 @@ def fit_lens(views: Sequence[View], model: str) -> LensFit:
 
 
 def project(
-    points: NDArray[np.float64],
-    turn: NDArray[np.float64],
-    place: NDArray[np.float64],
-    matrix: NDArray[np.float64],
-    coefficients: NDArray[np.float64],
-    model: str,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    points: Floats, turn: Floats, place: Floats, matrix: Floats, coefficients: Floats, model: str
+) -> tuple[Floats, Floats, Floats]:
     """Return the image of board points, and its derivatives.
 
     Args:
@@ -141,7 +137,7 @@ def project(
     )
 
 
-_Lens = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+_Lens = tuple[Floats, Floats, Floats, Floats]
 """Camera matrix, distortion, turns and places, as in `LensFit`."""
 
 
@@ -174,11 +170,7 @@ def _solve(views: Sequence[View], model: str) -> tuple[_Lens, tuple[int, ...]]:
 
 
 def _solve_brown(
-    views: Sequence[View],
-    model: str,
-    matrix: NDArray[np.float64],
-    coefficients: NDArray[np.float64],
-    flags: int,
+    views: Sequence[View], model: str, matrix: Floats, coefficients: Floats, flags: int
 ) -> tuple[float, _Lens]:
     rms, *found = cv2.calibrateCamera(
         [view.board.points().astype(np.float32) for view in views],
@@ -199,11 +191,7 @@ def _arrays(found: Sequence[Any], model: str) -> _Lens:
     return matrix, coefficients, turns.reshape(-1, 3), places.reshape(-1, 3)
 
 
-def _deviations(
-    residuals: list[NDArray[np.float64]],
-    by_lens: list[NDArray[np.float64]],
-    by_pose: list[NDArray[np.float64]],
-) -> NDArray[np.float64]:
+def _deviations(residuals: list[Floats], by_lens: list[Floats], by_pose: list[Floats]) -> Floats:
     """Return standard deviations of the lens with the poses eliminated (Schur complement)."""
     unknowns = by_lens[0].shape[1]
     information = np.zeros((unknowns, unknowns))
@@ -356,11 +344,11 @@ def _folded_share(fit: LensFit, view: View, model: str, demands: Demands) -> flo
 
 def rectified_camera(
     model: str,
-    coefficients: NDArray[np.float64],
-    camera_matrix: NDArray[np.float64],
+    coefficients: Floats,
+    camera_matrix: Floats,
     size: tuple[int, int],
     alpha: float = 0.0,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return a projection matrix P with square pixels.
 
     Args:
@@ -496,16 +484,6 @@ def calibrate(
         projection=rectified_camera(model, fit.distortion, fit.camera_matrix, size, alpha),
     )
     return Solution(calibration, fit, kept, removed, coverage(kept), folded)
-
-
-def check_model(model: str) -> None:
-    """Raise if a name is not a lens model.
-
-    Raises:
-        CalibrationError: It is not in `lens.MODELS`.
-    """
-    if model not in MODELS:
-        raise CalibrationError(f'model {model!r} is unknown: use {", ".join(MODELS)}')
 
 
 def _without_bad_views(

@@ -18,8 +18,25 @@ from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.clock_map import ClockEstimate
 from mixtac_node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues, Status
 
-DROPPED = ('dropped', 'external_input_dropped', 'dvs_dropped')
+DROPPED = ('camera dropped', 'camera external input dropped', 'camera dvs dropped')
 """Counters shown as totals; the others are shown as rates."""
+
+
+class Rates:
+    """Rates of named totals."""
+
+    def __init__(self) -> None:
+        self._meters: dict[str, RateMeter] = {}
+
+    def read(self, totals: Mapping[str, int]) -> dict[str, object]:
+        """Return the rates since the last call, by name."""
+        rates: dict[str, object] = {}
+        now_s = time.monotonic()
+        for name, total in totals.items():
+            meter = self._meters.setdefault(name, RateMeter())
+            meter.total = total
+            rates[f'{name} per second'] = max(meter.read(now_s), 0.0)
+        return rates
 
 
 class StatisticsMeter:
@@ -36,7 +53,7 @@ class StatisticsMeter:
         self.fresh_losses = 0
         self._control = control
         self._lost = 0
-        self._rates: dict[str, RateMeter] = {}
+        self._rates = Rates()
 
     def read(self) -> dict[str, object]:
         """Return figures by name; none while the camera is closed or does not answer."""
@@ -52,17 +69,9 @@ class StatisticsMeter:
         # A reopened camera counts from zero.
         self.fresh_losses = max(statistics.lost - self._lost, 0)
         self._lost = statistics.lost
-        figures: dict[str, object] = {}
-        now_s = time.monotonic()
-        for name, total in asdict(statistics).items():
-            words = f'camera {name.replace("_", " ")}'
-            if name in DROPPED:
-                figures[words] = total
-            else:
-                meter = self._rates.setdefault(name, RateMeter())
-                meter.total = total
-                figures[f'{words} per second'] = max(meter.read(now_s), 0.0)
-        return figures
+        totals = {f'camera {k.replace("_", " ")}': v for k, v in asdict(statistics).items()}
+        dropped = {name: totals.pop(name) for name in DROPPED}
+        return dropped | self._rates.read(totals)
 
 
 class DriverMeters:
@@ -139,7 +148,7 @@ class DriverStatus:
         self._kind = source_kind(device)
         self._settings, self._meters = settings, meters
         self._statistics = StatisticsMeter(source.control) if source.control else None
-        self._totals: dict[str, RateMeter] = {}
+        self._rates = Rates()
         self._lost_before = 0
         self._reconnects_before = supervisor.reconnects
 
@@ -153,7 +162,7 @@ class DriverStatus:
             'replayed': self._kind is SourceKind.RECORDED,
             **_identity(source),
             **self._meters.rates(),
-            **self._rates(source.totals),
+            **self._rates.read(source.totals),
             **source.figures,
             **source.losses,
             'pixels masked': len(self._settings.mask.pixels),
@@ -192,15 +201,6 @@ class DriverStatus:
         if self._statistics is not None and self._statistics.fresh_losses:
             return 'the camera dropped events: too many to send'
         return ''
-
-    def _rates(self, totals: Mapping[str, int]) -> dict[str, object]:
-        rates: dict[str, object] = {}
-        now_s = time.monotonic()
-        for name, total in totals.items():
-            meter = self._totals.setdefault(name, RateMeter())
-            meter.total = total
-            rates[f'{name} per second'] = max(meter.read(now_s), 0.0)
-        return rates
 
     def _recovery(self) -> dict[str, object]:
         supervisor = self._supervisor

@@ -132,7 +132,7 @@ class TransferQueue:
         self._limit = limit
         self._waiting: deque[Transfer] = deque()
         self._gap = Gap()
-        self._transfers = self._dropped_transfers = self._dropped_size = 0
+        self._transfers = self._size = self._dropped_transfers = self._dropped_size = 0
         # One for the thread that puts, one for the thread that pops: they may be different.
         self._size_in = self._size_out = self._most_queued_size = 0
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,9 +35,7 @@ def test_measures_follow_the_board():
     assert up.y < 0.3 < 0.7 < down.y
     assert far.size < near.size
     assert tilted.skew > flat.skew + 0.2
-    assert all(
-        0.0 <= each <= 1.0 for m in (left, right, up, down, near, far) for each in astuple(m)
-    )
+    assert all(0.0 <= each <= 1.0 for m in (left, right, up, down, near, far) for each in m)
 
 
 def test_a_full_turn_of_the_board_changes_nothing_but_skew_noise():

@@ -20,6 +20,7 @@ from mixtac_driver.calibration.camera_info import (
     write_camera_info,
 )
 from mixtac_driver.calibration.lens import MODELS, CalibrationError
+from mixtac_node.files import FileError
 
 # As camera_calibration_parsers writes it (its documentation's example).
 OTHERS = """image_width: 2448
@@ -164,5 +165,5 @@ def test_other_files_are_not_replaced(tmp_path):
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / 'file').write_text('')
-    with pytest.raises(CalibrationError):
+    with pytest.raises(FileError):
         write_camera_info(tmp_path / 'file' / 'camera.yaml', calibration())

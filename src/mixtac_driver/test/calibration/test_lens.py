@@ -71,7 +71,7 @@ def test_points_beyond_the_fold_are_marked():
 )
 @settings(max_examples=60, deadline=None)
 def test_whatever_is_called_undistorted_distorts_back(model, coefficients, points):
-    lens, shown = np.array(coefficients[: MODELS[model]]), np.array(points)
+    lens, shown = np.array(coefficients[: len(MODELS[model])]), np.array(points)
     with np.errstate(all='ignore'):
         ideal = undistort(model, lens, shown)
         back = distort(model, lens, ideal * (1 - 1e-9))

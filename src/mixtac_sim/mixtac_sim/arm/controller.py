@@ -15,19 +15,13 @@ from typing import Literal
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from mixtac_events.arrays import Floats
 from mixtac_sim.arm.fr3 import READY
 
 
 @njit(cache=True, nogil=True)
-def interpolate(
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    span_s: float,
-    since_s: float,
-    order: int,
-) -> NDArray[np.float64]:
+def interpolate(start: Floats, end: Floats, span_s: float, since_s: float, order: int) -> Floats:
     """Return the state between two states.
 
     Args:
@@ -87,10 +81,10 @@ class Trajectory:
     """
 
     stamp_s: float
-    times_s: NDArray[np.float64]
-    q: NDArray[np.float64]
-    dq: NDArray[np.float64] | None = None
-    ddq: NDArray[np.float64] | None = None
+    times_s: Floats
+    q: Floats
+    dq: Floats | None = None
+    ddq: Floats | None = None
 
 
 class JointTrajectoryController:
@@ -110,7 +104,7 @@ class JointTrajectoryController:
         self._late = release == 'humble'
         self.reset(READY, 0.0)
 
-    def reset(self, q: NDArray[np.float64], now_s: float) -> None:
+    def reset(self, q: Floats, now_s: float) -> None:
         """Hold still at a position, as after activation.
 
         Args:
@@ -139,9 +133,7 @@ class JointTrajectoryController:
             self._pending = trajectory
         return reason
 
-    def sample(
-        self, t_s: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def sample(self, t_s: float) -> tuple[Floats, Floats, Floats]:
         """Run the cycles up to a time and return the last command.
 
         Args:
@@ -199,13 +191,7 @@ class _Active:
         now_s: Time of the first cycle that sees it [s].
     """
 
-    def __init__(
-        self,
-        fields: Trajectory,
-        before: NDArray[np.float64],
-        before_s: float,
-        now_s: float,
-    ) -> None:
+    def __init__(self, fields: Trajectory, before: Floats, before_s: float, now_s: float) -> None:
         self._fields = fields
         self._before = before
         self._before_s = before_s
@@ -217,7 +203,7 @@ class _Active:
         columns = [blank if values is None else values for values in derivatives]
         self._states = np.stack([fields.q, *columns], axis=1)
 
-    def at(self, t_s: float) -> NDArray[np.float64] | None:
+    def at(self, t_s: float) -> Floats | None:
         """Return the state [3, joint] at a time [s]; None before it has begun."""
         if t_s < self._before_s - START_EPSILON_S:
             return None

@@ -18,7 +18,8 @@ from string import Template
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from mixtac_events.arrays import Floats
 
 JOINT_NAMES = tuple(f'fr3_joint{k}' for k in range(1, 8))
 A_M = (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088)
@@ -38,7 +39,7 @@ DDDQ_MAX = 5000.0
 """Jerk of every joint [rad/s3]."""
 
 
-def flange_place(q: NDArray[np.float64]) -> NDArray[np.float64]:
+def flange_place(q: Floats) -> Floats:
     """Return the place of the flange [3] [m] in the base frame.
 
     Args:
@@ -50,7 +51,7 @@ def flange_place(q: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(pose[:3, 3] + FLANGE_M * pose[:3, 2])
 
 
-def _link(a: float, d: float, alpha: float, angle: float) -> NDArray[np.float64]:
+def _link(a: float, d: float, alpha: float, angle: float) -> Floats:
     """Return one modified Denavit-Hartenberg transform."""
     ct, st, ca, sa = np.cos(angle), np.sin(angle), np.cos(alpha), np.sin(alpha)
     return np.array(
@@ -63,7 +64,7 @@ def _link(a: float, d: float, alpha: float, angle: float) -> NDArray[np.float64]
     )
 
 
-def violations(q: NDArray[np.float64], period_s: float, reserve: float = 1e-3) -> int:
+def violations(q: Floats, period_s: float, reserve: float = 1e-3) -> int:
     """Return how many samples of a commanded motion break a limit.
 
     Args:
@@ -115,32 +116,22 @@ class GelContact:
     preload_n: float
 
 
-@dataclass(frozen=True, slots=True)
-class Servo:
-    """Position servo of each joint.
-
-    Attributes:
-        stiffness_nm: Torque per error of position [7] [N m/rad].
-        damping_nm_s: Torque per speed [7] [N m s/rad]; over the stiffness it is the lag with which
-            a joint follows.
-    """
-
-    stiffness_nm: Sequence[float]
-    damping_nm_s: Sequence[float]
-
-
-def fr3_mjcf(contact: GelContact | None = None, servo: Servo | None = None) -> str:
+def fr3_mjcf(
+    contact: GelContact | None = None, stiffness_nm: Sequence[float] = (), lag_s: float = 0.0
+) -> str:
     """Return the model.
 
     Args:
         contact: Contact of the flange; None for free motion.
-        servo: Servos of the joints; None for no actuators.
+        stiffness_nm: Torque per error of position of the servo of each joint [7] [N m/rad]; none
+            for no actuators.
+        lag_s: Lag with which a joint follows: its damping over its stiffness [s].
     """
     model = Template(Path(__file__).with_name('fr3.xml').read_text(encoding='utf-8'))
     return model.substitute(
         wall=_wall(contact) if contact else '',
         gel=_gel(contact) if contact else '',
-        actuators=_actuators(servo) if servo else '',
+        actuators=_actuators(stiffness_nm, lag_s) if stiffness_nm else '',
     )
 
 
@@ -170,12 +161,12 @@ def _wall(contact: GelContact) -> str:
     )
 
 
-def _actuators(servo: Servo) -> str:
-    rows = zip(JOINT_NAMES, servo.stiffness_nm, servo.damping_nm_s, TORQUE_MAX_NM, strict=True)
+def _actuators(stiffness_nm: Sequence[float], lag_s: float) -> str:
+    rows = zip(JOINT_NAMES, stiffness_nm, TORQUE_MAX_NM, strict=True)
     lines = [
-        f'<position joint="{name}" kp="{stiffness}" kv="{damping}" '
+        f'<position joint="{name}" kp="{stiffness}" kv="{lag_s * stiffness}" '
         f'forcerange="{-torque} {torque}" forcelimited="true"/>'
-        for name, stiffness, damping, torque in rows
+        for name, stiffness, torque in rows
     ]
     return '<actuator>' + ''.join(lines) + '</actuator>'
 

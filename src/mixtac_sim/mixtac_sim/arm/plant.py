@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_sim import SimulationError
-from mixtac_sim.arm.fr3 import TORQUE_MAX_NM, GelContact, Servo, flange_place, fr3_mjcf
+from mixtac_sim.arm.fr3 import TORQUE_MAX_NM, GelContact, flange_place, fr3_mjcf
 
 Floats = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ class MujocoArm:
         self._start_q = np.array(q, np.float64)
         self._normal = np.asarray(normal, np.float64)
         contact = self._contact(n_per_mm, preload_n) if n_per_mm > 0.0 else None
-        self._model, self._data = self._posed(fr3_mjcf(contact, self._servo(lag_s)))
+        self._model, self._data = self._posed(fr3_mjcf(contact, self._stiffness(lag_s), lag_s))
         step_s = self._model.opt.timestep
         self._steps = round(period_s / step_s)
         self._touches = contact is not None
@@ -220,14 +220,13 @@ class MujocoArm:
         self._mujoco.mj_forward(model, data)
         return model, data
 
-    def _servo(self, lag_s: float) -> Servo:
-        """Return critically damped servos for the inertia that each joint has at the start."""
+    def _stiffness(self, lag_s: float) -> list[float]:
+        """Return the stiffness of critically damped servos for the inertia at the start."""
         model, data = self._posed(fr3_mjcf())
         inertia = np.zeros((JOINTS, JOINTS))
         self._mujoco.mj_fullM(model, inertia, data.qM)
         # Damping over stiffness is the lag, and at critical damping twice the time constant.
-        stiffness = np.diag(inertia) * (2.0 / lag_s) ** 2
-        return Servo(stiffness.tolist(), (lag_s * stiffness).tolist())
+        return list((np.diag(inertia) * (2.0 / lag_s) ** 2).tolist())
 
     def _contact(self, n_per_mm: float, preload_n: float) -> GelContact:
         _, data = self._posed(fr3_mjcf())

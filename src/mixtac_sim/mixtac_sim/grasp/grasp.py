@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_events.arrays import Events, Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import OBJECTS, GraspSetup
 from mixtac_sim.grasp.skin import SETTLE_S, Press, Skin, SkinCamera, slide
@@ -32,15 +32,15 @@ FALL_SUBSTEPS = 8
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def advance_object(
-    body: NDArray[np.float64],
+    body: Floats,
     constants: tuple[float, float, float, float, float, float, float],
-    skin: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
-    gel: tuple[NDArray[np.float64], NDArray[np.float64]],
-    surface: NDArray[np.float64],
+    skin: tuple[Floats, Floats, Floats],
+    gel: tuple[Floats, Floats],
+    surface: Floats,
     law: tuple[float, float, float, float, float, float],
-    normal_n: NDArray[np.float64],
-    path: NDArray[np.float64],
-    patches: NDArray[np.float64],
+    normal_n: Floats,
+    path: Floats,
+    patches: Floats,
 ) -> None:
     """Advance the object over some grid steps.
 
@@ -165,10 +165,10 @@ class GraspBlock:
     """
 
     t_us: NDArray[np.int64]
-    object_mm: NDArray[np.float64]
-    speed_mm_s: NDArray[np.float64]
-    normal_n: NDArray[np.float64]
-    pull_n: NDArray[np.float64]
+    object_mm: Floats
+    speed_mm_s: Floats
+    normal_n: Floats
+    pull_n: Floats
     slipped_mm: float
     events: Events
     frames: list[ApsFrame]
@@ -241,7 +241,7 @@ class Grasp:
         self._skin.shear_mm[:], self._skin.age_s[:] = self._held
         self._skin.slid_mm[:] = 0.0
 
-    def advance(self, advance_mm: NDArray[np.float64]) -> GraspBlock:
+    def advance(self, advance_mm: Floats) -> GraspBlock:
         """Advance by one block.
 
         Args:

@@ -15,9 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_events.arrays import Events, Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
 from mixtac_sim.grids import STEP_US
@@ -42,7 +41,7 @@ ITERATIONS = 2
 """Steps of fourth order towards the slip speed (Fritsch, Shafer and Crowley 1973)."""
 
 
-def patch_places(radius_mm: float) -> NDArray[np.float64]:
+def patch_places(radius_mm: float) -> Floats:
     """Return the centres of the patches of a contact [16, 2] [mm], from its centre."""
     places = []
     for share, count in RINGS:
@@ -106,12 +105,8 @@ class Skin:
         return float(np.dot(self.stiffness, self.shear_mm))
 
     def drag(
-        self,
-        speeds_mm_s: NDArray[np.float64],
-        normal_n: NDArray[np.float64],
-        step_s: float,
-        substeps: int = 1,
-    ) -> NDArray[np.float64]:
+        self, speeds_mm_s: Floats, normal_n: Floats, step_s: float, substeps: int = 1
+    ) -> Floats:
         """Move an object over the skin; return the shear of the patches after each step [n, 16].
 
         Args:
@@ -129,8 +124,8 @@ class Skin:
     def arrays(
         self,
     ) -> tuple[
-        tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
-        tuple[NDArray[np.float64], NDArray[np.float64]],
+        tuple[Floats, Floats, Floats],
+        tuple[Floats, Floats],
         tuple[float, float, float, float, float, float],
     ]:
         """Return state, gel and friction as the kernel ``slide`` takes them."""
@@ -162,7 +157,7 @@ def _sheared_mm2(layer: Layer, radius_mm: float) -> float:
     return float(np.pi * (radius_mm + 0.5 * layer.thickness_mm) ** 2)
 
 
-def _surface(rng: np.random.Generator, count: int, deviation: float) -> NDArray[np.float64]:
+def _surface(rng: np.random.Generator, count: int, deviation: float) -> Floats:
     """Return smooth random numbers around a circle [count, NODES] of a standard deviation."""
     noise = rng.standard_normal((count, NODES))
     smooth = sum(np.roll(noise, k, axis=1) for k in (-1, 0, 1))
@@ -197,9 +192,9 @@ def slip_speed(drive_n: float, strength_n: float, rate_n: float, damping: float)
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def slide(
-    state: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
-    gel: tuple[NDArray[np.float64], NDArray[np.float64]],
-    surface: NDArray[np.float64],
+    state: tuple[Floats, Floats, Floats],
+    gel: tuple[Floats, Floats],
+    surface: Floats,
     law: tuple[float, float, float, float, float, float],
     normal_n: float,
     speed_mm_s: float,
@@ -248,15 +243,15 @@ def slide(
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _drag(
-    state: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
-    gel: tuple[NDArray[np.float64], NDArray[np.float64]],
-    surface: NDArray[np.float64],
+    state: tuple[Floats, Floats, Floats],
+    gel: tuple[Floats, Floats],
+    surface: Floats,
     law: tuple[float, float, float, float, float, float],
-    normal_n: NDArray[np.float64],
-    speeds_mm_s: NDArray[np.float64],
+    normal_n: Floats,
+    speeds_mm_s: Floats,
     part_s: float,
     substeps: int,
-    patches: NDArray[np.float64],
+    patches: Floats,
 ) -> None:
     """Run several steps; see ``Skin.drag``."""
     for k in range(speeds_mm_s.size):
@@ -318,7 +313,7 @@ class Press:
                 f'{face}, {law.force_n[-1]:.2f} N; press less'
             )
 
-    def move(self, advance_mm: NDArray[np.float64]) -> ContactPath:
+    def move(self, advance_mm: Floats) -> ContactPath:
         """Move the fingertip; return the contact on the 125 us grid.
 
         Args:
@@ -326,11 +321,11 @@ class Press:
         """
         return self._run(Mode.POSITION, self._start_mm + advance_mm)
 
-    def hold(self, force_n: NDArray[np.float64]) -> ContactPath:
+    def hold(self, force_n: Floats) -> ContactPath:
         """Press with given forces [n] [N] on the grid; return the contact."""
         return self._run(Mode.FORCE, force_n)
 
-    def _run(self, mode: Mode, targets: NDArray[np.float64]) -> ContactPath:
+    def _run(self, mode: Mode, targets: Floats) -> ContactPath:
         count = len(targets)
         return self._contact.advance(
             np.full(count, mode, np.int8), targets, np.zeros(count, np.int8)
@@ -386,12 +381,12 @@ class SkinBeads:
         self._rows = [np.flatnonzero(self._late == k) for k in range(len(self._past))]
         self.amount_mm = np.zeros(len(height))
 
-    def push(self, patches_mm: NDArray[np.float64]) -> None:
+    def push(self, patches_mm: Floats) -> None:
         """Advance one grid step to displacements of the patches [patch] [mm]."""
         self._past[1:] = self._past[:-1]
         self._past[0] = patches_mm
 
-    def amounts(self) -> NDArray[np.float64]:
+    def amounts(self) -> Floats:
         """Return the shear displacement of each bead now [n] [mm]; reused by the next call."""
         for past, rows in zip(self._past, self._rows, strict=True):
             self.amount_mm[rows] = self._weights[rows] @ past
@@ -442,12 +437,10 @@ class SkinCamera:
         """Time up to which it has been advanced [us of true time]."""
         return self._camera.now_us
 
-    def _place(self, elastic_n: float) -> NDArray[np.float64]:
+    def _place(self, elastic_n: float) -> Floats:
         return self._beads.place(0, elastic_n, self._direction, self._moved.amounts())
 
-    def advance(
-        self, elastic_n: NDArray[np.float64], patches_mm: NDArray[np.float64]
-    ) -> tuple[Events, list[ApsFrame]]:
+    def advance(self, elastic_n: Floats, patches_mm: Floats) -> tuple[Events, list[ApsFrame]]:
         """Return the events and the frames that ended over a block; times as of `Camera.advance`.
 
         Args:
@@ -455,7 +448,7 @@ class SkinCamera:
             patches_mm: Shear displacement of the patches there [n, patch] [mm].
         """
 
-        def place(first: int, last: int) -> NDArray[np.float64]:
+        def place(first: int, last: int) -> Floats:
             for k in range(first, last):
                 self._moved.push(patches_mm[k])
             return self._place(float(elastic_n[last - 1]))

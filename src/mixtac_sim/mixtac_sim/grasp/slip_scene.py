@@ -11,9 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_events.arrays import Events, Floats
 from mixtac_sim.grasp.objects import draw_friction
 from mixtac_sim.grasp.skin import SETTLE_S, Press, Skin, SkinCamera
 from mixtac_sim.grids import STEP_US
@@ -96,9 +95,7 @@ class SlipScene:
             device, conditions, preset, seed, self._press, self._skin, direction, flicker
         )
 
-    def advance(
-        self, speed_mm_s: NDArray[np.float64], force_n: NDArray[np.float64] | None = None
-    ) -> SceneBlock:
+    def advance(self, speed_mm_s: Floats, force_n: Floats | None = None) -> SceneBlock:
         """Advance by one block.
 
         Args:
@@ -121,10 +118,7 @@ class SlipScene:
         )
 
     def play(
-        self,
-        speed_mm_s: NDArray[np.float64],
-        force_n: NDArray[np.float64] | None = None,
-        block_steps: int = 8,
+        self, speed_mm_s: Floats, force_n: Floats | None = None, block_steps: int = 8
     ) -> Iterator[SceneBlock]:
         """Yield the blocks of a whole profile; arrays as in ``advance``.
 
@@ -140,7 +134,7 @@ class SlipScene:
 
 def knock_profile(
     speed_mm_s: float, onset_s: float, slip_s: float, total_s: float, rise_s: float = 5e-4
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the speed of an object that is at rest, slips and rests again [n] [mm/s].
 
     Args:

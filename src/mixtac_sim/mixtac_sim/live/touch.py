@@ -13,13 +13,12 @@ from threading import Lock
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY, Mode
 from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G, Indenter
-from mixtac_sim.world.profiles import Profile, Segment, Tone
+from mixtac_sim.world.profiles import Commands, Profile, Segment, Tone
 
 RAMP_S: Final = 0.2
 """Time in which an object approaches or leaves [s]."""
@@ -188,17 +187,13 @@ class LiveProfile:
             longest = min(longest, play.scenario.longest_step(begin - play.start, end - begin))
         return longest
 
-    def commands(
-        self, first: int, count: int
-    ) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.int8]]:
+    def commands(self, first: int, count: int) -> Commands:
         """Return modes, targets and indenters of grid steps ``first`` to ``first + count``."""
         with self._lock:
             self._asked = max(self._asked, first)
         return self._commands(first, count)
 
-    def _commands(
-        self, first: int, count: int
-    ) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.int8]]:
+    def _commands(self, first: int, count: int) -> Commands:
         modes, targets = np.zeros(count, np.int8), np.zeros(count)
         tools = np.zeros(count, np.int8)
         for begin, end, play in self._spans(first, count):

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from mixtac_events.arrays import Floats
 from mixtac_sim.grids import STEP_US
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class PronySeries:
     weights: tuple[float, ...]
     times_s: tuple[float, ...]
 
-    def update(self, step_s: float) -> NDArray[np.float64]:
+    def update(self, step_s: float) -> Floats:
         """Return decay and gain of each branch over a step of this length [2, n]."""
         times = np.array(self.times_s)
         decay = np.exp(-step_s / times)
@@ -57,9 +58,7 @@ class PronySeries:
 
 
 @njit(cache=True, nogil=True)
-def force_terms(
-    branches: NDArray[np.float64], update: NDArray[np.float64], elastic: float
-) -> tuple[float, float]:
+def force_terms(branches: Floats, update: Floats, elastic: float) -> tuple[float, float]:
     """Return (carried, gain) of the coming step: force = carried + gain * elastic force.
 
     Args:
@@ -75,7 +74,7 @@ def force_terms(
 
 
 @njit(cache=True, nogil=True)
-def relax(branches: NDArray[np.float64], update: NDArray[np.float64], change: float) -> None:
+def relax(branches: Floats, update: Floats, change: float) -> None:
     """Carry the branch forces over a step in which the elastic force changed by ``change`` [N]."""
     for i in range(branches.size):
         branches[i] = update[0, i] * branches[i] + update[1, i] * change
@@ -88,7 +87,7 @@ GRAVITY = 9.80665
 
 
 @njit(cache=True, nogil=True)
-def _elastic(table: NDArray[np.float64], step: float, depth: float) -> float:
+def _elastic(table: Floats, step: float, depth: float) -> float:
     """Return the elastic force [N] at a depth [mm]; linear beyond the table."""
     if depth <= 0.0:
         return 0.0
@@ -97,7 +96,7 @@ def _elastic(table: NDArray[np.float64], step: float, depth: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def dent(table: NDArray[np.float64], step: float, elastic: float) -> float:
+def dent(table: Floats, step: float, elastic: float) -> float:
     """Return the depth [mm] of the dent that belongs to an elastic force [N]."""
     if elastic <= 0.0:
         return 0.0
@@ -107,12 +106,7 @@ def dent(table: NDArray[np.float64], step: float, elastic: float) -> float:
 
 @njit(cache=True, nogil=True)
 def step_force(
-    state: NDArray[np.float64],
-    branches: NDArray[np.float64],
-    update: NDArray[np.float64],
-    table: NDArray[np.float64],
-    step: float,
-    force: float,
+    state: Floats, branches: Floats, update: Floats, table: Floats, step: float, force: float
 ) -> float:
     """Advance one step under a commanded force; return the force [N]."""
     carried, gain = force_terms(branches, update, state[0])
@@ -125,12 +119,7 @@ def step_force(
 
 @njit(cache=True, nogil=True)
 def step_position(
-    state: NDArray[np.float64],
-    branches: NDArray[np.float64],
-    update: NDArray[np.float64],
-    table: NDArray[np.float64],
-    step: float,
-    position: float,
+    state: Floats, branches: Floats, update: Floats, table: Floats, step: float, position: float
 ) -> float:
     """Advance one step with the indenter at a position; return the force [N], never a pull."""
     carried, gain = force_terms(branches, update, state[0])
@@ -147,10 +136,10 @@ def step_position(
 
 @njit(cache=True, nogil=True)
 def step_fall(
-    state: NDArray[np.float64],
-    branches: NDArray[np.float64],
-    update: NDArray[np.float64],
-    table: NDArray[np.float64],
+    state: Floats,
+    branches: Floats,
+    update: Floats,
+    table: Floats,
     step: float,
     mass: float,
     lift: float,
@@ -196,10 +185,10 @@ class ContactPath:
         position_mm: Position of the indenter [n] [mm], inwards from the free skin.
     """
 
-    force_n: NDArray[np.float64]
-    elastic_n: NDArray[np.float64]
-    depth_mm: NDArray[np.float64]
-    position_mm: NDArray[np.float64]
+    force_n: Floats
+    elastic_n: Floats
+    depth_mm: Floats
+    position_mm: Floats
 
 
 class Contact:
@@ -227,10 +216,7 @@ class Contact:
         self._last_mode = np.zeros(1, np.int8)
 
     def advance(
-        self,
-        modes: NDArray[np.int8],
-        targets: NDArray[np.float64],
-        indenters: NDArray[np.int8],
+        self, modes: NDArray[np.int8], targets: Floats, indenters: NDArray[np.int8]
     ) -> ContactPath:
         """Carry out one command per grid step.
 
@@ -258,17 +244,17 @@ class Contact:
 
 @njit(cache=True, nogil=True)
 def _advance(
-    state: NDArray[np.float64],
+    state: Floats,
     last_mode: NDArray[np.int8],
-    branches: NDArray[np.float64],
-    updates: NDArray[np.float64],
-    tables: NDArray[np.float64],
-    steps: NDArray[np.float64],
-    masses: NDArray[np.float64],
+    branches: Floats,
+    updates: Floats,
+    tables: Floats,
+    steps: Floats,
+    masses: Floats,
     modes: NDArray[np.int8],
-    targets: NDArray[np.float64],
+    targets: Floats,
     indenters: NDArray[np.int8],
-    path: NDArray[np.float64],
+    path: Floats,
 ) -> None:
     """Carry out the commands; see ``Contact.advance``."""
     for k in range(modes.size):

@@ -7,9 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from mixtac_events.arrays import Floats
 from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.mechanics.layer import ALPHA, punch_factor, solve_contact, solve_edge
 
@@ -42,12 +42,12 @@ class ForceLaw:
     """
 
     step_mm: float
-    force_n: NDArray[np.float64]
-    radius_mm: NDArray[np.float64]
-    linear_n: NDArray[np.float64] | None = None
+    force_n: Floats
+    radius_mm: Floats
+    linear_n: Floats | None = None
 
     @property
-    def depths_mm(self) -> NDArray[np.float64]:
+    def depths_mm(self) -> Floats:
         """Return the depths [2049] [mm]: travel of the indenter from first touch."""
         return np.arange(len(self.force_n), dtype=np.float64) * self.step_mm
 
@@ -59,11 +59,11 @@ class ForceLaw:
         """Return the depth [mm] of an elastic force [N]."""
         return float(np.interp(force_n, self.force_n, self.depths_mm))
 
-    def radius_at(self, force_n: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    def radius_at(self, force_n: Floats | float) -> Floats:
         """Return the contact radius [mm] under elastic forces [N]."""
         return np.asarray(np.interp(force_n, self.force_n, self.radius_mm))
 
-    def linear_at(self, force_n: NDArray[np.float64]) -> NDArray[np.float64]:
+    def linear_at(self, force_n: Floats) -> Floats:
         """Return the forces [N] at which a linear layer would be dented as much."""
         if self.linear_n is None:
             return force_n
@@ -98,7 +98,7 @@ def force_law(
     return ForceLaw(float(even[1]), columns[0], columns[1], columns[2] if stiffening else None)
 
 
-_Law = tuple['NDArray[np.float64]', 'NDArray[np.float64]', 'NDArray[np.float64]']
+_Law = tuple[Floats, Floats, Floats]
 
 
 def _flat_law(layer: Layer, indenter: Indenter) -> _Law:
@@ -168,12 +168,7 @@ class Shear:
         self._partial_slip = partial_slip
         self._lean = np.array(lean)
 
-    def at(
-        self,
-        force_n: NDArray[np.float64],
-        depth_mm: NDArray[np.float64],
-        radius_mm: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def at(self, force_n: Floats, depth_mm: Floats, radius_mm: Floats) -> tuple[Floats, Floats]:
         """Return displacement [n, 2] [mm] and force [n, 2] [N], right and down."""
         area = np.pi * (radius_mm + 0.5 * self._thickness) ** 2
         stiffness = self._modulus * area / self._thickness
@@ -188,7 +183,7 @@ class Shear:
             share = np.minimum(1.0, limit / size)[:, None]
         return share * wanted, share * pull
 
-    def _limit(self, force_n: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _limit(self, force_n: Floats) -> Floats:
         """Return the largest pull that friction bears [N]."""
         if self._friction_load == 0.0:
             return self._friction * force_n

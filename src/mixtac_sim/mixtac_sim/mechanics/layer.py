@@ -36,6 +36,7 @@ from scipy.ndimage import map_coordinates
 from scipy.special import j0, j1
 from threadpoolctl import threadpool_limits
 
+from mixtac_events.arrays import Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.mechanics.indenters import Indenter
 
@@ -47,7 +48,7 @@ X = 0.5 * (_NODES + 1.0)
 X_WEIGHTS = 0.5 * _WEIGHTS
 
 
-def surface_mobility(t: NDArray[np.float64]) -> NDArray[np.float64]:
+def surface_mobility(t: Floats) -> Floats:
     """Return M(t), the layer's surface compliance relative to a half-space.
 
     Args:
@@ -59,7 +60,7 @@ def surface_mobility(t: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(small, 2.0 / 3.0 * t**3, np.where(t > 20.0, 1.0, full))
 
 
-def _resolvent(alpha: float, right: NDArray[np.float64]) -> NDArray[np.float64]:
+def _resolvent(alpha: float, right: Floats) -> Floats:
     """Solve omega - K omega = right on the nodes and at x = 1 (last row)."""
     t, weights = 10.0 * (_NODES + 1.0), 10.0 * _WEIGHTS
     lost = weights * (1.0 - surface_mobility(t))
@@ -81,9 +82,9 @@ class ContactSolution:
         omega: omega on the nodes ``X`` [59, 128].
     """
 
-    depth: NDArray[np.float64]
-    load: NDArray[np.float64]
-    omega: NDArray[np.float64]
+    depth: Floats
+    load: Floats
+    omega: Floats
 
 
 @lru_cache(maxsize=2)
@@ -125,12 +126,10 @@ class DisplacementField:
         outward: Displacement away from the axis, same shape.
     """
 
-    inward: NDArray[np.float64]
-    outward: NDArray[np.float64]
+    inward: Floats
+    outward: Floats
 
-    def at(
-        self, alpha: NDArray[np.float64], height: NDArray[np.float64], radius: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def at(self, alpha: Floats, height: Floats, radius: Floats) -> tuple[Floats, Floats]:
         """Return inward and outward displacement at points of the undeformed layer.
 
         Args:
@@ -167,16 +166,14 @@ def displacement_field(shape: Literal['sphere', 'flat']) -> DisplacementField:
         return DisplacementField(inward, _transform(load, slope, j1(distances)))
 
 
-def _transform(
-    load: NDArray[np.float64], profile: NDArray[np.float64], wave: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _transform(load: Floats, profile: Floats, wave: Floats) -> Floats:
     """Return the sum over wave numbers for all contacts, heights and distances at once."""
     modes = profile[:, :, None] * wave[:, None, :]
     table = load @ modes.reshape(len(wave), -1)
     return np.asarray(table.reshape(len(load), *modes.shape[1:]))
 
 
-def _wave_numbers() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _wave_numbers() -> tuple[Floats, Floats]:
     """Return nodes and weights of a composite Gauss rule on 0 ... 80."""
     nodes, weights = np.polynomial.legendre.leggauss(16)
     starts, width = np.linspace(0.0, _WAVES, 101)[:-1], _WAVES / 100
@@ -184,7 +181,7 @@ def _wave_numbers() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return t, np.tile(0.5 * width * weights, 100)
 
 
-def _load_spectrum(shape: Literal['sphere', 'flat'], t: NDArray[np.float64]) -> NDArray[np.float64]:
+def _load_spectrum(shape: Literal['sphere', 'flat'], t: Floats) -> Floats:
     """Return the Hankel transform of the pressure over the force [alpha, t]."""
     contact = solve_contact(shape)
     spectrum = [
@@ -194,9 +191,7 @@ def _load_spectrum(shape: Literal['sphere', 'flat'], t: NDArray[np.float64]) -> 
     return np.stack(spectrum) / contact.load[:, None]
 
 
-def depth_profiles(
-    t: NDArray[np.float64], height: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def depth_profiles(t: Floats, height: Floats) -> tuple[Floats, Floats]:
     """Return U and dU/dq at heights for unit pressure [t, height], free of overflow."""
     t = t[:, None]
     q = t * height
@@ -237,10 +232,10 @@ class _Waves(NamedTuple):
         compliance: Surface displacement over pressure [n, m] [mm/kPa at 1 kPa modulus].
     """
 
-    across: NDArray[np.float64]
-    along: NDArray[np.float64]
-    size: NDArray[np.float64]
-    compliance: NDArray[np.float64]
+    across: Floats
+    along: Floats
+    size: Floats
+    compliance: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,17 +251,12 @@ class EdgeContact:
     """
 
     thickness_mm: float
-    depth_mm: NDArray[np.float64]
-    force_n: NDArray[np.float64]
-    radius_mm: NDArray[np.float64]
+    depth_mm: Floats
+    force_n: Floats
+    radius_mm: Floats
     spectra: NDArray[np.complex128]
 
-    def displacements(
-        self,
-        x_mm: NDArray[np.float64],
-        y_mm: NDArray[np.float64],
-        height: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def displacements(self, x_mm: Floats, y_mm: Floats, height: Floats) -> Floats:
         """Return displacements along, across and inwards [20, n, 3] [mm] at points of the layer.
 
         Args:
@@ -318,7 +308,7 @@ def solve_edge(edge: Indenter, thickness_mm: float) -> EdgeContact:
     return EdgeContact(thickness_mm, depths, force, radius, np.stack(spectra))
 
 
-def _gap(edge: Indenter) -> NDArray[np.float64]:
+def _gap(edge: Indenter) -> Floats:
     """Return how far the edge is from the skin at first touch [240, 96] [mm]."""
     across = CELL_MM[0] * (np.arange(SHAPE[0]) - SHAPE[0] // 2)
     along = CELL_MM[1] * (np.arange(SHAPE[1]) - SHAPE[1] // 2)
@@ -336,12 +326,7 @@ def _waves(thickness_mm: float) -> _Waves:
     return _Waves(across, along, size, compliance)
 
 
-def _press(
-    pressure: NDArray[np.float64],
-    open_mm: NDArray[np.float64],
-    compliance: NDArray[np.float64],
-    depth_mm: float,
-) -> NDArray[np.float64]:
+def _press(pressure: Floats, open_mm: Floats, compliance: Floats, depth_mm: float) -> Floats:
     """Return the pressures [kPa at 1 kPa modulus] that close the gap without a pull.
 
     Args:

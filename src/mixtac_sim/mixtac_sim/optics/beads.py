@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from mixtac_events.arrays import Floats
 from mixtac_sim.grids import PITCH_MM
 from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
 from mixtac_sim.mechanics.indenters import Indenter
@@ -71,9 +71,7 @@ class BeadMotion:
         self._reach = np.stack([self._largest(table) for table in self._tables])
         self.spots = np.empty((len(beads.x_mm), 4))
 
-    def _table(
-        self, layer: Layer, mesh_n_per_mm: float, tool: Indenter, law: ForceLaw
-    ) -> NDArray[np.float64]:
+    def _table(self, layer: Layer, mesh_n_per_mm: float, tool: Indenter, law: ForceLaw) -> Floats:
         """Return displacements [row, bead, xyz] [mm]; z is towards the mesh."""
         force = law.force_n[-1] * np.linspace(0.0, 1.0, ROWS) ** 2
         sag = np.exp(-((self._axis_mm / SAG_MM) ** 2)) * force[:, None] / mesh_n_per_mm
@@ -91,9 +89,7 @@ class BeadMotion:
         radial = scale * outward
         return np.stack([*(radial * d for d in self._direction), scale * inward + sag], axis=-1)
 
-    def _edge_table(
-        self, layer: Layer, tool: Indenter, linear_n: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _edge_table(self, layer: Layer, tool: Indenter, linear_n: Floats) -> Floats:
         """Return the displacements under an edge without the mesh's sag [row, bead, xyz] [mm]."""
         contact = solve_edge(tool, layer.thickness_mm)
         away = self._axis_mm * self._direction
@@ -104,7 +100,7 @@ class BeadMotion:
         part = (rows - low)[:, None, None]
         return np.asarray((1.0 - part) * solved[low] + part * solved[low + 1])
 
-    def _largest(self, table: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _largest(self, table: Floats) -> Floats:
         """Return the largest displacement in the image [px] of any bead, per row of a table."""
         start = np.stack(self._lens.project(*self._rest))
         moved = [
@@ -118,12 +114,12 @@ class BeadMotion:
         """Return the scale of the image at the skin, on the axis [px/mm]."""
         return self._lens.image_distance_px / float(self._lens.distance_mm(0.0))
 
-    def row_of(self, indenter: int, elastic_n: NDArray[np.float64]) -> NDArray[np.float64]:
+    def row_of(self, indenter: int, elastic_n: Floats) -> Floats:
         """Return the place in the table of elastic forces [N]."""
         share = np.clip(np.asarray(elastic_n) / self._tops[indenter], 0.0, 1.0)
         return np.asarray((ROWS - 1) * np.sqrt(share))
 
-    def reach_px(self, indenter: int, elastic_n: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reach_px(self, indenter: int, elastic_n: Floats) -> Floats:
         """Return the largest displacement of any bead [px] under elastic forces [N]."""
         row = self.row_of(indenter, elastic_n)
         return np.asarray(np.interp(row, np.arange(ROWS), self._reach[indenter]))
@@ -133,8 +129,8 @@ class BeadMotion:
         indenter: int,
         elastic_n: float,
         shear: tuple[float, float],
-        share: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float64]:
+        share: Floats | None = None,
+    ) -> Floats:
         """Return the images of all beads: column, row, radius, edge width [n, 4] [px].
 
         The array is reused by the next call.
@@ -152,7 +148,7 @@ class BeadMotion:
         return self.spots
 
 
-def _optics_row(lens: Lens) -> NDArray[np.float64]:
+def _optics_row(lens: Lens) -> Floats:
     """Return what the projection needs as one array; see ``_place``."""
     return np.array(
         [
@@ -174,14 +170,14 @@ def _optics_row(lens: Lens) -> NDArray[np.float64]:
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _place(
-    table: NDArray[np.float64],
+    table: Floats,
     row: float,
     shear_x: float,
     shear_y: float,
-    shear: NDArray[np.float64],
-    rest: NDArray[np.float64],
-    optics: NDArray[np.float64],
-    spots: NDArray[np.float64],
+    shear: Floats,
+    rest: Floats,
+    optics: Floats,
+    spots: Floats,
 ) -> None:
     """Displace and project all beads; the same optics as ``Lens``, with the values at hand."""
     gain, k1, k2, centre_x, centre_y, far, per_mm, focus, blur, soft, cos, sin = optics

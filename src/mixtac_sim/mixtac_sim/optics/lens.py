@@ -7,8 +7,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mixtac_events.arrays import Floats
 from mixtac_sim.grids import HEIGHT, PITCH_MM, WIDTH
 
 SILICONE_INDEX = 1.41
@@ -45,7 +45,7 @@ class Lens:
     index: float = SILICONE_INDEX
     roll_rad: float = 0.0
 
-    def distance_mm(self, depth_mm: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    def distance_mm(self, depth_mm: Floats | float) -> Floats:
         """Return the apparent distance [mm] of a depth below the skin, refraction included."""
         return np.asarray(self.gap_mm + (self.thickness_mm - depth_mm) / self.index)
 
@@ -59,7 +59,7 @@ class Lens:
         """Return the distance from lens to array [px]: pixels per unit of slope on the axis."""
         return self.focal_mm * (1.0 + self.magnification) / PITCH_MM
 
-    def blur_px(self, depth_mm: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    def blur_px(self, depth_mm: Floats | float) -> Floats:
         """Return the diameter of the circle of confusion [px] at a depth below the skin."""
         distance = self.distance_mm(depth_mm)
         focus = self.distance_mm(self.focus_depth_mm)
@@ -68,9 +68,7 @@ class Lens:
             aperture * self.magnification * np.abs(distance - focus) / distance / PITCH_MM
         )
 
-    def project(
-        self, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], depth_mm: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def project(self, x_mm: Floats, y_mm: Floats, depth_mm: Floats) -> tuple[Floats, Floats]:
         """Return column and row [px] of points of the layer."""
         distance = self.distance_mm(depth_mm)
         cos, sin = np.cos(self.roll_rad), np.sin(self.roll_rad)
@@ -80,7 +78,7 @@ class Lens:
         gain = self.image_distance_px * (1.0 + self.k1 * square + self.k2 * square**2)
         return self.centre_px[0] + gain * slope_x, self.centre_px[1] + gain * slope_y
 
-    def pixel_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def pixel_slopes(self) -> tuple[Floats, Floats]:
         """Return the slopes of the rays of all pixels, x and y [260, 346], distortion undone."""
         rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float64)
         bent_x = (columns - self.centre_px[0]) / self.image_distance_px

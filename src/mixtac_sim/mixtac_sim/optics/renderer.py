@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mixtac_events.arrays import Floats
 from mixtac_sim.grids import HEIGHT, PADDED, TILE, TILES, WIDTH
 from mixtac_sim.optics.beads import SAG_MM
 from mixtac_sim.optics.lens import Lens
@@ -38,13 +39,13 @@ class Renderer:
         dirty: Tiles in which ``cover`` changed since they were last cleared [tiles], uint8.
     """
 
-    def __init__(self, opacity: NDArray[np.float64]) -> None:
+    def __init__(self, opacity: Floats) -> None:
         self.cover = np.zeros(PADDED, np.int32)
         self.dirty = np.ones(TILES, np.uint8)
         self._opacity = opacity
         self._drawn = np.zeros((len(opacity), 4))  # radius 0: nothing is there yet
 
-    def draw(self, spots: NDArray[np.float64]) -> None:
+    def draw(self, spots: Floats) -> None:
         """Show beads at new places.
 
         Args:
@@ -57,9 +58,9 @@ class Renderer:
 def _redraw(
     cover: NDArray[np.int32],
     dirty: NDArray[np.uint8],
-    drawn: NDArray[np.float64],
-    spots: NDArray[np.float64],
-    opacity: NDArray[np.float64],
+    drawn: Floats,
+    spots: Floats,
+    opacity: Floats,
 ) -> None:
     """Remove and redraw the discs that moved."""
     for i in range(spots.shape[0]):
@@ -74,9 +75,7 @@ def _redraw(
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _splat(
-    cover: NDArray[np.int32], dirty: NDArray[np.uint8], spot: NDArray[np.float64], height: float
-) -> None:
+def _splat(cover: NDArray[np.int32], dirty: NDArray[np.uint8], spot: Floats, height: float) -> None:
     """Add one disc with a smooth edge, darker towards its limb as a lit ball is."""
     x, y = np.float32(spot[0]), np.float32(spot[1])
     outer = np.float32(spot[2] + 0.5 * spot[3])

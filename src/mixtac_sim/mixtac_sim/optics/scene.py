@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_events.arrays import Floats
 from mixtac_sim.grids import BLOCK_STEPS, HEIGHT, PADDED, PIXELS, STEP_US, WIDTH
 from mixtac_sim.optics.lens import Lens
 from mixtac_sim.random_streams import stream
@@ -31,10 +32,10 @@ class Markers:
         opacity: How strongly each bead covers what is behind it [n].
     """
 
-    x_mm: NDArray[np.float64]
-    y_mm: NDArray[np.float64]
-    depth_mm: NDArray[np.float64]
-    opacity: NDArray[np.float64]
+    x_mm: Floats
+    y_mm: Floats
+    depth_mm: Floats
+    opacity: Floats
 
 
 def scatter_markers(
@@ -128,7 +129,7 @@ def build_sagging(
     lens: Lens,
     lighting: Lighting,
     contact_mm: tuple[float, float],
-    sags_mm: NDArray[np.float64],
+    sags_mm: Floats,
     reach_mm: float,
 ) -> list[Scene]:
     """Return the light on the array as the mesh sags towards the camera.
@@ -155,7 +156,7 @@ def build_sagging(
     return scenes
 
 
-def _padded(image: NDArray[np.float64]) -> NDArray[np.float32]:
+def _padded(image: Floats) -> NDArray[np.float32]:
     """Return an image as a flat array of whole tiles, repeated beyond its end."""
     flat = np.empty(PADDED, np.float32)
     flat[:PIXELS] = image.ravel()
@@ -163,9 +164,7 @@ def _padded(image: NDArray[np.float64]) -> NDArray[np.float32]:
     return flat
 
 
-def _light(
-    lens: Lens, lighting: Lighting, slope_x: NDArray[np.float64], slope_y: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _light(lens: Lens, lighting: Lighting, slope_x: Floats, slope_y: Floats) -> Floats:
     """Return the light of a white scene [lx]: LEDs, cos^4 and the end of the image circle."""
     square = slope_x**2 + slope_y**2
     reach = 0.1 * float(lens.distance_mm(0.0))
@@ -178,12 +177,8 @@ def _light(
 
 
 def _open_share(
-    lens: Lens,
-    lighting: Lighting,
-    slope_x: NDArray[np.float64],
-    slope_y: NDArray[np.float64],
-    sag_mm: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    lens: Lens, lighting: Lighting, slope_x: Floats, slope_y: Floats, sag_mm: Floats
+) -> Floats:
     """Return the share of each pixel's view that the mesh leaves open."""
     distance = lens.distance_mm(lens.thickness_mm) - sag_mm
     blur = float(np.hypot(lens.softness_px, lens.blur_px(lens.thickness_mm)))
@@ -195,9 +190,7 @@ def _open_share(
     return (1.0 - _wire_cover(x, blur_mm, wire)) * (1.0 - _wire_cover(y, blur_mm, wire))
 
 
-def _wire_cover(
-    place_mm: NDArray[np.float64], blur_mm: NDArray[np.float64] | float, wire_mm: float
-) -> NDArray[np.float64]:
+def _wire_cover(place_mm: Floats, blur_mm: Floats | float, wire_mm: float) -> Floats:
     """Return how much of a blur disc is covered by the nearest of a set of parallel wires."""
     off = np.abs((place_mm + 0.5 * MESH_PITCH_MM) % MESH_PITCH_MM - 0.5 * MESH_PITCH_MM)
     far = np.minimum(off + 0.5 * blur_mm, 0.5 * wire_mm)
@@ -247,7 +240,7 @@ class Flicker:
             return BLOCK_STEPS
         return max(int(1e6 / (FLICKER_STEPS * self.hz * STEP_US)), 1)
 
-    def light(self, t_us: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    def light(self, t_us: Floats | float) -> Floats:
         """Return the light at times [us] over the steady one."""
         turns = 1e-6 * np.asarray(t_us, np.float64) * self.hz + self.phase
         if self.switched:

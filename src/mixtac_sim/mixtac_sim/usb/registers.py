@@ -15,8 +15,8 @@ from collections import Counter
 from dataclasses import dataclass
 from enum import IntEnum
 
-WIDTH = 346
-HEIGHT = 260
+from mixtac_sim.grids import HEIGHT, WIDTH
+
 _MASK = 0xFFFFFFFF
 
 

@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
+from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.registers import (
-    HEIGHT,
-    WIDTH,
     Aps,
     Board,
     Dvs,
@@ -365,14 +364,17 @@ class StreamAssembler:
         before = self._encoder.save()
         if len(self._fifo) <= _EVENT_SHARE * (len(self._fifo) + self._fifo.free):
             if self._push(events, blocks, until_us):
-                self._count_sent(len(events), self._encoder.rows_sent - int(before[-1]))
+                rows = self._encoder.rows_sent - int(before[-1])
+                self._registers.count(Module.DVS, Dvs.ROW_EVENTS, rows)
+                self._registers.count(Module.DVS, Dvs.COLUMN_EVENTS, len(events))
                 return
             self._encoder.restore(before)
         self._count_dropped(len(events))
         if not self._push(Events.empty(), blocks, until_us):
             self._encoder.restore(before)
             self._stalled = True
-            self._drop_readout(blocks)
+            self.frames_dropped += bool(len(blocks.t) or len(self._readout.t))
+            self._readout = Blocks.empty()
 
     def _push(self, events: Events, blocks: Blocks, until_us: int) -> bool:
         words: NDArray[np.uint16] = self._encoder.encode(
@@ -381,15 +383,6 @@ class StreamAssembler:
         fitted = self._fifo.push(words)
         self._stalled = self._stalled and not fitted
         return fitted
-
-    def _drop_readout(self, blocks: Blocks) -> None:
-        if len(blocks.t) or len(self._readout.t):
-            self.frames_dropped += 1
-        self._readout = Blocks.empty()
-
-    def _count_sent(self, events: int, rows: int) -> None:
-        self._registers.count(Module.DVS, Dvs.ROW_EVENTS, rows)
-        self._registers.count(Module.DVS, Dvs.COLUMN_EVENTS, events)
 
     def _count_dropped(self, events: int) -> None:
         at_mux = self._registers.read(Module.MUX, Mux.DROP_DVS_ON_TRANSFER_STALL)

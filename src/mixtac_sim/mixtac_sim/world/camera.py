@@ -11,9 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_events.arrays import Events, Floats
 from mixtac_sim.grids import PIXELS, STEP_US, cut_block
 from mixtac_sim.optics.renderer import MeshMotion, Renderer
 from mixtac_sim.optics.scene import Flicker
@@ -50,7 +49,7 @@ class Camera:
         conditions: Conditions,
         preset: Preset,
         seed: int,
-        spots: NDArray[np.float64],
+        spots: Floats,
         elastic_n: float = 0.0,
         aps: ApsSettings | None = None,
         pixels: PixelSettings | None = None,
@@ -97,10 +96,10 @@ class Camera:
 
     def advance(
         self,
-        elastic_n: NDArray[np.float64],
-        travel_px: NDArray[np.float64],
+        elastic_n: Floats,
+        travel_px: Floats,
         longest: int,
-        place: Callable[[int, int], NDArray[np.float64]],
+        place: Callable[[int, int], Floats],
     ) -> tuple[Events, list[ApsFrame]]:
         """Return the events and the frames that ended over one block.
 
@@ -139,7 +138,7 @@ class Camera:
         self.now_us = end_us
         return events, frames
 
-    def _show(self, spots: NDArray[np.float64], elastic_n: float) -> None:
+    def _show(self, spots: Floats, elastic_n: float) -> None:
         """Bring the light up to date: beads, and the mesh that sags under an elastic force [N]."""
         self._renderer.draw(spots)
         level = self._mesh.level(elastic_n) if self._mesh is not None else None

@@ -181,7 +181,7 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
         preset: Spread of the devices.
     """
     seed = seed if preset.devices.vary else 0
-    rng, pixels, gel = stream(seed, 'device'), preset.pixels, preset.gel
+    rng, pixels, gel, band = stream(seed, 'device'), preset.pixels, preset.gel, preset.bandwidth
     layer = Layer(
         modulus_kpa=float(
             np.clip(160.0 * np.exp(rng.normal(0.0, gel.modulus_log_sd)), 100.0, 300.0)
@@ -214,18 +214,15 @@ def draw_device(seed: int, preset: Preset = EASY) -> DeviceModel:
         ),
         noise_factor=float(np.exp(rng.uniform(*pixels.noise_log))) * pixels.noise,
         leak_factor=pixels.noise,
-        speed_factor=_draw_speed(speed, preset),
+        speed_factor=(
+            log_uniform(speed, band.follower),
+            log_uniform(speed, band.per_lux),
+            log_uniform(speed, band.refractory),
+        ),
         stiffening=more.uniform(*preset.impact.stiffening),
         frame_burst=rng.uniform(*preset.light.frame_burst),
         dn_per_lux_ms=rng.uniform(0.85, 1.1),
     )
-
-
-def _draw_speed(rng: Generator, preset: Preset) -> tuple[float, float, float]:
-    """Return the speed of the pixels over nominal."""
-    speed = preset.bandwidth
-    follower, per_lux = log_uniform(rng, speed.follower), log_uniform(rng, speed.per_lux)
-    return follower, per_lux, log_uniform(rng, speed.refractory)
 
 
 def _draw_lens(rng: Generator, thickness_mm: float, optics: OpticsEffects) -> Lens:

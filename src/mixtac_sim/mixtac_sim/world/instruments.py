@@ -23,6 +23,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from mixtac_events.arrays import Floats
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY
 from mixtac_sim.random_streams import log_uniform, stream
@@ -44,9 +45,7 @@ class Mount:
         self._state = np.zeros((2, 6))
         self._last_us: float | None = None
 
-    def swing(
-        self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def swing(self, t_us: NDArray[np.int64], wrench: Floats) -> tuple[Floats, Floats]:
         """Return what of a wrench arrives and what of it accelerates the head, both [n, 6].
 
         The mount is at rest before the first call.
@@ -68,13 +67,13 @@ class Mount:
 
 @njit(cache=True, nogil=True)
 def _ring(
-    state: NDArray[np.float64],
+    state: Floats,
     omega: float,
     damping: float,
-    steps_s: NDArray[np.float64],
-    wrench: NDArray[np.float64],
-    arrived: NDArray[np.float64],
-    left: NDArray[np.float64],
+    steps_s: Floats,
+    wrench: Floats,
+    arrived: Floats,
+    left: Floats,
 ) -> None:
     """Advance displacement and velocity of each axis; see the module."""
     sigma = damping * omega
@@ -111,7 +110,7 @@ class Wander:
         self._kept = float(np.exp(-WANDER_KNOT_S / correlation_s))
         self._knots = rng.standard_normal((1, 6))
 
-    def at(self, t_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, t_s: Floats) -> Floats:
         """Return the drift since time 0 at times from 0 on [n] [s], as [n, 6]."""
         if not len(t_s):
             return np.zeros((0, 6))
@@ -156,7 +155,7 @@ class ReferenceSamples:
     """
 
     t_ns: NDArray[np.int64]
-    wrench: NDArray[np.float64]
+    wrench: Floats
 
 
 class ReferenceSensor:
@@ -200,7 +199,7 @@ class ReferenceSensor:
         self._past_us = np.array([-1e9])
         self._past = np.zeros((1, 6))
 
-    def process(self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]) -> ReferenceSamples:
+    def process(self, t_us: NDArray[np.int64], wrench: Floats) -> ReferenceSamples:
         """Return the samples that the true wrench up to ``t_us[-1]`` allows.
 
         Args:
@@ -222,7 +221,7 @@ class ReferenceSensor:
         rounded = REFERENCE_RESOLUTION * np.round(values / REFERENCE_RESOLUTION)
         return ReferenceSamples(np.round(1e9 * stamps_s).astype(np.int64), rounded)
 
-    def _filtered(self, centre_us: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _filtered(self, centre_us: Floats) -> Floats:
         """Return the wrench around times [us] under the triangular filter."""
         shift = np.linspace(-FILTER_US, FILTER_US, FILTER_TAPS)
         weight = FILTER_US - np.abs(shift)
@@ -231,7 +230,7 @@ class ReferenceSensor:
         columns = [np.interp(at, self._past_us, column) @ weight for column in self._past.T]
         return np.stack(columns, axis=1)
 
-    def _slow(self, true_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _slow(self, true_s: Floats) -> Floats:
         """Return the drift: a slope and a slow wave, or one that saturates."""
         wave = np.sin(2.0 * np.pi * true_s / self._wave_s)
         drift = np.outer(true_s / 25.0, self._drift[0]) + np.outer(wave, self._drift[1])
@@ -246,7 +245,7 @@ class ReferenceSensor:
         self._past_us, self._past = self._past_us[first:], self._past[first:]
 
 
-def _mixing(rng: Generator, timing: TimingEffects) -> NDArray[np.float64]:
+def _mixing(rng: Generator, timing: TimingEffects) -> Floats:
     """Return gain errors, and cross-talk between axes."""
     error = timing.cross_talk
     mix = np.diag(1.0 + rng.uniform(-error, error, 6))
@@ -255,7 +254,7 @@ def _mixing(rng: Generator, timing: TimingEffects) -> NDArray[np.float64]:
     return np.asarray(mix)
 
 
-def _coupling(rng: Generator, timing: TimingEffects) -> NDArray[np.float64]:
+def _coupling(rng: Generator, timing: TimingEffects) -> Floats:
     """Return cross-talk between forces and torques."""
     coupling = np.zeros((6, 6))
     for rows, columns in ((slice(0, 3), slice(3, 6)), (slice(3, 6), slice(0, 3))):
@@ -297,7 +296,7 @@ class InertialUnit:
         self._memory = np.zeros((1, 3))
         self._felt_us, self._felt_g = np.zeros(1), np.zeros((1, 3))
 
-    def feel(self, t_us: NDArray[np.int64], wrench: NDArray[np.float64]) -> None:
+    def feel(self, t_us: NDArray[np.int64], wrench: Floats) -> None:
         """Add the wrench that shakes the head; call it before the ``readings`` of that time.
 
         Args:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from mixtac_events.arrays import Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY, Mode
@@ -83,7 +84,7 @@ class Segment:
         """Return the highest frequency of its tones [Hz], 0 without any."""
         return max((tone.frequency_hz for tone in self.tones), default=0.0)
 
-    def target(self, since_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def target(self, since_s: Floats) -> Floats:
         """Return the target at times since the segment's start [s]."""
         knots, values = np.array(self.times_s), np.array(self.values)
         k = np.clip(np.searchsorted(knots, since_s, side='right') - 1, 0, len(knots) - 1)
@@ -93,7 +94,7 @@ class Segment:
         base = values[k] + (values[after] - values[k]) * u * u * (3.0 - 2.0 * u)
         return np.asarray(base + self._tones(since_s))
 
-    def _tones(self, since_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _tones(self, since_s: Floats) -> Floats:
         """Return the sum of the tones."""
         total = np.zeros_like(since_s)
         left = self.end_s - self.start_s - since_s
@@ -104,6 +105,10 @@ class Segment:
         return total
 
 
+Commands = tuple[NDArray[np.int8], Floats, NDArray[np.int8]]
+"""Modes, targets and indenters of some grid steps."""
+
+
 class CommandSource(Protocol):
     """Source of the commands of a sensor: a profile, or live requests."""
 
@@ -111,9 +116,7 @@ class CommandSource(Protocol):
     def indenters(self) -> tuple[Indenter, ...]:
         """All indenters that may touch."""
 
-    def commands(
-        self, first: int, count: int
-    ) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.int8]]:
+    def commands(self, first: int, count: int) -> Commands:
         """Return modes, targets and indenters of some grid steps."""
 
     def longest_step(self, first: int, count: int) -> int:
@@ -147,9 +150,7 @@ class Profile:
         found = dict.fromkeys(segment.indenter for segment in self.segments)
         return tuple(found) or (HEMISPHERE,)
 
-    def commands(
-        self, first: int, count: int
-    ) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.int8]]:
+    def commands(self, first: int, count: int) -> Commands:
         """Return modes, targets and indenters of grid steps ``first`` to ``first + count``.
 
         The command of step k is the one in force at its end, (k + 1) * 125 us.
@@ -422,13 +423,11 @@ def _with(tool: Indenter, segments: list[Segment]) -> tuple[Segment, ...]:
     )
 
 
-def _idle(_rng: Generator, _start_s: float, _span_s: float) -> list[Segment]:
-    return []
+Body = Callable[[Generator, float, float], list[Segment]]
+"""Makes segments from a random stream, a start and a span [s]."""
 
 
-def _repeated(
-    gesture: Callable[[Generator, float, float], list[Segment]], shortest: float, longest: float
-) -> Callable[[Generator, float, float], list[Segment]]:
+def _repeated(gesture: Body, shortest: float, longest: float) -> Body:
     """Return a body that repeats a gesture, each time with a new length."""
 
     def body(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
@@ -467,8 +466,8 @@ def _demo(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     return segments
 
 
-PROFILES: dict[str, Callable[[Generator, float, float], list[Segment]]] = {
-    'idle': _idle,
+PROFILES: dict[str, Body] = {
+    'idle': lambda _rng, _start_s, _span_s: [],
     'press': _repeated(press_and_hold, 1.5, 4.0),
     'oscillation': _repeated(oscillation, 3.0, 6.0),
     'impact': _repeated(drop, 2.0, 3.5),

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_events.arrays import Events
+from mixtac_events.arrays import Events, Floats
 from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US, STEP_US
 from mixtac_sim.mechanics.contact import Contact
 from mixtac_sim.mechanics.elastomer import Layer, Shear, force_law
@@ -28,9 +28,7 @@ TRUTH_EVERY = 8
 """Grid steps per row of truth."""
 
 
-def truth_rows(
-    t_us: NDArray[np.int64], wrench: NDArray[np.float64], depth_mm: NDArray[np.float64]
-) -> NDArray[np.void]:
+def truth_rows(t_us: NDArray[np.int64], wrench: Floats, depth_mm: Floats) -> NDArray[np.void]:
     """Return the rows of truth in some grid steps, ``TRUTH_DTYPE``.
 
     Args:
@@ -62,7 +60,7 @@ class SensorOutput:
     frames: list[ApsFrame]
     truth: NDArray[np.void]
     wrench_us: NDArray[np.int64]
-    wrench: NDArray[np.float64]
+    wrench: Floats
 
     @staticmethod
     def join(parts: list[SensorOutput]) -> SensorOutput:
@@ -140,7 +138,7 @@ class TactileSensor:
             partial_slip=slip.partial_slip,
         )
         self._contact_mm = conditions.contact_mm
-        self._last: tuple[float, NDArray[np.float64]] = (0.0, np.zeros(2))
+        self._last: tuple[float, Floats] = (0.0, np.zeros(2))
         self._beads = device.beads(layer, conditions.contact_mm, tools, self._laws)
         rest = self._beads.place(0, 0.0, (0.0, 0.0))
         self._camera = Camera(device, conditions, preset, trial_seed, rest, aps=aps, pixels=pixels)
@@ -177,7 +175,7 @@ class TactileSensor:
             radius[tools == tool] = self._laws[tool].radius_at(path.elastic_n[tools == tool])
         shear_mm, pull = self._shear.at(path.force_n, path.depth_mm, radius)
 
-        def place(_: int, last: int) -> NDArray[np.float64]:
+        def place(_: int, last: int) -> Floats:
             right, down = shear_mm[last - 1].tolist()
             elastic_n = float(path.elastic_n[last - 1])
             return self._beads.place(int(tools[last - 1]), elastic_n, (right, down))
@@ -192,12 +190,7 @@ class TactileSensor:
         truth = truth_rows(t_us, wrench, path.depth_mm)
         return SensorOutput(events, frames, truth, t_us, wrench)
 
-    def _travel(
-        self,
-        tools: NDArray[np.int8],
-        elastic_n: NDArray[np.float64],
-        shear_mm: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def _travel(self, tools: NDArray[np.int8], elastic_n: Floats, shear_mm: Floats) -> Floats:
         """Return the motion of the fastest bead per step [px]."""
         tool = int(tools[-1])
         reach = self._beads.reach_px(tool, np.append(self._last[0], elastic_n))
@@ -205,9 +198,7 @@ class TactileSensor:
         across = self._beads.px_per_mm * np.hypot(slide[:, 0], slide[:, 1])
         return np.asarray(np.abs(np.diff(reach)) + across)
 
-    def _wrench(
-        self, pull: NDArray[np.float64], force_n: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _wrench(self, pull: Floats, force_n: Floats) -> Floats:
         """Return force [N] and torque about the sensor's centre [Nm] of a push at the contact."""
         x, y = (1e-3 * place for place in self._contact_mm)
         torque_z = x * pull[:, 1] - y * pull[:, 0]
