@@ -30,13 +30,14 @@ from mixtac_sim import SimulationError
 from mixtac_sim.arm.fr3 import JOINT_NAMES, flange_place
 from mixtac_sim.grasp.live import AnswerPace, LiveGrasp, PacedClock
 from mixtac_sim.grasp.objects import OBJECTS, ObjectName, draw_setup
-from mixtac_sim.live.virtual_sensor import VirtualSensor, WrenchBatch, make_virtual_sensor
+from mixtac_sim.live.virtual_sensor import VirtualSensor, make_virtual_sensor
 from mixtac_sim.parameters import VirtualGraspParameters
 from mixtac_sim.random_streams import stream
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
 from mixtac_sim.virtual_sensor_node import publish_wrenches
 from mixtac_sim.world.effects import preset
+from mixtac_sim.world.instruments import WrenchSamples
 
 PUBLISH_PERIOD_S = 2e-3
 SLIP_AHEAD_US = 4_000
@@ -152,9 +153,9 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
                 self._next_knock_s = now_s + every
                 self._strike()
 
-    def _hand_out(self, batch: WrenchBatch) -> None:
+    def _hand_out(self, batch: WrenchSamples) -> None:
         message = publish_wrenches(self._truth, batch, topics.CONTACT_FRAME)
-        if len(batch.stamp_ns):
+        if len(batch.t_ns):
             if self._force is not None:
                 self._force.publish(message)
             place = PointStamped()

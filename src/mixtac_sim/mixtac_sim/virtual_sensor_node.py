@@ -22,11 +22,12 @@ from mixtac_node import topics
 from mixtac_node.base_node import QOS_FORCE, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp
-from mixtac_sim.live.virtual_sensor import TouchControl, WrenchBatch, make_virtual_sensor
+from mixtac_sim.live.virtual_sensor import TouchControl, make_virtual_sensor
 from mixtac_sim.parameters import TouchParameters, VirtualSensorParameters
 from mixtac_sim.usb.server import UsbServer, check_free
 from mixtac_sim.usb.wire import default_socket_path
 from mixtac_sim.world.effects import preset
+from mixtac_sim.world.instruments import WrenchSamples
 from mixtac_sim.world.profiles import make_profile
 
 # Samples go out in small batches, as real force sensors' drivers do: it saves wake-ups.
@@ -163,12 +164,12 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         )
 
 
-def publish_wrenches(publisher: Any, batch: WrenchBatch, frame_id: str) -> WrenchStamped:  # noqa: ANN401
+def publish_wrenches(publisher: Any, batch: WrenchSamples, frame_id: str) -> WrenchStamped:  # noqa: ANN401
     """Publish the samples of a batch; return the last message, empty if there is none."""
     message = WrenchStamped()
     message.header.frame_id = frame_id
     force, torque = message.wrench.force, message.wrench.torque
-    for stamp_ns, wrench in zip(batch.stamp_ns.tolist(), batch.wrench.tolist(), strict=True):
+    for stamp_ns, wrench in zip(batch.t_ns.tolist(), batch.wrench.tolist(), strict=True):
         message.header.stamp = ns_to_stamp(stamp_ns)
         force.x, force.y, force.z, torque.x, torque.y, torque.z = wrench
         publisher.publish(message)

@@ -83,19 +83,6 @@ SETTLE_S = 0.2
 REMEDY = 'python3 tools/setup.py --with mujoco, or pip install -r requirements/mujoco.txt'
 
 
-def load_mujoco() -> Any:  # noqa: ANN401  (no types without the package)
-    """Return the module `mujoco`.
-
-    Raises:
-        SimulationError: It is not installed.
-    """
-    try:
-        return importlib.import_module('mujoco')
-    except ImportError as error:
-        msg = f'the arm in MuJoCo needs the package mujoco ({error}): {REMEDY}'
-        raise SimulationError(msg) from error
-
-
 class MujocoArm:
     """An FR3 that follows joint commands and presses a gel against a wall.
 
@@ -127,7 +114,12 @@ class MujocoArm:
         if not lag_s > 0.0 or n_per_mm < 0.0:
             msg = f'lag {lag_s} s, stiffness {n_per_mm} N/mm: give a lag > 0 and no negative one'
             raise SimulationError(msg)
-        self._mujoco = load_mujoco()
+        try:
+            # No types without the package.
+            self._mujoco: Any = importlib.import_module('mujoco')
+        except ImportError as error:
+            msg = f'the arm in MuJoCo needs the package mujoco ({error}): {REMEDY}'
+            raise SimulationError(msg) from error
         self._start_q = np.array(q, np.float64)
         self._normal = np.asarray(normal, np.float64)
         contact = self._contact(n_per_mm, preload_n) if n_per_mm > 0.0 else None

@@ -25,6 +25,7 @@ from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.camera import CameraMessages
 from mixtac_sim.bags.messages import NS, BagMessage, MessageSink, StampedRows, TrialClocks
 from mixtac_sim.usb.endpoints import serial_number
+from mixtac_sim.world.sensor import truth_wrench
 from mixtac_sim.world.trial import Stretch, TrialStream
 
 NAMESPACE: Final = 'mixtac'
@@ -81,13 +82,11 @@ class TruthMessages:
         truth = stretch.sensor.truth
         stamps_ns = self._clocks.to_host_ns(truth['t_us'].astype(np.int64))
         received = (-(-stamps_ns // BATCH_NS) * BATCH_NS).tolist()
-        wrench, point = np.zeros((len(truth), 6)), np.zeros((len(truth), 3))
-        for column, name in enumerate(('fx', 'fy', 'fz')):
-            wrench[:, column] = truth[name]
+        point = np.zeros((len(truth), 3))
         point[:, 0], point[:, 1] = (1e-3 * place for place in self._trial.contact_mm)
         point[:, 2] = 1e-3 * truth['depth_mm']
         put = self._sink.put_rows
-        put(received, topics.TRUTH_WRENCH.name, self._wrenches.make(stamps_ns, wrench))
+        put(received, topics.TRUTH_WRENCH.name, self._wrenches.make(stamps_ns, truth_wrench(truth)))
         put(received, topics.TRUTH_CONTACT.name, self._points.make(stamps_ns, point))
 
     def _add_reference(self, stretch: Stretch, latest_ns: int) -> None:

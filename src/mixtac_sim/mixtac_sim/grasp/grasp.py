@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events, Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import OBJECTS, GraspSetup
-from mixtac_sim.grasp.skin import SETTLE_S, Press, Skin, SkinCamera, slide
+from mixtac_sim.grasp.skin import SETTLE_S, Patches, Press, Skin, SkinCamera, slide
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.elastomer import Layer, force_law
 from mixtac_sim.pixels.aps import ApsFrame
@@ -34,10 +34,7 @@ FALL_SUBSTEPS = 8
 def advance_object(
     body: Floats,
     constants: tuple[float, float, float, float, float, float, float],
-    skin: tuple[Floats, Floats, Floats],
-    gel: tuple[Floats, Floats],
-    surface: Floats,
-    law: tuple[float, float, float, float, float, float],
+    skin: Patches,
     normal_n: Floats,
     path: Floats,
     patches: Floats,
@@ -48,10 +45,7 @@ def advance_object(
         body: Time [s], place [mm] and speed [mm/s] of the object, downwards; changed.
         constants: Mass [kg], weight [N], static and kinetic friction of the wall, start [s],
             length [s] and speed [mm/s] of the impact.
-        skin: State of the patches, as in ``slide``; changed.
-        gel: As in ``slide``.
-        surface: As in ``slide``.
-        law: As in ``slide``.
+        skin: As in ``slide``; changed.
         normal_n: Normal force over each grid step [n] [N].
         path: Place [mm], speed [mm/s] and pull of the skin [N] at the end of each step [n, 3].
         patches: Shear of the patches at the end of each step [n, patch] [mm].
@@ -65,7 +59,7 @@ def advance_object(
         step = grid_s / parts
         for _ in range(parts):
             body[0] += step
-            pull = slide(skin, gel, surface, law, normal_n[k], body[2], step)
+            pull = slide(skin, normal_n[k], body[2], step)
             since = (body[0] - knock_s) / pulse_s
             impact = 0.0
             if 0.0 < since < 1.0:
@@ -79,7 +73,7 @@ def advance_object(
             body[2] = 0.0 if speed * way < 0.0 else speed
             body[1] += step * body[2]
         path[k, 0], path[k, 1], path[k, 2] = body[1], body[2], pull
-        patches[k] = skin[0]
+        patches[k] = skin.shear
 
 
 HOLD_S = 0.4
@@ -116,11 +110,10 @@ def hold(
     constants = (*setup.constants()[:4], 2.0 * HOLD_S, 1.0, 0.0)
     count = round(0.5e6 * HOLD_S / STEP_US)
     path, patches = np.empty((count, 3)), np.empty((count, len(skin.shear_mm)))
-    state, gel, law = skin.arrays()
     places = []
     for _ in range(2):
         force = np.full(count, force_n)
-        advance_object(body, constants, state, gel, skin.surface, law, force, path, patches)
+        advance_object(body, constants, skin.patches(), force, path, patches)
         places.append(float(body[1]))
         if places[-1] > 1.0:
             return skin, False
@@ -253,10 +246,7 @@ class Grasp:
         contact = self._press.move(advance_mm)
         normal = contact.force_n
         path, patches = np.empty((count, 3)), np.empty((count, len(self._skin.shear_mm)))
-        state, gel, law = self._skin.arrays()
-        advance_object(
-            self._body, self._fixed, state, gel, self._skin.surface, law, normal, path, patches
-        )
+        advance_object(self._body, self._fixed, self._skin.patches(), normal, path, patches)
         events, frames = Events.empty(), list[ApsFrame]()
         if self.camera is not None:
             events, frames = self.camera.advance(contact.elastic_n, patches)

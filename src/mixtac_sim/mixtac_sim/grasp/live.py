@@ -113,18 +113,15 @@ class PacedClock(SimulationClock):
         """Return simulated time now [us]; delays of the host are counted as lost."""
         with self._lock:
             now_us = super().now_us()
-            late_us = now_us - self._limit_us()
+            limits = [each.limit_us() for each in self._paces]
+            limit_us = min([self._reached_us, *(each for each in limits if each is not None)])
+            # Late answers stop time; they never set it back.
+            late_us = now_us - max(limit_us, self._last_us)
             if late_us > 0:
                 self.lost_us += late_us
                 now_us -= late_us
             self._last_us = now_us
             return now_us
-
-    def _limit_us(self) -> int:
-        limits = [each.limit_us() for each in self._paces]
-        limit_us = min([self._reached_us, *(each for each in limits if each is not None)])
-        # Late answers stop time; they never set it back.
-        return max(limit_us, self._last_us)
 
     def lose(self, lost_us: int) -> None:
         """Delay simulated time by ``lost_us`` [us]."""

@@ -12,6 +12,7 @@ against the weakening over the stiffness, patches stick and slip; otherwise they
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -48,6 +49,28 @@ def patch_places(radius_mm: float) -> Floats:
         angle = 2.0 * np.pi * (np.arange(count) + 0.5 * (share > 0.5)) / count
         places.append(share * radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1))
     return np.concatenate(places)
+
+
+class Patches(NamedTuple):
+    """What the kernels need of a skin; the first three change.
+
+    Attributes:
+        shear: Displacement of each patch [patch] [mm].
+        age: State theta of each patch [patch] [s].
+        slid: Distance slipped on each patch [patch] [mm].
+        stiffness: Stiffness of the gel under each patch [patch] [N/mm].
+        shares: Share of the normal force on each patch [patch].
+        surface: Unevenness of the object [patch, NODES].
+        law: mu, rate, ageing, slip distance [mm], nodes per mm, resistance of a patch [N s/mm].
+    """
+
+    shear: Floats
+    age: Floats
+    slid: Floats
+    stiffness: Floats
+    shares: Floats
+    surface: Floats
+    law: tuple[float, float, float, float, float, float]
 
 
 class Skin:
@@ -115,24 +138,15 @@ class Skin:
             step_s: Length of a step [s].
             substeps: Parts in which a step is computed.
         """
-        state, gel, law = self.arrays()
-        patches = np.empty((len(speeds_mm_s), len(self.shear_mm)))
-        part_s = step_s / substeps
-        _drag(state, gel, self.surface, law, normal_n, speeds_mm_s, part_s, substeps, patches)
-        return patches
+        shear = np.empty((len(speeds_mm_s), len(self.shear_mm)))
+        _drag(self.patches(), normal_n, speeds_mm_s, step_s / substeps, substeps, shear)
+        return shear
 
-    def arrays(
-        self,
-    ) -> tuple[
-        tuple[Floats, Floats, Floats],
-        tuple[Floats, Floats],
-        tuple[float, float, float, float, float, float],
-    ]:
-        """Return state, gel and friction as the kernel ``slide`` takes them."""
+    def patches(self) -> Patches:
+        """Return state, gel, surface and friction as the kernel ``slide`` takes them."""
         law = self.friction
-        return (
-            (self.shear_mm, self.age_s, self.slid_mm),
-            (self.stiffness, self.shares),
+        return Patches(
+            *(self.shear_mm, self.age_s, self.slid_mm, self.stiffness, self.shares, self.surface),
             (law.mu, law.rate, law.ageing, law.slip_mm, 3.0 / law.grain_mm, self._resistance),
         )
 
@@ -191,28 +205,16 @@ def slip_speed(drive_n: float, strength_n: float, rate_n: float, damping: float)
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def slide(
-    state: tuple[Floats, Floats, Floats],
-    gel: tuple[Floats, Floats],
-    surface: Floats,
-    law: tuple[float, float, float, float, float, float],
-    normal_n: float,
-    speed_mm_s: float,
-    step_s: float,
-) -> float:
+def slide(patches: Patches, normal_n: float, speed_mm_s: float, step_s: float) -> float:
     """Advance all patches by one implicit step; return the pull [N].
 
     Args:
-        state: Shear [mm], age [s] and slip [mm] of each patch; changed.
-        gel: Stiffness [N/mm] and share of the normal force of each patch.
-        surface: Unevenness along the slip [patch, NODES].
-        law: mu, rate, ageing, slip_mm, nodes per mm and a patch's wave resistance [N s/mm].
+        patches: The skin; its state changes.
         normal_n: Normal force [N].
         speed_mm_s: Speed of the object [mm/s].
         step_s: Length of the step [s].
     """
-    shear, age, slid = state
-    stiffness, shares = gel
+    shear, age, slid, stiffness, shares, surface, law = patches
     mu, rate, ageing, slip_mm, nodes_per_mm, resistance = law
     mean = np.mean(shear)
     pull = 0.0
@@ -243,21 +245,13 @@ def slide(
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _drag(
-    state: tuple[Floats, Floats, Floats],
-    gel: tuple[Floats, Floats],
-    surface: Floats,
-    law: tuple[float, float, float, float, float, float],
-    normal_n: Floats,
-    speeds_mm_s: Floats,
-    part_s: float,
-    substeps: int,
-    patches: Floats,
+    skin: Patches, normal_n: Floats, speeds_mm_s: Floats, part_s: float, parts: int, shear: Floats
 ) -> None:
     """Run several steps; see ``Skin.drag``."""
     for k in range(speeds_mm_s.size):
-        for _ in range(substeps):
-            slide(state, gel, surface, law, normal_n[k], speeds_mm_s[k], part_s)
-        patches[k] = state[0]
+        for _ in range(parts):
+            slide(skin, normal_n[k], speeds_mm_s[k], part_s)
+        shear[k] = skin.shear
 
 
 SETTLE_S = 3.0

@@ -31,8 +31,8 @@ from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.usb.registers import Module
 from mixtac_sim.world.effects import EASY
-from mixtac_sim.world.instruments import InertialUnit, ReferenceSamples, ReferenceSensor
-from mixtac_sim.world.sensor import TactileSensor
+from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor, WrenchSamples
+from mixtac_sim.world.sensor import TactileSensor, truth_wrench
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -133,20 +133,6 @@ class Simulation(Protocol):
         """Change the event pixels, as new biases would."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WrenchBatch:
-    """A few wrench samples.
-
-    Attributes:
-        stamp_ns: int64 times [ns]: host time for the truth, the reference's clock for its samples;
-            both count from the Unix epoch.
-        wrench: float64 ``[n, 6]``, forces [N] and torques [N m].
-    """
-
-    stamp_ns: NDArray[np.int64]
-    wrench: NDArray[np.float64]
-
-
 @dataclass(frozen=True, slots=True)
 class SensorState:
     """Figures for diagnostics.
@@ -219,11 +205,11 @@ class VirtualSensor:
         self._biases: dict[int, int] = {}
         self._pixels = PixelSettings()
         # What became known by a simulated time [us]: the truth, and the samples of the reference.
-        self._pending: deque[tuple[int, NDArray[Any], ReferenceSamples]] = deque()
+        self._pending: deque[tuple[int, NDArray[Any], WrenchSamples]] = deque()
         self._lock = Lock()
         self._simulating = Lock()
-        self._truth: deque[WrenchBatch] = deque()
-        self._references: deque[WrenchBatch] = deque()
+        self._truth: deque[WrenchSamples] = deque()
+        self._references: deque[WrenchSamples] = deque()
         self._dropped = 0
         self._stop = Event()
         self._threads: list[Thread] = []
@@ -268,11 +254,11 @@ class VirtualSensor:
     def _next_start_us(self) -> int:
         return self._simulated_us + 2 * _CHUNK_US
 
-    def take_truth(self) -> list[WrenchBatch]:
+    def take_truth(self) -> list[WrenchSamples]:
         """Return the true wrench at 1 kHz since the last call, stamped in host time."""
         return self._take(self._truth)
 
-    def take_reference(self) -> list[WrenchBatch]:
+    def take_reference(self) -> list[WrenchSamples]:
         """Return the samples of the reference sensor since the last call, on its own clock."""
         return self._take(self._references)
 
@@ -408,25 +394,19 @@ class VirtualSensor:
         """Hand over the truth and the samples of the reference, chunk by chunk."""
         while self._pending and self._pending[0][0] <= until_us:
             _, truth, samples = self._pending.popleft()
-            self._hand_over(truth)
+            stamp_ns = self._clock.to_epoch_ns(truth['t_us'].astype(np.int64))
+            self._put(self._truth, WrenchSamples(stamp_ns, truth_wrench(truth)))
             stamp_ns = samples.t_ns + self._clock.start_epoch_ns
-            self._put(self._references, WrenchBatch(stamp_ns, samples.wrench))
+            self._put(self._references, WrenchSamples(stamp_ns, samples.wrench))
 
-    def _hand_over(self, truth: NDArray[Any]) -> None:
-        wrench = np.zeros((len(truth), 6))
-        for column, name in enumerate(('fx', 'fy', 'fz')):
-            wrench[:, column] = truth[name]
-        stamp_ns = self._clock.to_epoch_ns(truth['t_us'].astype(np.int64))
-        self._put(self._truth, WrenchBatch(stamp_ns, wrench))
-
-    def _put(self, queue: deque[WrenchBatch], batch: WrenchBatch) -> None:
+    def _put(self, queue: deque[WrenchSamples], batch: WrenchSamples) -> None:
         with self._lock:
             queue.append(batch)
             if len(queue) > _MAX_BATCHES:
                 queue.popleft()
                 self._dropped += 1
 
-    def _take(self, queue: deque[WrenchBatch]) -> list[WrenchBatch]:
+    def _take(self, queue: deque[WrenchSamples]) -> list[WrenchSamples]:
         with self._lock:
             batches = list(queue)
             queue.clear()

@@ -19,7 +19,7 @@ from mixtac_sim.usb import endpoints
 from mixtac_sim.usb.endpoints import ControlEndpoint, DataEndpoint, Presence
 from mixtac_sim.usb.faults import Fault, FaultInjector, FaultKind
 from mixtac_sim.usb.registers import Aps, Board, Dvs, Imu, Module, Mux, RegisterFile, Usb
-from mixtac_sim.usb.stream import ByteFifo, Oscillator, StreamAssembler, is_filter_register
+from mixtac_sim.usb.stream import FILTER_REGISTERS, ByteFifo, Oscillator, StreamAssembler
 
 if TYPE_CHECKING:
     from array import array
@@ -391,7 +391,7 @@ class VirtualDavis346:
             self._stream.frames_switched(on=bool(value))
         if module == Module.USB:
             self._condition.notify_all()
-        if is_filter_register(module, param):
+        if module == Module.DVS and param in FILTER_REGISTERS:
             self._stream.settings_changed()
         if not self._stream.running:
             self._fifo.clear()

@@ -102,12 +102,8 @@ class ByteFifo:
         self._size -= count
 
 
-_FILTER_REGISTERS = range(Dvs.FIRST_PIXEL_ROW, Dvs.SUPPRESS_TYPE + 1)
-
-
-def is_filter_register(module: int, param: int) -> bool:
-    """Whether writing this register can change what the filters pass."""
-    return module == Module.DVS and param in _FILTER_REGISTERS
+FILTER_REGISTERS = range(Dvs.FIRST_PIXEL_ROW, Dvs.SUPPRESS_TYPE + 1)
+"""Parameters of module DVS that can change what the filters pass."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

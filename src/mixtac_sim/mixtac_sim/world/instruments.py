@@ -146,11 +146,12 @@ REFERENCE_UNITS = np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReferenceSamples:
-    """Samples of the reference sensor.
+class WrenchSamples:
+    """Samples of a wrench, as the reference sensor measures it or as it truly is.
 
     Attributes:
-        t_ns: Stamp on the reference sensor's own clock [n] [ns], int64.
+        t_ns: Stamp [n] [ns], int64, on the reference sensor's own clock or on the host's; live
+            sensors count both from the Unix epoch.
         wrench: Force [N] and torque [Nm] [n, 6].
     """
 
@@ -199,7 +200,7 @@ class ReferenceSensor:
         self._past_us = np.array([-1e9])
         self._past = np.zeros((1, 6))
 
-    def process(self, t_us: NDArray[np.int64], wrench: Floats) -> ReferenceSamples:
+    def process(self, t_us: NDArray[np.int64], wrench: Floats) -> WrenchSamples:
         """Return the samples that the true wrench up to ``t_us[-1]`` allows.
 
         Args:
@@ -219,7 +220,7 @@ class ReferenceSensor:
         values += self._slow(true_s) + self._noise * self._samples.standard_normal(values.shape)
         self._forget()
         rounded = REFERENCE_RESOLUTION * np.round(values / REFERENCE_RESOLUTION)
-        return ReferenceSamples(np.round(1e9 * stamps_s).astype(np.int64), rounded)
+        return WrenchSamples(np.round(1e9 * stamps_s).astype(np.int64), rounded)
 
     def _filtered(self, centre_us: Floats) -> Floats:
         """Return the wrench around times [us] under the triangular filter."""

@@ -79,11 +79,6 @@ class Segment:
         if self.mode >= Mode.DROP and self.indenter.mass_g <= 0.0:
             raise SimulationError(f'{self.indenter} cannot be dropped; give it a mass')
 
-    @property
-    def fastest_hz(self) -> float:
-        """Return the highest frequency of its tones [Hz], 0 without any."""
-        return max((tone.frequency_hz for tone in self.tones), default=0.0)
-
     def target(self, since_s: Floats) -> Floats:
         """Return the target at times since the segment's start [s]."""
         knots, values = np.array(self.times_s), np.array(self.values)
@@ -178,8 +173,9 @@ class Profile:
         grid_s = 1e-6 * STEP_US
         fastest = max(
             (
-                segment.fastest_hz
+                tone.frequency_hz
                 for segment in self.segments
+                for tone in segment.tones
                 if segment.start_s < (first + count) * grid_s and segment.end_s > first * grid_s
             ),
             default=0.0,
@@ -399,18 +395,13 @@ def make_profile(
     steps = name == 'static' and preset.contact.staircase
     make_body = staircase if steps else PROFILES[name]
     body = make_body(rng, margin, duration_s - 2.0 * margin)
-    tool = _draw_indenter(seed, preset)
+    names = preset.contact.indenters
+    tool = INDENTERS[names[int(stream(seed, 'indenter').integers(len(names)))]]
     if not synced:
         return Profile(name, duration_s, _with(tool, body))
     first, first_s = sync_impulse(rng, 0.0)
     last, last_s = sync_impulse(rng, duration_s - SYNC_SPAN_S)
     return Profile(name, duration_s, _with(tool, first + body + last), (first_s, last_s))
-
-
-def _draw_indenter(seed: int, preset: Preset) -> Indenter:
-    """Return what presses in a trial."""
-    names = preset.contact.indenters
-    return INDENTERS[names[int(stream(seed, 'indenter').integers(len(names)))]]
 
 
 def _with(tool: Indenter, segments: list[Segment]) -> tuple[Segment, ...]:

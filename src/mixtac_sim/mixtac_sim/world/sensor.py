@@ -44,6 +44,12 @@ def truth_rows(t_us: NDArray[np.int64], wrench: Floats, depth_mm: Floats) -> NDA
     return rows
 
 
+def truth_wrench(truth: NDArray[np.void]) -> Floats:
+    """Return the wrench of rows of truth [n, 6], without torques."""
+    forces = [truth['fx'], truth['fy'], truth['fz']]
+    return np.pad(np.stack(forces, axis=1), ((0, 0), (0, 3)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorOutput:
     """Output over some time; every time is true time [us] since the trial's start.

@@ -21,7 +21,7 @@ from mixtac_sim.random_streams import stream
 from mixtac_sim.usb.words import ImuReading
 from mixtac_sim.world.device import draw_conditions
 from mixtac_sim.world.effects import EASY, Preset, preset
-from mixtac_sim.world.instruments import InertialUnit, ReferenceSamples, ReferenceSensor
+from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor, WrenchSamples
 from mixtac_sim.world.profiles import Profile, make_profile
 from mixtac_sim.world.sensor import SensorOutput, TactileSensor
 
@@ -129,7 +129,7 @@ class Stretch:
     end_us: int
     sensor: SensorOutput
     readings: list[ImuReading]
-    reference: ReferenceSamples
+    reference: WrenchSamples
 
 
 class TrialStream:

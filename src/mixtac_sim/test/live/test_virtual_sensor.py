@@ -20,7 +20,7 @@ from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout
-from mixtac_sim.world.instruments import InertialUnit, ReferenceSamples
+from mixtac_sim.world.instruments import InertialUnit, WrenchSamples
 from mixtac_sim.world.profiles import Profile, Segment
 
 TRUTH = np.dtype(
@@ -70,7 +70,7 @@ class Echo:
     """A reference that returns what it is given, a day late."""
 
     def process(self, t_us, wrench):
-        return ReferenceSamples(t_us * 1000 + 86_400_000_000_000, wrench)
+        return WrenchSamples(t_us * 1000 + 86_400_000_000_000, wrench)
 
 
 class Host:
@@ -139,11 +139,11 @@ def test_everything_goes_out_when_its_time_has_come(sensor, simulation, host):
     # The simulation is ahead by exposure and readout, not by more than a chunk beyond.
     assert 10_000 < simulation.until - 500_000 < 30_000
     truth = sensor.take_truth()
-    stamps = np.concatenate([batch.stamp_ns for batch in truth])
+    stamps = np.concatenate([batch.t_ns for batch in truth])
     np.testing.assert_array_equal(stamps, EPOCH_NS + np.arange(500) * 1_000_000)
     force = np.concatenate([batch.wrench for batch in truth])
     np.testing.assert_allclose(force[:, 2], np.arange(500) * 1e-3)
-    reference = np.concatenate([batch.stamp_ns for batch in sensor.take_reference()])
+    reference = np.concatenate([batch.t_ns for batch in sensor.take_reference()])
     np.testing.assert_array_equal(reference, stamps + 86_400_000_000_000)
     assert sensor.take_truth() == []
 
@@ -161,7 +161,7 @@ def test_a_short_stall_is_caught_up_and_a_long_one_counted(sensor, host):
     # Time goes on where it stood, and host stamps take the loss into account.
     sensor.take_truth()
     run_for(sensor, host, 0.1)
-    stamps = np.concatenate([batch.stamp_ns for batch in sensor.take_truth()])
+    stamps = np.concatenate([batch.t_ns for batch in sensor.take_truth()])
     np.testing.assert_array_equal(np.diff(stamps), 1_000_000)
     assert abs(stamps[0] - EPOCH_NS - 5_300_000_000) < 10_000_000
 
@@ -241,7 +241,7 @@ def test_unfetched_batches_are_bounded_and_counted(sensor, host):
     truth = sensor.take_truth()
     assert len(truth) == 2048
     assert sensor.state().batches_dropped > 0
-    last = truth[-1].stamp_ns[-1]
+    last = truth[-1].t_ns[-1]
     assert last == EPOCH_NS + 9_999_000_000
 
 
