@@ -243,8 +243,7 @@ def _draw_moments(axes: list[list[Axes]], trial: Trial, moments: list[Moment]) -
         )
         axes[2][column].set_xlabel(f'{count} events', fontsize=9)
         for row in range(3):
-            axes[row][column].set_xticks([])
-            axes[row][column].set_yticks([])
+            axes[row][column].set(xticks=[], yticks=[])
     axes[0][0].set_ylabel('frame')
     axes[1][0].set_ylabel('frame minus frame at rest')
     axes[2][0].set_ylabel(f'events of {WINDOW_US // 1000} ms\n(ON red, OFF blue)')
@@ -289,12 +288,9 @@ def _draw_forces(axes: Axes, trial: Trial, moments: list[Moment]) -> None:
     )
     depth.set_ylabel('dent [mm]', color=DENT)
     depth.set_ylim(bottom=0.0)
-    axes.set_ylabel('normal force [N]')
-    axes.set_xlim(0.0, trial.profile.duration_s)
-    axes.grid(visible=True, alpha=0.25)
-    axes.legend(loc='upper left', ncols=2, frameon=False, fontsize=9)
+    axes.set(ylabel='normal force [N]', xlim=(0.0, trial.profile.duration_s))
     axes.margins(y=0.18)
-    _mark(axes, trial, moments)
+    _finish(axes, trial, moments)
 
 
 def _draw_rates(axes: Axes, trial: Trial, moments: list[Moment]) -> None:
@@ -305,14 +301,14 @@ def _draw_rates(axes: Axes, trial: Trial, moments: list[Moment]) -> None:
         axes.semilogy(
             times, np.maximum(counts, 1) * 1e6 / RATE_BIN_US, color=colour, lw=0.8, label=label
         )
-    axes.set_ylabel('events [1/s]')
-    axes.set_xlabel('time [s]')
+    axes.set(xlabel='time [s]', ylabel='events [1/s]')
+    _finish(axes, trial, moments)
+
+
+def _finish(axes: Axes, trial: Trial, moments: list[Moment]) -> None:
+    """Add grid, legend, moments and synchronising impulses."""
     axes.grid(visible=True, alpha=0.25)
     axes.legend(loc='upper left', ncols=2, frameon=False, fontsize=9)
-    _mark(axes, trial, moments)
-
-
-def _mark(axes: Axes, trial: Trial, moments: list[Moment]) -> None:
     for moment in moments:
         axes.axvline(1e-6 * moment.t_us, color=EVENTS, lw=1.0, ls='--', zorder=0)
     for centre_s in trial.profile.sync_s:

@@ -303,8 +303,7 @@ def draw(
     plateaus = [point.plateau for point in c.points]
     starts, ends = [each.start_s for each in plateaus], [each.end_s for each in plateaus]
     series.hlines(force, starts, ends, color=REFERENCE, lw=2, label='known load')
-    series.set_xlabel('time [s]')
-    series.set_ylabel('normal force [N]')
+    series.set(xlabel='time [s]', ylabel='normal force [N]')
     series.legend(loc='upper left', frameon=False)
     seen = np.array([each.estimate_n for each in plateaus])
     line = np.array([0.0, 1.1 * seen.max()])
@@ -318,6 +317,5 @@ def draw(
     if down.any():
         fit.plot(seen[down], force[down], 'v', color=MARK, label='unloading')
         fit.legend(frameon=False)
-    fit.set_xlabel('estimate [N]')
-    fit.set_ylabel('known load [N]')
+    fit.set(xlabel='estimate [N]', ylabel='known load [N]')
     save_figure(figure, path)

@@ -8,11 +8,11 @@ import datetime as dt
 import os
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -76,71 +76,13 @@ DROP_COUNTERS = {
 
 
 @dataclass(frozen=True)
-class DemoReport:
-    """What a demo run measured; simulated sensor, real processes and middleware.
-
-    Attributes:
-        seconds: Length of the scenario [s].
-        seed: Seed of the scenario.
-        device_seed: Seed of the virtual sensor's build.
-        force_hz: Rate of `/mixtac/force` at a subscriber in another process.
-        lost: Force samples missing at that subscriber, by their stamps.
-        invalid: Force samples marked as not valid; they are published and count in all figures.
-        latency_ms: From the end of a window to its force at the subscriber, p50 and p99; from the
-            arrival of the window's last packet if simulated time stopped (`waited_s`).
-        mae_n: Mean absolute error against the reference, aligned by the two impulses; None, as
-            `rmse_n`, `constant_mae_n` and `clock_drift_ppm`, if the alignment was refused.
-        rmse_n: Root mean square error against the same.
-        mae_uncalibrated_n: What `mae_n` would be without the calibration.
-        gain: Factor of the force that the calibration found; 1 if it was refused.
-        peak_error: Relative error of the peak of the impact; None if it is not known.
-        frame_jump: Mean change of the force where a frame corrects it over the mean change
-            elsewhere.
-        constant_mae_n: Error of the best constant guess on the same samples.
-        truth_mae_n: Mean absolute error against the simulated force itself.
-        event_rate_mev_s: Mean event rate.
-        peak_event_rate_mev_s: Highest event rate in 10 ms.
-        packet_hz: Rate of event packets.
-        lost_packets: Event packets missing in the recording.
-        waited_s: Time for which simulated time stopped because the host was too slow [s].
-        dropped: Transfers, words, frames and messages dropped inside nodes (`DROP_COUNTERS`).
-        clock_drift_ppm: Drift of the reference clock found by the alignment.
-        refused: Why the alignment was refused, or empty.
-    """
-
-    seconds: float
-    seed: int
-    device_seed: int
-    force_hz: float
-    lost: int
-    invalid: int
-    latency_ms: dict[str, float]
-    mae_n: float | None
-    rmse_n: float | None
-    mae_uncalibrated_n: float | None
-    gain: float
-    peak_error: float | None
-    frame_jump: float | None
-    constant_mae_n: float | None
-    truth_mae_n: float
-    event_rate_mev_s: float
-    peak_event_rate_mev_s: float
-    packet_hz: float
-    lost_packets: int
-    waited_s: float
-    dropped: int
-    clock_drift_ppm: float | None
-    refused: str
-
-
-@dataclass(frozen=True)
 class Run:
     """What was measured while the graph ran.
 
     Attributes:
-        gain: See `DemoReport`.
-        dropped: See `DemoReport`.
-        waited_s: See `DemoReport`.
+        gain: See `_evaluate`.
+        dropped: See `_evaluate`.
+        waited_s: See `_evaluate`.
         clock_pairs: (host, camera) clock pairs [ns], shape (N, 2), int64.
         arrival_ns: Arrival of each force, host clock [ns], int64.
         stamp_ns: Stamp of each force, camera clock [ns], int64.
@@ -191,7 +133,7 @@ def demo(
     report = _evaluate(folder, run, seconds, seed, device_seed)
     for path in (folder / 'demo.json', json):
         if path is not None:
-            write_json(path, asdict(report))
+            write_json(path, report)
     _print_summary(console, report, folder)
     if failed:
         raise GraphError(f'nodes did not end cleanly: {failed}', remedy=f'see {folder / "log"}')
@@ -292,8 +234,39 @@ def _dropped(monitor: Monitor) -> int:
     )
 
 
-def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -> DemoReport:
-    """Compare the recorded force with the aligned reference, and draw the run."""
+def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -> dict[str, Any]:
+    """Compare the recorded force with the aligned reference, and draw the run.
+
+    Returns:
+        The figures for JSON; simulated sensor, real processes and middleware.
+
+        `seconds`: Length of the scenario [s].
+        `seed`: Seed of the scenario.
+        `device_seed`: Seed of the virtual sensor's build.
+        `force_hz`: Rate of `/mixtac/force` at a subscriber in another process.
+        `lost`: Force samples missing at that subscriber, by their stamps.
+        `invalid`: Force samples marked as not valid; they are published and count in all figures.
+        `latency_ms`: From the end of a window to its force at the subscriber, p50 and p99; from the
+            arrival of the window's last packet if simulated time stopped (`waited_s`).
+        `mae_n`: Mean absolute error against the reference, aligned by the two impulses; None, as
+            `rmse_n`, `constant_mae_n` and `clock_drift_ppm`, if the alignment was refused.
+        `rmse_n`: Root mean square error against the same.
+        `mae_uncalibrated_n`: What `mae_n` would be without the calibration.
+        `gain`: Factor of the force that the calibration found; 1 if it was refused.
+        `peak_error`: Relative error of the peak of the impact; None if it is not known.
+        `frame_jump`: Mean change of the force where a frame corrects it over the mean change
+            elsewhere.
+        `constant_mae_n`: Error of the best constant guess on the same samples.
+        `truth_mae_n`: Mean absolute error against the simulated force itself.
+        `event_rate_mev_s`: Mean event rate.
+        `peak_event_rate_mev_s`: Highest event rate in 10 ms.
+        `packet_hz`: Rate of event packets.
+        `lost_packets`: Event packets missing in the recording.
+        `waited_s`: Time for which simulated time stopped because the host was too slow [s].
+        `dropped`: Transfers, words, frames and messages dropped inside nodes (`DROP_COUNTERS`).
+        `clock_drift_ppm`: Drift of the reference clock found by the alignment.
+        `refused`: Why the alignment was refused, or empty.
+    """
     streams = read_streams(out / 'bag', DEFAULT_NAMESPACE)
     comparison, refused = None, ''
     try:
@@ -304,44 +277,44 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
     latency = (run.arrival_ns - host_time(streams, run.stamp_ns, pairs)) / 1e6
     rate = event_rate(streams, comparison)
     shown = phases(seconds, seed)
-    report = DemoReport(
-        seconds=seconds,
-        seed=seed,
-        device_seed=device_seed,
-        force_hz=mean_rate_hz(run.arrival_ns),
-        lost=lost_windows(run.stamp_ns),
-        invalid=streams.invalid,
-        latency_ms={
+    report: dict[str, Any] = {
+        'seconds': seconds,
+        'seed': seed,
+        'device_seed': device_seed,
+        'force_hz': mean_rate_hz(run.arrival_ns),
+        'lost': lost_windows(run.stamp_ns),
+        'invalid': streams.invalid,
+        'latency_ms': {
             'p50': float(np.quantile(latency, 0.5)),
             'p99': float(np.quantile(latency, 0.99)),
         },
-        mae_n=mae(comparison) if comparison else None,
-        rmse_n=comparison.rmse_n if comparison else None,
-        mae_uncalibrated_n=mae(comparison, 1.0 / run.gain) if comparison else None,
-        gain=run.gain,
-        peak_error=peak_error(comparison, shown) if comparison else None,
-        frame_jump=frame_jump(streams),
-        constant_mae_n=comparison.constant_mae_n if comparison else None,
-        truth_mae_n=truth_mae(streams, pairs),
-        event_rate_mev_s=float(rate[1].mean() / 1e6),
-        peak_event_rate_mev_s=float(rate[1].max() / 1e6),
-        packet_hz=len(streams.complete_us) / (np.ptp(streams.force_ns) / 1e9),
-        lost_packets=streams.lost_packets,
-        waited_s=run.waited_s,
-        dropped=run.dropped,
-        clock_drift_ppm=comparison.fit.drift_ppm if comparison else None,
-        refused=refused,
-    )
+        'mae_n': mae(comparison) if comparison else None,
+        'rmse_n': comparison.rmse_n if comparison else None,
+        'mae_uncalibrated_n': mae(comparison, 1.0 / run.gain) if comparison else None,
+        'gain': run.gain,
+        'peak_error': peak_error(comparison, shown) if comparison else None,
+        'frame_jump': frame_jump(streams),
+        'constant_mae_n': comparison.constant_mae_n if comparison else None,
+        'truth_mae_n': truth_mae(streams, pairs),
+        'event_rate_mev_s': float(rate[1].mean() / 1e6),
+        'peak_event_rate_mev_s': float(rate[1].max() / 1e6),
+        'packet_hz': len(streams.complete_us) / (np.ptp(streams.force_ns) / 1e9),
+        'lost_packets': streams.lost_packets,
+        'waited_s': run.waited_s,
+        'dropped': run.dropped,
+        'clock_drift_ppm': comparison.fit.drift_ppm if comparison else None,
+        'refused': refused,
+    }
     if comparison is not None:
         title = (
-            f'Virtual sensor (simulated), seed {seed}: MAE {report.mae_n:.3f} N against the '
-            f'aligned reference, {report.force_hz:.1f} Hz, {report.lost} lost'
+            f'Virtual sensor (simulated), seed {seed}: MAE {report["mae_n"]:.3f} N against the '
+            f'aligned reference, {report["force_hz"]:.1f} Hz, {report["lost"]} lost'
         )
         draw_run(out / 'demo.png', comparison, rate, shown, title)
     return report
 
 
-def _print_summary(console: Console, report: DemoReport, folder: Path) -> None:
+def _print_summary(console: Console, report: Mapping[str, Any], folder: Path) -> None:
     """Print the results of a demo and where its bag and figure are."""
     table = Table(title='Measured on the virtual sensor (simulated)', title_justify='left')
     table.add_column('figure')
@@ -349,9 +322,9 @@ def _print_summary(console: Console, report: DemoReport, folder: Path) -> None:
     for name, value in _rows(report):
         table.add_row(name, value)
     console.print(table)
-    if report.refused:
+    if report['refused']:
         console.print(
-            f'no error against the reference and no figure: {report.refused}', soft_wrap=True
+            f'no error against the reference and no figure: {report["refused"]}', soft_wrap=True
         )
     else:
         console.print(f'figure   {folder / "demo.png"}', soft_wrap=True)
@@ -359,29 +332,29 @@ def _print_summary(console: Console, report: DemoReport, folder: Path) -> None:
     console.print(f'summary  {folder / "demo.json"}', soft_wrap=True)
 
 
-def _rows(report: DemoReport) -> list[tuple[str, str]]:
-    latency = report.latency_ms
+def _rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
+    latency = report['latency_ms']
     return [
-        ('event rate, mean', f'{report.event_rate_mev_s:.3f} Mev/s'),
-        ('event rate, highest in 10 ms', f'{report.peak_event_rate_mev_s:.2f} Mev/s'),
-        ('event packets', f'{report.packet_hz:.0f} Hz'),
-        ('force', f'{report.force_hz:.1f} Hz'),
+        ('event rate, mean', f'{report["event_rate_mev_s"]:.3f} Mev/s'),
+        ('event rate, highest in 10 ms', f'{report["peak_event_rate_mev_s"]:.2f} Mev/s'),
+        ('event packets', f'{report["packet_hz"]:.0f} Hz'),
+        ('force', f'{report["force_hz"]:.1f} Hz'),
         ('latency p50 / p99', f'{latency["p50"]:.2f} / {latency["p99"]:.2f} ms'),
         (
             'error against the reference, MAE / RMSE',
-            f'{_figure(report.mae_n)} / {_figure(report.rmse_n)} N',
+            f'{_figure(report["mae_n"])} / {_figure(report["rmse_n"])} N',
         ),
-        ('  before the calibration, MAE', f'{_figure(report.mae_uncalibrated_n)} N'),
-        ('  best constant guess, MAE', f'{_figure(report.constant_mae_n)} N'),
-        ('error against the simulated force, MAE', f'{report.truth_mae_n:.3f} N'),
-        ("error of the impact's peak", _percent(report.peak_error)),
-        ('change at frames over change between', _figure(report.frame_jump, 1)),
-        ('reference clock drift found', f'{_figure(report.clock_drift_ppm, 1)} ppm'),
-        ('lost: force samples', str(report.lost)),
-        ('lost: event packets', str(report.lost_packets)),
-        ('forces marked as not valid', str(report.invalid)),
-        ('dropped inside nodes', str(report.dropped)),
-        ('simulated time stopped for a slow host', f'{report.waited_s:.2f} s'),
+        ('  before the calibration, MAE', f'{_figure(report["mae_uncalibrated_n"])} N'),
+        ('  best constant guess, MAE', f'{_figure(report["constant_mae_n"])} N'),
+        ('error against the simulated force, MAE', f'{report["truth_mae_n"]:.3f} N'),
+        ("error of the impact's peak", _percent(report['peak_error'])),
+        ('change at frames over change between', _figure(report['frame_jump'], 1)),
+        ('reference clock drift found', f'{_figure(report["clock_drift_ppm"], 1)} ppm'),
+        ('lost: force samples', str(report['lost'])),
+        ('lost: event packets', str(report['lost_packets'])),
+        ('forces marked as not valid', str(report['invalid'])),
+        ('dropped inside nodes', str(report['dropped'])),
+        ('simulated time stopped for a slow host', f'{report["waited_s"]:.2f} s'),
     ]
 
 

@@ -339,19 +339,13 @@ def draw_run(
     whole.legend(loc='upper right', ncols=2, frameon=False)
     whole.set_title(title, loc='left')
     error = figure.add_subplot(grid[1, :], sharex=whole)
-    error.plot(
-        comparison.time_s,
-        comparison.estimate_n - comparison.reference_n,
-        color=FORCE,
-        lw=0.7,
-    )
+    difference_n = comparison.estimate_n - comparison.reference_n
+    error.plot(comparison.time_s, difference_n, color=FORCE, lw=0.7)
     error.axhline(0, color='k', lw=0.5)
-    error.set_ylabel('error [N]')
-    error.set_ylim(-0.5, 0.5)
+    error.set(ylabel='error [N]', ylim=(-0.5, 0.5))
     events = figure.add_subplot(grid[2, :], sharex=whole)
     events.semilogy(rate[0], np.maximum(rate[1], 1.0), color=EVENTS, lw=0.8)
-    events.set_ylabel('events [1/s]')
-    events.set_xlabel('camera time [s]')
+    events.set(xlabel='camera time [s]', ylabel='events [1/s]')
     for column, (label, start, end) in enumerate(spans):
         axes = figure.add_subplot(grid[3, column])
         _force(axes, comparison, start, end)
@@ -365,6 +359,5 @@ def _force(axes: Axes, comparison: Comparison, start: float, end: float) -> None
     time = comparison.time_s[shown]
     axes.plot(time, comparison.reference_n[shown], color=REFERENCE, lw=1.4, label='reference')
     axes.plot(time, comparison.estimate_n[shown], color=FORCE, lw=1.0, label='estimate')
-    axes.set_ylabel('normal force [N]')
-    axes.set_xlim(start, end)
+    axes.set(ylabel='normal force [N]', xlim=(start, end))
     axes.grid(visible=True, alpha=0.25)

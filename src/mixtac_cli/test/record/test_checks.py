@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mixtac_cli.record.checks import (
+from mixtac_cli.record.meter import TopicMeter
+from mixtac_cli.record.session import (
     check_clocks,
     check_disk,
     check_topics,
     free_bytes,
 )
-from mixtac_cli.record.meter import TopicMeter
 from mixtac_driver.doctor.computer import Level
 from mixtac_node.topics import TOPICS
 

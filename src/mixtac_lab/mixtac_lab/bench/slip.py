@@ -30,9 +30,7 @@ from mixtac_lab.slip.detectors import QUIET, count_alarms, curves
 from mixtac_lab.slip.loop import ArmSetup
 from mixtac_lab.slip.trials import (
     TrialPlan,
-    TrialResult,
     latency_quantiles,
-    stored_trial,
     summary,
     trial_piece,
 )
@@ -247,8 +245,7 @@ def slip(
     for k in range(trials):
         stiffness = STIFFNESSES[k % len(STIFFNESSES)]
         pieces.append(trial_piece(replace(plan, seed=FIRST_SEED + k, stiffness_n_per_mm=stiffness)))
-    found = store.run_shown('box trials', pieces, console)
-    results = [stored_trial(each)[0] for each in found]
+    results = store.run_shown('box trials', pieces, console)
     latency = None
     if dds_seconds > 0.0:
         with console.status('slips over DDS'):
@@ -277,7 +274,9 @@ def slip(
 
 
 def summarise(
-    results: Sequence[TrialResult], latency: dict[str, Any] | None, quiet: Sequence[dict[str, Any]]
+    results: Sequence[dict[str, Any]],
+    latency: dict[str, Any] | None,
+    quiet: Sequence[dict[str, Any]],
 ) -> dict[str, Any]:
     """Return the results for JSON; the latencies are those over DDS if they were measured."""
     box = summary(results)
@@ -291,7 +290,7 @@ def summarise(
         'false_alarms': box['false_alarms'] + sum(each['flow'] for each in quiet),
         'box': box,
         'box_by_stiffness': {
-            f'{k:g}': summary([r for r in results if abs(r.stiffness_n_per_mm - k) < 0.02 * k])
+            f'{k:g}': summary([r for r in results if abs(r['stiffness_n_per_mm'] - k) < 0.02 * k])
             for k in STIFFNESSES
         },
         'quiet': list(quiet),

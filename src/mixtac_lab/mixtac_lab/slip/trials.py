@@ -4,13 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixtac_lab.slip.loop import (
     ArmReach,
@@ -98,84 +97,46 @@ class TrialPlan:
         return self.transport.events_s + max(stream.lead_s, self.transport.command_s)
 
 
-@dataclass(frozen=True, slots=True)
-class TrialResult:
-    """Result of a trial; times from the onset of the knock [ms], NaN for never.
-
-    Attributes:
-        name: Kind of object.
-        seed: Seed of the trial.
-        mass_g: Mass of the object [g].
-        knock_mm_s: Speed of the object after the knock [mm/s].
-        transmitted: Share of the momentum of the falling weight that reaches the object.
-        grasp_n: Grasp force [N].
-        knock_share: Ratio of the normal force at the onset to the grasp force; the controller is
-            enabled and has probed by then.
-        stiffness_n_per_mm: Stiffness of the contact [N/mm].
-        detection_ms: Time at which the selected detector reported slip.
-        count_ms: Time at which the count law reported slip.
-        flow_ms: Time at which the flow detector reported slip.
-        publish_ms: Time at which the first trajectory after the detection was published.
-        slip_mm: Displacement of the object [mm].
-        arrest_ms: Time at which the object came to rest.
-        held: Whether the object was held.
-        open_slip_mm: Displacement without control [mm].
-        open_held: Whether the object is held without control.
-        floor_mm: Lower bound of the displacement: the best motion of an arm without lag, started
-            at the onset [mm].
-        floor_ms: Time of rest with that motion.
-        chain_mm: Lower bound for this arm: its best motion, started one window and the delays of
-            the chain after the onset [mm].
-        chain_ms: Time of rest with that motion.
-        peak_n: Largest normal force [N].
-        advance_mm: Advance at the end [mm].
-        false_alarms: Slips reported before the knock while the object did not move.
-        limit_violations: Samples of the commanded motion that violate a limit.
-        rejected: Trajectories rejected by the controller of the arm.
-        stopped: Reason of an interlock stop; empty without one.
-    """
-
-    name: str
-    seed: int
-    mass_g: float
-    knock_mm_s: float
-    transmitted: float
-    grasp_n: float
-    knock_share: float
-    stiffness_n_per_mm: float
-    detection_ms: float
-    count_ms: float
-    flow_ms: float
-    publish_ms: float
-    slip_mm: float
-    arrest_ms: float
-    held: bool
-    open_slip_mm: float
-    open_held: bool
-    floor_mm: float
-    floor_ms: float
-    chain_mm: float
-    chain_ms: float
-    peak_n: float
-    advance_mm: float
-    false_alarms: int
-    limit_violations: int
-    rejected: int
-    stopped: str
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the result for JSON; never is None."""
-        return {
-            key: None if isinstance(value, float) and not np.isfinite(value) else value
-            for key, value in asdict(self).items()
-        }
-
-
-def run_trial(plan: TrialPlan) -> tuple[TrialResult, LoopRecord]:
+def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
     """Run a trial, its open loop and its lower bounds.
 
     Args:
         plan: Settings of the trial.
+
+    Returns:
+        Result for JSON, and course of the trial. Times of the result are from the onset of the
+        knock [ms], None for never.
+
+        `name`: Kind of object.
+        `seed`: Seed of the trial.
+        `mass_g`: Mass of the object [g].
+        `knock_mm_s`: Speed of the object after the knock [mm/s].
+        `transmitted`: Share of the momentum of the falling weight that reaches the object.
+        `grasp_n`: Grasp force [N].
+        `knock_share`: Ratio of the normal force at the onset to the grasp force; the controller is
+            enabled and has probed by then.
+        `stiffness_n_per_mm`: Stiffness of the contact [N/mm].
+        `detection_ms`: Time at which the selected detector reported slip.
+        `count_ms`: Time at which the count law reported slip.
+        `flow_ms`: Time at which the flow detector reported slip.
+        `publish_ms`: Time at which the first trajectory after the detection was published.
+        `slip_mm`: Displacement of the object [mm].
+        `arrest_ms`: Time at which the object came to rest.
+        `held`: Whether the object was held.
+        `open_slip_mm`: Displacement without control [mm].
+        `open_held`: Whether the object is held without control.
+        `floor_mm`: Lower bound of the displacement: the best motion of an arm without lag, started
+            at the onset [mm].
+        `floor_ms`: Time of rest with that motion.
+        `chain_mm`: Lower bound for this arm: its best motion, started one window and the delays of
+            the chain after the onset [mm].
+        `chain_ms`: Time of rest with that motion.
+        `peak_n`: Largest normal force [N].
+        `advance_mm`: Advance at the end [mm].
+        `false_alarms`: Slips reported before the knock while the object did not move.
+        `limit_violations`: Samples of the commanded motion that violate a limit.
+        `rejected`: Trajectories rejected by the controller of the arm.
+        `stopped`: Reason of an interlock stop; empty without one.
 
     Raises:
         SlipControlError: The controller could not be enabled.
@@ -194,38 +155,37 @@ def run_trial(plan: TrialPlan) -> tuple[TrialResult, LoopRecord]:
     still = ArmReach(1.0, 1e3, 0.0, 0.0)
     free = best_arrest(plan.grasp(camera=False, knock_s=soon), still, 0.0)
     setup = grasp.setup
-    return (
-        TrialResult(
-            name=plan.name,
-            seed=plan.seed,
-            mass_g=setup.mass_g,
-            knock_mm_s=setup.knock_mm_s,
-            transmitted=setup.transmitted,
-            grasp_n=grasp.grasp_n,
-            knock_share=_force_at(record, onset_us) / grasp.grasp_n,
-            stiffness_n_per_mm=grasp.stiffness_n_per_mm,
-            detection_ms=_first_ms(record, [s.slipping for s in record.steps]),
-            count_ms=_first_ms(record, [s.count_slipping for s in record.steps]),
-            flow_ms=_first_ms(record, [s.flow_slipping for s in record.steps]),
-            publish_ms=_published_ms(record),
-            slip_mm=arrest.slip_mm,
-            arrest_ms=arrest.arrest_ms,
-            held=arrest.held,
-            open_slip_mm=free.slip_mm,
-            open_held=free.held,
-            floor_mm=floor.slip_mm,
-            floor_ms=floor.arrest_ms,
-            chain_mm=chain.slip_mm,
-            chain_ms=chain.arrest_ms,
-            peak_n=float(record.normal_n.max()),
-            advance_mm=float(record.advance_mm[-1]),
-            false_alarms=_alarms_before(record),
-            limit_violations=record.violations,
-            rejected=record.rejected,
-            stopped=record.stopped,
-        ),
-        record,
-    )
+    result = {
+        'name': plan.name,
+        'seed': plan.seed,
+        'mass_g': setup.mass_g,
+        'knock_mm_s': setup.knock_mm_s,
+        'transmitted': setup.transmitted,
+        'grasp_n': grasp.grasp_n,
+        'knock_share': _force_at(record, onset_us) / grasp.grasp_n,
+        'stiffness_n_per_mm': grasp.stiffness_n_per_mm,
+        'detection_ms': _first_ms(record, [s.slipping for s in record.steps]),
+        'count_ms': _first_ms(record, [s.count_slipping for s in record.steps]),
+        'flow_ms': _first_ms(record, [s.flow_slipping for s in record.steps]),
+        'publish_ms': _published_ms(record),
+        'slip_mm': arrest.slip_mm,
+        'arrest_ms': arrest.arrest_ms,
+        'held': arrest.held,
+        'open_slip_mm': free.slip_mm,
+        'open_held': free.held,
+        'floor_mm': floor.slip_mm,
+        'floor_ms': floor.arrest_ms,
+        'chain_mm': chain.slip_mm,
+        'chain_ms': chain.arrest_ms,
+        'peak_n': float(record.normal_n.max()),
+        'advance_mm': float(record.advance_mm[-1]),
+        'false_alarms': _alarms_before(record),
+        'limit_violations': record.violations,
+        'rejected': record.rejected,
+        'stopped': record.stopped,
+    }
+    never = dict.fromkeys(key for key, value in result.items() if value != value)  # noqa: PLR0124
+    return result | never, record
 
 
 def _first_ms(record: LoopRecord, slipping: list[bool]) -> float:
@@ -265,8 +225,8 @@ def _moved(record: LoopRecord, time_us: float) -> bool:
     return bool(record.object_mm[now] - record.object_mm[then] > MOVED_MM)
 
 
-def latency_quantiles(values: Iterable[float]) -> dict[str, float | None]:
-    """Return median and 99th percentile of latencies; a NaN is a miss.
+def latency_quantiles(values: Iterable[float | None]) -> dict[str, float | None]:
+    """Return median and 99th percentile of latencies; NaN or None is a miss.
 
     A miss counts as later than everything: a percentile that falls on a miss is None.
     """
@@ -279,11 +239,10 @@ def latency_quantiles(values: Iterable[float]) -> dict[str, float | None]:
     return {'p50': p50, 'p99': p99}
 
 
-def summary(results: Sequence[TrialResult]) -> dict[str, Any]:
+def summary(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return statistics of trials for JSON."""
     count = len(results)
-    names = [each.name for each in fields(TrialResult)]
-    values = {name: [getattr(each, name) for each in results] for name in names}
+    values = {name: [each[name] for each in results] for name in results[0]}
     latencies = ('detection_ms', 'count_ms', 'flow_ms', 'publish_ms')
     medians = ('arrest_ms', 'knock_mm_s', 'stiffness_n_per_mm', 'grasp_n', 'knock_share', 'peak_n')
     totals = ('false_alarms', 'limit_violations', 'rejected')
@@ -304,7 +263,7 @@ def summary(results: Sequence[TrialResult]) -> dict[str, Any]:
     }
 
 
-def _median(values: Sequence[float]) -> dict[str, float | None]:
+def _median(values: Sequence[float | None]) -> dict[str, float | None]:
     """Return the median, the 10th and the 90th percentile; None without finite values."""
     array = np.array(values, np.float64)
     good, names = array[np.isfinite(array)], ('median', 'p10', 'p90')
@@ -319,7 +278,7 @@ COURSE_MS: Final = np.arange(-10.0, 80.0, 0.5)
 
 
 def trial_piece(plan: TrialPlan) -> Piece:
-    """Return a trial as a piece of work; `stored_trial` reads its result."""
+    """Return a trial as a piece of work; its result has `course_mm`, too."""
     version = code_version('mixtac_events', 'mixtac_sim', 'mixtac_slip_control', 'mixtac_lab.slip')
     return Piece(f'grasp_{plan.name}_s{plan.seed}', _trial, (plan,), version)
 
@@ -330,13 +289,4 @@ def _trial(_base: Path, plan: TrialPlan) -> dict[str, Any]:
     t_ms = 1e-3 * record.t_us - 1e3 * KNOCK_S
     start = np.interp(0.0, t_ms, record.object_mm)
     course = np.interp(COURSE_MS, t_ms, record.object_mm) - start
-    return result.as_dict() | {'course_mm': course.round(4).tolist()}
-
-
-def stored_trial(found: dict[str, Any]) -> tuple[TrialResult, NDArray[np.float64]]:
-    """Return the result of a trial piece, and the displacement at `COURSE_MS` [180] [mm]."""
-    values: dict[str, Any] = {
-        key: np.nan if value is None else value for key, value in found.items()
-    }
-    course = np.array(values.pop('course_mm'))
-    return TrialResult(**values), course
+    return result | {'course_mm': course.round(4).tolist()}

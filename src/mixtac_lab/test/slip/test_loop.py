@@ -16,23 +16,23 @@ PLAN = TrialPlan('box', 3, knock_mm_s=40.0, stiffness_n_per_mm=5.0, preset='easy
 
 def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None:
     result, record = run_trial(PLAN)
-    assert result.held
-    assert not result.open_held
-    assert result.false_alarms == 0
-    assert result.limit_violations == 0
-    assert result.rejected == 0
-    assert 0.0 < result.detection_ms <= 3.0
-    assert result.publish_ms >= result.detection_ms
+    assert result['held']
+    assert not result['open_held']
+    assert result['false_alarms'] == 0
+    assert result['limit_violations'] == 0
+    assert result['rejected'] == 0
+    assert 0.0 < result['detection_ms'] <= 3.0
+    assert result['publish_ms'] >= result['detection_ms']
     # No controller beats the lower bound; that of the chain is higher.
-    assert result.floor_mm < result.chain_mm
-    assert result.floor_mm < result.slip_mm
-    assert result.floor_ms < result.arrest_ms
+    assert result['floor_mm'] < result['chain_mm']
+    assert result['floor_mm'] < result['slip_mm']
+    assert result['floor_ms'] < result['arrest_ms']
     # The probe pressed a little and ended before the knock; what followed is the answer.
     assert 1e-3 < record.advance_mm[record.t_us < 1e6 * KNOCK_S].max() < 0.051
-    assert result.knock_share == pytest.approx(1.0, abs=0.02)
+    assert result['knock_share'] == pytest.approx(1.0, abs=0.02)
     assert record.advance_mm[-1] > 5e-3
-    assert result.peak_n < PLAN.settings.max_force
-    assert result.stopped == ''
+    assert result['peak_n'] < PLAN.settings.max_force
+    assert result['stopped'] == ''
 
 
 def test_enabling_before_the_background_is_known_is_refused() -> None:

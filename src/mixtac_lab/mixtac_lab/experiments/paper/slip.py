@@ -33,9 +33,7 @@ from mixtac_lab.slip.trials import (
     COURSE_MS,
     KNOCK_S,
     TrialPlan,
-    TrialResult,
     run_trial,
-    stored_trial,
     summary,
     trial_piece,
 )
@@ -80,18 +78,16 @@ def grasps(
             TrialPlan(name, GRASPS_FIRST_SEED + 1000 * at + k, margin=margin, preset=preset)
             for k in range(max(round(share * number), 1))
         ]
-        found = store.run_shown(name, [trial_piece(plan) for plan in plans], console)
-        trials = [stored_trial(each) for each in found]
-        results = [result for result, _ in trials]
-        courses[name] = [course for _, course in trials]
+        results = store.run_shown(name, [trial_piece(plan) for plan in plans], console)
+        courses[name] = [np.array(result.pop('course_mm')) for result in results]
         if figures is not None:
-            order = sorted(range(len(results)), key=lambda k: results[k].slip_mm)
+            order = sorted(range(len(results)), key=lambda k: results[k]['slip_mm'])
             typical = plans[order[len(order) // 2]]
             draw_trial(figures / f'slip_{name}.png', *run_trial(typical))
         outcome[name] = {
             **summary(results),
             'paper_mean_mm': PAPER_MM[name],
-            'each': [result.as_dict() for result in results],
+            'each': results,
         }
     if figures is not None:
         draw_objects(figures / 'slip_objects.png', courses)
@@ -224,7 +220,7 @@ FRAME_MS = 5.0
 """Time in which a key frame collects events [ms]."""
 
 
-def draw_trial(path: Path, result: TrialResult, record: LoopRecord) -> None:
+def draw_trial(path: Path, result: Mapping[str, Any], record: LoopRecord) -> None:
     """Draw displacement, force, counts and three key frames of a trial.
 
     Args:
@@ -241,13 +237,13 @@ def draw_trial(path: Path, result: TrialResult, record: LoopRecord) -> None:
     seen = (t_ms >= SPAN_MS[0]) & (t_ms <= SPAN_MS[1])
     start = record.object_mm[np.searchsorted(t_ms, 0.0)]
     axes['object'].plot(t_ms[seen], record.object_mm[seen] - start)
-    axes['object'].set(ylabel='object [mm], downwards', title=f'{result.name}, simulated')
+    axes['object'].set(ylabel='object [mm], downwards', title=f'{result["name"]}, simulated')
     axes['force'].plot(t_ms[seen], record.normal_n[seen])
     axes['force'].set(ylabel='normal force [N]')
     axes['advance'].plot(t_ms[seen], record.advance_mm[seen])
     axes['advance'].set(xlabel='after the knock [ms]', ylabel='fingertip [mm]')
     _draw_counts(axes['counts'], record)
-    last = result.arrest_ms if np.isfinite(result.arrest_ms) else SPAN_MS[1]
+    last = SPAN_MS[1] if result['arrest_ms'] is None else result['arrest_ms']
     for name, at_ms in zip(key_frames, (*KEY_MS, last), strict=True):
         _draw_key_frame(axes[name], record, at_ms)
     save_figure(figure, path)
