@@ -29,22 +29,19 @@ from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_lab.figures import make_table, save_result
 
-ROWS_PER_STAMP = 10
+ROWS_PER_STAMP, SEED = 10, 1
 FRAME_COLUMNS, FRAME_ROWS = 260, 346
 
 
-def event_stream(
-    events_per_row: int, count: int, *, random: bool, seed: int = 1
-) -> NDArray[np.uint16]:
+def event_stream(events_per_row: int, count: int, *, random: bool) -> NDArray[np.uint16]:
     """Return a stream of about `count` events for the default geometry.
 
     Args:
         events_per_row: Events that share a row address.
         count: Events.
         random: True for geometrically distributed events per row and time stamps.
-        seed: Seed of addresses and polarities.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     rows = count // events_per_row
     lengths = np.full(rows, events_per_row)
     stamped = np.arange(rows) % ROWS_PER_STAMP == 0
@@ -64,9 +61,9 @@ def event_stream(
     return words.astype('<u2')
 
 
-def frame_stream(frames: int, seed: int = 1) -> NDArray[np.uint16]:
+def frame_stream(frames: int) -> NDArray[np.uint16]:
     """Return a stream of full global-shutter frames for the default geometry."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     region = [0x5100, 0x5200, 0x5100, 0x5200, 0x5101, 0x5259, 0x5101, 0x5203]
     head = [8, 0x6000, 0x6000, 0x6000, *region]
 

@@ -9,6 +9,7 @@ import time
 from array import array
 from collections import deque
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Annotated, Any, Final, Optional
 
 import numpy as np
@@ -35,19 +36,6 @@ DEVICE_SEED: Final = 910_000
 TRIAL_SEED: Final = 911_000
 
 
-@dataclass(slots=True)
-class PacketFields:
-    """The fields of `event_camera_msgs/EventPacket` that the estimator reads."""
-
-    seq: int
-    time_base: int
-    encoding: str
-    events: array[int]
-    width: int = 346
-    height: int = 260
-    is_bigendian: bool = False
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """A frame and the time at which it is available.
@@ -69,26 +57,25 @@ class Scene:
 
     Attributes:
         ends_us: Camera time up to which each packet is complete [us].
-        packets: One packet per millisecond.
+        packets: Fields of one `event_camera_msgs/EventPacket` per millisecond.
         frames: Frames in the order in which they become available.
         events: Number of events.
     """
 
     ends_us: list[int]
-    packets: list[PacketFields]
+    packets: list[Any]
     frames: list[Frame]
     events: int
 
 
-def make_scene(seconds: float, preset: str, profile: str = 'dynamic') -> Scene:
-    """Simulate a trial and cut it into packets.
+def make_scene(seconds: float, preset: str) -> Scene:
+    """Simulate a dynamic trial and cut it into packets.
 
     Args:
         seconds: Length [s].
         preset: Difficulty preset of the virtual sensor.
-        profile: Force profile.
     """
-    spec = TrialSpec('infer', profile, seconds, DEVICE_SEED, TRIAL_SEED, preset, 'test')
+    spec = TrialSpec('infer', 'dynamic', seconds, DEVICE_SEED, TRIAL_SEED, preset, 'test')
     scene = Scene([], [], [], 0)
     for stretch in TrialStream(spec).stretches():
         scene.events += len(stretch.sensor.events)
@@ -97,11 +84,14 @@ def make_scene(seconds: float, preset: str, profile: str = 'dynamic') -> Scene:
             scene.ends_us.append(start_us + PACKET_US + EPOCH_US)
             packet = encode(part.shifted(EPOCH_US), complete_until=scene.ends_us[-1])
             scene.packets.append(
-                PacketFields(
+                SimpleNamespace(
                     seq=len(scene.packets),
                     time_base=packet.time_base,
                     encoding=packet.encoding,
                     events=array('B', packet.payload.tobytes()),
+                    width=346,
+                    height=260,
+                    is_bigendian=False,
                 )
             )
         for frame in stretch.sensor.frames:
@@ -175,23 +165,17 @@ def frame_times_ms(model: Model, scene: Scene) -> list[float]:
     return times[0 if reference is None else reference.frames :]
 
 
-@dataclass(slots=True)
-class _ImageFields:
-    """The fields of `sensor_msgs/Image` that the estimator reads."""
-
-    height: int
-    width: int
-    encoding: str
-    is_bigendian: int
-    step: int
-    data: array[int]
-
-
 def _feed_image(feed: LiveFeed, frame: Frame) -> None:
     height, width = frame.image.shape
-    data = array('B', frame.image.tobytes())
-    big_endian = int(sys.byteorder == 'big')
-    feed.image(_ImageFields(height, width, 'mono16', big_endian, 2 * width, data), frame.mid_us)
+    message: Any = SimpleNamespace(
+        height=height,
+        width=width,
+        encoding='mono16',
+        is_bigendian=int(sys.byteorder == 'big'),
+        step=2 * width,
+        data=array('B', frame.image.tobytes()),
+    )
+    feed.image(message, frame.mid_us)
 
 
 def infer(

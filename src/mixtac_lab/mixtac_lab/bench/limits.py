@@ -36,6 +36,8 @@ SLACK = 1e-6
 """Share of a limit that rounding may exceed."""
 CYCLES_FOR_CONTROLLER = 2
 """Cycles of the lead that the controller needs; the rest is for transport."""
+PER_STATE = 20
+"""Sequences from each random joint state and normal."""
 RELEASES: tuple[Release, ...] = ('jazzy', 'humble')
 
 
@@ -86,7 +88,6 @@ def run_trials(
     count: int,
     seed: int,
     releases: tuple[Release, ...] = RELEASES,
-    per_state: int = 20,
     settings: StreamSettings | None = None,
     advance: Callable[[], object] = lambda: None,
 ) -> TrialTally:
@@ -96,7 +97,6 @@ def run_trials(
         count: Number of sequences.
         seed: Random seed.
         releases: Releases of ros2_control to emulate, in turn.
-        per_state: Number of sequences from each random joint state and normal.
         settings: Settings of the planner.
         advance: Called after each sequence.
     """
@@ -111,7 +111,7 @@ def run_trials(
             planner.reset(q, normal)
         except UnreachableError:
             continue
-        for _ in range(min(per_state, count - tally.trials)):
+        for _ in range(min(PER_STATE, count - tally.trials)):
             planner.restart()
             release = releases[tally.trials % len(releases)]
             controller = JointTrajectoryController(1.0 / CYCLE_S, release=release)

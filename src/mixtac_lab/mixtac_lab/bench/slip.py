@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,7 +27,7 @@ from mixtac_cli.options import JsonFile, OptionalPath, Preset
 from mixtac_lab.bench.harness import START_TIMEOUT_S, BenchRun
 from mixtac_lab.figures import new_figure, save_figure, save_result
 from mixtac_lab.slip.detectors import QUIET, count_alarms, curves
-from mixtac_lab.slip.loop import ArmSetup
+from mixtac_lab.slip.loop import SIDEWAYS, TRANSPORT_S
 from mixtac_lab.slip.trials import (
     TrialPlan,
     latency_quantiles,
@@ -239,8 +239,7 @@ def slip(
     """Measure slip control: held objects, latency, limits, false alarms. Simulated results."""
     console, store = Console(), Store(keep)
     settings = SlipControlParameters()
-    arm = ArmSetup(lag_s=lag)
-    plan = TrialPlan(margin=margin, knock_mm_s=knock, preset=preset, arm=arm, settings=settings)
+    plan = TrialPlan(margin=margin, knock_mm_s=knock, preset=preset, lag_s=lag, settings=settings)
     pieces = []
     for k in range(trials):
         stiffness = STIFFNESSES[k % len(STIFFNESSES)]
@@ -262,8 +261,8 @@ def slip(
         'knock_mm_s': knock,
         'arm_lag_s': lag,
         'preset': preset,
-        'normal': list(plan.arm.normal),
-        'transport': asdict(plan.transport),
+        'normal': list(SIDEWAYS),
+        'transport': TRANSPORT_S,
     }
     console.print_json(data=outcome)
     if curve_trials > 0:

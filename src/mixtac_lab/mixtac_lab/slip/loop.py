@@ -2,15 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasp, sensor, slip controller, trajectories and arm in lock-step, 1 ms at a time.
 
-The loop is faster than real time and reproducible. `Transport` holds the delays that the real chain
-adds between the parts; `mixtac bench slip` measures them over DDS. `best_arrest` returns the lower
-bound that no controller can beat: the same grasp and knock with the best motion of the arm.
+The loop is faster than real time and reproducible. `TRANSPORT_S` holds the delays that the real
+chain adds between the parts; `mixtac bench slip` measures them over DDS. `best_arrest` returns the
+lower bound that no controller can beat: the same grasp and knock with the best motion of the arm.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +17,13 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
 from mixtac_sim.arm.fr3 import READY, violations
-from mixtac_sim.arm.plant import TRACKING_LAG_S, LaggingArm, MujocoArm
+from mixtac_sim.arm.plant import TRACKING_LAG_S, LaggingArm
 from mixtac_sim.grasp.grasp import Grasp, GraspBlock
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
-from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
+from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.controller import SlipController, SlipStep
 from mixtac_slip_control.parameters import SlipControlParameters
@@ -153,37 +152,9 @@ FRAME_DELAY_S = 4e-3
 """Time from the end of the readout of a frame to its guide [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Transport:
-    """Delays between the parts [s].
-
-    Attributes:
-        events_s: Time from the end of a window to the controller: USB, driver and DDS.
-        command_s: Time from the answer of the controller to the trajectory at the arm.
-        force_s: Age of a force estimate.
-    """
-
-    events_s: float = 0.7e-3
-    command_s: float = 0.8e-3
-    force_s: float = 3e-3
-
-
-@dataclass(frozen=True, slots=True)
-class ArmSetup:
-    """The arm and its settings.
-
-    Attributes:
-        lag_s: Time constant with which the arm follows its commands [s].
-        normal: Contact normal in the base frame.
-        stream: Settings of the stream of advances; None for the defaults of the planner.
-        plant: Model of the arm: a lag of each joint, or MuJoCo with servos of that lag, pressing a
-            gel with the stiffness of the contact.
-    """
-
-    lag_s: float = TRACKING_LAG_S
-    normal: tuple[float, float, float] = SIDEWAYS
-    stream: StreamSettings | None = None
-    plant: Literal['lag', 'mujoco'] = 'lag'
+TRANSPORT_S = {'events_s': 0.7e-3, 'command_s': 0.8e-3, 'force_s': 3e-3}
+"""Delays between the parts [s]: from the end of a window to the controller (USB, driver and DDS),
+from the answer of the controller to the trajectory at the arm, and the age of a force estimate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,7 +172,6 @@ class LoopRecord:
         published_us: Times at which trajectories were published [p].
         rejected: Trajectories that the arm's controller rejected.
         violations: Samples of the commanded motion that violate a limit.
-        q: Commanded joint positions, one per cycle [c, 7] [rad].
         stopped: Reason of an interlock stop; empty without one.
         events: Events of each cycle [c].
     """
@@ -216,7 +186,6 @@ class LoopRecord:
     published_us: Floats
     rejected: int
     violations: int
-    q: Floats
     stopped: str
     events: list[Events]
 
@@ -226,30 +195,24 @@ class ClosedLoop:
 
     Args:
         grasp: The grasp, with a camera.
-        settings: Settings of the slip controller; None leaves the loop open.
-        arm: The arm.
-        transport: Delays.
+        settings: Settings of the slip controller.
+        lag_s: Time constant with which the arm follows its commands [s].
         seed: Seed of the noise of the force estimates.
     """
 
     def __init__(
         self,
         grasp: Grasp,
-        settings: SlipControlParameters | None,
-        arm: ArmSetup | None = None,
-        transport: Transport | None = None,
+        settings: SlipControlParameters,
+        lag_s: float = TRACKING_LAG_S,
         seed: int = 0,
     ) -> None:
-        setup = arm or ArmSetup()
         self._grasp = grasp
-        self._transport = transport or Transport()
         self._arm = JointTrajectoryController(1.0 / CYCLE_S)
         self._arm.reset(READY, EPOCH_S)
-        planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), setup.stream)
-        self._controller = None
-        if settings is not None:
-            self._controller = SlipController(settings, planner, setup.normal)
-        self._tip = _tip(setup, grasp)
+        planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3())
+        self._controller = SlipController(settings, planner, SIDEWAYS)
+        self._tip = LaggingArm(READY, np.array(SIDEWAYS), lag_s, CYCLE_S)
         self._rng = np.random.default_rng(seed)
         self._under_way: list[tuple[float, PlannedTrajectory]] = []
         self._frames: list[ApsFrame] = []
@@ -275,7 +238,7 @@ class ClosedLoop:
         enabled = False
         while self._cycle * CYCLE_S < seconds - 1e-9:
             self._step()
-            if not enabled and self._controller and self._cycle * CYCLE_S >= enable_s - 1e-9:
+            if not enabled and self._cycle * CYCLE_S >= enable_s - 1e-9:
                 self._controller.enable(self._now_s)
                 enabled = True
         return self._record()
@@ -283,7 +246,7 @@ class ClosedLoop:
     @property
     def _now_s(self) -> float:
         """Return the time at which data of the last cycle reach the controller [s]."""
-        return EPOCH_S + self._cycle * CYCLE_S + self._transport.events_s
+        return EPOCH_S + self._cycle * CYCLE_S + TRANSPORT_S['events_s']
 
     def _step(self) -> None:
         """Advance by one cycle."""
@@ -300,17 +263,17 @@ class ClosedLoop:
         self._blocks.append(block)
         self._ways.append(way)
         self._commands.append(command)
-        if self._controller is not None:
-            self._send_inputs(block, self._controller)
-            self._send_events(block, self._controller)
+        self._send_inputs(block)
+        self._send_events(block)
 
-    def _send_inputs(self, block: GraspBlock, controller: SlipController) -> None:
+    def _send_inputs(self, block: GraspBlock) -> None:
         """Pass the slower inputs to the controller."""
+        controller = self._controller
         now_s, now_us = self._now_s, 1e6 * self._cycle * CYCLE_S
         controller.on_heartbeat(now_s)
         controller.on_joint_state(self._tip.q.tolist(), now_s)
         if self._cycle % FORCE_EVERY == 0:
-            past = max(len(self._blocks) - 1 - round(self._transport.force_s / CYCLE_S), 0)
+            past = max(len(self._blocks) - 1 - round(TRANSPORT_S['force_s'] / CYCLE_S), 0)
             force = float(self._blocks[past].normal_n[-1]) + self._rng.normal(0.0, FORCE_NOISE_N)
             controller.on_force(force, int(self._blocks[past].t_us[-1]), now_s)
         self._frames += block.frames
@@ -319,9 +282,9 @@ class ClosedLoop:
             middle = (frame.exposure_start_us + frame.exposure_end_us) // 2
             controller.features.frame(frame.intensity, middle)
 
-    def _send_events(self, block: GraspBlock, controller: SlipController) -> None:
+    def _send_events(self, block: GraspBlock) -> None:
         """Pass the events to the controller and send its trajectories."""
-        now_s = self._now_s
+        controller, now_s = self._controller, self._now_s
         steps = controller.on_events(block.events, int(block.t_us[-1]), now_s)
         now_us = 1e6 * (now_s - EPOCH_S)
         self._answered += [now_us] * len(steps)
@@ -331,12 +294,11 @@ class ClosedLoop:
             self._stopped = controller.interlock.reason
             planned = controller.braking(now_s)
         if planned is not None:
-            self._under_way.append((now_s + self._transport.command_s, planned))
+            self._under_way.append((now_s + TRANSPORT_S['command_s'], planned))
             self._published.append(now_us)
 
     def _record(self) -> LoopRecord:
         blocks = self._blocks
-        q = np.stack(self._commands)
         return LoopRecord(
             t_us=np.concatenate([b.t_us for b in blocks]),
             object_mm=np.concatenate([b.object_mm for b in blocks]),
@@ -347,17 +309,7 @@ class ClosedLoop:
             steps=self._steps,
             published_us=np.array(self._published),
             rejected=self._rejected,
-            violations=violations(q, CYCLE_S),
-            q=q,
+            violations=violations(np.stack(self._commands), CYCLE_S),
             stopped=self._stopped,
             events=[b.events for b in blocks],
         )
-
-
-def _tip(setup: ArmSetup, grasp: Grasp) -> LaggingArm | MujocoArm:
-    """Return the model of the arm."""
-    normal = np.array(setup.normal)
-    if setup.plant == 'lag':
-        return LaggingArm(READY, normal, setup.lag_s, CYCLE_S)
-    contact = {'n_per_mm': grasp.stiffness_n_per_mm, 'preload_n': grasp.grasp_n}
-    return MujocoArm(READY, normal, setup.lag_s, CYCLE_S, **contact)

@@ -12,16 +12,17 @@ from typing import Any, Final
 import numpy as np
 
 from mixtac_lab.slip.loop import (
+    SIDEWAYS,
+    TRANSPORT_S,
     ArmReach,
-    ArmSetup,
     ClosedLoop,
     LoopRecord,
-    Transport,
     arrest_of,
     best_arrest,
 )
 from mixtac_lab.store import Piece, code_version
 from mixtac_sim.arm.fr3 import READY
+from mixtac_sim.arm.plant import TRACKING_LAG_S
 from mixtac_sim.grasp.grasp import Grasp
 from mixtac_sim.grasp.objects import ObjectName, draw_setup
 from mixtac_sim.world.effects import preset
@@ -53,8 +54,7 @@ class TrialPlan:
         stiffness_n_per_mm: Stiffness of the whole contact [N/mm]; None for that of gel, mesh and
             object.
         preset: Difficulty preset of the virtual sensor.
-        arm: The arm.
-        transport: Delays between the parts.
+        lag_s: Time constant with which the arm follows its commands [s].
         settings: Settings of the slip controller.
     """
 
@@ -64,8 +64,7 @@ class TrialPlan:
     knock_mm_s: float | None = None
     stiffness_n_per_mm: float | None = None
     preset: str = 'paper_like'
-    arm: ArmSetup = field(default_factory=ArmSetup)
-    transport: Transport = field(default_factory=Transport)
+    lag_s: float = TRACKING_LAG_S
     settings: SlipControlParameters = field(default_factory=SlipControlParameters)
 
     def grasp(self, *, camera: bool, knock_s: float = KNOCK_S) -> Grasp:
@@ -84,17 +83,11 @@ class TrialPlan:
     def reach(self, *, ideal: bool) -> ArmReach:
         """Return the limits of the arm along the normal; an ideal arm has no lag."""
         planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3(), StreamSettings(share=1.0))
-        planner.reset(READY, np.array(self.arm.normal), self.settings.max_total)
+        planner.reset(READY, np.array(SIDEWAYS), self.settings.max_total)
         motion = planner.motion_limits
         assert motion is not None  # noqa: S101  (known after a reset with a normal)
-        lag = 0.0 if ideal else self.arm.lag_s
-        force = self.settings.max_force
-        return ArmReach(motion.acceleration, motion.jerk, lag, force)
-
-    def chain_s(self) -> float:
-        """Return the least time from a detection to a commanded motion [s]."""
-        stream = self.arm.stream or StreamSettings()
-        return self.transport.events_s + max(stream.lead_s, self.transport.command_s)
+        lag_s = 0.0 if ideal else self.lag_s
+        return ArmReach(motion.acceleration, motion.jerk, lag_s, self.settings.max_force)
 
 
 def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
@@ -142,15 +135,15 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         SlipControlError: The controller could not be enabled.
     """
     grasp = plan.grasp(camera=True)
-    record = ClosedLoop(grasp, plan.settings, plan.arm, plan.transport, plan.seed).run(
-        SECONDS, ENABLE_S
-    )
+    record = ClosedLoop(grasp, plan.settings, plan.lag_s, plan.seed).run(SECONDS, ENABLE_S)
     onset_us = 1e6 * KNOCK_S
     arrest = arrest_of(record.t_us, record.object_mm, record.speed_mm_s, onset_us)
     # The rest before the knock does not matter below: an earlier knock saves time.
     soon = 0.05
     floor = best_arrest(plan.grasp(camera=False, knock_s=soon), plan.reach(ideal=True), 0.0)
-    delay_s = 1e-6 * plan.settings.window_us + plan.chain_s()
+    # The least time from a detection to a commanded motion.
+    chain_s = TRANSPORT_S['events_s'] + max(StreamSettings().lead_s, TRANSPORT_S['command_s'])
+    delay_s = 1e-6 * plan.settings.window_us + chain_s
     chain = best_arrest(plan.grasp(camera=False, knock_s=soon), plan.reach(ideal=False), delay_s)
     still = ArmReach(1.0, 1e3, 0.0, 0.0)
     free = best_arrest(plan.grasp(camera=False, knock_s=soon), still, 0.0)

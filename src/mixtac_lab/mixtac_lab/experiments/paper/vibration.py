@@ -146,12 +146,11 @@ def tone_of(name: str) -> float:
     return float(found.group(1))
 
 
-def recorded(path: Path, settle_s: float = 1.0) -> Shaken:
-    """Return a recorded vibration; whole seconds from `settle_s` on are examined.
+def recorded(path: Path) -> Shaken:
+    """Return a recorded vibration; whole seconds are examined, from 1 s on, when it is steady.
 
     Args:
         path: A bag with events and frames of one tone.
-        settle_s: Time from the start of the recording until the tone is steady [s].
 
     Raises:
         RecordingError: The bag is damaged or holds no events.
@@ -167,13 +166,13 @@ def recorded(path: Path, settle_s: float = 1.0) -> Shaken:
     finally:
         recording.close()
     events = Events.concatenate([part for part in parts if len(part)])
-    seconds = int(1e-6 * (events.t[-1] - events.t[0]) - settle_s) if len(events) else 0
+    seconds = int(1e-6 * (events.t[-1] - events.t[0]) - 1.0) if len(events) else 0
     if frame is None or seconds < 1:
         raise RecordingError(
             f'{path} is too short or has no frames',
-            remedy=f'record frames and at least {1.0 + settle_s:g} s of the tone',
+            remedy='record frames and at least 2 s of the tone',
         )
-    start = 1e-6 * float(events.t[0]) + settle_s
+    start = 1e-6 * float(events.t[0]) + 1.0
     return Shaken(events, frame, (start, start + seconds))
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, List, Optional  # noqa: UP035
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -29,7 +29,7 @@ from mixtac_fger.force_calibration import (
     load_of,
 )
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
-from mixtac_lab.experiments.harness import Context
+from mixtac_lab.experiments.harness import Context, OptionalStrings
 from mixtac_lab.experiments.report import Value
 from mixtac_lab.experiments.sizes import (
     ALL_ROWS,
@@ -74,8 +74,6 @@ from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.profiles import WEIGHTS_G
 from mixtac_sim.world.training_trials import TrialSpec
 
-# typer evaluates these under Python 3.10.
-OptionalStrings = Optional[List[str]]  # noqa: UP006, UP045
 FIRST_TRIAL = 800_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
 FIRST_DEVICE = 810_000
@@ -206,18 +204,18 @@ def aggregate(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any
     return table
 
 
-def cells(table: Mapping[str, Any], figure: str = 'mae') -> dict[str, list[str]]:
-    """Return one figure as text by column of the table, one value per model."""
+def cells(table: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return the MAE as text by column of the table, one value per model."""
     columns = dict.fromkeys(column for row in table.values() for column in row)
     return {
-        column.replace('_', ' '): [_cell(row.get(column, {}).get(figure)) for row in table.values()]
+        column.replace('_', ' '): [_cell(row.get(column, {}).get('mae')) for row in table.values()]
         for column in columns
     }
 
 
-def as_markdown(table: Mapping[str, Any], figure: str = 'mae') -> str:
-    """Return one figure of all models as a Markdown table, one row per model."""
-    shown = cells(table, figure)
+def as_markdown(table: Mapping[str, Any]) -> str:
+    """Return the MAE of all models as a Markdown table, one row per model."""
+    shown = cells(table)
     lines = [f'| {" | ".join(["model", *shown])} |', '|---' + '|---:' * len(shown) + '|']
     for model, *row in zip(table, *shown.values(), strict=True):
         lines.append(f'| {" | ".join([model, *row])} |')
