@@ -161,7 +161,9 @@ class DiskGroups:
         group_size: Trials per group.
         own: Which of the files this process reads; None for all. Groups of all processes are
             equally long, so that they make the same number of updates.
-        origins: Further facts about each file; None for none.
+
+    Attributes:
+        devices: Number of different sensors over all groups and processes.
     """
 
     def __init__(
@@ -179,15 +181,11 @@ class DiskGroups:
         keys = [_device_key(path, index) for index, path in enumerate(paths)]
         order = {key: number for number, key in enumerate(sorted(set(keys)))}
         self._numbers = [order[key] for key in keys]
+        self.devices = len(order)
         self._length = max(sample_windows(path) for path in paths)
         self._paths, self._config = list(paths), config
         self._groups = [chosen[i : i + group_size] for i in range(0, len(chosen), group_size)]
         self._kept: tuple[int, Sequences] | None = None
-
-    @property
-    def devices(self) -> int:
-        """Number of different sensors over all groups and processes."""
-        return max(self._numbers) + 1
 
     def __len__(self) -> int:
         """Return the number of groups."""

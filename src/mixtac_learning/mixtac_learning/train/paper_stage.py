@@ -83,9 +83,13 @@ class PaperStage(Stage):
     checked: Sequence[PaperSample] = ()
 
     def __post_init__(self) -> None:
-        """Take epochs and rate from the settings."""
+        """Take epochs, rate, and the size of stretches and updates from the settings."""
         self.name = 'paper'
         self.epochs, self.rate = self.settings.epochs, self.settings.rate
+        # A stretch of one cycle is enough for the networks without a memory.
+        cycles = 1 if isinstance(self.network, FrameModel) else self.settings.cycles
+        self._windows = cycles * (CYCLE_US // self.network.config.window_us)
+        self._segments = max(self.settings.batch // cycles, 1)
 
     def parameters(self) -> list[nn.Parameter]:
         """Return all weights."""
@@ -121,21 +125,6 @@ class PaperStage(Stage):
         ):
             total, count = total + float(abs(force - sample.force).sum()), count + len(force)
         return total / count
-
-    @property
-    def _cycles(self) -> int:
-        """Cycles of a stretch: one for the networks without a memory."""
-        return 1 if isinstance(self.network, FrameModel) else self.settings.cycles
-
-    @property
-    def _windows(self) -> int:
-        """Windows of a stretch."""
-        return self._cycles * (CYCLE_US // self.network.config.window_us)
-
-    @property
-    def _segments(self) -> int:
-        """Stretches per update."""
-        return max(self.settings.batch // self._cycles, 1)
 
     def _loss(self, batch: SegmentBatch, random: torch.Generator) -> Tensor:
         knee = self.settings.loss_knee_n
