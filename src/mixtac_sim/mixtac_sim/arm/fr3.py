@@ -64,18 +64,18 @@ def _link(a: float, d: float, alpha: float, angle: float) -> Floats:
     )
 
 
-def violations(q: Floats, period_s: float, reserve: float = 1e-3) -> int:
+def violations(q: Floats, period_s: float) -> int:
     """Return how many samples of a commanded motion break a limit.
 
     Args:
         q: Joint positions [n, 7] [rad], one per control cycle.
         period_s: Period of the control cycle [s].
-        reserve: Share of a limit by which rounding may exceed it.
     """
     dq = np.diff(q, axis=0) / period_s
     ddq = np.diff(dq, axis=0) / period_s
     dddq = np.diff(ddq, axis=0) / period_s
-    room = 1.0 + reserve
+    # Rounding may exceed a limit by a thousandth.
+    room = 1.0 + 1e-3
     broken = [
         np.any((q < Q_LOWER) | (q > Q_UPPER), axis=1),
         np.any(np.abs(dq) > room * DQ_MAX, axis=1),

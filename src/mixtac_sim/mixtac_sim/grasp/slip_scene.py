@@ -30,6 +30,8 @@ STIFF_N_PER_MM = 100.0
 """Stiffness of a rigid object [N/mm]."""
 FRICTION_RATIO = 0.95
 """Pull that the gel bears at the start over what friction holds: about to slip (choice)."""
+RISE_S = 5e-4
+"""Time in which a slipping object reaches its speed, and stops [s]."""
 SCENE_SUBSTEPS = 8
 """Steps of the friction per grid step."""
 
@@ -132,9 +134,7 @@ class SlipScene:
             yield self.advance(speed_mm_s[part], None if force_n is None else force_n[part])
 
 
-def knock_profile(
-    speed_mm_s: float, onset_s: float, slip_s: float, total_s: float, rise_s: float = 5e-4
-) -> Floats:
+def knock_profile(speed_mm_s: float, onset_s: float, slip_s: float, total_s: float) -> Floats:
     """Return the speed of an object that is at rest, slips and rests again [n] [mm/s].
 
     Args:
@@ -142,9 +142,8 @@ def knock_profile(
         onset_s: Start of the slip [s].
         slip_s: Duration of the slip [s].
         total_s: Length of the profile [s].
-        rise_s: Time to reach the speed and to stop [s].
     """
     t = (np.arange(round(1e6 * total_s / STEP_US)) + 1) * 1e-6 * STEP_US
-    up = np.clip((t - onset_s) / rise_s, 0.0, 1.0)
-    down = np.clip((onset_s + slip_s - t) / rise_s, 0.0, 1.0)
+    up = np.clip((t - onset_s) / RISE_S, 0.0, 1.0)
+    down = np.clip((onset_s + slip_s - t) / RISE_S, 0.0, 1.0)
     return np.asarray(speed_mm_s * np.minimum(up, down))
