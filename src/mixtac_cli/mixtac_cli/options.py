@@ -49,6 +49,7 @@ Preset = Annotated[
     str,
     typer.Option('--preset', help='Difficulty of the simulated sensor: easy, paper_like or hard.'),
 ]
+ModelName = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
 ReferenceTopic = Annotated[
     str, typer.Option('--reference', help='Topic of the reference force (WrenchStamped).')
 ]

@@ -147,12 +147,12 @@ class Store:
         return [results[index] for index in range(len(pieces))]
 
     def run_shown(
-        self, title: str, pieces: Sequence[Piece], console: Console, jobs: int = 1
+        self, title: str, pieces: Sequence[Piece], console: Console
     ) -> list[dict[str, Any]]:
         """Return the results of pieces as `run` does, with a progress bar of that title."""
         with Progress(console=console, transient=True) as progress:
             bar = progress.add_task(title, total=len(pieces))
-            return self.run(pieces, jobs, lambda: progress.advance(bar))
+            return self.run(pieces, advance=lambda: progress.advance(bar))
 
 
 def _compute(index: int, piece: Piece, folder: Path) -> tuple[int, dict[str, Any]]:

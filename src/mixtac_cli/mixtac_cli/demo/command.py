@@ -367,6 +367,7 @@ def _percent(value: float | None) -> str:
 
 
 _BLOCKS = ' ▁▂▃▄▅▆▇█'
+_HISTORY = 60
 _PERIOD_S = 0.2
 _PLAIN_PERIOD_S = 2.0
 
@@ -377,14 +378,13 @@ class LiveView:
     Args:
         console: Where to show it.
         monitor: Source of the figures.
-        width: Length of the force history in characters.
     """
 
-    def __init__(self, console: Console, monitor: Monitor, width: int = 60) -> None:
+    def __init__(self, console: Console, monitor: Monitor) -> None:
         self._console = console
         self._monitor = monitor
-        self._estimates: deque[float] = deque(maxlen=width)
-        self._references: deque[float] = deque(maxlen=width)
+        self._estimates: deque[float] = deque(maxlen=_HISTORY)
+        self._references: deque[float] = deque(maxlen=_HISTORY)
         self._last = (time.monotonic(), 0, 0)
         self._rates = (0.0, 0.0)
 
@@ -425,18 +425,15 @@ class LiveView:
         return self._monitor.values('virtual_sensor').get('playing') == 'True'
 
     def _sample(self) -> None:
-        now, forces, references = (
-            time.monotonic(),
-            self._monitor.force_count,
-            self._monitor.reference_count,
-        )
+        now, monitor = time.monotonic(), self._monitor
+        forces, references = monitor.force_count, monitor.reference_count
         then, old_forces, old_references = self._last
         span = max(now - then, 1e-6)
         self._rates = ((forces - old_forces) / span, (references - old_references) / span)
         self._last = (now, forces, references)
-        _, _, force = self._monitor.force()
+        _, _, force = monitor.force()
         self._estimates.append(float(force[-1]) if len(force) else float('nan'))
-        self._references.append(self._monitor.reference_n)
+        self._references.append(monitor.reference_n)
 
     def _events(self) -> str:
         values = self._monitor.values('driver')

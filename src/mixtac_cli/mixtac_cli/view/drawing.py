@@ -148,19 +148,6 @@ class PacketBacklog:
         return taken
 
 
-@dataclass(frozen=True, slots=True)
-class NodeState:
-    """Latest diagnostics of a node.
-
-    Attributes:
-        level: 0 ok, 1 warning, 2 error, 3 stale.
-        message: Its message.
-    """
-
-    level: int
-    message: str
-
-
 @dataclass
 class Received:
     """Filled by the subscriptions, emptied by the drawing thread.
@@ -174,7 +161,7 @@ class Received:
         slipping: Latest result of the slip detection, None before the first.
         frame: Latest frame, None once drawn.
         frames: Frames received.
-        nodes: Diagnostics of the nodes, by name.
+        nodes: Level (0 ok, 1 warning, 2 error, 3 stale) and message of the nodes, by name.
     """
 
     packets: PacketBacklog = field(default_factory=PacketBacklog)
@@ -185,7 +172,7 @@ class Received:
     slipping: bool | None = None
     frame: Any = None
     frames: int = 0
-    nodes: dict[str, NodeState] = field(default_factory=dict)
+    nodes: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def on_frame(self, message: Any) -> None:  # noqa: ANN401
         """Keep a `sensor_msgs/Image`."""
@@ -203,7 +190,7 @@ class Received:
         for status in message.status:
             level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
             # A new dictionary: the drawing thread iterates over the old one.
-            self.nodes = {**self.nodes, status.name: NodeState(level, status.message)}
+            self.nodes = {**self.nodes, status.name: (level, status.message)}
 
 
 Colour = tuple[int, int, int]
@@ -379,9 +366,9 @@ class Drawing:
             '| node | | message |',
             '|---|---|---|',
         ]
-        for name, state in sorted(received.nodes.items()):
-            message = state.message.replace('|', '/')
-            lines.append(f'| {name} | {_LEVELS[min(state.level, 3)]} | {message} |')
+        for name, (level, message) in sorted(received.nodes.items()):
+            shown = message.replace('|', '/')
+            lines.append(f'| {name} | {_LEVELS[min(level, 3)]} | {shown} |')
         return '\n'.join(lines)
 
 

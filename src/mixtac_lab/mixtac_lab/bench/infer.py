@@ -10,14 +10,14 @@ from array import array
 from collections import deque
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Annotated, Any, Final, Optional
+from typing import Annotated, Any, Final
 
 import numpy as np
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
 
-from mixtac_cli.options import JsonFile, Preset
+from mixtac_cli.options import JsonFile, ModelName, Preset
 from mixtac_events.codec import encode
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.live_feed import LiveFeed
@@ -179,10 +179,7 @@ def _feed_image(feed: LiveFeed, frame: Frame) -> None:
 
 
 def infer(
-    model: Annotated[
-        Optional[str],  # noqa: UP045  (typer evaluates this under Python 3.10)
-        typer.Option(help='Weight file, or name of a shipped model.'),
-    ] = None,
+    model: ModelName = DEFAULT_MODEL,
     seconds: Annotated[float, typer.Option(min=3, max=600, help='Length of the run [s].')] = 20.0,
     preset: Preset = 'paper_like',
     json: JsonFile = None,
@@ -195,18 +192,18 @@ def infer(
     save_result(json, report)
 
 
-def measure(model_name: str | None, seconds: float, preset: str) -> dict[str, Any]:
+def measure(model_name: str, seconds: float, preset: str) -> dict[str, Any]:
     """Return the figures, ready for JSON.
 
     Args:
-        model_name: Weight file or name of a model; None for the shipped one.
+        model_name: Weight file or name of a model.
         seconds: Length of the simulated trial [s].
         preset: Difficulty preset of the virtual sensor.
 
     Raises:
         ModelError: There is no such model.
     """
-    model = read_model(find_model(model_name or DEFAULT_MODEL))
+    model = read_model(find_model(model_name))
     estimator = open_estimator(model)
     scene = make_scene(seconds, preset)
     warm_up(estimator)

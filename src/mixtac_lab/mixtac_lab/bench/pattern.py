@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
+from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb import endpoints
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.registers import HEIGHT, WIDTH, Module, Usb
+from mixtac_sim.usb.registers import Module, Usb
 from mixtac_sim.usb.words import (
     Blocks,
     ImuReading,

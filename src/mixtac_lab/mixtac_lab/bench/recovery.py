@@ -30,9 +30,9 @@ from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.arrays import Events
 from mixtac_lab.bench.harness import quantiles
 from mixtac_lab.figures import make_table, save_result
+from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import Fault, FaultKind
-from mixtac_sim.usb.registers import HEIGHT, WIDTH
 from mixtac_sim.usb.server import UsbServer
 from mixtac_sim.usb.words import ImuReading
 

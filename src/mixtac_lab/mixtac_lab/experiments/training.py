@@ -13,7 +13,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -108,14 +108,11 @@ class SimulatedTrials:
 
     Attributes:
         sizes: Numbers and lengths of the trials.
+        simulated: Always true.
     """
 
     sizes: Sizes
-
-    @property
-    def simulated(self) -> bool:
-        """Always true."""
-        return True
+    simulated: ClassVar = True
 
     def training(self, seed: int) -> DataConfig:
         """Return trials of the seed's sensor."""

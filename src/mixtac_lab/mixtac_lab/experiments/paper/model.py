@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 
+from mixtac_fger.weights import DEFAULT_MODEL
 from mixtac_lab.bench.infer import measure
 from mixtac_lab.experiments.harness import Context, experiment
 from mixtac_lab.experiments.report import Outcome, Row, Value, texts
@@ -68,7 +69,7 @@ def _paper_rows() -> list[Row]:
 
 
 def _our_rows(seconds: float) -> list[Row]:
-    found: dict[str, Any] = measure(None, seconds, PRESET)
+    found: dict[str, Any] = measure(DEFAULT_MODEL, seconds, PRESET)
     name = MODELS[OURS].label
     text = 'this CPU, one thread; spread: median to 99th percentile'
     windows = int(found['windows'])

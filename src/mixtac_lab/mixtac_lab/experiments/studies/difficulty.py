@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
-from mixtac_cli.options import JsonFile, Preset
+from mixtac_cli.options import JsonFile, ModelName, Preset
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.harness import pooled
 from mixtac_lab.experiments.paper.vibration import cell_sums
@@ -290,7 +290,6 @@ def explained(feature: NDArray[np.floating], truth: NDArray[np.floating]) -> flo
     return float(np.corrcoef(feature, truth)[0, 1] ** 2)
 
 
-ModelName = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
 Devices = Annotated[int, typer.Option(min=1, help='Number of unseen sensors.')]
 Seconds = Annotated[float, typer.Option(min=6, help='Length of a trial [s].')]
 Seed = Annotated[int, typer.Option(min=3, help='Random seed of sensors and days.')]

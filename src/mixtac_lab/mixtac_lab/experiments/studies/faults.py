@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
-from mixtac_cli.options import JsonFile
+from mixtac_cli.options import JsonFile, ModelName
 from mixtac_events.arrays import Events
 from mixtac_fger.estimator import Estimate, open_estimator
 from mixtac_fger.reference import TareError
@@ -169,14 +169,10 @@ def _speckled(image: NDArray[np.float64], random: Random) -> NDArray[np.float64]
     return np.where(random.random(image.shape) < 0.1, random.integers(0, 1024, image.shape), image)
 
 
-def _dim(share: float) -> Fault:
-    """Return a lamp at a share of its light, with the shot noise and steps of so little."""
-
-    def change(image: NDArray[np.float64], random: Random) -> NDArray[np.float64]:
-        electrons = random.poisson(np.maximum(image * share * 10.0, 0.0))
-        return np.asarray(electrons / 10.0 + random.normal(0.0, 1.0, image.shape))
-
-    return of_images(change)
+def _dim(image: NDArray[np.float64], random: Random) -> NDArray[np.float64]:
+    """Return a lamp at a fiftieth of its light, with the shot noise and steps of so little."""
+    electrons = random.poisson(np.maximum(image * 0.02 * 10.0, 0.0))
+    return np.asarray(electrons / 10.0 + random.normal(0.0, 1.0, image.shape))
 
 
 def _blurred(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
@@ -228,24 +224,18 @@ def _brighter(events: Events, _: Random) -> Events:
     return replace(events, polarity=np.ones(len(events), np.bool_))
 
 
-def _hot(pixels: int, hz: float) -> Callable[[Events, Random], Events]:
-    def change(events: Events, random: Random) -> Events:
-        first, last = int(events.t[0]), int(events.t[-1])
-        count = int(pixels * hz * 1e-6 * (last - first))
-        places = random.integers(0, 346 * 260, pixels)[random.integers(0, pixels, count)]
-        hot = Events(
-            np.sort(random.integers(first, last, count)),
-            (places % 346).astype(np.uint16),
-            (places // 346).astype(np.uint16),
-            np.ones(count, np.bool_),
-        )
-        return Events.concatenate([events, hot])
-
-    return change
-
-
-def _thinned(share: float) -> Callable[[Events, Random], Events]:
-    return lambda events, random: events[random.random(len(events)) < share]
+def _hot(events: Events, random: Random) -> Events:
+    """Add 200 pixels that fire a thousand times a second."""
+    first, last = int(events.t[0]), int(events.t[-1])
+    count = int(200 * 1000.0 * 1e-6 * (last - first))
+    places = random.integers(0, 346 * 260, 200)[random.integers(0, 200, count)]
+    hot = Events(
+        np.sort(random.integers(first, last, count)),
+        (places % 346).astype(np.uint16),
+        (places // 346).astype(np.uint16),
+        np.ones(count, np.bool_),
+    )
+    return Events.concatenate([events, hot])
 
 
 def _swapped(events: Events, _: Random) -> Events:
@@ -265,12 +255,9 @@ def _noise_storm(events: Events, random: Random) -> Events:
     return Events.concatenate([events, noise])
 
 
-def _half(value: float) -> Callable[[NDArray[np.float64], Random], NDArray[np.float64]]:
-    def change(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
-        image[:, :173] = np.minimum(image[:, :173], value)
-        return image
-
-    return change
+def _half_dark(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
+    image[:, :173] = np.minimum(image[:, :173], 4.0)
+    return image
 
 
 def _flat(value: float) -> Fault:
@@ -278,8 +265,8 @@ def _flat(value: float) -> Fault:
 
 
 SEEN: dict[str, Fault] = {
-    'lamp at 2 %': _dim(0.02),
-    'one LED dead': of_images(_half(4.0)),
+    'lamp at 2 %': of_images(_dim),
+    'one LED dead': of_images(_half_dark),
     'all black': _flat(2.0),
     'all white': _flat(FULL_SCALE + 50.0),
     'frame frozen': _frozen,
@@ -291,10 +278,8 @@ SEEN: dict[str, Fault] = {
         of_images(lambda image, _: image[:, ::-1]), of_events(_mirrored_events)
     ),
     'no events': of_events(lambda events, _: events[:0]),
-    'one polarity only': of_events(
-        lambda events, _: replace(events, polarity=events.polarity | 1 > 0)
-    ),
-    '200 hot pixels': of_events(_hot(200, 1000.0)),
+    'one polarity only': of_events(_brighter),
+    '200 hot pixels': of_events(_hot),
     'another camera': _all_of_another,
     'no frames': _no_frames,
     'picture inverted': of_images(lambda image, _: FULL_SCALE - image),
@@ -317,7 +302,9 @@ UNSEEN: dict[str, Fault] = {
     'events in a loop': _events_in_a_loop,
     'columns and rows of events swapped': of_events(_swapped),
     'noise of 0.4 Mev/s': of_events(_noise_storm),
-    'a tenth of the events': of_events(_thinned(0.1)),
+    'a tenth of the events': of_events(
+        lambda events, random: events[random.random(len(events)) < 0.1]
+    ),
     'upside down': both(
         of_images(lambda image, _: image[::-1]),
         of_events(lambda events, _: replace(events, y=(259 - events.y).astype(np.uint16))),
@@ -493,9 +480,7 @@ def _trials(profile: str, count: int, seconds: float, first: int) -> list[TrialA
 
 
 def faults(
-    model: Annotated[
-        str, typer.Option(help='Weight file, or name of a shipped model.')
-    ] = DEFAULT_MODEL,
+    model: ModelName = DEFAULT_MODEL,
     quick: Annotated[
         bool, typer.Option('--quick', help='All faults, on two sensors; fewer other trials.')
     ] = False,

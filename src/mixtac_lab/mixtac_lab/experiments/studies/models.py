@@ -20,7 +20,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from mixtac_cli.options import JsonFile
+from mixtac_cli.options import JsonFile, ModelName
 from mixtac_fger.config import ConfigError
 from mixtac_fger.force_calibration import (
     ForceCalibrationError,
@@ -394,9 +394,7 @@ def _adapted(model: Model, presses: list[TrialSource]) -> tuple[Any, str]:
 
 
 def adaptation(
-    model: Annotated[
-        str, typer.Option(help='Weight file, or name of a shipped model.')
-    ] = DEFAULT_MODEL,
+    model: ModelName = DEFAULT_MODEL,
     sensors: Annotated[int, typer.Option(min=1, help='Number of unseen sensors.')] = 6,
     out: Annotated[Path, typer.Option(help='Folder for stored trials.')] = Path('runs/models'),
     json: JsonFile = None,
