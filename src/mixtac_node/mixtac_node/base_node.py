@@ -28,7 +28,7 @@ from rclpy.signals import SignalHandlerOptions
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
-from mixtac_node.process import freeze_loaded
+from mixtac_node.process import claim_nodes, freeze_loaded
 from mixtac_node.topics import DEFAULT_NAMESPACE, Topic, message_class
 
 T = TypeVar('T')
@@ -264,6 +264,8 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
     nodes: list[Any] = []
     try:
         nodes = make_nodes()
+        names = [node.get_fully_qualified_name() for node in nodes]
+        _claims = claim_nodes(names, rclpy.get_default_context().get_domain_id())
         executor = EventsExecutor()
         for node in nodes:
             executor.add_node(node)

@@ -8,6 +8,7 @@ Beside them, what a process in real time does about garbage and priorities.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import gc
 import json
 import os
@@ -17,9 +18,10 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -65,6 +67,43 @@ def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
     path = Path(get_package_share_directory('mixtac_bringup')) / 'config' / 'fastdds' / name
     return dict.fromkeys(FASTDDS_VARIABLES, str(path))
+
+
+def claim_nodes(names: Iterable[str], domain: int) -> list[IO[str]]:
+    """Claim the names of nodes in a ROS domain, so that no second graph mixes with this one.
+
+    It holds among the processes of a user on this machine.
+
+    Args:
+        names: Fully qualified.
+        domain: `ROS_DOMAIN_ID`.
+
+    Returns:
+        Files; a claim ends when its file is closed or the process ends.
+
+    Raises:
+        GraphError: Another process has claimed one of them.
+    """
+    folder = Path(tempfile.gettempdir()) / f'mixtac-nodes-{os.getuid()}'
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.stat().st_uid != os.getuid():
+        raise GraphError(f'{folder} belongs to another user', remedy='set TMPDIR to another folder')
+    claims: list[IO[str]] = []
+    for name in names:
+        claim = (folder / f'{domain}{name.replace("/", ".")}').open('a+')
+        try:
+            fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            claim.seek(0)
+            raise GraphError(
+                f'{name} runs already in ROS domain {domain}, as process {claim.read()}',
+                remedy='stop it, or choose another namespace or ROS_DOMAIN_ID',
+            ) from error
+        claim.truncate(0)
+        claim.write(str(os.getpid()))
+        claim.flush()
+        claims.append(claim)
+    return claims
 
 
 STOP_GRACE_S = 8.0

@@ -38,7 +38,7 @@ NODE = textwrap.dedent(
             self.values = declare(self, Example, self.apply)
             if self.values.device == 'broken':
                 raise MixtacError('device broken: choose another')
-            self.diagnostics = DiagnosticsPublisher(self, 'serial-7', self.status, 0.1)
+            self.diagnostics = DiagnosticsPublisher(self, 'serial-7', self.status)
 
         def apply(self, values):
             if values.gain == 3.0:
