@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -51,57 +50,6 @@ STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
 DEFAULT_SECONDS = 3.0
 
 
-@dataclass
-class Report:
-    """All findings, by section.
-
-    Attributes:
-        device: Device string.
-        sections: Name of the section and its findings.
-    """
-
-    device: str
-    sections: list[tuple[str, list[Finding]]] = field(default_factory=list)
-
-    @property
-    def findings(self) -> list[Finding]:
-        """All findings in order."""
-        return [finding for _, findings in self.sections for finding in findings]
-
-    @property
-    def verdict(self) -> str:
-        """The first thing to fix, in one line."""
-        first = first_to_do(self.findings)
-        if first is None:
-            return 'no problems found'
-        return f'fix first: {first.name}: {first.remedy or first.found}'
-
-    def as_dict(self) -> dict[str, object]:
-        """Return the report for JSON."""
-        found = [
-            {
-                'section': section,
-                'name': f.name,
-                'level': f.level.name.lower(),
-                'found': f.found,
-                'remedy': f.remedy,
-                'values': {
-                    key: None if isinstance(value, float) and not math.isfinite(value) else value
-                    for key, value in f.values.items()
-                },
-            }
-            for section, findings in self.sections
-            for f in findings
-        ]
-        level = worst(self.findings).name.lower()
-        return {
-            'device': self.device,
-            'level': level,
-            'verdict': self.verdict,
-            'findings': found,
-        }
-
-
 def doctor(
     device: Annotated[str, typer.Option(help='davis346, virtual, or virtual:SOCKET.')] = 'davis346',
     serial: Annotated[
@@ -113,15 +61,38 @@ def doctor(
     json: JsonFile = None,
 ) -> None:
     """Check software, camera and computer, measure the camera, and suggest fixes."""
-    console, report = Console(), Report(device)
-    for section in examine(device, seconds, serial=serial):
-        report.sections.append(section)
-        console.print(table(*section))
-    console.print(f'[{STYLES[worst(report.findings)]}]{escape(report.verdict)}', soft_wrap=True)
+    console = Console()
+    sections = []
+    for section, found in examine(device, seconds, serial=serial):
+        sections.append((section, found))
+        console.print(table(section, found))
+    findings = [finding for _, found in sections for finding in found]
+    level, first, verdict = worst(findings), first_to_do(findings), 'no problems found'
+    if first is not None:
+        verdict = f'fix first: {first.name}: {first.remedy or first.found}'
+    console.print(f'[{STYLES[level]}]{escape(verdict)}', soft_wrap=True)
     if json is not None:
-        write_json(json, report.as_dict())
-    if worst(report.findings) is Level.ERROR:
+        rows = [_row(section, finding) for section, found in sections for finding in found]
+        report = {'device': device, 'level': level.name.lower(), 'verdict': verdict}
+        write_json(json, report | {'findings': rows})
+    if level is Level.ERROR:
         raise typer.Exit(1)
+
+
+def _row(section: str, finding: Finding) -> dict[str, object]:
+    """Return a finding for JSON, which has no NaN."""
+    values = {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in finding.values.items()
+    }
+    return {
+        'section': section,
+        'name': finding.name,
+        'level': finding.level.name.lower(),
+        'found': finding.found,
+        'remedy': finding.remedy,
+        'values': values,
+    }
 
 
 def examine(

@@ -61,10 +61,10 @@ def test_an_error_is_a_failure_and_comes_first(monkeypatch, tmp_path):
 def test_without_a_camera_the_virtual_one_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(doctor, 'check_model', lambda: ok('model', 'left out'))
     (tmp_path / 'sys/bus/usb/devices').mkdir(parents=True)
-    report = doctor.Report('davis346')
-    report.sections += doctor.examine('davis346', 1.0, root=tmp_path)
-    assert [name for name, _ in report.sections] == ['software', 'camera', 'computer']
-    errors = [f for f in report.findings if f.level is Level.ERROR and f.name != 'ROS 2']
+    sections = dict(doctor.examine('davis346', 1.0, root=tmp_path))
+    assert list(sections) == ['software', 'camera', 'computer']
+    findings = [each for found in sections.values() for each in found]
+    errors = [f for f in findings if f.level is Level.ERROR and f.name != 'ROS 2']
     assert [f.name for f in errors] == ['camera on the USB']
     assert '--device virtual' in errors[0].remedy
 

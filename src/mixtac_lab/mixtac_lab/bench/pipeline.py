@@ -72,49 +72,10 @@ def full_load(rate: float) -> Load:
     return Load(rate, frame_interval=FRAME_INTERVAL_US, reading_interval=READING_INTERVAL_US)
 
 
-@dataclass(frozen=True, slots=True)
-class PipelineRun:
-    """One run.
-
-    Attributes:
-        load: Load of the camera.
-        seconds: Length of the measurement [s].
-        figures: Ages and losses, see `mixtac_lab.bench.harness.Arrivals.summary`.
-        camera_stalls: Number of buffer overflows of the camera.
-        driver_cpu: CPU time of the driver over time.
-        probe_cpu: CPU time of the subscriber over time.
-    """
-
-    load: Load
-    seconds: float
-    figures: Mapping[str, float]
-    camera_stalls: int
-    driver_cpu: float
-    probe_cpu: float
-
-    @property
-    def lost(self) -> int:
-        """Number of events that did not arrive."""
-        return int(self.figures['events_lost'])
-
-    @property
-    def clean(self) -> bool:
-        """Whether everything that was sent arrived."""
-        nothing = not self.lost and not self.figures['packets_lost'] and not self.camera_stalls
-        return nothing and self.figures['periods'] > 0
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the run for JSON."""
-        rate = self.load.rate / 1e6
-        return {
-            'rate_mev_s': rate,
-            'seconds': self.seconds,
-            **self.figures,
-            'camera_stalls': self.camera_stalls,
-            'driver_cpu': self.driver_cpu,
-            'driver_cpu_per_mev_s': self.driver_cpu / rate,
-            'subscriber_cpu': self.probe_cpu,
-        }
+def is_clean(run: Mapping[str, Any]) -> bool:
+    """Return whether everything that was sent in a run of `run_pipeline` arrived."""
+    lost = run['events_lost'] or run['packets_lost'] or run['camera_stalls']
+    return not lost and run['periods'] > 0
 
 
 def pattern_of(run: BenchRun, sent: Mapping[str, Any], origin: Mapping[str, Any]) -> dict[str, int]:
@@ -136,13 +97,19 @@ def pattern_of(run: BenchRun, sent: Mapping[str, Any], origin: Mapping[str, Any]
 
 def run_pipeline(
     load: Load, seconds: float, progress: Callable[[float], None] = lambda _seconds: None
-) -> PipelineRun:
+) -> dict[str, Any]:
     """Run camera, driver and subscriber, and measure.
 
     Args:
         load: Load of the camera.
         seconds: Length of the measurement [s].
         progress: Called repeatedly with the elapsed seconds.
+
+    Returns:
+        For JSON: `rate_mev_s` of the load; `seconds`, length of the measurement [s]; ages and
+        losses, see `mixtac_lab.bench.harness.Arrivals.summary`; `camera_stalls`, number of buffer
+        overflows of the camera; `driver_cpu`, `driver_cpu_per_mev_s` and `subscriber_cpu`, CPU time
+        over time.
 
     Raises:
         GraphError: A process did not start.
@@ -165,12 +132,21 @@ def run_pipeline(
         run.processes['driver'].stop()
         camera.stop()
         stalls = int(camera.expect('periods_lost', START_TIMEOUT_S)['periods_lost'])
-    return PipelineRun(load, elapsed_s, figures, stalls, cpu['driver'], cpu['subscriber'])
+    rate = load.rate / 1e6
+    return {
+        'rate_mev_s': rate,
+        'seconds': elapsed_s,
+        **figures,
+        'camera_stalls': stalls,
+        'driver_cpu': cpu['driver'],
+        'driver_cpu_per_mev_s': cpu['driver'] / rate,
+        'subscriber_cpu': cpu['subscriber'],
+    }
 
 
 def measure(
     seconds: float, loss_seconds: float, start: Callable[[str, float], Callable[[float], None]]
-) -> list[PipelineRun]:
+) -> list[dict[str, Any]]:
     """Do all runs.
 
     Args:
@@ -190,25 +166,23 @@ def measure(
         name = f'{rate / 1e6:g} Mev/s, frames, IMU'
         progress = start(name, STEP_SECONDS)
         runs.append(run_pipeline(full_load(rate), STEP_SECONDS, progress=progress))
-        if not runs[-1].clean:
+        if not is_clean(runs[-1]):
             break
     return runs
 
 
-def summarise_pipeline(age: PipelineRun, loss: PipelineRun, *ladder: PipelineRun) -> dict[str, Any]:
+def summarise_pipeline(
+    age: dict[str, Any], loss: dict[str, Any], *ladder: dict[str, Any]
+) -> dict[str, Any]:
     """Return the runs of `measure` and their main figures for JSON."""
-    rates = [run.load.rate / 1e6 for run in ladder if run.clean]
+    rates = [run['rate_mev_s'] for run in ladder if is_clean(run)]
     return {
-        'age_ms': {name: age.figures[f'age_{name}_ms'] for name in ('p50', 'p99')},
-        'lost': loss.lost,
+        'age_ms': {name: age[f'age_{name}_ms'] for name in ('p50', 'p99')},
+        'lost': loss['events_lost'],
         'max_rate_mev_s': max(rates, default=0.0),
-        'driver_cpu_per_mev_s': loss.as_dict()['driver_cpu_per_mev_s'],
+        'driver_cpu_per_mev_s': loss['driver_cpu_per_mev_s'],
         'simulated_camera': True,
-        'runs': {
-            'age': age.as_dict(),
-            'loss': loss.as_dict(),
-            'ladder': [run.as_dict() for run in ladder],
-        },
+        'runs': {'age': age, 'loss': loss, 'ladder': list(ladder)},
     }
 
 
@@ -235,24 +209,24 @@ def pipeline(
     save_result(json, report)
 
 
-def _pipeline_table(runs: Sequence[PipelineRun]) -> Table:
+def _pipeline_table(runs: Sequence[Mapping[str, Any]]) -> Table:
     headings = ('Mev/s', 'frames', 's', 'age p50 ms', 'p99 ms', 'max ms', 'events lost')
     return make_table(
         'Events of a simulated camera at a subscriber in another process',
         (*headings, 'driver CPU', 'subscriber CPU'),
         [
             (
-                f'{run.load.rate / 1e6:g}',
-                'yes' if run.load.frame_interval else 'no',
-                f'{run.seconds:.0f}',
-                f'{run.figures["age_p50_ms"]:.2f}',
-                f'{run.figures["age_p99_ms"]:.2f}',
-                f'{run.figures["age_max_ms"]:.1f}',
-                f'{run.lost} + camera' if run.camera_stalls else run.lost,
-                f'{run.driver_cpu:.0%}',
-                f'{run.probe_cpu:.0%}',
+                f'{run["rate_mev_s"]:g}',
+                'yes' if number > 1 else 'no',
+                f'{run["seconds"]:.0f}',
+                f'{run["age_p50_ms"]:.2f}',
+                f'{run["age_p99_ms"]:.2f}',
+                f'{run["age_max_ms"]:.1f}',
+                f'{run["events_lost"]} + camera' if run['camera_stalls'] else run['events_lost'],
+                f'{run["driver_cpu"]:.0%}',
+                f'{run["subscriber_cpu"]:.0%}',
             )
-            for run in runs
+            for number, run in enumerate(runs)
         ],
     )
 
