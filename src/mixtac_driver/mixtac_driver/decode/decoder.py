@@ -13,7 +13,7 @@ are views of its own arrays. Only frames, inertial samples and edges are copied 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from mixtac_events.readings import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -52,6 +52,7 @@ class StreamDecoder:
         imu_flips: Axes (x, y, z) of the inertial unit that are reversed.
         imu_type: 1 for MPU6050, 2 for MPU9250.
         capacity: Events per batch; longer bursts are split into several batches.
+        allocate: Returns a zeroed array, given its length and dtype; tests guard the arrays by it.
     """
 
     def __init__(
@@ -61,11 +62,12 @@ class StreamDecoder:
         imu_flips: tuple[bool, bool, bool] = (False, False, False),
         imu_type: int = 2,
         capacity: int = DEFAULT_CAPACITY,
+        allocate: Callable[[int, Any], NDArray[Any]] = np.zeros,
     ) -> None:
         self._geometry = geometry
         self._imu_flips = imu_flips
         self._imu_type = imu_type
-        self._buffers = b = new_buffers(geometry, capacity)
+        self._buffers = b = new_buffers(geometry, capacity, allocate)
         self._state, self._counters, self._readings = b.state[0], b.counters[0], b.readings[0]
         self._image = b.pixels[0]['image']
         x, y = (b.row, b.column) if geometry.dvs_inverted else (b.column, b.row)
