@@ -37,7 +37,6 @@ from mixtac_lab.slip.trials import (
 from mixtac_lab.store import Store
 from mixtac_node.graph import NodeSpec
 from mixtac_node.process import GraphError, JsonProcess
-from mixtac_slip_control.parameters import SlipControlParameters
 
 NAMESPACE = 'mixtac_slip_bench'
 TRAJECTORIES = f'/{NAMESPACE}/joint_trajectory'
@@ -238,8 +237,7 @@ def slip(
 ) -> None:
     """Measure slip control: held objects, latency, limits, false alarms. Simulated results."""
     console, store = Console(), Store(keep)
-    settings = SlipControlParameters()
-    plan = TrialPlan(margin=margin, knock_mm_s=knock, preset=preset, lag_s=lag, settings=settings)
+    plan = TrialPlan(margin=margin, knock_mm_s=knock, preset=preset, lag_s=lag)
     pieces = []
     for k in range(trials):
         stiffness = STIFFNESSES[k % len(STIFFNESSES)]
@@ -251,10 +249,7 @@ def slip(
             latency = measure(dds_seconds)
     quiet = []
     if quiet_minutes > 0.0:
-        quiet = [
-            count_alarms(name, 60.0 * quiet_minutes, settings, preset, store, console)
-            for name in QUIET
-        ]
+        quiet = [count_alarms(name, 60.0 * quiet_minutes, preset, store, console) for name in QUIET]
     outcome = summarise(results, latency, quiet)
     outcome['conditions'] = {
         'margin': margin,
@@ -266,7 +261,7 @@ def slip(
     }
     console.print_json(data=outcome)
     if curve_trials > 0:
-        outcome['curves'] = curves(curve_trials, settings, preset)
+        outcome['curves'] = curves(curve_trials, preset)
         if figure is not None:
             draw_curves(figure, outcome['curves'])
     save_result(report, outcome)

@@ -270,19 +270,13 @@ SLIP_SEED = 60_000
 
 
 def count_alarms(
-    name: QuietName,
-    seconds: float,
-    settings: SlipControlParameters,
-    preset_name: str,
-    store: Store,
-    console: Console,
+    name: QuietName, seconds: float, preset_name: str, store: Store, console: Console
 ) -> dict[str, Any]:
     """Return the false alarms of both detectors with their shipped thresholds, for JSON.
 
     Args:
         name: Kind of scene.
         seconds: Simulated time without the learning [s].
-        settings: Settings of the controller.
         preset_name: Difficulty preset of the sensors.
         store: Stored results.
         console: Shows the progress.
@@ -294,7 +288,7 @@ def count_alarms(
     """
     number = max(round(seconds / PIECE_S), 1)
     version = code_version('mixtac_events', 'mixtac_sim', 'mixtac_slip_control', __name__)
-    arguments = [(name, k, seconds / number, settings, preset_name) for k in range(number)]
+    arguments = [(name, k, seconds / number, preset_name) for k in range(number)]
     pieces = [Piece(f'quiet_{name}_{each[1]}', _quiet_piece, each, version) for each in arguments]
     found = store.run_shown(f'scene without slip: {name}', pieces, console)
     sums = {key: sum(each[key] for each in found) for key in found[0]}
@@ -302,14 +296,10 @@ def count_alarms(
 
 
 def _quiet_piece(
-    _base: Path,
-    name: QuietName,
-    number: int,
-    seconds: float,
-    settings: SlipControlParameters,
-    preset_name: str,
+    _base: Path, name: QuietName, number: int, seconds: float, preset_name: str
 ) -> dict[str, Any]:
     """Return the alarms of one sensor on one day, for JSON."""
+    settings = SlipControlParameters()
     both, before = Detectors(settings), dict.fromkeys(DETECTORS, False)
     alarms = dict.fromkeys(DETECTORS, 0)
     counts = windows = saturated = 0
@@ -327,14 +317,14 @@ def _quiet_piece(
     return {'seconds': seconds, **alarms, 'mean_count': mean, 'saturated': saturated}
 
 
-def curves(trials: int, settings: SlipControlParameters, preset_name: str) -> dict[str, Any]:
+def curves(trials: int, preset_name: str) -> dict[str, Any]:
     """Return latency versus false alarms of both detectors, by speed, for JSON.
 
     Args:
         trials: Slips per speed.
-        settings: Settings of the controller.
         preset_name: Difficulty preset of the sensors.
     """
+    settings = SlipControlParameters()
 
     def scored(blocks: Iterator[SceneBlock]) -> ScoredTrial:
         learning = round(1e6 * LEARN_S / settings.window_us)

@@ -12,7 +12,6 @@ from rich.console import Console
 from mixtac_lab.slip import detectors
 from mixtac_lab.slip.detectors import flicker_of
 from mixtac_lab.store import Store
-from mixtac_slip_control.parameters import SlipControlParameters
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -22,7 +21,7 @@ def test_pieces_are_summed_and_stored(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(detectors, 'PIECE_S', 0.05)
     monkeypatch.setattr(detectors, 'LEARN_S', 0.02)
     store, console = Store(tmp_path), Console(quiet=True)
-    arguments = ('flicker', 0.1, SlipControlParameters(), 'easy', store, console)
+    arguments = ('flicker', 0.1, 'easy', store, console)
     found = detectors.count_alarms(*arguments)
     assert found['seconds'] == pytest.approx(0.1)
     assert found['flow'] == 0
