@@ -13,7 +13,7 @@ import pytest
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_fger.fger_net import FgerEstimator
-from mixtac_fger.live_feed import LiveFeed
+from mixtac_fger.live_feed import FeedStatus, LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up
 
 SIZE = (346, 260)
@@ -28,6 +28,11 @@ def feed(model, trial):
         feed.estimator.drain()
     yield feed
     feed.close()
+
+
+def losses(status: FeedStatus) -> dict[str, int]:
+    """Return what was lost lately; how fast this host computes is no loss."""
+    return {name: rise for name, rise in status.lately.items() if name != 'slow_windows'}
 
 
 def feed_of(model) -> LiveFeed:
@@ -91,7 +96,7 @@ def test_a_packet_that_comes_twice_counts_once(feed):
         assert all(estimate.complete for estimate in forces[1:])
     status = feed.status()
     assert status.repeated_packets == 1
-    assert status.lately == {'repeated_packets': 1}
+    assert losses(status) == {'repeated_packets': 1}
     assert status.lost_packets == 0
 
 
@@ -133,7 +138,7 @@ def test_bad_packets_are_counted_and_explained(feed, encoding, size, data, text)
     assert packet(feed, 2, 203_000) == []
     assert packet(feed, 3, 204_000)
     later = feed.status()
-    assert (later.problem, later.lately) == ('', {})
+    assert (later.problem, losses(later)) == ('', {})
 
 
 def test_bad_images_are_counted_and_explained(feed):
