@@ -7,7 +7,6 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from threading import Event, Thread
 from typing import Any, Final
@@ -17,7 +16,6 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
-from mixtac_events.packets import CodecError, header_stamp_ns
 from mixtac_node import topics
 from mixtac_node.base_node import QOS_FORCE, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
@@ -74,8 +72,6 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         self._command = self.create_subscription(
             WrenchStamped, '~/force_command', self._on_force, QOS_FORCE
         )
-        if self._settings.slow_host == 'wait':
-            self.subscribe_topic(topics.FORCE, self._on_result, raw=True)
         self._diagnostics = DiagnosticsPublisher(self, self._sensor.device.serial, self._status)
         self._sensor.start()
         self._thread = Thread(target=self._publish_all, name='publish', daemon=True)
@@ -120,10 +116,6 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             self._touch.follow(self._settings, message.wrench.force.z)
         except MixtacError:
             self._commands_refused += 1
-
-    def _on_result(self, message: bytes) -> None:
-        with suppress(CodecError):
-            self._sensor.note_result(header_stamp_ns(message) // 1000)
 
     def _publish_all(self) -> None:
         while not self._stop.wait(PUBLISH_PERIOD_S):

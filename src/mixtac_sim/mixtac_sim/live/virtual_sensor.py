@@ -84,10 +84,6 @@ class SimulationClock:
             return 0
         return (self._monotonic_ns() - self._start_ns) // 1000 - self.lost_us
 
-    def host_us(self) -> int:
-        """Return the host's monotonic clock [us]."""
-        return self._monotonic_ns() // 1000
-
     def lose(self, lost_us: int) -> None:
         """Delay simulated time by ``lost_us`` [us]."""
         self.lost_us += lost_us
@@ -113,11 +109,6 @@ _MAX_BATCHES: Final = 2048
 # A patient sensor waits when it is late by more than this, or more bytes than these are not read.
 _PATIENCE_US: Final = 20_000
 _BACKLOG: Final = 1 << 19
-# It also waits for who computes results, when these are late by more than the first; not when there
-# are none for the second, or when they jump by the third: their clock has started over.
-_RESULTS_US: Final = 40_000
-_SILENCE_US: Final = 500_000
-_JUMP_US: Final = 2_000_000
 
 
 class Simulation(Protocol):
@@ -187,8 +178,6 @@ class VirtualSensor:
     ) -> None:
         self._patient = patient
         self._waiting = False
-        self._results: tuple[int, int] | None = None
-        self._least_lag_us = 0
         self._simulation = simulation
         self._profile = profile
         self.device = device
@@ -262,19 +251,6 @@ class VirtualSensor:
         """Return the samples of the reference sensor since the last call, on its own clock."""
         return self._take(self._references)
 
-    def note_result(self, stamp_us: int) -> None:
-        """Note how far the results are that are computed of the camera's data.
-
-        A patient sensor waits for them.
-
-        Args:
-            stamp_us: Time of the latest result, camera clock [us].
-        """
-        lag_us = self._due_us - stamp_us
-        if self._results is None or not 0 <= lag_us - self._least_lag_us < _JUMP_US:
-            self._least_lag_us = lag_us
-        self._results = stamp_us, self._clock.host_us()
-
     def state(self) -> SensorState:
         """Return figures for diagnostics."""
         end_us = self._profile.end_us()
@@ -315,20 +291,12 @@ class VirtualSensor:
 
     def _wait_for_host(self) -> bool:
         behind_us = self._clock.now_us() - self._due_us
-        late = behind_us > _PATIENCE_US or self.device.backlog > _BACKLOG
-        waiting = late or self._results_late_us() > _RESULTS_US
+        waiting = behind_us > _PATIENCE_US or self.device.backlog > _BACKLOG
         if waiting:
             self._clock.lose(behind_us)
             self._overruns += not self._waiting
         self._waiting = waiting
         return waiting
-
-    def _results_late_us(self) -> int:
-        if self._results is None:
-            return 0
-        stamp_us, heard_us = self._results
-        silent = self._clock.host_us() - heard_us > _SILENCE_US
-        return 0 if silent else self._due_us - stamp_us - self._least_lag_us
 
     def _known_us(self) -> int:
         return self._simulated_us - self._aps[0] - _FRAME_US

@@ -197,32 +197,6 @@ def test_a_patient_sensor_waits_for_its_reader_and_loses_nothing(simulation, clo
     assert not any(sensor.device.losses.values())
 
 
-def test_a_patient_sensor_waits_for_late_results_while_there_are_any(simulation, clock, host):
-    sensor = make_sensor(simulation, clock, patient=True)
-    sensor.step()
-    clock.start()
-    origin_us = 77_000_000
-
-    def lost_us(late_us, seconds):
-        before = clock.lost_us
-        for _ in range(round(seconds / 0.001)):
-            sensor.note_result(origin_us + clock.now_us() - late_us)
-            run_for(sensor, host, 0.001)
-            words(sensor.device)
-        return clock.lost_us - before
-
-    assert lost_us(3000, 0.2) == 0
-    assert lost_us(30_000, 0.2) == 0
-    assert lost_us(60_000, 0.2) == pytest.approx(200_000, abs=2000)
-    assert lost_us(3000, 0.2) == 0
-    sensor.note_result(origin_us + clock.now_us() - 60_000)
-    before = clock.lost_us
-    run_for(sensor, host, 1.0)
-    assert clock.lost_us - before == pytest.approx(500_000, abs=2000)
-    origin_us = 5
-    assert lost_us(3000, 0.2) == 0
-
-
 def test_exposure_and_interval_follow_the_registers(sensor, simulation, host):
     assert simulation.aps == [(4000, 40_000)]
     sensor.device.control(0x40, 0xBF, 2, 12, struct.pack('>I', 302_400))
