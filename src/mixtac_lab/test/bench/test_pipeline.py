@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from mixtac_lab.bench import pipeline as pipeline_report
-from mixtac_lab.bench.pipeline import Load, is_clean, run_pipeline
+from mixtac_lab.bench.pipeline import Load, full_load, is_clean, run_force, run_pipeline
 
 
 @pytest.mark.dds
@@ -32,6 +32,18 @@ def test_a_short_run_measures_ages_and_counts_losses(
     assert figures['driver_cpu'] > 0.0
     assert told == sorted(told)
     json.dumps(figures)
+
+
+@pytest.mark.dds
+def test_forces_of_the_composed_graph_arrive(
+    ros_domain: dict[str, str], monkeypatch: pytest.MonkeyPatch
+):
+    for name, value in ros_domain.items():
+        monkeypatch.setenv(name, value)
+    figures = run_force(full_load(100_000.0), 2.0, together=True)
+    assert figures['single_process']
+    assert figures['forces'] > 0
+    assert 0.0 < figures['force_age_p50_ms'] <= figures['force_age_p99_ms']
 
 
 def run_of(rate: float, *, lost: int = 0, stalls: int = 0) -> dict[str, float]:
