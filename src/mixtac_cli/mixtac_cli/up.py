@@ -10,7 +10,6 @@ response to a disturbance depend on the speed of the host.
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from collections.abc import Sequence
@@ -31,7 +30,7 @@ from mixtac_node.graph import (
     sensor_graph,
     slip_control,
 )
-from mixtac_node.process import ProcessGroup, claim_nodes
+from mixtac_node.process import ProcessGroup, claim_nodes, ros_domain
 from mixtac_node.topics import DEFAULT_NAMESPACE
 
 POLL_S = 0.2
@@ -49,11 +48,11 @@ def start_nodes(
     """Start the processes of nodes; see `NodeSpec.command`.
 
     Raises:
-        GraphError: A package is not built, a parameter file does not exist, or one of the nodes
-            runs already.
+        GraphError: A package is not built, a parameter file does not exist, one of the nodes runs
+            already, or `ROS_DOMAIN_ID` is not a number.
     """
     names = [f'/{namespace.strip("/")}/{node.name}' for node in nodes]
-    for claim in claim_nodes(names, int(os.environ.get('ROS_DOMAIN_ID') or 0)):
+    for claim in claim_nodes(names, ros_domain()):
         claim.close()
     for node in nodes:
         processes.start(node.name, node.command(namespace, params_file, log_level))

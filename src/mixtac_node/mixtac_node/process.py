@@ -69,6 +69,18 @@ def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
     return dict.fromkeys(FASTDDS_VARIABLES, str(path))
 
 
+def ros_domain() -> int:
+    """Return the ROS domain of this process's environment.
+
+    Raises:
+        GraphError: `ROS_DOMAIN_ID` is not a number.
+    """
+    text = os.environ.get('ROS_DOMAIN_ID') or '0'
+    if not text.isdecimal():
+        raise GraphError(f'ROS_DOMAIN_ID={text} is not a number', remedy='give one from 0 to 101')
+    return int(text)
+
+
 def claim_nodes(names: Iterable[str], domain: int) -> list[IO[str]]:
     """Claim the names of nodes in a ROS domain, so that no second graph mixes with this one.
 

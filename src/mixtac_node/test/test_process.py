@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 
-from mixtac_node.process import GraphError, ProcessGroup, claim_nodes
+from mixtac_node.process import GraphError, ProcessGroup, claim_nodes, ros_domain
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -117,6 +117,16 @@ def test_a_node_runs_once_in_a_domain(tmp_path: Path, monkeypatch: pytest.Monkey
     for claim in first:
         claim.close()
     claim_nodes(['/mixtac/fger'], 7)
+
+
+@pytest.mark.parametrize(('text', 'domain'), [('7', 7), ('', 0), ('seven', None), ('-1', None)])
+def test_the_domain_is_a_number(monkeypatch: pytest.MonkeyPatch, text: str, domain: int | None):
+    monkeypatch.setenv('ROS_DOMAIN_ID', text)
+    if domain is None:
+        with pytest.raises(GraphError):
+            ros_domain()
+    else:
+        assert ros_domain() == domain
 
 
 def test_a_process_that_is_killed_gives_up_its_claims(tmp_path: Path):
