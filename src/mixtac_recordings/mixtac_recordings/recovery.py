@@ -31,7 +31,7 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.metadata import parse_qos
+from rosbags.rosbag2.metadata import ReaderMetadata, parse_qos
 from rosbags.rosbag2.storage_mcap import (
     DECOMPRESSORS,
     McapReader,
@@ -171,13 +171,8 @@ class McapScan(McapReader):
                 connection = self._channel(data, definitions)
                 found.setdefault(connection.id, connection)
         self.connections = [c._replace(msgcount=counts[c.id]) for c in found.values()]
-        if total := sum(counts.values()):
-            self.metadata = self.metadata._replace(
-                duration=end_ns - start_ns + 1,
-                start_time=start_ns,
-                end_time=end_ns + 1,
-                message_count=total,
-            )
+        total = sum(counts.values())
+        self.metadata = _with_span(self.metadata, total, start_ns, end_ns)
         self.damage = '; '.join(notes)
 
     def messages(
@@ -233,6 +228,18 @@ class McapScan(McapReader):
         return Connection(
             number, topic, type_name, definition, '', 0, ConnectionExtRosbag2(encoding, qos), self
         )
+
+
+def _with_span(metadata: ReaderMetadata, total: int, start_ns: int, end_ns: int) -> ReaderMetadata:
+    """Return metadata of a file whose messages were received in this span [ns]."""
+    if not total:
+        return metadata
+    return metadata._replace(
+        duration=end_ns - start_ns + 1,
+        start_time=start_ns,
+        end_time=end_ns + 1,
+        message_count=total,
+    )
 
 
 _NO_DEFINITION = MessageDefinition(MessageDefinitionFormat.NONE, '')
@@ -349,13 +356,8 @@ class SqliteScan(Sqlite3Reader):
             counts[topic] += 1
             start_ns, end_ns = min(start_ns, t_ns), max(end_ns, t_ns)
         self.connections = [c._replace(msgcount=counts[c.id]) for c in connections]
-        if total := sum(counts[c.id] for c in connections):
-            self.metadata = self.metadata._replace(
-                duration=end_ns - start_ns + 1,
-                start_time=start_ns,
-                end_time=end_ns + 1,
-                message_count=total,
-            )
+        total = sum(counts[c.id] for c in connections)
+        self.metadata = _with_span(self.metadata, total, start_ns, end_ns)
 
     def _topics(self, database: sqlite3.Connection) -> list[Connection]:
         # The library would read pages behind the end as zeros.

@@ -93,9 +93,9 @@ def summarise(
         scaled = [each.scaled(scales.get(each.device, 1.0)) for each in estimates]
         after = measure(known, np.concatenate([each.force for each in scaled]))
         found = {'mae': _rounded(after.mae), 'rmse': _rounded(after.rmse)}
-        over_time = _over_time(scaled)
-        if 'hold_noise' in over_time:
-            found['hold_noise'] = over_time['hold_noise']
+        noise = np.array([hold_noise(e.known, e.force, _interval_s(e)) for e in scaled])
+        if not np.isnan(noise).all():
+            found['hold_noise'] = _rounded(float(np.nanmean(noise)))
         found |= coverage_figures(scaled)
         figures |= {f'calibrated_{name}': value for name, value in found.items()}
     return figures
@@ -104,7 +104,7 @@ def summarise(
 def _over_time(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
     rows = []
     for each in estimates:
-        interval_s = float(np.median(np.diff(each.t_us))) / 1e6 if len(each.t_us) > 1 else 0.002
+        interval_s = _interval_s(each)
         fast, fast_constant = fast_error(each.known, each.force, interval_s)
         rolling = rolling_errors(each.known, each.force, interval_s)
         peak = peak_error(each.known, each.force, interval_s)
@@ -130,6 +130,11 @@ def _over_time(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
         for name, column in zip(names, table.T, strict=True)
         if not np.isnan(column).all()
     }
+
+
+def _interval_s(estimate: TrialEstimate) -> float:
+    steps = np.diff(estimate.t_us)
+    return float(np.median(steps)) / 1e6 if len(steps) else 0.002
 
 
 def _rounded(value: float) -> float:
