@@ -132,7 +132,7 @@ class Davis346:
         self._stopping = threading.Event()
         self._connection: Connection | None = None
         self._identity: Identity | None = None
-        # Of the stream since the latest start; their counters can still be read after its end.
+        # Of the latest stream; its counters stay readable after it ends.
         self._reader: AsynchronousReader | BulkReader | None = None
         self._decoder: StreamDecoder | None = None
         self._debug_reader: DebugReader | None = None

@@ -266,7 +266,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         feed, model = self._feed, self._model
         if before and feed is not None:
             feed.estimator.change_camera()
-            self.get_logger().warning(f'camera {self._camera.serial} in place of {before}')
+            self.get_logger().warning(f'camera {self._camera.serial} replaces {before}')
         if self._settings.reference or model is None:
             return
         self._reference = None

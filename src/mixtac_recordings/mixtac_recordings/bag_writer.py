@@ -49,7 +49,7 @@ class _ChecksummedMcap(McapWriter):
     """Adds the CRC-32 of each chunk, so that readers notice flipped bytes; survives a full disk.
 
     Attributes:
-        full: Error of the disk once it is full: no message is written any more.
+        full: Disk error after which no more messages are written.
     """
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:

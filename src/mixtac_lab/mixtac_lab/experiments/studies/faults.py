@@ -63,7 +63,7 @@ class Stream:
 
     @property
     def later(self) -> NDArray[np.bool_]:
-        """Which events come after the begin of the fault."""
+        """Which events come after the start of the fault."""
         return self.events.t >= self.begin_us
 
 
