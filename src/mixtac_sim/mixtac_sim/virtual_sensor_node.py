@@ -20,6 +20,7 @@ from mixtac_node import topics
 from mixtac_node.base_node import QOS_FORCE, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp
+from mixtac_sim.live.simulation_process import SimulationProcess
 from mixtac_sim.live.virtual_sensor import TouchControl, make_virtual_sensor
 from mixtac_sim.parameters import TouchParameters, VirtualSensorParameters
 from mixtac_sim.usb.server import UsbServer, check_free
@@ -40,11 +41,14 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
     ``~/vibrate`` and ``~/release`` do what the parameters say. ``~/force_command`` sets a force
     [N] that fades when no new one comes.
 
+    Args:
+        process: Where the sensor is simulated.
+
     Raises:
         MixtacError: A parameter is not allowed, or the socket is taken.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, process: SimulationProcess) -> None:
         super().__init__('virtual_sensor')
         self._settings = declare(self, VirtualSensorParameters, self._change)
         self._plays = 0
@@ -57,6 +61,7 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             seed=self._settings.seed,
             skew_ppm=self._settings.skew_ppm,
             preset=preset(self._settings.preset),
+            process=process,
             patient=self._settings.slow_host == 'wait',
         )
         self._server = UsbServer(self._sensor.device, path)
@@ -170,7 +175,8 @@ def publish_wrenches(publisher: Any, batch: WrenchSamples, frame_id: str) -> Wre
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run(VirtualSensorNode, args)
+    # Forked while this process has one thread.
+    return run(partial(VirtualSensorNode, SimulationProcess()), args)
 
 
 if __name__ == '__main__':

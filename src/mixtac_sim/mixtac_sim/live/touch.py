@@ -115,7 +115,7 @@ def release(tool: Indenter, from_n: float) -> Profile:
     return Profile('release', RAMP_S, (way,) if from_n > 0.0 else ())
 
 
-class _Play(NamedTuple):
+class Play(NamedTuple):
     """A scenario and the grid step at which it begins."""
 
     start: int
@@ -139,8 +139,9 @@ class LiveProfile:
         self.indenters = indenters
         self._lock = Lock()
         # The one under way and those to come.
-        self._plays: list[_Play] = []
+        self._plays: list[Play] = []
         self._asked = 0
+        self._changed = False
 
     def play(self, scenario: Profile, start_us: int) -> None:
         """Play a scenario from a time [us, simulated time] on.
@@ -159,8 +160,25 @@ class LiveProfile:
         start = -(-start_us // STEP_US)
         with self._lock:
             self._plays = [play for play in self._plays if play.start < start]
-            self._plays.append(_Play(start, scenario))
+            self._plays.append(Play(start, scenario))
+            self._changed = True
             self._forget()
+
+    def changes(self, until_us: int) -> list[Play] | None:
+        """Return what is played, None if that has not changed since the last call.
+
+        Args:
+            until_us: Simulated time [us] up to which commands have been asked for elsewhere.
+        """
+        with self._lock:
+            self._asked = max(self._asked, until_us // STEP_US)
+            changed, self._changed = self._changed, False
+            return list(self._plays) if changed else None
+
+    def replace(self, plays: list[Play]) -> None:
+        """Play what `changes` of another profile returned."""
+        with self._lock:
+            self._plays = plays
 
     def end_us(self) -> int | None:
         """Return when the latest scenario ends [us, simulated time], none before the first."""
@@ -205,7 +223,7 @@ class LiveProfile:
             modes[span], targets[span], tools[span] = played[0], played[1], places[played[2]]
         return modes, targets, tools
 
-    def _spans(self, first: int, count: int) -> list[tuple[int, int, _Play]]:
+    def _spans(self, first: int, count: int) -> list[tuple[int, int, Play]]:
         """Return which scenario commands which grid steps, as (begin, end, play)."""
         with self._lock:
             plays = list(self._plays)

@@ -6,7 +6,7 @@ The simulation runs a little ahead of the clock, because a frame must be known b
 begins. While a scenario plays whose future is known, it runs much further ahead, so that
 an impact, which takes longer to compute than it lasts, is ready in time. Camera, truth and
 reference hand everything over when its time has come. If the host cannot keep up all the same,
-simulated time stops for a while, and the loss is counted.
+simulated time stops for a while, and the loss is counted. A node simulates in a process of its own.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mixtac_sim.live.simulation_process import SimulationProcess
     from mixtac_sim.mechanics.indenters import Indenter
     from mixtac_sim.parameters import TouchParameters
     from mixtac_sim.world.effects import Preset
@@ -479,6 +480,7 @@ def make_virtual_sensor(
     preset: Preset = EASY,
     simulation: Simulation | None = None,
     clock: SimulationClock | None = None,
+    process: SimulationProcess | None = None,
     patient: bool = False,
 ) -> VirtualSensor:
     """Return a virtual sensor that nothing touches yet; `VirtualSensor.start` lets it run.
@@ -491,11 +493,16 @@ def make_virtual_sensor(
         preset: Difficulty of the sensor.
         simulation: Simulation to run instead of a tactile sensor.
         clock: Simulated time; by default that of the host.
+        process: Where to simulate the tactile sensor; by default in this process.
         patient: See `VirtualSensor`.
     """
     profile, clock = LiveProfile(tuple(LIVE_INDENTERS.values())), clock or SimulationClock()
+    if process is not None:
+        # What is late costs a patient sensor nothing but time.
+        niceness = _AHEAD_NICENESS if patient else 0
+        process.begin(device_seed, seed, profile, preset=preset, niceness=niceness)
     return VirtualSensor(
-        simulation or TactileSensor(device_seed, seed, profile, preset=preset),
+        simulation or process or TactileSensor(device_seed, seed, profile, preset=preset),
         profile,
         VirtualDavis346(serial_number(device_seed), skew_ppm=skew_ppm, clock=clock.now_us),
         ReferenceSensor(seed, preset=preset),
