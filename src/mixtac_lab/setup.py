@@ -34,6 +34,7 @@ STUDIES = {
 BENCHMARKS = {
     'decode': f'{PACKAGE}.bench.decode:decode',
     'fuzz': f'{PACKAGE}.bench.fuzz:fuzz',
+    'fuzz-nodes': f'{PACKAGE}.bench.fuzz_nodes:fuzz_nodes',
     'pipeline': f'{PACKAGE}.bench.pipeline:pipeline',
     'compose': f'{PACKAGE}.bench.pipeline:compose',
     'two-sensors': f'{PACKAGE}.bench.pipeline:two_sensors',
@@ -42,6 +43,7 @@ BENCHMARKS = {
     'simulate': f'{PACKAGE}.bench.simulate:simulate',
     'align': f'{PACKAGE}.bench.align:align',
     'slip': f'{PACKAGE}.bench.slip:slip',
+    'soak': f'{PACKAGE}.bench.soak:soak',
     'limits': f'{PACKAGE}.bench.limits:limits',
 }
 

@@ -27,7 +27,7 @@ from mixtac_alignment.histories import (
     reduce_frame,
 )
 from mixtac_alignment.parameters import AlignmentParameters
-from mixtac_events.codec import decode_message, warm_up
+from mixtac_events.codec import MAX_TIME_BASE, decode_message, warm_up
 from mixtac_events.packets import CodecError
 from mixtac_events.sequence import SequenceCounter
 from mixtac_msgs.msg import ClockFit as ClockFitMessage
@@ -106,9 +106,11 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
     def _on_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
         self._force.push(stamp_to_ns(message.header.stamp), (force.x, force.y, force.z))
-        if self._fit is not None:
-            seconds = stamp_to_ns(message.header.stamp) / 1e9
-            message.header.stamp = us_to_stamp(int(self._fit.to_camera(seconds)))
+        if self._fit is None:
+            return
+        time_us = int(self._fit.to_camera(stamp_to_ns(message.header.stamp) / 1e9))
+        if 0 <= 1000 * time_us < MAX_TIME_BASE:
+            message.header.stamp = us_to_stamp(time_us)
             self._aligned.publish(message)
 
     def _on_half(self, message: Image | FrameExposure) -> None:
@@ -130,8 +132,9 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             self.get_logger().warning(f'frame left out: {error}', once=True)
             return
         values = reduce_frame(pixels, float(np.iinfo(pixels.dtype).max))
-        start, end = exposure.exposure_start, exposure.exposure_end
-        self._frames.push(stamp_to_us(start), stamp_to_us(end), values)
+        start_us, end_us = map(stamp_to_us, (exposure.exposure_start, exposure.exposure_end))
+        if start_us < end_us:
+            self._frames.push(start_us, end_us, values)
 
     def _on_edge(self, message: ExternalEdge) -> None:
         self._camera_edges.append(stamp_to_us(message.header.stamp))

@@ -225,8 +225,9 @@ def by_cell(events: Events, width: int, height: int) -> CellEvents:
     """
     columns, rows = width // CELL_PX, height // CELL_PX
     x, y = events.x // CELL_PX, events.y // CELL_PX
-    cell = np.where((x < columns) & (y < rows), y * np.uint16(columns) + x, OUTSIDE)
-    return CellEvents(events.t.astype(np.int64), cell.astype(np.uint16), events.polarity)
+    cell = np.where((x < columns) & (y < rows), y * np.uint32(columns) + x, OUTSIDE)
+    cell = np.minimum(cell, OUTSIDE).astype(np.uint16)
+    return CellEvents(events.t.astype(np.int64), cell, events.polarity)
 
 
 class EventHistory:
@@ -297,15 +298,17 @@ class FrameHistory:
         )
 
     def push(self, start_us: int, end_us: int, values: NDArray[np.float32]) -> None:
-        """Add a frame; one that was exposed earlier than the one before restarts the history.
+        """Add a frame; an earlier exposure, or another size, restarts the history.
 
         Args:
             start_us: Start of the exposure, camera clock [us].
             end_us: Its end.
             values: Log brightness, as `reduce_frame` gives it.
         """
-        if self._frames and start_us <= self._frames[-1][0]:
-            self._frames.clear()
+        if self._frames:
+            before_us, _, before = self._frames[-1]
+            if start_us <= before_us or values.shape != before.shape:
+                self._frames.clear()
         self._frames.append((start_us, end_us, values))
 
     def snapshot(self) -> FrameFeatures | None:

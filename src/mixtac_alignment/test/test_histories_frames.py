@@ -6,7 +6,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixtac_alignment.histories import FRAMES_PER_S, FrameHistory
+from mixtac_alignment.histories import FRAMES_PER_S, FrameHistory, by_cell
+from mixtac_events.arrays import Events
+
+
+def test_a_sensor_of_any_size_has_cells_that_can_be_numbered() -> None:
+    events = Events(
+        np.arange(3),
+        np.array([0, 15, 9], np.uint16),
+        np.array([0, 0, 25], np.uint16),
+        np.ones(3, bool),
+    )
+    assert by_cell(events, 346, 260).cell.tolist() == [0, 1, 68]
+    for size in ((2**32 - 1, 2**32 - 1), (70_000, 10), (0, 0)):
+        assert len(by_cell(events, *size).cell) == 3
+
+
+def test_frames_of_another_size_begin_anew() -> None:
+    frames = FrameHistory(10.0)
+    frames.push(1000, 2000, np.zeros(4, np.float32))
+    frames.push(3000, 4000, np.zeros(5, np.float32))
+    found = frames.snapshot()
+    assert found is not None
+    assert found.values.shape == (1, 5)
 
 
 def test_frames_come_back_in_order() -> None:

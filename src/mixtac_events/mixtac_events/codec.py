@@ -181,6 +181,8 @@ def _bounded(packet: DecodedPacket) -> DecodedPacket:
             f'event packet of {packet.complete_until - packet.start_us} us is longer than '
             f'{MAX_SPAN_US} us'
         )
+    if packet.complete_until * 1000 >= MAX_TIME_BASE:
+        raise CodecError(f'event packet ends at {packet.complete_until} us, after all ROS stamps')
     return packet
 
 

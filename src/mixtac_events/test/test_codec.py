@@ -312,6 +312,7 @@ def test_any_message_decodes_or_is_refused(payload, encoding, time_base, width, 
     except CodecError:
         return
     assert packet.complete_until - packet.start_us <= MAX_SPAN_US
+    assert 1000 * packet.complete_until < MAX_TIME_BASE
 
 
 @pytest.mark.parametrize('encoding', ENCODINGS)

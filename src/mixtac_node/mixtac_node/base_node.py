@@ -16,8 +16,10 @@ from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     ParameterDescriptor,
+    ParameterType,
     SetParametersResult,
 )
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
@@ -117,7 +119,15 @@ class BaseNode:
 
     def create_subscription(self, kind: Any, topic: str, *args: Any, **options: Any) -> Any:  # noqa: ANN401
         """Create a subscription whose QoS can be overridden."""
+        if topic == CLOCK:
+            args = (_since_epoch(args[0]), *args[1:])
         return super().create_subscription(kind, topic, *_own(args), **_overridable(topic, options))  # type: ignore[misc]
+
+    def create_service(self, kind: Any, name: str, callback: Any, **options: Any) -> Any:  # noqa: ANN401
+        """Create a service; those that set parameters refuse values of unknown types."""
+        if kind in {SetParameters, SetParametersAtomically}:
+            callback = _of_known_types(callback)
+        return super().create_service(kind, name, callback, **options)  # type: ignore[misc]
 
     def create_lifecycle_publisher(self, kind: Any, topic: str, *args: Any, **options: Any) -> Any:  # noqa: ANN401
         """Create a lifecycle publisher whose QoS can be overridden."""
@@ -142,7 +152,36 @@ def answering(action: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
     return callback
 
 
-_TOPICS_OF_RCLPY = ('/parameter_events', '/rosout', '/clock')
+CLOCK = '/clock'
+_TOPICS_OF_RCLPY = ('/parameter_events', '/rosout', CLOCK)
+
+
+def _since_epoch(callback: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Keep times before the epoch from rclpy's callback of `/clock`, which raises for them."""
+
+    def on_clock(message: Any) -> None:  # noqa: ANN401
+        if message.clock.sec >= 0:
+            callback(message)
+
+    return on_clock
+
+
+def _of_known_types(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """Keep parameters of unknown types from rclpy's callback, which raises for them."""
+
+    def on_set(request: Any, response: Any) -> Any:  # noqa: ANN401
+        for each in request.parameters:
+            if each.value.type > ParameterType.PARAMETER_STRING_ARRAY:
+                reason = f'parameter {each.name!r} has the unknown type {each.value.type}'
+                refusal = SetParametersResult(successful=False, reason=reason)
+                if hasattr(response, 'results'):
+                    response.results = [refusal] * len(request.parameters)
+                else:
+                    response.result = refusal
+                return response
+        return callback(request, response)
+
+    return on_set
 
 
 def _own(values: Iterable[Any]) -> list[Any]:

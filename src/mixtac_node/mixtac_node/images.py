@@ -27,6 +27,8 @@ Pixels = NDArray[np.uint8 | np.uint16]
 
 PASSTHROUGH = 'passthrough'
 """Target that keeps the encoding of the message."""
+MOST_PIXELS = 1 << 22
+"""Larger images are refused: the work on a message is bounded."""
 _MOSAICS = tuple(f'bayer_{pattern}' for pattern in ('rggb', 'grbg', 'gbrg', 'bggr'))
 _CHANNELS = {'mono': 1, 'rgb': 3, 'bgr': 3, 'rgba': 4, 'bgra': 4} | dict.fromkeys(_MOSAICS, 1)
 _ALIASES = {'8UC1': 'mono8', '16UC1': 'mono16', '8UC3': 'bgr8', '16UC3': 'bgr16'}
@@ -71,6 +73,10 @@ def pixels(message: Any) -> Pixels:  # noqa: ANN401
     dtype, channels = _layout(str(message.encoding))
     height, width, step = int(message.height), int(message.width), int(message.step)
     row = width * channels * dtype.itemsize
+    if width * height > MOST_PIXELS:
+        raise ImageConversionError(
+            f'image of {width} x {height} pixels: at most {MOST_PIXELS} pixels are read'
+        )
     data = np.frombuffer(message.data, np.uint8)
     if not row or not height or step < row or data.size < step * height:
         raise ImageConversionError(

@@ -224,6 +224,10 @@ class ProcessGroup:
                 reason = f': {member.last_error}' if member.last_error else ''
                 raise GraphError(f'{name} ended with status {code}{reason}')
 
+    def pid(self, name: str) -> int:
+        """Return the id of a process."""
+        return self._members[name].process.pid
+
     def last_error(self, name: str) -> str:
         """Return the last line that a process logged as an error, or an empty string."""
         return self._members[name].last_error

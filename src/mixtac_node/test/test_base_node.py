@@ -23,7 +23,7 @@ NODE = textwrap.dedent(
     from dataclasses import dataclass
     from rclpy.node import Node
     from mixtac_events.errors import MixtacError
-    from mixtac_node.base_node import declare, run
+    from mixtac_node.base_node import BaseNode, declare, run
     from mixtac_node.diagnostics import OK, DiagnosticsPublisher, Status
     from mixtac_node.parameters import parameter
 
@@ -32,9 +32,9 @@ NODE = textwrap.dedent(
         gain: float = parameter(0.5, within=(0.0, 10.0))
         device: str = parameter('a', read_only=True)
 
-    class ExampleNode(Node):
+    class ExampleNode(BaseNode, Node):
         def __init__(self):
-            super().__init__('example')
+            super().__init__('example', namespace='/')
             self.values = declare(self, Example, self.apply)
             if self.values.device == 'broken':
                 raise MixtacError('device broken: choose another')
@@ -125,6 +125,11 @@ def test_parameters_and_diagnostics_over_dds(start, node_under_test):
     refused = set_value('gain', 3.0)
     assert not refused.successful
     assert refused.reason == 'gain 3 is taken'
+    request = SetParameters.Request(parameters=[Parameter('gain', value=1.0).to_parameter_msg()])
+    request.parameters[0].value.type = 255
+    (unknown,) = node_under_test.call(SetParameters, '/example/set_parameters', request).results
+    assert not unknown.successful
+    assert '255' in unknown.reason
     fixed = set_value('device', 'b')
     assert not fixed.successful
     assert 'device' in fixed.reason

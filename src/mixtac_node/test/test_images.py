@@ -167,7 +167,10 @@ def test_filling_is_the_inverse(encoding):
 
 @pytest.mark.parametrize(
     'changes',
-    [{'encoding': 'yuv422'}, {'step': 15}, {'height': 7}, {'height': 0}, {'width': 0}],
+    [
+        *({'encoding': 'yuv422'}, {'step': 15}, {'height': 7}, {'height': 0}, {'width': 0}),
+        {'height': 10_000, 'width': 10_000},
+    ],
 )
 def test_damage_is_named(changes):
     message = message_of(random_image('mono16'), 'mono16')

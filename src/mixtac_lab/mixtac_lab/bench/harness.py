@@ -39,17 +39,18 @@ class BenchRun(contextlib.ExitStack):
     Attributes:
         folder: Temporary folder for sockets.
         processes: Processes by name, in the order of their start.
+        environment: Their environment.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.folder = Path(self.enter_context(tempfile.TemporaryDirectory(prefix='mixtac-')))
         self.processes: dict[str, JsonProcess] = {}
-        self._env = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+        self.environment = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
     def start(self, name: str, command: list[str]) -> JsonProcess:
         """Start a process under a name."""
-        process = self.enter_context(JsonProcess(name, command, self._env))
+        process = self.enter_context(JsonProcess(name, command, self.environment))
         self.processes[name] = process
         return process
 
