@@ -57,6 +57,6 @@ class FgerParameters:
     contact_threshold: float = parameter(0.15, unit='N', within=(0.01, 10.0))
     tare_on_release: bool = parameter(False)
     invalid_force: str = parameter('withhold', choices=POLICIES)
-    stale_frame_age: float = parameter(0.5, unit='s', within=(0.05, 60.0))
+    stale_frame_age: float = parameter(0.2, unit='s', within=(0.05, 60.0))
     longest_without_frame: float = parameter(2.0, unit='s', within=(0.05, 3600.0))
     deadline: float = parameter(0.003, unit='s', within=(0.0005, 1.0))

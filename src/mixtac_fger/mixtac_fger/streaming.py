@@ -229,7 +229,7 @@ FRAME_AHEAD_US = 100_000
 """Frames exposed later than the events by more than this are on another clock [us]."""
 FRAME_BEHIND_US = 1_000_000
 """Frames exposed earlier than the events by more than this are too old or on another clock [us]."""
-STALE_FRAME_US = 500_000
+STALE_FRAME_US = 200_000
 """Default of `ForceEstimator.stale_frame_us`."""
 NO_LIMIT_US = 2**62
 

@@ -6,7 +6,8 @@ Four groups of checks, none of which knows a particular fault:
 
 * The picture: a pressed gel is the gel of the reference, displaced and nothing else. What is left
   after the reference is displaced, tile by tile, no contact explains.
-* Frames and events: the change from one frame to the next is what the events between them say.
+* Frames and events: the change from one frame to the next is what the events between them say, in
+  size and in pattern.
 * The estimate: the frame's force is the force that was estimated at the centre of its exposure.
 * Rates: neither ON nor OFF events ever stop where the sensor at rest has noise of both kinds.
 
@@ -319,6 +320,12 @@ JUDGEMENTS = 2
 """Slopes in a row that have to be too low; without a fault a single one of few bins."""
 LONGEST_COMPARISON = 12
 """Frames after which the comparison of frames and events starts over."""
+CLEAR, CLEARER = 0.4, 0.7
+"""Correlation of two frames and the events between them, as both stand out of their noise, from
+which on it is judged, and from which on one judgement is enough."""
+LEAST_AGREEMENT, LEAST_CLEAR_AGREEMENT = 0.15, 0.3
+"""Correlation over the expected one. Without a fault it is lower twice in 230 comparisons below
+`CLEARER`, never twice in a row; above it 0.51 and more."""
 BUSY_PER_MS = 750
 """Rate of a blow [events/ms]: its motion during an exposure is no fault."""
 BUSY_MARGIN_US = 8_000
@@ -392,7 +399,7 @@ class Validity:
         self._before: tuple[int, F32 | None] = (0, None)
         self._anchor: F32 | None = None
         self._signs = np.zeros((0, 0), np.float32)
-        self._age = self._untold = self._low = 0
+        self._age = self._untold = self._low = self._unalike = 0
         self._busy = False
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
 
@@ -481,7 +488,7 @@ class Validity:
         self._age += 1
         busy = self._is_busy(before_us, mid_us)
         self._busy |= busy
-        found = self._untold_by_frames(before, contrast, told, parts)
+        found = self._judge_pair(before, contrast, told, parts)
         *_, strong, slope = agreement(self._anchor, contrast, self._signs)
         if strong >= STRONG_BINS and not self._busy:
             low = slope < max(LEAST_SLOPE, LEAST_SLOPE_OF_OWN * self._slope)
@@ -495,7 +502,7 @@ class Validity:
             self._signs[:] = 0.0
         return found
 
-    def _untold_by_frames(
+    def _judge_pair(
         self, before: F32, contrast: F32, told: F32, parts: list[_Window]
     ) -> set[Reason]:
         """Compare two frames in a row; follows the noise of frames and events at rest."""
@@ -520,7 +527,20 @@ class Validity:
             self._rest = [a + (b - a) * share for a, b in zip(self._rest, rates, strict=True)]
             if self._rests == 1:
                 self._rate = list(self._rest)
-        return {Reason.EVENTS_WITHOUT_MOTION} if self._untold >= UNTOLD_FRAMES else set()
+        found = {Reason.EVENTS_WITHOUT_MOTION} if self._untold >= UNTOLD_FRAMES else set()
+        return found | self._judge_agreement(change, events, correlation)
+
+    def _judge_agreement(self, change: float, events: float, correlation: float) -> set[Reason]:
+        """Compare the correlation of frames and events with that of one motion in their noise."""
+        expected = math.sqrt(
+            _signal_share(change, self._noise) * _signal_share(events, self._murmur)
+        )
+        if self._busy or expected < CLEAR:
+            return set()
+        clear = expected > CLEARER
+        low = correlation < (LEAST_CLEAR_AGREEMENT if clear else LEAST_AGREEMENT) * expected
+        self._unalike = self._unalike + 1 + clear if low else 0
+        return {Reason.EVENTS_DISAGREE} if self._unalike >= JUDGEMENTS else set()
 
     def _between(self, start_us: int, end_us: int) -> list[_Window] | None:
         """Return the windows between the centres of two exposures; None if some are missing."""
@@ -540,6 +560,11 @@ class Validity:
         self._windows.clear()
         self._rate = list(self._rest)
         self._before, self._anchor = (0, None), None
+
+
+def _signal_share(total: float, noise: float) -> float:
+    """Return the share of the variance that is not noise, of root mean squares."""
+    return 1.0 - min(noise / total, 1.0) ** 2 if total > 0.0 else 0.0
 
 
 class Release:
