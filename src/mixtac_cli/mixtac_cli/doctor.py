@@ -111,7 +111,8 @@ def examine(
     """
     check_device(device)
     files = HostFiles(root)
-    software = [check_ros(os.environ), check_domain(os.environ), check_model()]
+    software = [check_ros(os.environ), check_domain(os.environ), check_security(os.environ)]
+    software.append(check_model())
     if is_real(device):
         yield 'software', [*software, check_virtual_sensor()]
         attached = check_attached(files, serial)
@@ -182,6 +183,18 @@ def check_domain(environment: Mapping[str, str]) -> Finding:
         found = f'ROS_DOMAIN_ID={text}: its ports may be in use by outgoing connections'
         return Finding(name, Level.WARN, found, remedy)
     return ok(name, f'{text}, discovery range {reach}', domain=int(text), range=reach)
+
+
+def check_security(environment: Mapping[str, str]) -> Finding:
+    """Report whether SROS 2 is on, and whether nodes without keys are refused."""
+    name = 'ROS security'
+    if environment.get('ROS_SECURITY_ENABLE') != 'true':
+        return ok(name, 'off: every program in the ROS domain may read and publish')
+    if environment.get('ROS_SECURITY_STRATEGY') != 'Enforce':
+        found = 'on, but nodes without keys start unprotected'
+        remedy = 'export ROS_SECURITY_STRATEGY=Enforce, see docs/security.md'
+        return Finding(name, Level.WARN, found, remedy)
+    return ok(name, 'on and enforced')
 
 
 def check_model() -> Finding:

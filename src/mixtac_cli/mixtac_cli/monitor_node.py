@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from mixtac_node import topics
-from mixtac_node.base_node import BaseNode
+from mixtac_node.base_node import BaseNode, secure_start
 from mixtac_node.lifecycle_node import LifecycleClient
 from mixtac_node.process import GraphError
 from mixtac_node.stamps import stamp_to_ns
@@ -63,9 +63,10 @@ class Receiver:
     """
 
     def __init__(self, name: str, namespace: str = topics.DEFAULT_NAMESPACE) -> None:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self._namespace = f'/{namespace.strip("/")}'
-        self._node = _ReceiverNode(name, namespace=self._namespace)
+        with secure_start():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            self._node = _ReceiverNode(name, namespace=self._namespace)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._spin, name=name)
 

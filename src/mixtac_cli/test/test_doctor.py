@@ -124,6 +124,18 @@ def test_ros_domain(domain, level):
     assert ('export ROS_DOMAIN_ID' in finding.remedy) == (level > Level.OK)
 
 
+@pytest.mark.parametrize(
+    ('environment', 'level'),
+    [
+        ({}, Level.OK),
+        ({'ROS_SECURITY_ENABLE': 'true'}, Level.WARN),
+        ({'ROS_SECURITY_ENABLE': 'true', 'ROS_SECURITY_STRATEGY': 'Enforce'}, Level.OK),
+    ],
+)
+def test_security_is_named(environment, level):
+    assert doctor.check_security(environment).level is level
+
+
 def test_ros_is_named():
     pytest.importorskip('rclpy', reason='needs ROS 2')
     finding = doctor.check_ros(os.environ)

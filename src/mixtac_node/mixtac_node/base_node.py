@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import dataclasses
+import os
 import signal
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
 import rclpy
@@ -23,6 +25,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
@@ -30,7 +33,7 @@ from rclpy.signals import SignalHandlerOptions
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
-from mixtac_node.process import claim_nodes, freeze_loaded
+from mixtac_node.process import GraphError, claim_nodes, freeze_loaded
 from mixtac_node.topics import DEFAULT_NAMESPACE, Topic, message_class
 
 T = TypeVar('T')
@@ -264,6 +267,25 @@ def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
     return descriptor
 
 
+@contextlib.contextmanager
+def secure_start() -> Iterator[None]:
+    """Name the cause where SROS 2 is on and ROS 2 cannot start with it.
+
+    Raises:
+        GraphError: No keys, or a middleware without security.
+    """
+    try:
+        yield
+    except rclpy_implementation.RCLError as error:
+        if os.environ.get('ROS_SECURITY_ENABLE') != 'true':
+            raise
+        cause = ' '.join(str(error).split())
+        raise GraphError(
+            f'ROS_SECURITY_ENABLE is set, but ROS 2 cannot start securely: {cause}',
+            remedy='read docs/security.md; the wheels have no security, an installed ROS 2 has',
+        ) from error
+
+
 def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
     """Run one node until SIGINT or SIGTERM, then close it; see `run_together`.
 
@@ -291,7 +313,6 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
     Returns:
         Exit status: 0 after a signal, 1 with one line on stderr after a MixtacError.
     """
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     stopping = False
 
     def stop(_signum: int, _frame: object) -> None:
@@ -302,7 +323,9 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
     signal.signal(signal.SIGTERM, stop)
     nodes: list[Any] = []
     try:
-        nodes = make_nodes()
+        with secure_start():
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+            nodes = make_nodes()
         names = [node.get_fully_qualified_name() for node in nodes]
         _claims = claim_nodes(names, rclpy.get_default_context().get_domain_id())
         executor = EventsExecutor()

@@ -97,6 +97,18 @@ def test_errors_are_one_line_and_a_status(start):
     assert 'Traceback' not in stderr
 
 
+def test_security_without_keys_is_refused_with_one_line(start, ros_domain, tmp_path):
+    ros_domain |= {'ROS_SECURITY_ENABLE': 'true', 'ROS_SECURITY_STRATEGY': 'Enforce'}
+    process = start()
+    ros_domain['ROS_SECURITY_KEYSTORE'] = str(tmp_path)
+    for each in (process, start()):
+        _, stderr = each.communicate(timeout=30)
+        assert each.returncode == 1
+        assert len([line for line in stderr.splitlines() if line.startswith('error: ')]) == 1
+        assert 'ROS_SECURITY_ENABLE' in stderr
+        assert 'Traceback' not in stderr
+
+
 @pytest.mark.parametrize('value', ['gain:=99.0', 'gain:=fast'])
 def test_bad_start_values_are_refused(start, value: str):
     process = start(value)

@@ -26,7 +26,7 @@ from rosbags.interfaces import Connection
 from mixtac_cli.parameters import RecorderParameters
 from mixtac_cli.record.meter import EVEN, RecordingSummary, TopicMeter
 from mixtac_events.errors import MixtacError
-from mixtac_node.base_node import BaseNode, declare, run
+from mixtac_node.base_node import BaseNode, declare, run, secure_start
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS
 from mixtac_recordings.bag_writer import BagWriter
@@ -175,8 +175,9 @@ def running_listener(namespace: str) -> Iterator[Listener]:
     Args:
         namespace: Namespace of the sensor.
     """
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = Listener('record', f'/{namespace.strip("/")}')
+    with secure_start():
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        node = Listener('record', f'/{namespace.strip("/")}')
     try:
         yield node
     finally:

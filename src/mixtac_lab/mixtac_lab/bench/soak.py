@@ -3,7 +3,7 @@
 """A long run of the graph: rates, losses, memory, descriptors, threads and the zero of the force.
 
 A simulated camera sends one pattern again and again over its USB protocol, with frames and inertial
-samples; driver, estimator and slip control run as shipped. As the picture repeats, the mean force
+samples; driver and estimator run as shipped. As the picture repeats, the mean force
 of a period has no reason to change: its slope is the drift of the zero. Slopes are least squares
 over the samples after the start-up, with their standard errors.
 """
@@ -28,7 +28,7 @@ from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_lab.bench.harness import BenchRun
 from mixtac_lab.bench.pipeline import AGE_RATE, full_load
 from mixtac_lab.figures import make_table, new_figure, save_figure, save_result
-from mixtac_node.graph import sensor_graph, slip_control
+from mixtac_node.graph import sensor_graph
 from mixtac_node.process import GraphError, ProcessGroup
 
 NAMESPACE = 'mixtac_soak'
@@ -38,7 +38,6 @@ WINDOW_NS = 2_000_000
 COUNTERS = {
     'fger': ('lost_packets', 'bad_messages', 'late', 'slow_windows', 'frames_dropped', 'withheld'),
     'driver': ('events per second', 'frames per second', 'camera dropped', 'failures'),
-    'slip_control': ('lost packets',),
 }
 """What is taken from the diagnostics of each node."""
 
@@ -71,7 +70,7 @@ def run_soak(
         device, _ = full_load(rate).start(run)
         # No contact makes these events and frames: their forces are not valid.
         graph = sensor_graph(device, estimator={'invalid_force': 'publish'})
-        specs = [node for node in graph if node.name != 'virtual_sensor'] + [slip_control({})]
+        specs = [node for node in graph if node.name != 'virtual_sensor']
         for node in specs:
             group.start(node.name, node.command(NAMESPACE, log_level='warn'))
         monitor.bring_up_all(specs, group)
