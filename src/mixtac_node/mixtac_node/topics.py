@@ -285,6 +285,14 @@ SERVICES = (
         'virtual_sensor/vibrate',
         'Virtual sensor only: vibrates `object` on the skin, by the `vibration_` parameters.',
     ),
+    Service(
+        'virtual_sensor/slide',
+        'Virtual sensor only: presses `object` and pulls it to the right by `slide_distance`.',
+    ),
+    Service(
+        'virtual_sensor/torsion',
+        'Virtual sensor only: presses `object` and turns it by `torsion_angle`.',
+    ),
     Service('virtual_sensor/release', 'Virtual sensor only: removes the object from the skin.'),
     Service('fger/tare', 'Sets the zero of the force to the current value.'),
     Service('alignment/fit', 'Fits the clocks to the data received so far.'),

@@ -41,12 +41,14 @@ class TouchParameters:
 
     Attributes:
         object: Object that touches the sensor on request; ~/load and ~/drop need one with a mass
-        press_force: Force of ~/press
+        press_force: Force of ~/press, ~/slide and ~/torsion
         hold_seconds: Duration of the contact; 0 holds it until ~/release
         drop_height: Height from which ~/drop releases the object
         vibration_frequency: Frequency of ~/vibrate
         vibration_amplitude: Amplitude of ~/vibrate, zero to peak
         vibration_depth: Mean depth of ~/vibrate
+        slide_distance: Distance to the right by which ~/slide pulls the object
+        torsion_angle: Angle by which ~/torsion turns the object about the normal
     """
 
     object: str = parameter('hemisphere', choices=tuple(LIVE_INDENTERS))
@@ -56,6 +58,8 @@ class TouchParameters:
     vibration_frequency: float = parameter(100.0, unit='Hz', within=(1.0, 500.0))
     vibration_amplitude: float = parameter(0.05, unit='mm', within=(0.0, 1.0))
     vibration_depth: float = parameter(0.3, unit='mm', within=(0.01, 1.5))
+    slide_distance: float = parameter(2.0, unit='mm', within=(-5.0, 5.0))
+    torsion_angle: float = parameter(20.0, unit='deg', within=(-90.0, 90.0))
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,8 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
 
     Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time), both best
     effort. Service ``~/play`` plays the scenario; ``~/press``, ``~/load``, ``~/drop``,
-    ``~/vibrate`` and ``~/release`` do what the parameters say. ``~/force_command`` sets a force
-    [N] that fades when no new one comes.
+    ``~/vibrate``, ``~/slide``, ``~/torsion`` and ``~/release`` do what the parameters say.
+    ``~/force_command`` sets a force [N] that fades when no new one comes.
 
     Args:
         process: Where the sensor is simulated.

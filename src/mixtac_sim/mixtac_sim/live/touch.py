@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from mixtac_events.arrays import Floats
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY, Mode
@@ -28,17 +29,36 @@ FOLLOW_TIMEOUT_S: Final = 0.25
 """Time for which a commanded force is held without a new command [s]."""
 APART_MM: Final = 0.3
 """Distance from the skin at which a vibration starts and ends [mm]."""
+MOVE_S: Final = 1.0
+"""Time of a motion across the normal [s]."""
 
 
-def press(tool: Indenter, force_n: float, hold_s: float) -> Profile:
-    """Return a press with a force [N] that is held for some time [s]."""
-    down, up = RAMP_S, RAMP_S + hold_s
-    ramps = (
+def press(
+    tool: Indenter, force_n: float, hold_s: float, move: tuple[float, float, float] = (0, 0, 0)
+) -> Profile:
+    """Return a press with a force that is held, moved across the normal first if it is to be.
+
+    Args:
+        tool: The object.
+        force_n: Force [N].
+        hold_s: Duration of the hold, at rest [s].
+        move: Motion: right and down [mm], turn from right to down [rad]; undone in the air.
+    """
+    down = RAMP_S
+    rest = RAMP_S + MOVE_S * any(move)
+    up, end = rest + hold_s, rest + hold_s + RAMP_S
+    segments = [
         Segment(0.0, down, Mode.FORCE, (0.0, RAMP_S), (0.0, force_n), indenter=tool),
-        Segment(down, up, Mode.FORCE, (0.0,), (force_n,), indenter=tool),
-        Segment(up, up + RAMP_S, Mode.FORCE, (0.0, RAMP_S), (force_n, 0.0), indenter=tool),
-    )
-    return Profile('press', up + RAMP_S, ramps)
+        Segment(rest, up, Mode.FORCE, (0.0,), (force_n,), indenter=tool),
+        Segment(up, end, Mode.FORCE, (0.0, RAMP_S), (force_n, 0.0), indenter=tool),
+    ]
+    if any(move):
+        back = (-move[0], -move[1], -move[2])
+        moved = Segment(down, rest, Mode.FORCE, (0.0,), (force_n,), indenter=tool, move=move)
+        segments.insert(1, moved)
+        segments.append(Segment(end, end + RAMP_S, Mode.FREE, indenter=tool, move=back))
+        end += RAMP_S
+    return Profile('press', end, tuple(segments))
 
 
 def load(tool: Indenter, hold_s: float) -> Profile:
@@ -141,7 +161,7 @@ class LiveProfile:
         # The one under way and those to come.
         self._plays: list[Play] = []
         self._asked = 0
-        self._changed = False
+        self._changed = self._moves = False
 
     def play(self, scenario: Profile, start_us: int) -> None:
         """Play a scenario from a time [us, simulated time] on.
@@ -204,6 +224,17 @@ class LiveProfile:
         for begin, end, play in self._spans(first, count):
             longest = min(longest, play.scenario.longest_step(begin - play.start, end - begin))
         return longest
+
+    def motion(self, first: int, count: int) -> Floats | None:
+        """Return the motion across the normal; as in `mixtac_sim.world.profiles.Profile`."""
+        steps = np.zeros((count, 3))
+        for begin, end, play in self._spans(first, count):
+            part = play.scenario.motion(begin - play.start, end - begin)
+            if part is not None:
+                steps[begin - first : end - first] = part
+                # Skin that was pulled aside keeps that state.
+                self._moves = True
+        return steps if self._moves else None
 
     def commands(self, first: int, count: int) -> Commands:
         """Return modes, targets and indenters of grid steps ``first`` to ``first + count``."""

@@ -402,6 +402,8 @@ class TouchControl:
             'load': self.load,
             'drop': self.drop,
             'vibrate': self.vibrate,
+            'slide': self.slide,
+            'torsion': self.torsion,
             'release': self.release,
         }
 
@@ -443,6 +445,20 @@ class TouchControl:
         )
         self._sensor.play(gesture)
         return f'vibrating {p.object} at {p.vibration_frequency} Hz {_for(p)}'
+
+    def slide(self, p: TouchParameters) -> str:
+        """Press the object and pull it over the skin; return a description for the user."""
+        self._press_and_move(p, (p.slide_distance, 0.0, 0.0))
+        return f'sliding {p.object} by {p.slide_distance} mm under {p.press_force} N, {_for(p)}'
+
+    def torsion(self, p: TouchParameters) -> str:
+        """Press the object and turn it about the normal; return a description for the user."""
+        self._press_and_move(p, (0.0, 0.0, math.radians(p.torsion_angle)))
+        return f'turning {p.object} by {p.torsion_angle} deg under {p.press_force} N, {_for(p)}'
+
+    def _press_and_move(self, p: TouchParameters, move: tuple[float, float, float]) -> None:
+        tool = LIVE_INDENTERS[p.object]
+        self._sensor.play(touch.press(tool, p.press_force, _hold_s(p), move))
 
     def release(self, p: TouchParameters) -> str:
         """Take the object off; return a description for the user."""

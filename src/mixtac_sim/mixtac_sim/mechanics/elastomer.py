@@ -150,6 +150,10 @@ class Shear:
         lean: Shear displacement per depth, to the right and downwards.
         friction_load: Friction falls as the force to the power of minus this.
         partial_slip: Whether the rim of the contact slips before the whole does.
+
+    Attributes:
+        lean: Shear displacement per depth, to the right and downwards [2].
+        partial_slip: Whether the rim of the contact slips before the whole does.
     """
 
     def __init__(
@@ -165,26 +169,34 @@ class Shear:
         self._thickness = layer.thickness_mm
         self._friction = friction
         self._friction_load = friction_load
-        self._partial_slip = partial_slip
-        self._lean = np.array(lean)
+        self.partial_slip = partial_slip
+        self.lean = np.array(lean)
 
     def at(self, force_n: Floats, depth_mm: Floats, radius_mm: Floats) -> tuple[Floats, Floats]:
         """Return displacement [n, 2] [mm] and force [n, 2] [N], right and down."""
-        area = np.pi * (radius_mm + 0.5 * self._thickness) ** 2
-        stiffness = self._modulus * area / self._thickness
-        wanted = depth_mm[:, None] * self._lean
+        stiffness = self.stiffness(radius_mm)
+        wanted = depth_mm[:, None] * self.lean
         pull = stiffness[:, None] * wanted
         size = np.maximum(np.hypot(pull[:, 0], pull[:, 1]), 1e-12)
-        limit = self._limit(force_n)
-        if self._partial_slip:
+        limit = self.limit(force_n)
+        if self.partial_slip:
             slid = 1.0 - np.minimum(size / np.maximum(1.5 * limit, 1e-12), 1.0)
             share = (limit * (1.0 - slid**1.5) / size)[:, None]
         else:
             share = np.minimum(1.0, limit / size)[:, None]
         return share * wanted, share * pull
 
-    def _limit(self, force_n: Floats) -> Floats:
-        """Return the largest pull that friction bears [N]."""
+    def stiffness(self, radius_mm: Floats) -> Floats:
+        """Return the stiffness of the skin under contacts of these radii [n] [N/mm]."""
+        area = np.pi * (radius_mm + 0.5 * self._thickness) ** 2
+        return np.asarray(self._modulus * area / self._thickness)
+
+    def turn_stiffness(self, radius_mm: Floats) -> Floats:
+        """Return its stiffness against a turn about the normal [n] [N mm/rad]."""
+        return np.asarray(16.0 / 3.0 * self._modulus * radius_mm**3)
+
+    def limit(self, force_n: Floats) -> Floats:
+        """Return the largest pull that friction bears under normal forces [n] [N]."""
         if self._friction_load == 0.0:
             return self._friction * force_n
         load = np.maximum(force_n, LIGHT_N) ** -self._friction_load

@@ -8,7 +8,7 @@ elastic force, in which it is nearly quadratic; a step then costs one interpolat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numba import njit
@@ -146,6 +146,106 @@ class BeadMotion:
         follow = self._shear if share is None else share
         _place(self._tables[indenter], row, *shear, follow, self._rest, self._optics, self.spots)
         return self.spots
+
+    def rows(self, row: float) -> tuple[Floats, Floats]:
+        """Return the two rows of the first table about a place, and how much shear beads follow.
+
+        Returns:
+            Displacements [2, n, xyz] [mm], and shares [n].
+        """
+        low = min(int(row), ROWS - 2)
+        return self._tables[0, low : low + 2], self._shear
+
+    def place_turned(
+        self,
+        rows: Floats,
+        part: float,
+        shear: tuple[float, float],
+        share: Floats,
+        turn: tuple[float, tuple[float, float]],
+    ) -> Floats:
+        """Return the images of all beads between two rows of displacements; see `place`.
+
+        Args:
+            rows: Displacements [2, n, xyz] [mm].
+            part: Share of the second row.
+            shear: Shear displacement of the skin, right and down [mm].
+            share: How much of it, and of the turn, each bead follows [n].
+            turn: Turn of the skin [rad], and its centre from the optical axis [mm].
+        """
+        angle, (x, y) = turn
+        rest = self._rest.copy()
+        rest[0] -= angle * share * (self._rest[1] - y)
+        rest[1] += angle * share * (self._rest[0] - x)
+        _place(rows, part, *shear, share, rest, self._optics, self.spots)
+        return self.spots
+
+
+GRID_MM = 1.0
+"""Distance of the places for which the motion of the beads is computed [mm]."""
+
+
+class SlidingBeads:
+    """Images of the beads under a contact that slides over the skin.
+
+    Between places on a grid of 1 mm, displacements are interpolated; each place takes a
+    fraction of a second, once.
+
+    Args:
+        at: Makes the motion of the beads under one indenter, by its number, in contact at a place
+            from the optical axis [mm].
+        contact_mm: The first contact, from the optical axis [mm].
+    """
+
+    def __init__(
+        self, at: Callable[[int, tuple[float, float]], BeadMotion], contact_mm: tuple[float, float]
+    ) -> None:
+        self._at, self._contact_mm = at, contact_mm
+        self._found: dict[tuple[int, int, int], BeadMotion] = {}
+
+    def place(
+        self,
+        indenter: int,
+        elastic_n: float,
+        shear: tuple[float, float],
+        turn_rad: float,
+        place_mm: tuple[float, float],
+    ) -> Floats:
+        """Return the images of all beads as `BeadMotion.place` does.
+
+        Args:
+            indenter: Number of the indenter.
+            elastic_n: Elastic force [N].
+            shear: Shear displacement of the skin, right and down [mm].
+            turn_rad: Turn of the skin from right to down [rad].
+            place_mm: Place of the contact from the first one [mm].
+        """
+        column, row = (int(np.floor(each / GRID_MM)) for each in place_mm)
+        right, below = place_mm[0] / GRID_MM - column, place_mm[1] / GRID_MM - row
+        corners = [
+            (self._motion(indenter, column + i, row + j), abs(1 - i - right) * abs(1 - j - below))
+            for i in (0, 1)
+            for j in (0, 1)
+            if abs(1 - i - right) * abs(1 - j - below) > 0.0
+        ]
+        motion = corners[0][0]
+        level = float(motion.row_of(0, np.array(elastic_n)))
+        rows, share = motion.rows(level)
+        if len(corners) > 1:
+            found = [(weight, each.rows(level)) for each, weight in corners]
+            rows = np.asarray(sum(weight * rows for weight, (rows, _) in found))
+            share = np.asarray(sum(weight * share for weight, (_, share) in found))
+        x, y = self._contact_mm
+        centre = (x + place_mm[0], y + place_mm[1])
+        part = level - min(int(level), ROWS - 2)
+        return motion.place_turned(rows, part, shear, share, (turn_rad, centre))
+
+    def _motion(self, indenter: int, column: int, row: int) -> BeadMotion:
+        key = (indenter, column, row)
+        if key not in self._found:
+            x, y = self._contact_mm
+            self._found[key] = self._at(indenter, (x + GRID_MM * column, y + GRID_MM * row))
+        return self._found[key]
 
 
 def _optics_row(lens: Lens) -> Floats:

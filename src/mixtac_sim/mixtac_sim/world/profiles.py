@@ -60,6 +60,8 @@ class Segment:
         values: Target at the knots; between them it moves with zero slope at each knot.
         tones: Sinusoids on top.
         indenter: The indenter.
+        move: Its motion across the normal over the segment, from rest to rest: right and down
+            [mm], and turn from right to down [rad]. It stays there afterwards.
     """
 
     start_s: float
@@ -69,6 +71,7 @@ class Segment:
     values: tuple[float, ...] = (0.0,)
     tones: tuple[Tone, ...] = ()
     indenter: Indenter = HEMISPHERE
+    move: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Refuse to drop what has no weight.
@@ -117,6 +120,12 @@ class CommandSource(Protocol):
     def longest_step(self, first: int, count: int) -> int:
         """Return the most grid steps that may be taken at once among some."""
 
+    def motion(self, first: int, count: int) -> Floats | None:
+        """Return the motion across the normal over some grid steps; None if there never is one.
+
+        Right and down [mm], and turn [rad] [count, 3].
+        """
+
 
 @dataclass(frozen=True, slots=True)
 class Profile:
@@ -134,10 +143,12 @@ class Profile:
     segments: tuple[Segment, ...]
     sync_s: tuple[float, ...] = ()
     _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
+    _moving: tuple[Segment, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Collect the starts of the segments, to search among."""
+        """Collect the starts of the segments, to search among, and those that move."""
         object.__setattr__(self, '_starts', tuple(s.start_s for s in self.segments))
+        object.__setattr__(self, '_moving', tuple(s for s in self.segments if any(s.move)))
 
     @property
     def indenters(self) -> tuple[Indenter, ...]:
@@ -164,6 +175,23 @@ class Profile:
             targets[inside] = segment.target(times[inside] - segment.start_s)
             tools[inside] = indenters.index(segment.indenter)
         return modes, targets, tools
+
+    def motion(self, first: int, count: int) -> Floats | None:
+        """Return the motion across the normal over grid steps ``first`` to ``first + count``.
+
+        Returns:
+            Right and down [mm], and turn [rad] [count, 3]; None if nothing in the profile moves so.
+        """
+        if not self._moving:
+            return None
+        times = np.arange(first, first + count + 1, dtype=np.float64) * (1e-6 * STEP_US)
+        steps = np.zeros((count, 3))
+        for segment in self._moving:
+            if segment.start_s < times[-1] and segment.end_s > times[0]:
+                u = (times - segment.start_s) / (segment.end_s - segment.start_s)
+                u = np.clip(u, 0.0, 1.0)
+                steps += np.outer(np.diff(u * u * (3.0 - 2.0 * u)), segment.move)
+        return steps
 
     def longest_step(self, first: int, count: int) -> int:
         """Return the most grid steps that may be taken at once from ``first`` on, among ``count``.
@@ -302,6 +330,47 @@ def weights(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     return segments
 
 
+REST_S = 1.6
+"""Rest after a touch that the zero is judged by [s]."""
+
+
+def touch(
+    rng: Generator, start_s: float, span_s: float, move: tuple[float, float, float] = (0, 0, 0)
+) -> list[Segment]:
+    """Return a press that is held, moved across the normal, and released with a long rest.
+
+    Args:
+        rng: Draws force, ramps, and what is held.
+        start_s: Start [s].
+        span_s: Length with the rest [s]; below 2.4 s there is none.
+        move: Motion: right and down [mm], turn [rad]; undone in the air.
+    """
+    if span_s < REST_S + 0.8:
+        return []
+    force, rise, fall = rng.uniform(0.3, 1.0), rng.uniform(0.1, 0.3), rng.uniform(0.06, 0.2)
+    top, end = start_s + rise, start_s + span_s - REST_S
+    hold = _hold(rng, top, end - fall, force)
+    right, down, turn = move
+    return [
+        Segment(start_s, top, Mode.FORCE, (0.0, rise), (0.0, force)),
+        replace(hold, move=move),
+        Segment(end - fall, end, Mode.FORCE, (0.0, fall), (force, 0.0)),
+        Segment(end, end + 0.3, Mode.FREE, move=(-right, -down, -turn)),
+    ]
+
+
+def slide(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a press that is pulled over the skin by 1 to 3 mm: stick, partial slip, slide."""
+    way, angle = rng.uniform(1.0, 3.0), rng.uniform(0.0, 2.0 * np.pi)
+    return touch(rng, start_s, span_s, (way * np.cos(angle), way * np.sin(angle), 0.0))
+
+
+def torsion(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a press that is turned about the normal by 10 to 40 degrees, to either side."""
+    angle = np.radians(rng.uniform(10.0, 40.0)) * rng.choice((-1.0, 1.0))
+    return touch(rng, start_s, span_s, (0.0, 0.0, float(angle)))
+
+
 def long_hold(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     """Return one slow press that is held, in force or in position, for nearly the whole span."""
     force = rng.uniform(0.1, 1.0)
@@ -372,8 +441,10 @@ def make_profile(
         name: ``idle``, ``press`` (press and hold), ``oscillation`` (2-5 Hz), ``impact`` (20 g from
             5 cm, bounces, hold), ``dynamic`` (all paces between 0 and 1 N), ``static`` (steps
             and ramps between 0 and 1 N; one long hold at ``easy``), ``long_term`` (one long
-            hold), ``vibration`` (50 to 250 Hz), ``weights`` (20, 50 and 100 g in turn) or ``demo``
-            (a bit of everything).
+            hold), ``vibration`` (50 to 250 Hz), ``weights`` (20, 50 and 100 g in turn),
+            ``touch``, ``slide``, ``torsion`` (presses with a long rest after each, that are held
+            still, pulled over the skin or turned about the normal) or ``demo`` (a bit of
+            everything).
         seed: Fixes every random choice.
         duration_s: Length [s]; at least 10 for ``demo``.
         sync: Start and end with a synchronising impulse; by default only ``demo`` does.
@@ -467,6 +538,9 @@ PROFILES: dict[str, Body] = {
     'long_term': long_hold,
     'vibration': _repeated(vibration, 2.0, 4.0),
     'weights': weights,
+    'touch': _repeated(touch, 2.6, 3.4),
+    'slide': _repeated(slide, 2.6, 3.4),
+    'torsion': _repeated(torsion, 2.6, 3.4),
     'demo': _demo,
 }
 """Bodies of the profiles by name: (random stream, start [s], span [s]) -> segments."""

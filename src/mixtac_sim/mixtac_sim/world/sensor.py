@@ -13,6 +13,8 @@ from mixtac_events.arrays import Events, Floats
 from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US, STEP_US
 from mixtac_sim.mechanics.contact import Contact
 from mixtac_sim.mechanics.elastomer import Layer, Shear, force_law
+from mixtac_sim.mechanics.sliding import Across, Sliding
+from mixtac_sim.optics.beads import SHEAR_MM, SlidingBeads
 from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.world.camera import Camera
@@ -21,33 +23,39 @@ from mixtac_sim.world.effects import EASY, Preset
 from mixtac_sim.world.profiles import CommandSource
 
 TRUTH_DTYPE = np.dtype(
-    [('t_us', 'i8'), ('fx', 'f8'), ('fy', 'f8'), ('fz', 'f8'), ('depth_mm', 'f8')]
+    [('t_us', 'i8'), ('fx', 'f8'), ('fy', 'f8'), ('fz', 'f8'), ('depth_mm', 'f8'), ('tz', 'f8')]
 )
-"""Truth at 1 kHz: true time [us], force on the skin [N] (right, down, normal), dent [mm]."""
+"""Truth at 1 kHz: true time [us], force on the skin [N] (right, down, normal), dent [mm], torque
+about the normal through the contact [Nm]."""
 TRUTH_EVERY = 8
 """Grid steps per row of truth."""
 
 
-def truth_rows(t_us: NDArray[np.int64], wrench: Floats, depth_mm: Floats) -> NDArray[np.void]:
+def truth_rows(
+    t_us: NDArray[np.int64], wrench: Floats, depth_mm: Floats, torque_nm: Floats | None = None
+) -> NDArray[np.void]:
     """Return the rows of truth in some grid steps, ``TRUTH_DTYPE``.
 
     Args:
         t_us: True time at the end of each step [n] [us].
         wrench: Force [N] and torque [Nm] [n, 6].
         depth_mm: Dent [n] [mm].
+        torque_nm: Torque about the normal through the contact [n] [Nm]; None for none.
     """
     chosen = slice(TRUTH_EVERY - 1, None, TRUTH_EVERY)
     rows = np.zeros(len(t_us[chosen]), TRUTH_DTYPE)
     rows['t_us'], rows['depth_mm'] = t_us[chosen], depth_mm[chosen]
     for axis, name in enumerate(('fx', 'fy', 'fz')):
         rows[name] = wrench[chosen, axis]
+    if torque_nm is not None:
+        rows['tz'] = torque_nm[chosen]
     return rows
 
 
 def truth_wrench(truth: NDArray[np.void]) -> Floats:
-    """Return the wrench of rows of truth [n, 6], without torques."""
-    forces = [truth['fx'], truth['fy'], truth['fz']]
-    return np.pad(np.stack(forces, axis=1), ((0, 0), (0, 3)))
+    """Return the wrench of rows of truth at the contact [n, 6]; its tilting torques are none."""
+    none = np.zeros(len(truth))
+    return np.stack([truth['fx'], truth['fy'], truth['fz'], none, none, truth['tz']], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +65,7 @@ class SensorOutput:
     Attributes:
         events: Events that left the chip, sorted.
         frames: Frames whose readout ended.
-        truth: Force and dent at 1 kHz, ``TRUTH_DTYPE``.
+        truth: Force, dent and torque at 1 kHz, ``TRUTH_DTYPE``.
         wrench_us: Times of ``wrench`` [n], int64, at 8 kHz.
         wrench: Force [N] and torque [Nm] on the sensor [n, 6], for the reference sensor.
     """
@@ -145,7 +153,13 @@ class TactileSensor:
         )
         self._contact_mm = conditions.contact_mm
         self._last: tuple[float, Floats] = (0.0, np.zeros(2))
+        self._last_slid = np.zeros(3)
         self._beads = device.beads(layer, conditions.contact_mm, tools, self._laws)
+        self._sliding = Sliding(self._shear, device.prony)
+        self._sliding_beads = SlidingBeads(
+            lambda k, place: device.beads(layer, place, tools[k : k + 1], self._laws[k : k + 1]),
+            conditions.contact_mm,
+        )
         rest = self._beads.place(0, 0.0, (0.0, 0.0))
         self._camera = Camera(device, conditions, preset, trial_seed, rest, aps=aps, pixels=pixels)
         self._block = 0
@@ -179,21 +193,33 @@ class TactileSensor:
         radius = np.empty(BLOCK_STEPS)
         for tool in np.unique(tools):
             radius[tools == tool] = self._laws[tool].radius_at(path.elastic_n[tools == tool])
-        shear_mm, pull = self._shear.at(path.force_n, path.depth_mm, radius)
+        moves = self._profile.motion(first, BLOCK_STEPS)
+        across = None if moves is None else self._sliding.advance(moves, path, radius)
+        if across is None:
+            shear_mm, pull = self._shear.at(path.force_n, path.depth_mm, radius)
+        else:
+            shear_mm, pull = across.shear_mm, across.pull_n
 
         def place(_: int, last: int) -> Floats:
             right, down = shear_mm[last - 1].tolist()
-            elastic_n = float(path.elastic_n[last - 1])
-            return self._beads.place(int(tools[last - 1]), elastic_n, (right, down))
+            tool, elastic_n = int(tools[last - 1]), float(path.elastic_n[last - 1])
+            if across is None:
+                return self._beads.place(tool, elastic_n, (right, down))
+            x, y = across.place_mm[last - 1].tolist()
+            turn = float(across.turn_rad[last - 1])
+            return self._sliding_beads.place(tool, elastic_n, (right, down), turn, (x, y))
 
         travel = self._travel(tools, path.elastic_n, shear_mm)
+        if across is not None:
+            travel += self._slid_px(across, int(tools[-1]), path.elastic_n, radius)
         longest = self._profile.longest_step(first, BLOCK_STEPS)
         events, frames = self._camera.advance(path.elastic_n, travel, longest, place)
         t_us = (np.arange(first, first + BLOCK_STEPS, dtype=np.int64) + 1) * STEP_US
         self._last = (float(path.elastic_n[-1]), shear_mm[-1])
         self._block += 1
-        wrench = self._wrench(pull, path.force_n)
-        truth = truth_rows(t_us, wrench, path.depth_mm)
+        wrench = self._wrench(pull, path.force_n, across)
+        torque_nm = None if across is None else across.torque_nm
+        truth = truth_rows(t_us, wrench, path.depth_mm, torque_nm)
         return SensorOutput(events, frames, truth, t_us, wrench)
 
     def _travel(self, tools: NDArray[np.int8], elastic_n: Floats, shear_mm: Floats) -> Floats:
@@ -204,9 +230,22 @@ class TactileSensor:
         across = self._beads.px_per_mm * np.hypot(slide[:, 0], slide[:, 1])
         return np.asarray(np.abs(np.diff(reach)) + across)
 
-    def _wrench(self, pull: Floats, force_n: Floats) -> Floats:
+    def _slid_px(self, across: Across, tool: int, elastic_n: Floats, radius_mm: Floats) -> Floats:
+        """Return the motion per step of the fastest bead by turn and slide [px]."""
+        slid = np.column_stack([across.place_mm, across.turn_rad])
+        steps = np.abs(np.diff(np.vstack([self._last_slid, slid]), axis=0))
+        self._last_slid = slid[-1]
+        # A dent moves beads by its slope, which is that of a cone as wide as the contact.
+        slope = self._beads.reach_px(tool, elastic_n) / np.maximum(radius_mm, 1.0)
+        turned = self._beads.px_per_mm * SHEAR_MM * steps[:, 2]
+        return np.asarray(slope * np.hypot(steps[:, 0], steps[:, 1]) + turned)
+
+    def _wrench(self, pull: Floats, force_n: Floats, across: Across | None) -> Floats:
         """Return force [N] and torque about the sensor's centre [Nm] of a push at the contact."""
-        x, y = (1e-3 * place for place in self._contact_mm)
-        torque_z = x * pull[:, 1] - y * pull[:, 0]
+        place, torque_nm = np.zeros(2), np.zeros(1)
+        if across is not None:
+            place, torque_nm = across.place_mm + across.shear_mm, across.torque_nm
+        x, y = (1e-3 * (here + slid) for here, slid in zip(self._contact_mm, place.T, strict=True))
+        torque_z = x * pull[:, 1] - y * pull[:, 0] + torque_nm
         columns = (pull[:, 0], pull[:, 1], force_n, y * force_n, -x * force_n, torque_z)
         return np.stack(columns, axis=1)

@@ -62,7 +62,9 @@ P = TouchParameters()
 
 def test_every_gesture_is_a_service_and_says_what_it_does(control):
     p = replace(P, object='weight_20_g')
-    assert set(control.gestures) == {'press', 'load', 'drop', 'vibrate', 'release'}
+    assert set(control.gestures) == {
+        *('press', 'load', 'drop', 'vibrate', 'slide', 'torsion', 'release')
+    }
     assert all(gesture(p) for gesture in control.gestures.values())
 
 
@@ -73,6 +75,18 @@ def test_a_press_reaches_its_force_and_goes_away(sensor, control):
     held = np.count_nonzero(np.isclose(targets, 0.7)) * STEP_US * 1e-6
     assert held == pytest.approx(1.0, abs=0.02)
     assert not modes[-100:].any()
+
+
+def test_a_slide_and_a_turn_move_the_object_there_and_back(sensor, control):
+    assert sensor.profile.motion(0, 32) is None
+    control.slide(replace(P, slide_distance=1.5, hold_seconds=0.5))
+    steps = sensor.profile.motion(0, 24_000)
+    assert steps.sum(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    assert np.cumsum(steps[:, 0]).max() == pytest.approx(1.5)
+    sensor.commands(3_000_000)
+    control.torsion(replace(P, torsion_angle=-30.0, hold_seconds=0.0))
+    turned = sensor.profile.motion(24_000, 80_000)[:, 2]
+    assert turned.sum() == pytest.approx(np.radians(-30.0))
 
 
 def test_a_load_is_the_weight_of_the_object(sensor, control):

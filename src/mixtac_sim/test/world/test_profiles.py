@@ -65,6 +65,23 @@ def test_commands_do_not_depend_on_how_they_are_asked_for():
         np.testing.assert_array_equal(np.concatenate([p[column] for p in parts]), whole[column])
 
 
+@pytest.mark.parametrize(('name', 'axes'), [('slide', (0, 1)), ('torsion', (2,))])
+def test_slides_and_turns_move_only_while_they_press_and_end_where_they_began(name, axes):
+    profile = make_profile(name, 4, 12.0, sync=True)
+    modes, targets, _ = commands(profile)
+    steps = profile.motion(0, len(modes))
+    still = [axis for axis in range(3) if axis not in axes]
+    assert not steps[:, still].any()
+    assert np.abs(np.cumsum(steps, axis=0)).max() > 0.15
+    assert np.abs(steps.sum(axis=0)).max() < 1e-9
+    moving = steps.any(axis=1)
+    assert set(modes[moving].tolist()) <= {Mode.FREE, Mode.FORCE, Mode.HOLD}
+    assert np.all(targets[moving & (modes == Mode.FORCE)] > 0.2)
+    parts = [profile.motion(k, 32) for k in range(0, len(modes), 32)]
+    np.testing.assert_array_equal(np.concatenate(parts), steps)
+    assert make_profile('touch', 4, 12.0).motion(0, 32) is None
+
+
 def test_targets_pass_through_their_knots_and_tones():
     segment = Segment(
         0.0, 2.0, Mode.FORCE, (0.0, 1.0, 2.0), (0.0, 0.8, 0.4), (Tone(0.1, 5.0, fade_s=0.2),)

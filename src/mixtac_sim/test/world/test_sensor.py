@@ -160,3 +160,33 @@ def test_trial_holds_together(sync, impulses):
     on_camera = (trial.reference_t_us - b) / a - trial.reference_delay_us
     truth = np.interp(on_camera, trial.truth['t_us'], trial.truth['fz'])
     assert np.sqrt(np.mean((trial.reference_wrench[:, 2] - truth) ** 2)) < 0.03
+
+
+def rubbed(move):
+    press = Segment(0.1, 0.2, Mode.FORCE, (0.0, 0.1), (0.0, 0.6))
+    held = Segment(0.2, 0.5, Mode.FORCE, (0.0,), (0.6,), move=move)
+    return Profile('rubbed', 0.6, (press, held, Segment(0.5, 0.6, Mode.FORCE, values=(0.6,))))
+
+
+@pytest.mark.parametrize(('move', 'name'), [((1.5, 0.0, 0.0), 'fx'), ((0.0, 0.0, 0.6), 'tz')])
+def test_a_slide_and_a_turn_are_felt_and_seen(move, name):
+    output = sensor(profile=rubbed(move)).advance(600_000)
+    felt = dict(zip(output.truth['t_us'].tolist(), output.truth[name].tolist(), strict=True))
+    assert felt[500_000] > 20.0 * abs(felt[200_000])
+    assert output.truth['fz'][-1] == pytest.approx(0.6)
+    # The friction of a slide is coefficient times force; that of the device is 0.5 to 1.3.
+    if name == 'fx':
+        assert 0.4 < felt[500_000] / 0.6 < 1.5
+    events = output.events
+    assert len(events.between(200_000, 300_000)) > 2 * len(events.between(500_000, 600_000))
+    frames = [frame.intensity.astype(int) for frame in output.frames]
+    noise = np.abs(frames[-1] - frames[-2]).mean()
+    assert np.abs(frames[-1] - frames[5]).mean() > 1.4 * noise
+
+
+def test_a_sliding_contact_does_not_depend_on_how_it_is_advanced():
+    whole = sensor(profile=rubbed((0.8, 0.9, 0.1))).advance(400_000)
+    body = sensor(profile=rubbed((0.8, 0.9, 0.1)))
+    parts = [body.advance(t) for t in (1_237, 290_000, 400_000)]
+    assert same_events(type(whole.events).concatenate([p.events for p in parts]), whole.events)
+    np.testing.assert_array_equal(np.concatenate([p.wrench for p in parts]), whole.wrench)
