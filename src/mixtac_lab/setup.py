@@ -27,6 +27,7 @@ STUDIES = {
     'difficulty': f'{STUDY}.difficulty:difficulty',
     'ablation': f'{STUDY}.difficulty:ablation',
     'faults': f'{STUDY}.faults:faults',
+    'zero': f'{STUDY}.zero:zero',
     'models': f'{STUDY}.models:models',
     'adaptation': f'{STUDY}.models:adaptation',
     'alignment': f'{STUDY}.alignment:alignment',

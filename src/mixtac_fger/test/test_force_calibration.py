@@ -172,6 +172,32 @@ def test_spoiled_calibrations_are_refused(conditions, reason):
         assert refusal(seed=seed, **conditions) == reason
 
 
+@pytest.mark.parametrize('kind', ['wrong grams', 'swapped', 'moved', 'off the gel', 'rocking'])
+def test_eight_spoiled_calibrations_of_each_kind_are_refused_or_flagged(kind):
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        load, other = rng.permutation(3)[:2].tolist()
+        grams, conditions = list(GRAMS), {}
+        if kind == 'wrong grams':
+            grams[load] *= rng.choice((1.0 / 1.5, 1.5))
+        elif kind == 'swapped':
+            grams[load], grams[other] = grams[other], grams[load]
+        elif kind == 'moved':
+            conditions['walk'] = rng.choice((-1.0, 1.0)) * rng.uniform(0.05, 0.2)
+        elif kind == 'off the gel':
+            grams[load] *= 0.1
+        else:
+            conditions = {
+                'rocking': rng.uniform(0.15, 0.3),
+                'rocking_hz': rng.uniform(0.8, 2.5),
+            }
+        try:
+            found = calibrated(tuple(grams), known=GRAMS, seed=seed, **conditions)
+        except ForceCalibrationError:
+            continue
+        assert any(each.doubtful for each in found.points)
+
+
 def test_a_load_that_is_somewhat_off_is_doubtful():
     assert not any(each.doubtful for each in calibrated().points)
     found = calibrated((20.0, 57.0, 100.0), known=GRAMS)

@@ -15,12 +15,14 @@ from mixtac_lab.experiments.sizes import (
     run_config,
 )
 from mixtac_lab.experiments.studies.models import (
+    SPOILED,
     aggregate,
     as_markdown,
+    calibrate_by_weights,
+    spoiled_weights,
     table_data,
     test_specs,
     unseen_specs,
-    weights_gain,
 )
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.train.config import find_run_config, read_run_config
@@ -80,4 +82,8 @@ def test_known_weights_give_the_gain_within_their_error():
     noise = np.random.default_rng(1).normal(0.0, 0.004, len(t_us))
     estimate = TrialEstimate('w', 'weights', 'd', t_us, true / 1.4 + noise, true, None)
     # The 100 g weight, wrong by 1 g at most, counts most.
-    assert weights_gain(estimate, 5) == pytest.approx(1.4, rel=0.02)
+    assert calibrate_by_weights(estimate, 5).gain == pytest.approx(1.4, rel=0.02)
+    for seed in range(8):
+        found = spoiled_weights(estimate, seed)
+        assert set(found) == set(SPOILED)
+        assert 'accepted' not in found.values()
