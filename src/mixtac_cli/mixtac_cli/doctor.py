@@ -8,11 +8,13 @@ import math
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.markup import escape
@@ -30,9 +32,9 @@ from mixtac_driver.doctor.computer import (
     ok,
     worst,
 )
-from mixtac_driver.doctor.stream import check_running
+from mixtac_driver.doctor.stream import Measurement, check_running
 from mixtac_events.errors import MixtacError
-from mixtac_node.files import write_json
+from mixtac_node.files import state_file, write_json
 
 VIRTUAL = 'virtual'
 DISTRIBUTIONS = {'3': 'Humble', '7': 'Jazzy', '9': 'Kilted'}
@@ -118,13 +120,15 @@ def examine(
         attached = check_attached(files, serial)
         yield 'camera', attached
         if worst(attached) < Level.ERROR:
-            yield 'measured', list(check_running(device, seconds, serial=serial))
+            yield 'measured', list(check_running(device, seconds, serial=serial, more=check_zero))
     else:
         yield 'software', software
         with virtual_camera(device) as (backend, finding):
             yield 'camera', [finding]
             if backend is not None:
-                found = check_running(device, seconds, serial=serial, backend=backend)
+                found = check_running(
+                    device, seconds, serial=serial, backend=backend, more=check_zero
+                )
                 yield 'measured', list(found)
     yield 'computer', check_computer(files, Path.cwd())
 
@@ -208,6 +212,57 @@ def check_model() -> Finding:
     except MixtacError as error:
         return Finding('model', Level.ERROR, error.message, error.remedy)
     return ok('model', str(path))
+
+
+def check_zero(serial: str, measured: Measurement) -> Finding:
+    """Compare what the camera sees with the kept no-contact reference of its serial number.
+
+    Args:
+        serial: Serial number of the camera.
+        measured: Its latest frames are compared; nothing may touch the sensor.
+    """
+    from mixtac_fger.estimator import open_estimator
+    from mixtac_fger.live_feed import MOST_DRIFT_N
+    from mixtac_fger.reference import reference_name
+    from mixtac_fger.validity import CONTACT, picture_findings
+    from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model
+    from mixtac_recordings.messages import left_aligned
+
+    name, path = 'zero', state_file(reference_name(serial) or 'none')
+    tare = 'touch the sensor, release it and call ~/tare'
+    if not path.exists():
+        return ok(name, f'none is kept for this camera: {tare} before the force counts', kept=False)
+    try:
+        estimator = open_estimator(read_model(find_model(DEFAULT_MODEL)))
+        assert estimator.reference is not None  # noqa: S101  (the shipped model has one)
+        estimator.reference.load(path)
+        seen = [
+            frame
+            for each in measured.latest
+            if (frame := estimator.encode(left_aligned(each.image), each.middle_us)) is not None
+        ]
+    except MixtacError as error:
+        return Finding(name, Level.WARN, error.message, error.remedy)
+    days = (time.time() - path.stat().st_mtime) / 86_400.0
+    found = f'kept {days:.1f} days ago'
+    if not seen or seen[-1].picture is None:
+        return Finding(name, Level.WARN, f'{found}; no frame to compare it with', tare)
+    picture, force_n = seen[-1].picture, float(np.mean([frame.force for frame in seen]))
+    values: dict[str, Any] = {
+        'kept': True,
+        'age [d]': round(days, 2),
+        'force [N]': round(force_n, 3),
+        'likeness': round(picture.likeness, 3),
+        'outward [bins]': round(picture.outward, 4),
+    }
+    found += f'; the picture shows {force_n:+.3f} N against it'
+    wrong = [reason.text for reason in sorted(picture_findings(picture))]
+    if abs(picture.outward) > CONTACT:
+        wrong.append('something touches the sensor: release it and try again')
+    if abs(force_n) > MOST_DRIFT_N:
+        wrong.append(f'the zero has drifted: {tare}')
+    level = Level.WARN if wrong else Level.OK
+    return Finding(name, level, found, wrong[0] if wrong else '', values)
 
 
 def check_virtual_sensor() -> Finding:

@@ -22,7 +22,7 @@ from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import CameraFacts, check_camera, open_estimator
 from mixtac_fger.live_feed import LiveFeed, feed_diagnosis
 from mixtac_fger.parameters import FgerParameters
-from mixtac_fger.reference import TareError
+from mixtac_fger.reference import TareError, reference_name
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import find_model, read_model
 from mixtac_msgs.msg import ForceQuality
@@ -373,7 +373,7 @@ def _reference_file(settings: FgerParameters, serial: str) -> str:
     """Return the name of the reference's file; empty if there is to be none."""
     if settings.reference or settings.assume_free:
         return settings.reference
-    return f'reference_{serial}.npz' if serial.isalnum() else ''
+    return reference_name(serial)
 
 
 def _stored_reference(name: str, estimator: Estimator) -> NDArray[Any] | None:

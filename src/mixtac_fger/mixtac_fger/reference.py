@@ -31,6 +31,11 @@ class ReferenceFileError(MixtacError):
 _REMEDY = 'delete it, or write a new one with ~/tare while the sensor is untouched'
 
 
+def reference_name(serial: str) -> str:
+    """Return the name of the file that keeps the reference of a camera; empty without a serial."""
+    return f'reference_{serial}.npz' if serial.isalnum() else ''
+
+
 NOISIEST = 5.0
 """Largest noise of a still frame over `FgerConfig.reference_stillness`."""
 WHITE = 1.05

@@ -7,7 +7,8 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -21,6 +22,9 @@ from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.transport import TransportCounters
 from mixtac_events.clock_map import ClockEstimate
 from mixtac_events.errors import MixtacError
+from mixtac_events.readings import Frame
+
+LATEST_FRAMES = 5
 
 
 @dataclass(slots=True)
@@ -40,6 +44,7 @@ class Measurement:
         transport: Counters of the USB reader.
         clock: The map from the camera's clock to the host's, or None without data.
         clock_resets: Resets of the camera's clock that the driver did not request.
+        latest: Latest frames.
     """
 
     seconds: float = 0.0
@@ -54,6 +59,7 @@ class Measurement:
     transport: TransportCounters = field(default_factory=TransportCounters)
     clock: ClockEstimate | None = None
     clock_resets: int = 0
+    latest: deque[Frame] = field(default_factory=lambda: deque(maxlen=LATEST_FRAMES))
 
     def rate(self, count: int) -> float:
         """Return a count per second of the camera's clock."""
@@ -82,6 +88,7 @@ def measure(camera: Davis346, seconds: float) -> Measurement:
             continue
         result.events += len(batch.decoded.events)
         result.frames += len(batch.decoded.frames)
+        result.latest.extend(batch.decoded.frames)
         result.samples += len(batch.decoded.imu.t)
         result.edges += len(batch.decoded.edges.t)
         if arrivals_ns[-1] != batch.arrival_ns:
@@ -121,6 +128,7 @@ def check_running(
     *,
     serial: str = '',
     backend: Any = None,  # noqa: ANN401
+    more: Callable[[str, Measurement], Finding] | None = None,
 ) -> Iterator[Finding]:
     """Open a camera, count its data, and yield findings one by one.
 
@@ -129,6 +137,7 @@ def check_running(
         seconds: Duration of the count [s].
         serial: Serial number, or empty for the only camera.
         backend: A pyusb backend to use instead of the one that `device` names.
+        more: Makes one more finding of the serial number and the measurement.
     """
     p = DriverParameters(device=device, serial=serial)
     camera = Davis346(p, backend=backend)
@@ -139,7 +148,10 @@ def check_running(
         return
     try:
         yield check_identity(camera.identity)
-        yield from check_measurement(measure(camera, seconds), p, camera.identity)
+        measured = measure(camera, seconds)
+        yield from check_measurement(measured, p, camera.identity)
+        if more is not None:
+            yield more(camera.identity.serial, measured)
     except MixtacError as error:
         yield failure('data stream', error)
     finally:
