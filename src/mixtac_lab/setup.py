@@ -8,17 +8,14 @@ PACKAGE = 'mixtac_lab'
 PAPER = f'{PACKAGE}.experiments.paper'
 STUDY = f'{PACKAGE}.experiments.studies'
 EXPERIMENTS = {
-    name: f'{PAPER}.{name}:{name}'
-    for name in (
-        'vibration',
-        'stability',
-        'inputs',
-        'fusion',
-        'impact',
-        'slip',
-        'model',
-        'comparison',
-    )
+    'vibration': f'{PAPER}.vibration:vibration',
+    'stability': f'{PAPER}.forces:stability',
+    'inputs': f'{PAPER}.forces:inputs',
+    'fusion': f'{PAPER}.forces:fusion',
+    'impact': f'{PAPER}.forces:impact',
+    'slip': f'{PAPER}.slip:slip',
+    'model': f'{PAPER}.model:model',
+    'comparison': f'{PAPER}.comparison:comparison',
 }
 STUDIES = {
     'all': f'{PACKAGE}.experiments.harness:all',

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixtac_lab.experiments.paper.stability import rolling_bins
+from mixtac_lab.experiments.paper.forces import rolling_bins
 from mixtac_learning.judge.estimators import TrialEstimate
 
 
