@@ -39,6 +39,8 @@ SYSTEM = {
     'echo',
     'export',
     'git',
+    'ip',
+    'kill',
     'ls',
     'lsusb',
     'mkdir',
@@ -55,7 +57,9 @@ SYSTEM = {
     'sleep',
     'source',
     'ssh',
+    'ss',
     'sudo',
+    'tc',
     'torchrun',
 }
 """Programs that are not ours; what they are given is not looked into, but for docker's files."""
@@ -184,6 +188,12 @@ def check_param(words: list[str]) -> None:
     assert name in parameters['ros__parameters']
 
 
+def check_security(words: list[str]) -> None:
+    assert words[0] in {
+        *('create_keystore', 'create_enclave', 'create_permission', 'generate_policy'),
+    }
+
+
 def check_lifecycle(words: list[str]) -> None:
     assert words[0] in {'set', 'get', 'nodes'}
 
@@ -199,6 +209,7 @@ def test_ros2_finds_what_it_is_asked_for(text, launch_arguments):
         'service': check_service,
         'param': check_param,
         'lifecycle': check_lifecycle,
+        'security': check_security,
     }
     checks[verb](rest)
 

@@ -58,6 +58,8 @@ class DeviceParameters:
             file://${ROS_HOME}/camera_info/${NAME}.yaml
         undistort_frames: Also publish frames without lens distortion; needs a calibration
         undistort_events: Also publish events at undistorted pixels; needs a calibration
+        compressed_frames: Also publish frames on image_raw/compressed, for networks: `jpeg` with 8
+            bits, or `png` without loss; empty for none
     """
 
     device: str = fixed('davis346')
@@ -81,6 +83,7 @@ class DeviceParameters:
     camerainfo_url: str = fixed('')
     undistort_frames: bool = fixed(False)
     undistort_events: bool = fixed(False)
+    compressed_frames: str = fixed('', choices=('', 'jpeg', 'png'))
 
 
 NO_SEEK = -1.0

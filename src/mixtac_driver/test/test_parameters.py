@@ -149,6 +149,7 @@ def test_only_what_the_node_itself_is_made_of_is_fixed():
     made_of = ('usb_', 'recovery_', 'playback_', 'undistort_', 'camera_name', 'camerainfo_url')
     others = {name for name in fixed if not name.startswith(made_of)}
     assert others - {'device', 'serial', 'encoding', 'camera_frame_id', 'imu_frame_id'} <= {
+        'compressed_frames',
         'event_message_time_threshold',
         'event_message_size_threshold',
         'stream_timeout',

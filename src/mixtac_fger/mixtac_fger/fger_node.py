@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from event_camera_msgs.msg import EventPacket
     from lifecycle_msgs.srv import ChangeState
     from numpy.typing import NDArray
-    from sensor_msgs.msg import CameraInfo, Image, TimeReference
+    from sensor_msgs.msg import CameraInfo, CompressedImage, Image, TimeReference
 
     from mixtac_fger.estimator import Estimate, Estimator
     from mixtac_fger.weights import Model
@@ -145,9 +145,11 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             deadline_s=settings.deadline,
         )
         freeze_loaded()
+        compressed = settings.image_transport == 'compressed'
+        frames = topics.IMAGE_COMPRESSED if compressed else topics.IMAGE_RAW
         self._inputs = [
             self.subscribe_topic(topics.EVENTS, self._on_events, raw=True),
-            self.subscribe_topic(topics.IMAGE_RAW, self._on_image),
+            self.subscribe_topic(frames, self._on_image),
         ]
         return super().on_activate(state)
 
@@ -328,7 +330,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         message.valid, message.reason = estimate.valid, int(estimate.reason)
         return message
 
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, message: Image | CompressedImage) -> None:
         if self._feed is not None and not self._misfit:
             self._feed.image(message, stamp_to_us(message.header.stamp))
 

@@ -5,8 +5,11 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from functools import partial
+from statistics import median
+from typing import TYPE_CHECKING, Any
 
 from mixtac_events.codec import PacketMessage, decode_message
 from mixtac_events.packets import CodecError
@@ -14,16 +17,18 @@ from mixtac_events.sequence import SequenceCounter
 from mixtac_fger.features import ImageError
 from mixtac_fger.validity import Reason
 from mixtac_node.diagnostics import ERROR, OK, WARN, RateMeter, RecentValues
-from mixtac_node.images import ImageConversionError, grey
+from mixtac_node.images import ImageConversionError, decompress_grey, grey
 
 if TYPE_CHECKING:
-    from array import array
-
     from mixtac_events.packets import DecodedPacket
     from mixtac_fger.estimator import Estimate, EstimatorStatus
     from mixtac_fger.streaming import ForceEstimator
 
 
+LONGEST_GAP_US = 10_000_000
+"""Longest gap between frames in which missing ones are counted [us]."""
+FEWEST_INTERVALS = 5
+"""Intervals between frames from which the usual one is known."""
 COMPARABLE_NS = 10_000_000_000
 """Ages beyond this, or below zero, come from replayed stamps or another host's clock [ns]."""
 WATCHED = {
@@ -39,21 +44,39 @@ WATCHED = {
     'slow_windows': 'windows that took longer to compute than they last',
     'frames_off_clock': 'frames whose time does not match the events',
     'frames_dropped': 'frames dropped',
+    'frames_missing': 'frames lost on the way',
 }
 """Counters whose rise is a warning, and what each counts."""
 MOST_DRIFT_N = 0.05
 """Drift of the zero beyond which a tare is due [N]."""
 
 
-class ImageMessage(Protocol):
-    """The fields of `sensor_msgs/Image` in use."""
+class FrameCounter:
+    """Counts frames that never came, by the times of those that did.
 
-    height: int
-    width: int
-    encoding: str
-    is_bigendian: int
-    step: int
-    data: array[int]
+    Attributes:
+        missing: Frames missing between the others, at the interval that most of the latest have.
+    """
+
+    def __init__(self) -> None:
+        self.missing = 0
+        self._latest_us: int | None = None
+        self._intervals: deque[int] = deque(maxlen=15)
+
+    def take(self, mid_us: int) -> None:
+        """Count a frame.
+
+        Args:
+            mid_us: Centre of its exposure, camera clock [us].
+        """
+        before, self._latest_us = self._latest_us, mid_us
+        if before is None or not 0 < mid_us - before <= LONGEST_GAP_US:
+            # A restart of the clock, or of the camera: nobody knows what was meant to come.
+            self._intervals.clear()
+            return
+        self._intervals.append(mid_us - before)
+        if len(self._intervals) >= FEWEST_INTERVALS:
+            self.missing += max(0, round((mid_us - before) / median(self._intervals)) - 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +97,7 @@ class FeedStatus:
         repeated_packets: Packets ignored because they came twice.
         publisher_restarts: Times the sequence numbers went back.
         bad_messages: Packets and images that could not be read.
+        frames_missing: Frames that never came, by the times of those that did.
         problem: Reason for the latest one since the previous status, empty if there was none.
         lately: Counters that rose since the previous status, a part of `WATCHED`.
     """
@@ -90,6 +114,7 @@ class FeedStatus:
     repeated_packets: int
     publisher_restarts: int
     bad_messages: int
+    frames_missing: int
     problem: str
     lately: dict[str, int]
 
@@ -117,6 +142,7 @@ class LiveFeed:
         self.estimator = estimator
         self.deadline_s = deadline_s
         self._sequence = SequenceCounter()
+        self._frames = FrameCounter()
         self._late = self._slow = self._bad_messages = 0
         self._missing = False
         self._before = dict.fromkeys(WATCHED, 0)
@@ -173,15 +199,19 @@ class LiveFeed:
             if age_ns > 1e9 * self.deadline_s:
                 self._late += count
 
-    def image(self, message: ImageMessage, mid_us: int) -> None:
+    def image(self, message: Any, mid_us: int) -> None:  # noqa: ANN401
         """Take an image; colours become grey.
 
         Args:
-            message: A `sensor_msgs/Image`; its data must not be changed afterwards.
+            message: A `sensor_msgs/Image`, or a `sensor_msgs/CompressedImage`, which is decoded
+                where frames are encoded; its data must not be changed afterwards.
             mid_us: Centre of the exposure, camera clock [us].
         """
+        self._frames.take(mid_us)
+        compressed = hasattr(message, 'format')
         try:
-            self.estimator.push_frame(grey(message), mid_us)
+            image: Any = partial(decompress_grey, message) if compressed else grey(message)
+            self.estimator.push_frame(image, mid_us)
         except (ImageError, ImageConversionError) as error:
             self._problem = str(error)
             self._bad_messages += 1
@@ -203,6 +233,7 @@ class LiveFeed:
             repeated_packets=self._sequence.repeated,
             publisher_restarts=self._sequence.restarts,
             bad_messages=self._bad_messages,
+            frames_missing=self._frames.missing,
             problem=problem,
             lately={},
         )

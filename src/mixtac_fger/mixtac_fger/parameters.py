@@ -42,6 +42,9 @@ class FgerParameters:
             `force_quality` says that the force is not valid, and why.
         stale_frame_age: Age of the latest frame above which the force is not valid. Without frames
             the force drifts.
+        image_transport: Frames are received as `raw` from image_raw, or `compressed` from
+            image_raw/compressed, as the driver publishes them with `compressed_frames`. Takes
+            effect at the next activation.
         longest_without_frame: Age of the latest frame above which no force is published until the
             next frame.
         deadline: Longest time from the arrival of the packet that completes a window (its first
@@ -58,5 +61,6 @@ class FgerParameters:
     tare_on_release: bool = parameter(False)
     invalid_force: str = parameter('withhold', choices=POLICIES)
     stale_frame_age: float = parameter(0.2, unit='s', within=(0.05, 60.0))
+    image_transport: str = parameter('raw', choices=('raw', 'compressed'))
     longest_without_frame: float = parameter(2.0, unit='s', within=(0.05, 3600.0))
     deadline: float = parameter(0.003, unit='s', within=(0.0005, 1.0))

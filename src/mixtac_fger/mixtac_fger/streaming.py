@@ -47,9 +47,12 @@ from mixtac_fger.validity import (
     Release,
     Validity,
 )
+from mixtac_node.images import ImageConversionError
 from mixtac_node.process import lower_priority
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
@@ -151,7 +154,7 @@ class FrameWorker:
 
     def __init__(self, estimator: Estimator) -> None:
         self._estimator = estimator
-        self._inbox: queue.Queue[tuple[Image, int] | None] = queue.Queue()
+        self._inbox: queue.Queue[tuple[Image | Callable[[], Image], int] | None] = queue.Queue()
         self._outbox: deque[EncodedFrame] = deque()
         self._thread = threading.Thread(target=self._run, name='fger_frames', daemon=True)
         self._replaced = self._unfetched = 0
@@ -170,8 +173,8 @@ class FrameWorker:
         """Frames replaced by a newer one before they were encoded or fetched."""
         return self._replaced + self._unfetched
 
-    def push(self, image: Image, mid_us: int) -> None:
-        """Take a frame; the caller must not change `image` afterwards."""
+    def push(self, image: Image | Callable[[], Image], mid_us: int) -> None:
+        """Take a frame, see `ForceEstimator.push_frame`."""
         with contextlib.suppress(queue.Empty):
             while self._inbox.get_nowait() is not None:
                 self._inbox.task_done()
@@ -202,8 +205,8 @@ class FrameWorker:
         lower_priority(NICENESS)
         while (job := self._inbox.get()) is not None:
             try:
-                encoded = self._estimator.encode(*job)
-            except ImageError as error:
+                encoded = self._estimator.encode(_seen(job[0]), job[1])
+            except (ImageError, ImageConversionError) as error:
                 self.refused += 1
                 self.problem = str(error)
             else:
@@ -217,6 +220,10 @@ class FrameWorker:
                 self._outbox.popleft()
                 self._unfetched += 1
         self._outbox.append(frame)
+
+
+def _seen(image: Image | Callable[[], Image]) -> Image:
+    return image() if callable(image) else image
 
 
 TARE_WINDOWS = 100
@@ -317,12 +324,13 @@ class ForceEstimator:
         """Frames-only force of the latest frame [N]; 0 without one."""
         return 0.0 if self._frame is None else self.force_scale * self._frame.force
 
-    def push_frame(self, image: Image, mid_us: int) -> None:
+    def push_frame(self, image: Image | Callable[[], Image], mid_us: int) -> None:
         """Take a frame as it arrives.
 
         Args:
             image: Intensity, [height, width]; uint8, or uint16 with the camera's bits left-aligned;
-                must not be changed afterwards.
+                must not be changed afterwards. Or a function that returns it, called where frames
+                are encoded.
             mid_us: Centre of the exposure, camera clock [us].
 
         Raises:
@@ -332,7 +340,7 @@ class ForceEstimator:
         if self._worker is not None:
             self._worker.push(image, mid_us)
             return
-        encoded = self._estimator.encode(image, mid_us)
+        encoded = self._estimator.encode(_seen(image), mid_us)
         if encoded is not None:
             self._keep([encoded])
 

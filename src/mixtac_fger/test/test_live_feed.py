@@ -13,8 +13,9 @@ import pytest
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_fger.fger_net import FgerEstimator
-from mixtac_fger.live_feed import FeedStatus, LiveFeed
+from mixtac_fger.live_feed import FeedStatus, FrameCounter, LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up
+from mixtac_node.images import compress
 
 SIZE = (346, 260)
 
@@ -156,6 +157,31 @@ def test_warming_up_leaves_the_model_alone(model):
     before = {name: tensor.copy() for name, tensor in model.tensors.items()}
     assert warm_up(FgerEstimator(model))
     assert all((before[name] == tensor).all() for name, tensor in model.tensors.items())
+
+
+@pytest.mark.parametrize('kind', ['jpeg', 'png'])
+def test_compressed_frames_are_taken_and_damaged_ones_are_counted(model, trial, kind):
+    feed = feed_of(model)
+    data, name = compress(trial.frames[0] << 6, 'mono16', kind)
+    for index, octets in enumerate((data, data[:-2000], b'', bytes(100), data)):
+        feed.image(SimpleNamespace(format=name, data=bytes(octets)), 40_000 * index)
+        feed.estimator.drain()
+    assert feed.estimator.reference.progress >= 2
+    assert feed.status().estimator.bad_frames >= 2
+    feed.close()
+
+
+def test_frames_that_never_came_are_counted():
+    counter = FrameCounter()
+    for index in range(40):
+        if index not in {20, 21, 30}:
+            counter.take(25_000 * index + index % 3)
+    assert counter.missing == 3
+    # A restart of the clock, or an hour without the camera, is no loss.
+    for start_us in (10, 4_000_000_000):
+        for index in range(10):
+            counter.take(start_us + 40_000 * index)
+    assert counter.missing == 3
 
 
 def test_colour_frames_are_taken_as_grey(model, trial):

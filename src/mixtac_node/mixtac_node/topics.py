@@ -89,6 +89,13 @@ IMAGE_RECT = Topic(
     description='With `undistort_frames`: the frame without the distortion of the lens, '
     'pixels by P of `camera_info`.',
 )
+IMAGE_COMPRESSED = Topic(
+    'image_raw/compressed',
+    'sensor_msgs/msg/CompressedImage',
+    condition='compressed_frames',
+    description='With `compressed_frames`: the frame as JPEG or PNG, named as image_transport '
+    'does.',
+)
 EVENTS_RECT = Topic(
     'events_rect',
     'event_camera_msgs/msg/EventPacket',

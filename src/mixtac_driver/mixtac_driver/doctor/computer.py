@@ -111,6 +111,8 @@ def read_text(path: Path) -> str | None:
 
 CPUS = '/sys/devices/system/cpu'
 RECEIVE_LIMIT = '/proc/sys/net/core/rmem_max'
+FRAGMENT_MEMORY = '/proc/sys/net/ipv4/ipfrag_high_thresh'
+FRAGMENT_TIME = '/proc/sys/net/ipv4/ipfrag_time'
 SLOW_GOVERNORS = frozenset({'powersave', 'ondemand', 'conservative'})
 OWN_GOVERNOR = frozenset({'intel_pstate', 'amd-pstate-epp'})
 """Drivers whose `powersave` lets the processor run at full speed."""
@@ -119,6 +121,10 @@ LEAST_DISK_GB = 10.0
 BURST_BYTES = 1_400_000
 """A frame of 16 bits (180 kB) and 10 ms of events at the sensor's limit of 12 million per second
 (480 kB), twice because the kernel counts its bookkeeping too."""
+MOST_FRAGMENT_TIME_S = 3
+"""A datagram of 64 kB that lost a fragment is kept so long; of those of a lossy network, 40 frames
+a second fill the memory for all others."""
+LOST_PER_S = 40 * 65536
 UNSYNCHRONISED = 0x40
 """STA_UNSYNC of adjtimex(2)."""
 LONG_BYTES, TIMEX_BYTES, TIMEX_STATUS_AT, TIMEX_ERROR_AT = 8, 208, 40, 24
@@ -207,6 +213,23 @@ def check_receive_buffer(files: HostFiles) -> Finding:
     return Finding('network buffers', Level.WARN, found, remedy, values)
 
 
+def check_fragments(files: HostFiles) -> Finding:
+    """Check that incomplete datagrams of a lossy network leave room for others."""
+    name = 'IP fragments'
+    memory, seconds = files.number(FRAGMENT_MEMORY), files.number(FRAGMENT_TIME)
+    if memory is None or seconds is None:
+        return ok(name, 'unknown (not reported by the kernel)')
+    values = {'memory [bytes]': memory, 'time [s]': seconds}
+    found = f'incomplete datagrams are kept for {seconds} s in up to {memory} bytes'
+    if seconds <= MOST_FRAGMENT_TIME_S or memory >= 2 * LOST_PER_S * seconds:
+        return Finding(name, Level.OK, found, values=values)
+    remedy = (
+        'where frames cross a lossy network, on the receiving machine: '
+        f'sudo sysctl -w net.ipv4.ipfrag_time={MOST_FRAGMENT_TIME_S}'
+    )
+    return Finding(name, Level.OK, found, remedy, values)
+
+
 def check_computer(files: HostFiles, folder: Path) -> list[Finding]:
     """Return all findings about the computer.
 
@@ -222,6 +245,7 @@ def check_computer(files: HostFiles, folder: Path) -> list[Finding]:
         check_kernel(files),
         check_disk(folder),
         check_receive_buffer(files),
+        check_fragments(files),
         check_clock(synchronised, error_s),
     ]
 

@@ -16,6 +16,7 @@ from mixtac_driver.node.publishers import (
     ClockPublisher,
     EdgePublisher,
     EventPublisher,
+    FrameCompressor,
     FramePublisher,
     InertialPublisher,
     RectifiedPublisher,
@@ -57,6 +58,8 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         self._events = EventPublisher(self, p, topics.EVENTS, self._meters)
         self._rectified = RectifiedPublisher(self, p)
         self._frames = FramePublisher(self, p.camera_frame_id, self._rectified.complete)
+        compress = bool(p.compressed_frames)
+        self._compressor = FrameCompressor(self, p, self._meters) if compress else None
         self._inertial = InertialPublisher(self, p.imu_frame_id)
         self._edges = EdgePublisher(self, p.camera_frame_id, self._meters)
         self._clock_publisher = self.publish_topic(topics.CAMERA_CLOCK)
@@ -96,6 +99,8 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         """Stop the source."""
         if not self._supervisor.stop():
             self.get_logger().error('the camera did not stop in time; leaving it')
+        if self._compressor is not None:
+            self._compressor.close()
 
     def _apply(self, parameters: DriverParameters) -> None:
         self._settings.apply(parameters, self._source.apply)
@@ -172,6 +177,8 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         self._meters.frames.add()
         self._meters.exposure_us = exposure_us
         self._frames.publish(frame, origin_us, identity)
+        if self._compressor is not None:
+            self._compressor.publish(frame, origin_us, identity)
         self._rectified.publish_frame(frame, origin_us, identity)
         self._driver_services.watch_frame(frame, origin_us)
         if self._source.control is not None:

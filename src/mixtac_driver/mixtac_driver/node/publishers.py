@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import math
+import queue
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
 
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, CompressedImage
 from sensor_msgs.srv import SetCameraInfo
 
 from mixtac_driver.calibration.lens import CalibrationError
@@ -23,7 +25,8 @@ from mixtac_events.errors import MixtacError
 from mixtac_events.packetizer import Packetizer
 from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node import topics
-from mixtac_node.images import fill
+from mixtac_node.images import compress, fill, set_octets
+from mixtac_node.process import lower_priority
 from mixtac_node.stamps import us_to_stamp
 from mixtac_node.topics import Topic
 from mixtac_recordings import messages
@@ -127,6 +130,54 @@ class FramePublisher:
             self._info.publish(self._complete(messages.camera_info(frame, size, image)))
         if exposure_wanted:
             self._exposure.publish(messages.frame_exposure(frame, origin_us, image))
+
+
+WAITING_FRAMES = 2
+"""Frames that wait to be compressed; more are dropped."""
+NICENESS = 5
+"""Niceness of the thread that compresses."""
+
+
+class FrameCompressor:
+    """Publishes frames on `image_raw/compressed`, compressed in a thread of its own.
+
+    Args:
+        node: An rclpy node.
+        p: Compression and frame of the images.
+        meters: Counts the frames that were dropped.
+    """
+
+    def __init__(self, node: Any, p: DeviceParameters, meters: DriverMeters) -> None:  # noqa: ANN401
+        self._kind, self._frame_id, self._meters = p.compressed_frames, p.camera_frame_id, meters
+        self._publisher = node.publish_topic(topics.IMAGE_COMPRESSED)
+        self._waiting: queue.Queue[tuple[Any, Any, str] | None] = queue.Queue(WAITING_FRAMES)
+        self._thread = threading.Thread(target=self._run, name='compression', daemon=True)
+        self._thread.start()
+
+    def publish(self, frame: Frame, origin_us: int, identity: Identity) -> None:
+        """Take a frame, if there are subscribers; arguments as in `FramePublisher.publish`."""
+        if not self._publisher.get_subscription_count():
+            return
+        encoding = messages.image_encoding(identity.features.color_filter, frame.x, frame.y)
+        header = messages.image_header(frame, origin_us, self._frame_id).header
+        try:
+            self._waiting.put_nowait((header, messages.left_aligned(frame.image), encoding))
+        except queue.Full:
+            self._meters.compressed_dropped += 1
+
+    def close(self) -> None:
+        """End the thread."""
+        self._waiting.put(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        lower_priority(NICENESS)
+        while (job := self._waiting.get()) is not None:
+            header, pixels, encoding = job
+            data, name = compress(pixels, encoding, self._kind)
+            message = CompressedImage(header=header, format=name)
+            set_octets(message, 'data', data)
+            self._publisher.publish(message)
 
 
 TEMPERATURE_PERIOD_US = 100_000

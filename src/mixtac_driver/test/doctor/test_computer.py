@@ -85,6 +85,15 @@ def test_disk(tmp_path, monkeypatch, free_gb, level):
     assert (finding.level, finding.values) == (level, {'free [GB]': free_gb})
 
 
+def test_fragments(tmp_path):
+    assert computer.check_fragments(HostFiles(tmp_path)).values == {}
+    files = write(tmp_path, computer.FRAGMENT_MEMORY, '4194304')
+    files = write(tmp_path, computer.FRAGMENT_TIME, '30')
+    assert 'ipfrag_time' in computer.check_fragments(files).remedy
+    files = write(tmp_path, computer.FRAGMENT_TIME, '3')
+    assert computer.check_fragments(files).remedy == ''
+
+
 @pytest.mark.parametrize(('limit', 'level'), [('4194304', Level.OK), ('212992', Level.WARN)])
 def test_receive_buffer(tmp_path, limit, level):
     finding = computer.check_receive_buffer(write(tmp_path, computer.RECEIVE_LIMIT, limit))
@@ -95,4 +104,5 @@ def test_receive_buffer(tmp_path, limit, level):
 
 def test_all_of_the_computer_is_looked_at(tmp_path):
     names = [finding.name for finding in computer.check_computer(HostFiles(), tmp_path)]
-    assert names == ['processor', 'kernel', 'disk', 'network buffers', 'real-time clock']
+    network = ['network buffers', 'IP fragments']
+    assert names == ['processor', 'kernel', 'disk', *network, 'real-time clock']

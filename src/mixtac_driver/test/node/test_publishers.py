@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from mixtac_driver.node import publishers as edge_publisher
 from mixtac_driver.node.publishers import (
     EdgePublisher,
     EventPublisher,
+    FrameCompressor,
     FramePublisher,
     InertialPublisher,
     RectifiedPublisher,
@@ -33,6 +35,7 @@ from mixtac_events.arrays import Events
 from mixtac_events.codec import decode_message
 from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node import topics
+from mixtac_node.images import decompress_grey
 from mixtac_node.stamps import stamp_to_us
 from mixtac_recordings import messages
 
@@ -147,6 +150,42 @@ def test_frames_are_made_only_for_those_who_listen(node, identity, monkeypatch, 
     assert len(made) == (wanted in {'image_raw', 'all'})
     headers = [topic.sent[0].header for topic in node.topics.values() if topic.sent]
     assert all(stamp_to_us(header.stamp) == ORIGIN_US + 15 for header in headers)
+
+
+@pytest.mark.parametrize('kind', ['jpeg', 'png'])
+def test_frames_are_compressed_in_their_thread(node, identity, kind):
+    publisher = FrameCompressor(node, DriverParameters(compressed_frames=kind), DriverMeters())
+    image = np.random.default_rng(0).integers(0, 1024, (260, 346)).astype(np.uint16)
+    frame = Frame(image, 0, 0, 0, 10, 20, 30, 0, global_shutter=True)
+    publisher.publish(frame, ORIGIN_US, identity)
+    node.topics['image_raw/compressed'].listeners = 1
+    publisher.publish(frame, ORIGIN_US, identity)
+    publisher.close()
+    (message,) = node.topics['image_raw/compressed'].sent
+    assert stamp_to_us(message.header.stamp) == ORIGIN_US + 15
+    seen = decompress_grey(message)
+    assert seen.shape == image.shape
+    if kind == 'png':
+        np.testing.assert_array_equal(seen, messages.left_aligned(image))
+
+
+def test_frames_that_cannot_be_compressed_in_time_are_dropped(node, identity, monkeypatch):
+    meters, gate = DriverMeters(), threading.Event()
+    publisher = FrameCompressor(node, DriverParameters(compressed_frames='jpeg'), meters)
+    topic = node.topics['image_raw/compressed']
+    topic.listeners = 1
+    monkeypatch.setattr(
+        topic, 'publish', lambda message: gate.wait() and topic.sent.append(message)
+    )
+    image = np.zeros((260, 346), np.uint16)
+    for _ in range(10):
+        publisher.publish(
+            Frame(image, 0, 0, 0, 10, 20, 30, 0, global_shutter=True), ORIGIN_US, identity
+        )
+    gate.set()
+    publisher.close()
+    assert len(topic.sent) + meters.compressed_dropped == 10
+    assert meters.compressed_dropped >= 7
 
 
 def test_packets_after_a_pause_begin_where_the_stream_is(node):
