@@ -8,6 +8,6 @@ import sys
 from pathlib import Path
 
 SOURCE = Path(__file__).parents[2]
-for helper in ('usb_oracle', 'davis_oracle', 'decoder_cases'):
+for helper in ('usb_oracle', 'davis_oracle', 'decoder_cases', 'lossy_link'):
     folders = {str(path.parent) for path in SOURCE.glob(f'*/test/**/{helper}.py')}
     sys.path[:0] = sorted(folders - set(sys.path))
