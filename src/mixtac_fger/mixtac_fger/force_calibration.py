@@ -501,6 +501,8 @@ def _disagreement(
         f' {residual[worst]:+.3f} N, and {allowed[worst]:.3f} N can be explained'
     )
     remedy = ''
+    if residual[worst] > 0.0 and loads[worst].force_n == max(load.force_n for load in loads):
+        remedy = 'check its grams, or leave it out: on a soft gel a model may not reach so far'
     for a, b in combinations(range(len(loads)), 2):
         swapped = list(loads)
         swapped[a], swapped[b] = swapped[b], swapped[a]
