@@ -257,7 +257,7 @@ class EventHistory:
             self._held = 0
         self._parts.append(part)
         self._held += len(part.t_us)
-        while self._held > self._most:
+        while self._held > self._most and len(self._parts) > 1:
             self.dropped += self._forget()
         while self._parts[0].t_us[-1] < part.t_us[-1] - self._span_us:
             self._forget()

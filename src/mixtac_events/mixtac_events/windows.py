@@ -28,6 +28,10 @@ RESTART_US: Final = 1_000_000
 """A larger step back in time [us] is a clock that was reset, not a late packet."""
 
 
+MOST_HELD: Final = 1 << 22
+"""Events of windows that do not close, beyond which they are dropped: time stands still."""
+
+
 class WindowSlicer:
     """Cuts a live stream into windows and closes each as soon as it is known to be complete.
 
@@ -39,7 +43,7 @@ class WindowSlicer:
         width_us: Width of a window [us].
         origin_us: Any window border, camera clock [us].
         skipped_windows: Empty windows left out in gaps.
-        late_events: Events dropped because their window had been closed.
+        late_events: Events dropped because their window had been closed, or did not close.
         restarts: Times that the stream went back in time by more than `RESTART_US`.
 
     Args:
@@ -80,6 +84,10 @@ class WindowSlicer:
         following = self._begin(min(first, complete_until))
         fresh = self._in_time(events, self._start_us(following))
         if len(fresh):
+            held_before = sum(map(len, self._pending))
+            if held_before > MOST_HELD:
+                self.late_events += held_before
+                self._pending = []
             self._pending.append(fresh)
         closed = self._index(complete_until)
         if closed <= following:

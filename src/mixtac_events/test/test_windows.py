@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mixtac_events import windows
 from mixtac_events.arrays import Events
 from mixtac_events.windows import WindowError, WindowSlicer, counts_per_window
 
@@ -169,3 +170,17 @@ def test_one_push_returns_a_bounded_number_of_empty_windows():
     ends = [end for end, _ in windows]
     assert ends == sorted(ends)
     assert slicer.skipped_windows == int(t[-1]) // 2000 + 1 - len(windows)
+
+
+def test_time_that_stands_still_holds_a_bounded_number_of_events(monkeypatch):
+    monkeypatch.setattr(windows, 'MOST_HELD', 100)
+    slicer = WindowSlicer(1000)
+    count = 30
+    xy = np.zeros(count, np.uint16)
+    same = Events(np.full(count, 500), xy, xy, np.ones(count, np.bool_))
+    for _ in range(1000):
+        assert slicer.push(same, 500) == []
+    ((end_us, events),) = slicer.push(Events.empty(), 1000)
+    assert end_us == 1000
+    assert len(events) <= 100 + 2 * count
+    assert slicer.late_events == 1000 * count - len(events)

@@ -357,8 +357,9 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         return f'; reference written to {path}'
 
     def _status(self) -> Status:
-        if self._info is not None and self._camera.width:
-            # Here, not in its callback: an entity is not destroyed while it is being served.
+        if self._info is not None and self._camera.width and not self._misfit:
+            # While the camera does not fit, the next information may. Here, not in its callback:
+            # an entity is not destroyed while it is being served.
             self.destroy_subscription(self._info)
             self._info = None
         if self._misfit:

@@ -133,6 +133,9 @@ def _fields(message: JointTrajectory, start_s: float) -> Trajectory:
 
     def rows(name: str) -> Floats | None:
         values = [getattr(point, name) for point in points]
+        if len({len(each) for each in values}) > 1:
+            # Of no shape that the controller accepts.
+            return np.empty((len(points), 0))
         return np.array(values, np.float64) if values and all(len(v) for v in values) else None
 
     times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]

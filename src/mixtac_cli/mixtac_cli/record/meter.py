@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from mixtac_events.packets import header_stamp_ns, read_packet
+from mixtac_events.packets import CodecError, header_stamp_ns, read_packet
 from mixtac_events.sequence import SequenceCounter
 from mixtac_node import topics
 from mixtac_node.topics import Topic
@@ -36,6 +36,7 @@ class TopicMeter:
         first_ns: Host time of the first arrival [ns], 0 before.
         last_ns: Host time of the latest arrival [ns], 0 before.
         stamp_ns: Latest stamp [ns, clock of the topic].
+        damaged: Messages that were cut off or otherwise not readable; not among `messages`.
     """
 
     topic: Topic
@@ -47,20 +48,29 @@ class TopicMeter:
     first_ns: int = 0
     last_ns: int = 0
     stamp_ns: int = 0
+    damaged: int = 0
     _sequence: SequenceCounter = field(default_factory=SequenceCounter)
     _intervals: list[int] = field(default_factory=list)
     _usual_ns: int = 0
 
-    def add(self, received_ns: int, data: bytes) -> None:
-        """Count a serialised message that arrived at a host time [ns]."""
+    def add(self, received_ns: int, data: bytes) -> bool:
+        """Count a serialised message, arrived at a host time [ns]; return whether it is whole."""
+        is_events = self.topic.type_name == topics.EVENTS.type_name
+        try:
+            seq = read_packet(data).seq if is_events else 0
+            stamp_ns = header_stamp_ns(data) if self.topic.has_header else 0
+        except CodecError:
+            self.damaged += 1
+            return False
         self.messages += 1
         self.size += len(data)
         self.first_ns = self.first_ns or received_ns
         self.last_ns = received_ns
-        if self.topic.type_name == topics.EVENTS.type_name:
-            self._follow_sequence(read_packet(data).seq)
+        if is_events:
+            self._follow_sequence(seq)
         if self.topic.has_header:
-            self._follow_stamp(header_stamp_ns(data))
+            self._follow_stamp(stamp_ns)
+        return True
 
     def restart(self) -> None:
         """Count from zero; the usual interval stays known."""

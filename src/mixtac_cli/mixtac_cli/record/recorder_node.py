@@ -18,6 +18,7 @@ from pathlib import Path
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
@@ -151,7 +152,11 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
 
     def _on_message(self, meter: TopicMeter, data: bytes) -> None:
         received_ns = time.time_ns()
-        meter.add(received_ns, data)
+        if not meter.add(received_ns, data):
+            # Nobody could read it from the bag.
+            name = meter.topic.name
+            self.get_logger().warning(f'damaged message on {name}', throttle_duration_sec=5.0)
+            return
         if self.writer is not None:
             self.writer.write(self._connections[meter.topic.name], received_ns, data)
         if meter.topic.name == '/diagnostics':
@@ -159,7 +164,11 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
 
     def _on_diagnostics(self, data: bytes) -> None:
         own = self.get_namespace().strip('/')
-        for status in deserialize_message(data, DiagnosticArray).status:
+        try:
+            reports = deserialize_message(data, DiagnosticArray).status
+        except rclpy_implementation.RMWError:
+            return
+        for status in reports:
             if not status.name.startswith(f'{own}/'):
                 continue
             if any(v.key == 'simulated' and v.value == 'True' for v in status.values):

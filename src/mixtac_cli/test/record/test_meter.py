@@ -76,3 +76,11 @@ def test_the_verdict_names_what_was_lost(packet):
     assert summary.missing == 3
     assert '3 of events' in summary.verdict()
     assert '7 ' in summary.verdict()
+
+
+@pytest.mark.parametrize('data', [b'', b'\0\1\0\0', bytes(8), b'\0\1\0\0' + b'\xff' * 30])
+def test_damaged_packets_are_counted_apart(packet, data):
+    meter = TopicMeter(EVENTS, even=False)
+    assert not meter.add(10**9, data)
+    assert meter.add(10**9, packet(7, 'camera', 'libcaer_cmp', 1, 0, big=False))
+    assert (meter.messages, meter.damaged, meter.missing) == (1, 1, 0)

@@ -173,6 +173,8 @@ class JointTrajectoryController:
         for name, values in (('q', trajectory.q), ('dq', trajectory.dq), ('ddq', trajectory.ddq)):
             if values is not None and values.shape != shape:
                 return f'{name} has the shape {values.shape}, not {shape}'
+            if values is not None and not np.isfinite(values).all():
+                return f'{name} is not finite'
         if np.any(np.diff(times) <= 0.0):
             return 'times of the points do not increase'
         if trajectory.stamp_s != 0.0 and trajectory.stamp_s + times[-1] < now_s:
