@@ -12,6 +12,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mixtac_sim import SimulationError
@@ -98,7 +99,12 @@ def _serve(pipe: Connection, theirs: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(EOFError, OSError):
         device_seed, trial_seed, indenters, preset, niceness = pipe.recv()
-        os.nice(niceness)
+        if niceness:
+            os.nice(niceness)
+            # Linux may share its time among sessions first, and heeds niceness only within each.
+            os.setsid()
+            with contextlib.suppress(OSError):
+                Path('/proc/self/autogroup').write_text(str(niceness), encoding='ascii')
         profile = LiveProfile(indenters)
         sensor = TactileSensor(device_seed, trial_seed, profile, preset=preset)
         while True:

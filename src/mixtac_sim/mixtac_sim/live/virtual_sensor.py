@@ -100,9 +100,11 @@ _CHUNK_US: Final = 4000
 _AHEAD_PERIOD_S: Final = 0.02
 # What is computed ahead is kept: frames of 30 s are 130 MB.
 _MOST_AHEAD_US: Final = 30_000_000
-# Niceness of the releasing thread of a patient sensor, and of the thread that computes ahead.
+# Niceness of the releasing thread of a patient sensor, of the thread that computes ahead, and of the
+# process that simulates a patient sensor.
 _PATIENT_NICENESS: Final = 5
 _AHEAD_NICENESS: Final = 10
+_PROCESS_NICENESS: Final = 15
 # A frame is known at the end of the chunk in which its readout has ended.
 _FRAME_US: Final = RESET_US + READOUT_US + _CHUNK_US
 _MAX_BEHIND_US: Final = 250_000
@@ -110,6 +112,9 @@ _MAX_BATCHES: Final = 2048
 # A patient sensor waits when it is late by more than this, or more bytes than these are not read.
 _PATIENCE_US: Final = 20_000
 _BACKLOG: Final = 1 << 19
+# Once a scenario is not known in time, a patient sensor waits until so much of it is: in many short
+# waits everything would compete for the host at every moment, and all messages would be late.
+_REST_US: Final = 500_000
 
 
 class Simulation(Protocol):
@@ -178,7 +183,7 @@ class VirtualSensor:
         patient: bool = False,
     ) -> None:
         self._patient = patient
-        self._waiting = False
+        self._waiting = self._resting = False
         self._simulation = simulation
         self._profile = profile
         self.device = device
@@ -292,12 +297,22 @@ class VirtualSensor:
 
     def _wait_for_host(self) -> bool:
         behind_us = self._clock.now_us() - self._due_us
-        waiting = behind_us > _PATIENCE_US or self.device.backlog > _BACKLOG
+        self._resting = self._needs_rest()
+        slow = behind_us > _PATIENCE_US or self.device.backlog > _BACKLOG
+        waiting = slow or self._resting
         if waiting:
             self._clock.lose(behind_us)
             self._overruns += not self._waiting
         self._waiting = waiting
         return waiting
+
+    def _needs_rest(self) -> bool:
+        """Return whether more of a scenario has to be computed ahead before time goes on."""
+        if not self._ahead_us or self._simulated_us >= self._ahead_until_us:
+            return False
+        if self._resting:
+            return self._simulated_us < self._due_us + _REST_US
+        return self._known_us() < self._clock.now_us()
 
     def _known_us(self) -> int:
         return self._simulated_us - self._aps[0] - _FRAME_US
@@ -515,7 +530,7 @@ def make_virtual_sensor(
     profile, clock = LiveProfile(tuple(LIVE_INDENTERS.values())), clock or SimulationClock()
     if process is not None:
         # What is late costs a patient sensor nothing but time.
-        niceness = _AHEAD_NICENESS if patient else 0
+        niceness = _PROCESS_NICENESS if patient else 0
         process.begin(device_seed, seed, profile, preset=preset, niceness=niceness)
     return VirtualSensor(
         simulation or process or TactileSensor(device_seed, seed, profile, preset=preset),

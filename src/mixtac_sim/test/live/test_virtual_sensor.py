@@ -22,10 +22,8 @@ from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout
 from mixtac_sim.world.instruments import InertialUnit, WrenchSamples
 from mixtac_sim.world.profiles import Profile, Segment
+from mixtac_sim.world.sensor import TRUTH_DTYPE
 
-TRUTH = np.dtype(
-    [('t_us', '<i8'), ('fx', '<f8'), ('fy', '<f8'), ('fz', '<f8'), ('depth_mm', '<f8')]
-)
 PATIENCE_S = 30.0
 EPOCH_NS = 1_700_000_000_000_000_000
 
@@ -58,7 +56,7 @@ class OneEventPerMillisecond:
         self.steps.append(until_us - self.until)
         self.until = until_us
         ones = np.ones(len(t), np.uint16)
-        truth = np.zeros(len(t), TRUTH)
+        truth = np.zeros(len(t), TRUTH_DTYPE)
         truth['t_us'] = t
         truth['fz'] = t * 1e-6
         wrench = np.zeros((len(t), 6))
@@ -338,6 +336,32 @@ def test_a_scenario_is_computed_ahead_so_that_a_slow_moment_does_not_show(host, 
         host.ns += 100_000_000
         wait_for(lambda: sensor.state().late_us == 0)
     assert sensor.state().ahead_us < 50_000
+    sensor.close()
+
+
+def test_a_patient_sensor_rests_until_enough_of_a_scenario_is_known(host, clock):
+    simulation = Blocking(800_000)
+    sensor = make_sensor(simulation, clock, patient=True)
+    sensor.start()
+    sensor.play(Profile('scenario', 5.0, ()), lead_us=600_000)
+    wait_for(lambda: simulation.until >= 800_000)
+
+    def go_on():
+        host.ns += 1_000_000
+        time.sleep(0.0002)
+        return sensor.state().overruns
+
+    wait_for(go_on)
+    # All that is known has gone out; from here on time stands still, however long it takes.
+    before = sensor.state()
+    for _ in range(300):
+        go_on()
+    assert 700_000 < clock.now_us() < 850_000
+    assert sensor.state().overruns == before.overruns
+    simulation.released.set()
+    wait_for(lambda: sensor.state().ahead_us >= 500_000)
+    at_us = clock.now_us()
+    wait_for(lambda: go_on() and clock.now_us() > at_us + 300_000)
     sensor.close()
 
 
