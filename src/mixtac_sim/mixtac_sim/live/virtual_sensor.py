@@ -100,7 +100,7 @@ _CHUNK_US: Final = 4000
 _AHEAD_PERIOD_S: Final = 0.02
 # What is computed ahead is kept: frames of 30 s are 130 MB.
 _MOST_AHEAD_US: Final = 30_000_000
-# Niceness of the releasing thread of a patient sensor, of the thread that computes ahead, and of the
+# Niceness of a patient sensor's releasing thread, of the thread that computes ahead, and of the
 # process that simulates a patient sensor.
 _PATIENT_NICENESS: Final = 5
 _AHEAD_NICENESS: Final = 10
