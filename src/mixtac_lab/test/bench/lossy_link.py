@@ -144,6 +144,8 @@ def _tap(namespace: str) -> int:
             if failed:
                 made.append(OSError(ctypes.get_errno(), 'setns'))
                 return
+            # Else the rests of incomplete datagrams fill their memory for half a minute.
+            Path('/proc/sys/net/ipv4/ipfrag_time').write_text('1', encoding='ascii')
             end = os.open('/dev/net/tun', os.O_RDWR | os.O_NONBLOCK)
             fcntl.ioctl(end, TUNSETIFF, struct.pack('16sH22x', b'tap0', IFF_TAP | IFF_NO_PI))
             made.append(end)

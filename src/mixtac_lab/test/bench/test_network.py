@@ -101,8 +101,8 @@ def test_forces_go_on_after_a_loss(ros_domain, tmp_path):
         link.quality = Quality()
         restored_us = time.time_ns() // 1000
         found = wait(lambda found: found['stamp_us'] > restored_us - 500_000)
-        # On the camera's clock, which no slow host delays.
-        assert found['stamp_us'] < restored_us + 1_000_000
+        # A second at rest; the rests of incomplete frames would stop them for half a minute.
+        assert found['stamp_us'] < restored_us + 10_000_000
         again = found['forces']
         found = wait(lambda found: found['forces'] > again + 500)
         assert int(found['frames_missing']) > 0
