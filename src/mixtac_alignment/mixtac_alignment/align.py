@@ -11,6 +11,7 @@ recordings hold the same number.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Literal
 
 import numpy as np
@@ -23,7 +24,7 @@ from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
 from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
 from mixtac_alignment.refinement import Refinement, refine
 from mixtac_alignment.taps import FEWEST_FRAMES, fit_taps
-from mixtac_alignment.two_impulse import fit_counts
+from mixtac_alignment.two_impulse import FORCE_GAP_S, fit_counts
 
 Floats = NDArray[np.float64]
 
@@ -63,6 +64,7 @@ def align(
     *,
     method: Method = 'refined',
     use_all: bool = False,
+    max_gap_s: float = FORCE_GAP_S,
 ) -> tuple[ClockFit, Refinement | None]:
     """Fit the clock map of a recording.
 
@@ -74,6 +76,7 @@ def align(
             them; `two_impulse` fits taps alone; `paper` fits their force peaks and event troughs
             alone; `edges` fits the edges of a trigger line instead of taps.
         use_all: Fit all strong impulses by least squares instead of the first and the last.
+        max_gap_s: Longest stretch without force samples [s].
 
     Returns:
         The best map, and the refinement if it is one.
@@ -85,16 +88,20 @@ def align(
         return fit_edges(recording.edges_us, recording.reference_edges_s), None
     counts, events, frames = recording.counts, recording.events, recording.frames
     force = (recording.force_t_s, recording.force)
+    fit = partial(fit_counts, counts, *force, parameters, use_all=use_all, max_gap_s=max_gap_s)
     few = frames is None or len(frames.start_us) < FEWEST_FRAMES
     if frames is None or method == 'paper' or (method == 'two_impulse' and few):
-        return fit_counts(counts, *force, parameters, use_all=use_all), None
+        return fit(), None
     # Memory may hold fewer events than their counts: the first tap may be missing.
     forgotten = not len(events.t_us) or events.start_us > counts.start_us + 500_000
     if method == 'refined' and (few or forgotten):
-        first = fit_counts(counts, *force, parameters, use_all=use_all)
-        first = with_drift_prior(first, parameters.drift_std_rate)
+        first = with_drift_prior(fit(), parameters.drift_std_rate)
     else:
-        first = fit_taps(counts, events, frames, *force, parameters, lag, use_all=use_all)
+        first = fit_taps(
+            *(counts, events, frames, *force, parameters, lag),
+            use_all=use_all,
+            max_gap_s=max_gap_s,
+        )
     if method == 'two_impulse':
         return first, None
     try:

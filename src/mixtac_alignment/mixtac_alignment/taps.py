@@ -37,7 +37,7 @@ from mixtac_alignment.histories import CellEvents, EventCounts, FrameFeatures
 from mixtac_alignment.impulses import MIN_SPACING_S, Impulse, ImpulsePair, strongest
 from mixtac_alignment.parameters import DEFAULTS, AlignmentParameters
 from mixtac_alignment.signals import even_force, gaussian_smooth, pressing_sign, prominent_peaks
-from mixtac_alignment.two_impulse import paired_impulses
+from mixtac_alignment.two_impulse import FORCE_GAP_S, paired_impulses
 
 STEP_S: Final = 1e-4
 """Time step of the model [s]."""
@@ -283,6 +283,7 @@ def fit_taps(
     lag: GelLag | None = None,
     *,
     use_all: bool = False,
+    max_gap_s: float = FORCE_GAP_S,
 ) -> ClockFit:
     """Fit the clock map to the first and the last tap.
 
@@ -295,12 +296,15 @@ def fit_taps(
         parameters: What counts as a tap, the latency of the events, limits of clocks.
         lag: What is known of the gel.
         use_all: Fit all strong taps by least squares instead of the first and the last.
+        max_gap_s: Longest stretch without force samples [s].
 
     Raises:
         AlignmentError: As `two_impulse.fit_counts`, or taps whose events do not follow the force.
     """
     pairs, start_s = paired_impulses(
-        counts, force_t_s, force_N, parameters, find_bursts, match_s=BURST_MATCH_S
+        *(counts, force_t_s, force_N, parameters, find_bursts),
+        match_s=BURST_MATCH_S,
+        max_gap_s=max_gap_s,
     )
     used = pairs if use_all else (pairs[0], pairs[-1])
     t_s, force = even_force(force_t_s - start_s, force_N)

@@ -84,8 +84,6 @@ def fit_two_impulses(
     force_t_s: NDArray[np.float64],
     force_N: NDArray[np.float64],
     parameters: AlignmentParameters = DEFAULTS,
-    *,
-    max_gap_s: float = FORCE_GAP_S,
 ) -> ClockFit:
     """Fit the clock map to the first and the last impulse of a recording.
 
@@ -94,7 +92,6 @@ def fit_two_impulses(
         force_t_s: Force sample times, reference clock [s], increasing, ``float64``.
         force_N: Normal force [N], either sign, ``float64``.
         parameters: What counts as an impulse, latency of the events, limits of clocks.
-        max_gap_s: Longest stretch without force samples [s].
 
     Raises:
         NoImpulseError: Fewer than two impulses in one recording, or none that match.
@@ -104,8 +101,7 @@ def fit_two_impulses(
         DriftError: The drift is not believable.
         AlignmentError: Arrays that are no recording.
     """
-    counts = EventCounts.of(events_t_us)
-    return fit_counts(counts, force_t_s, force_N, parameters, max_gap_s=max_gap_s)
+    return fit_counts(EventCounts.of(events_t_us), force_t_s, force_N, parameters)
 
 
 def fit_counts(
@@ -125,7 +121,7 @@ def fit_counts(
         force_N: As `fit_two_impulses`.
         parameters: As `fit_two_impulses`.
         use_all: Fit all strong impulses by least squares instead of the first and the last.
-        max_gap_s: As `fit_two_impulses`.
+        max_gap_s: Longest stretch without force samples [s].
 
     Raises:
         AlignmentError: As `fit_two_impulses`.

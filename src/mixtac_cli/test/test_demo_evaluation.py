@@ -104,7 +104,9 @@ def test_the_error_of_the_peak_is_that_of_the_impact():
         start_us=0,
         time_s=np.array([0.0, 1.0, 2.0, 3.0]),
         estimate_n=np.array([9.0, 1.1, 2.2, 0.0]),
-        reference_n=np.array([9.0, 2.0, 1.0, 0.0]),
+        reference_n=np.array([9.0, 1.5, 1.0, 0.0]),
+        sample_s=np.array([0.0, 1.0, 1.4, 2.0, 3.0]),
+        sample_n=np.array([9.0, 1.5, 2.0, 1.0, 0.0]),
         rmse_n=0.0,
         constant_mae_n=0.0,
     )

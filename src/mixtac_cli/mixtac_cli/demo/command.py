@@ -22,6 +22,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from mixtac_alignment.align import align
+from mixtac_alignment.bags import read_recording
 from mixtac_alignment.errors import AlignmentError
 from mixtac_cli.calibrate_force.session import LiveProcedure
 from mixtac_cli.demo.evaluation import (
@@ -54,6 +56,8 @@ LEAD = 0.4
 LONGEST_LEAD_S = 12.0
 START_UP_S = 60.0
 TAIL_S = 1.0
+MAX_FORCE_GAP_S = 2.0
+"""A busy host may lose reference samples [s]; here their clock is known to be a single one."""
 PRESET = 'paper_like'
 """What the shipped model was trained for."""
 LOADS_G = (30.0, 60.0, 90.0)
@@ -83,6 +87,7 @@ class Run:
         gain: See `_evaluate`.
         dropped: See `_evaluate`.
         waited_s: See `_evaluate`.
+        host: `host_idle` and `host_stolen` of `_evaluate`.
         clock_pairs: (host, camera) clock pairs [ns], shape (N, 2), int64.
         arrival_ns: Arrival of each force, host clock [ns], int64.
         stamp_ns: Stamp of each force, camera clock [ns], int64.
@@ -91,6 +96,7 @@ class Run:
     gain: float
     dropped: int
     waited_s: float
+    host: dict[str, float]
     clock_pairs: NDArray[np.int64]
     arrival_ns: NDArray[np.int64]
     stamp_ns: NDArray[np.int64]
@@ -176,6 +182,8 @@ def _run_graph(
         'imu_acc_enabled': False,
         'imu_gyro_enabled': False,
         'imu_temp_enabled': False,
+        # While the host computes, the camera sends nothing.
+        'stream_timeout': 30.0,
     }
     sensor = sensor_graph(
         'virtual', driver=driver, virtual_sensor=virtual_sensor, estimator=estimator
@@ -197,12 +205,16 @@ def _run_graph(
         # Messages in the first half second after discovery are often lost.
         time.sleep(SETTLE_S)
         monitor.trigger('virtual_sensor/play', processes.check)
-        first = monitor.force_count
+        first, times = monitor.force_count, _processor_times()
         LiveView(console, monitor).show(lead_s + seconds + TAIL_S, processes.check)
+        host = _shares(_processor_times() - times)
         arrival, stamp, _ = monitor.force()
         waited_s = float(monitor.values('virtual_sensor').get('lost_us', 0)) / 1e6
         pairs = monitor.clock_pairs()
-        run = Run(gain, _dropped(monitor), waited_s, pairs, arrival[first:], stamp[first:])
+        run = Run(
+            *(gain, _dropped(monitor), waited_s, host),
+            *(pairs, arrival[first:], stamp[first:]),
+        )
         processes.stop('recorder')
         failed = {name: code for name, code in processes.stop().items() if code}
     return run, failed
@@ -224,6 +236,17 @@ def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> f
     monitor.set_parameters('fger', {'force_scale': calibration.gain}, processes.check)
     console.print(f'gain {calibration.gain:.3f}', highlight=False)
     return calibration.gain
+
+
+def _processor_times() -> NDArray[np.int64]:
+    """Return user, nice, system, idle, wait, two kinds of interrupts and stolen time so far."""
+    first, *_ = Path('/proc/stat').read_text(encoding='ascii').splitlines()
+    return np.array(first.split()[1:9], np.int64)
+
+
+def _shares(spent: NDArray[np.int64]) -> dict[str, float]:
+    idle, stolen = (spent[[3, 7]] / max(1, spent.sum())).tolist()
+    return {'host_idle': idle, 'host_stolen': stolen}
 
 
 def _dropped(monitor: Monitor) -> int:
@@ -263,6 +286,9 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
         `packet_hz`: Rate of event packets.
         `lost_packets`: Event packets missing in the recording.
         `waited_s`: Time for which simulated time stopped because the host was too slow [s].
+        `host_idle`: Part of the host's processor time that nobody used during the scenario.
+        `host_stolen`: Part of it that a virtual machine's host gave to others: with more than a
+            hundredth, `latency_ms` is the host's and not the graph's.
         `dropped`: Transfers, words, frames and messages dropped inside nodes (`DROP_COUNTERS`).
         `clock_drift_ppm`: Drift of the reference clock found by the alignment.
         `refused`: Why the alignment was refused, or empty.
@@ -270,7 +296,8 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
     streams = read_streams(out / 'bag', DEFAULT_NAMESPACE)
     comparison, refused = None, ''
     try:
-        comparison = compare(streams)
+        fit, _ = align(read_recording(out / 'bag'), max_gap_s=MAX_FORCE_GAP_S)
+        comparison = compare(streams, fit)
     except AlignmentError as error:
         refused = str(error)
     pairs = run.clock_pairs if run.waited_s == 0.0 else None
@@ -301,6 +328,7 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
         'packet_hz': len(streams.complete_us) / (np.ptp(streams.force_ns) / 1e9),
         'lost_packets': streams.lost_packets,
         'waited_s': run.waited_s,
+        **run.host,
         'dropped': run.dropped,
         'clock_drift_ppm': comparison.fit.drift_ppm if comparison else None,
         'refused': refused,
@@ -355,6 +383,10 @@ def _rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ('forces marked as not valid', str(report['invalid'])),
         ('dropped inside nodes', str(report['dropped'])),
         ('simulated time stopped for a slow host', f'{report["waited_s"]:.2f} s'),
+        (
+            'processors of the host idle / taken by others',
+            f'{_percent(report["host_idle"], "")} / {_percent(report["host_stolen"], "")}',
+        ),
     ]
 
 
@@ -362,8 +394,8 @@ def _figure(value: float | None, digits: int = 3) -> str:
     return '-' if value is None else f'{value:.{digits}f}'
 
 
-def _percent(value: float | None) -> str:
-    return '-' if value is None else f'{100 * value:+.1f} %'
+def _percent(value: float | None, sign: str = '+') -> str:
+    return '-' if value is None else f'{100 * value:{sign}.1f} %'
 
 
 _BLOCKS = ' ▁▂▃▄▅▆▇█'

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mixtac_alignment.two_impulse import fit_two_impulses
 from mixtac_cli.figures import EVENTS, FORCE, REFERENCE, new_figure, save_figure
 from mixtac_events.codec import decode_message
 from mixtac_events.sequence import SequenceCounter
@@ -37,8 +36,6 @@ WINDOW_NS = 2_000_000
 RATE_WINDOW_US = 10_000
 EDGE_US = 50_000
 """Half a synchronising impulse: the comparison starts and ends with whole impulses."""
-MAX_FORCE_GAP_S = 2.0
-"""A busy computer may lose reference samples [s]; here their clock is known to be a single one."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +82,8 @@ class Comparison:
         time_s: Sample times [s].
         estimate_n: Estimated force [N].
         reference_n: Reference force at the same times [N].
+        sample_s: Times of the samples of the reference [s].
+        sample_n: Samples of the reference [N].
         rmse_n: Root mean square error [N].
         constant_mae_n: Error of the best constant guess (the median), for comparison [N].
     """
@@ -94,6 +93,8 @@ class Comparison:
     time_s: NDArray[np.float64]
     estimate_n: NDArray[np.float64]
     reference_n: NDArray[np.float64]
+    sample_s: NDArray[np.float64]
+    sample_n: NDArray[np.float64]
     rmse_n: float
     constant_mae_n: float
 
@@ -137,20 +138,11 @@ def read_streams(path: Path, namespace: str) -> Streams:
     )
 
 
-def compare(streams: Streams) -> Comparison:
-    """Bring the reference to the camera clock by the two impulses and compare.
+def compare(streams: Streams, fit: ClockFit) -> Comparison:
+    """Bring the reference to the camera clock and compare.
 
-    Samples from the first to the last impulse count, the impulses included.
-
-    Raises:
-        AlignmentError: The impulses were not found; the text says why.
+    Samples from the first to the last impulse of the fit count, the impulses included.
     """
-    fit = fit_two_impulses(
-        streams.event_t_us,
-        streams.reference_ns / 1e9,
-        streams.reference_n,
-        max_gap_s=MAX_FORCE_GAP_S,
-    )
     reference_us = fit.to_camera(streams.reference_ns / 1e9)
     force_us = streams.force_ns // 1000
     first_us, last_us = fit.anchors[0].camera_us - EDGE_US, fit.anchors[-1].camera_us + EDGE_US
@@ -164,6 +156,8 @@ def compare(streams: Streams) -> Comparison:
         time_s=(force_us[inside] - first_us) / 1e6,
         estimate_n=estimate,
         reference_n=reference,
+        sample_s=(reference_us - first_us) / 1e6,
+        sample_n=streams.reference_n,
         rmse_n=float(np.sqrt((error**2).mean())),
         constant_mae_n=float(np.abs(reference - np.median(reference)).mean()),
     )
@@ -224,18 +218,29 @@ def mae(comparison: Comparison, factor: float = 1.0) -> float:
 
 
 def peak_error(comparison: Comparison, spans: list[tuple[str, float, float]]) -> float | None:
-    """Return the relative error of the peak of the impact; None without an impact.
+    """Return the relative error of the highest force of the impact; None without an impact.
+
+    The reference counts with all its samples: an impact lasts only a few windows, and at their ends
+    its peak is cut off.
 
     Args:
         comparison: Estimate and reference.
         spans: From `phases`.
     """
     for name, start_s, end_s in spans:
-        inside = (comparison.time_s >= start_s) & (comparison.time_s <= end_s)
-        if name == _IMPACT and inside.any():
-            peak_n = comparison.reference_n[inside].max()
-            return float(comparison.estimate_n[inside].max() / peak_n - 1.0)
+        if name != _IMPACT:
+            continue
+        estimate = _between(comparison.time_s, comparison.estimate_n, start_s, end_s)
+        reference = _between(comparison.sample_s, comparison.sample_n, start_s, end_s)
+        if len(estimate) and len(reference):
+            return float(estimate.max() / reference.max() - 1.0)
     return None
+
+
+def _between(
+    time_s: NDArray[np.float64], values: NDArray[np.float64], start_s: float, end_s: float
+) -> NDArray[np.float64]:
+    return values[(time_s >= start_s) & (time_s <= end_s)]
 
 
 def frame_jump(streams: Streams) -> float | None:

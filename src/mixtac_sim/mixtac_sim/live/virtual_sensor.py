@@ -114,7 +114,9 @@ _PATIENCE_US: Final = 20_000
 _BACKLOG: Final = 1 << 19
 # Once a scenario is not known in time, a patient sensor waits until so much of it is: in many short
 # waits everything would compete for the host at every moment, and all messages would be late.
-_REST_US: Final = 500_000
+_REST_US: Final = 1_000_000
+# Who records a scenario still does so for a while after its end.
+_AFTERMATH_US: Final = 2_000_000
 
 
 class Simulation(Protocol):
@@ -239,7 +241,7 @@ class VirtualSensor:
         start_us = self._next_start_us() + lead_us
         self._profile.play(scenario, start_us)
         self._ahead_us = min(2 * lead_us, _MOST_AHEAD_US)
-        self._ahead_until_us = start_us + round(scenario.duration_s * 1e6)
+        self._ahead_until_us = start_us + round(scenario.duration_s * 1e6) + _AFTERMATH_US
         return start_us
 
     def commanded_force(self) -> tuple[float, Indenter | None]:
@@ -311,7 +313,8 @@ class VirtualSensor:
         if not self._ahead_us or self._simulated_us >= self._ahead_until_us:
             return False
         if self._resting:
-            return self._simulated_us < self._due_us + _REST_US
+            enough_us = min(_REST_US, self._ahead_us // 2)
+            return self._simulated_us < self._due_us + enough_us
         return self._known_us() < self._clock.now_us()
 
     def _known_us(self) -> int:

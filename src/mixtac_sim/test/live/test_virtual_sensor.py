@@ -331,8 +331,8 @@ def test_a_scenario_is_computed_ahead_so_that_a_slow_moment_does_not_show(host, 
     assert np.count_nonzero(np.concatenate(got) >> 12 == 3) == 650
     assert sensor.state().overruns == 0
     simulation.released.set()
-    # After the scenario nothing is known in advance.
-    for _ in range(20):
+    # Two seconds after the scenario nothing is known in advance.
+    for _ in range(40):
         host.ns += 100_000_000
         wait_for(lambda: sensor.state().late_us == 0)
     assert sensor.state().ahead_us < 50_000
