@@ -33,6 +33,7 @@ setup(
             'align = mixtac_cli.align:align',
             'calibrate = mixtac_cli.calibrate.command:calibrate',
             'calibrate-force = mixtac_cli.calibrate_force.command:calibrate_force',
+            'capture = mixtac_cli.doctor:capture',
             'demo = mixtac_cli.demo.command:demo',
             'doctor = mixtac_cli.doctor:doctor',
             'export = mixtac_cli.export:export',

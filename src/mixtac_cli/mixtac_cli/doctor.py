@@ -20,7 +20,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from mixtac_cli.options import JsonFile
+from mixtac_cli.acceptance import LEAST_S, automatic, check_camera, failures, person, row
+from mixtac_cli.bundle import CAPTURE_S, Bundle, hashed
+from mixtac_cli.options import JsonFile, OptionalPath
+from mixtac_driver.camera import Davis346
 from mixtac_driver.device import check_device, is_real
 from mixtac_driver.doctor.computer import (
     Finding,
@@ -32,9 +35,12 @@ from mixtac_driver.doctor.computer import (
     ok,
     worst,
 )
-from mixtac_driver.doctor.stream import Measurement, check_running
+from mixtac_driver.doctor.stream import Measurement, check_running, measure
+from mixtac_driver.errors import NoCameraError
+from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.usb.capture import CaptureWriter
 from mixtac_events.errors import MixtacError
-from mixtac_node.files import state_file, write_json
+from mixtac_node.files import replacing, state_file, writable, write_json
 
 VIRTUAL = 'virtual'
 DISTRIBUTIONS = {'3': 'Humble', '7': 'Jazzy', '9': 'Kilted'}
@@ -50,22 +56,55 @@ SAFE_DOMAINS = range(102)
 DEVICE_SEED, SEED = 1001, 1001
 STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'bold red'}
 DEFAULT_SECONDS = 3.0
+Device = Annotated[str, typer.Option(help='davis346, virtual, or virtual:SOCKET.')]
+Serial = Annotated[str, typer.Option(help='Serial number of the camera, if several are attached.')]
+KeepSerials = Annotated[
+    bool, typer.Option('--keep-serials', help='Write serial numbers, not their hashes.')
+]
 
 
 def doctor(
-    device: Annotated[str, typer.Option(help='davis346, virtual, or virtual:SOCKET.')] = 'davis346',
-    serial: Annotated[
-        str, typer.Option(help='Serial number of the camera, if several are attached.')
-    ] = '',
+    device: Device = 'davis346',
+    serial: Serial = '',
     seconds: Annotated[
         float, typer.Option(min=0.5, max=600, help='How long to measure the camera (s).')
     ] = DEFAULT_SECONDS,
     json: JsonFile = None,
+    bundle: Annotated[
+        OptionalPath,
+        typer.Option(
+            metavar='FILE.zip',
+            callback=writable,
+            help='Write everything that somebody else needs to find a fault of the camera.',
+        ),
+    ] = None,
+    keep_serials: KeepSerials = False,
+    acceptance: Annotated[
+        bool, typer.Option('--acceptance', help='Make the ten checks of a new camera instead.')
+    ] = False,
+    flash: Annotated[
+        bool, typer.Option('--flash', help='A light will be flashed (acceptance).')
+    ] = False,
+    unplug: Annotated[
+        bool, typer.Option('--unplug', help='The camera will be unplugged (acceptance).')
+    ] = False,
+    edges: Annotated[
+        float,
+        typer.Option(
+            min=0, max=1000, help='Frequency at the synchronisation connector (acceptance, Hz).'
+        ),
+    ] = 0.0,
 ) -> None:
     """Check software, camera and computer, measure the camera, and suggest fixes."""
     console = Console()
+    if acceptance:
+        _accept(console, device, serial, seconds, (flash, unplug, edges), json)
+        return
+    collected = Bundle(keep_serials=keep_serials) if bundle is not None else None
+    if collected is not None:
+        seconds = max(seconds, CAPTURE_S)
     sections = []
-    for section, found in examine(device, seconds, serial=serial):
+    for section, found in examine(device, seconds, serial=serial, bundle=collected):
         sections.append((section, found))
         console.print(table(section, found))
     findings = [finding for _, found in sections for finding in found]
@@ -73,12 +112,72 @@ def doctor(
     if first is not None:
         verdict = f'fix first: {first.name}: {first.remedy or first.found}'
     console.print(f'[{STYLES[level]}]{escape(verdict)}', soft_wrap=True)
+    rows = [_row(section, finding) for section, found in sections for finding in found]
+    report: dict[str, Any] = {'device': device, 'level': level.name.lower(), 'verdict': verdict}
+    report['findings'] = rows
     if json is not None:
-        rows = [_row(section, finding) for section, found in sections for finding in found]
-        report = {'device': device, 'level': level.name.lower(), 'verdict': verdict}
-        write_json(json, report | {'findings': rows})
+        write_json(json, report)
+    if collected is not None and bundle is not None:
+        collected.write(bundle, collected.members(report, HostFiles(), device), console)
     if level is Level.ERROR:
         raise typer.Exit(1)
+
+
+def _accept(
+    console: Console,
+    device: str,
+    serial: str,
+    seconds: float,
+    steps: tuple[bool, bool, float],
+    json: Path | None,
+) -> None:
+    check_device(device)
+    flash, unplug, edges_hz = steps
+    with camera_backend(device) as backend:
+        who = person(console, flash=flash, unplug=unplug, edges_hz=edges_hz)
+        if backend is not None:
+            who = automatic(backend)
+        parameters = DriverParameters(device=device, serial=serial)
+        report = check_camera(console, parameters, max(seconds, LEAST_S), who, backend)
+    line = row(report)
+    console.print('row for docs/hardware_reports.md:', soft_wrap=True)
+    print(line)
+    if json is not None:
+        write_json(json, report | {'row': line})
+    if failures(report):
+        raise typer.Exit(1)
+
+
+def capture(
+    file: Annotated[
+        Path, typer.Argument(metavar='FILE.pcap', callback=writable, help='File to write.')
+    ],
+    device: Device = 'davis346',
+    serial: Serial = '',
+    seconds: Annotated[
+        float, typer.Option(min=0.1, max=3600, help='How long to capture (s).')
+    ] = CAPTURE_S,
+    keep_serials: KeepSerials = False,
+    json: JsonFile = None,
+) -> None:
+    """Capture what camera and driver say over USB; `--device FILE.pcap` replays it."""
+    if file.suffix != '.pcap':
+        raise typer.BadParameter(f'{file}: its name must end with .pcap')
+    check_device(device)
+    with (
+        camera_backend(device) as backend,
+        replacing(file) as scratch,
+        scratch.open('wb') as out,
+    ):
+        writer = CaptureWriter(out, None if keep_serials else hashed)
+        parameters = DriverParameters(device=device, serial=serial)
+        with Davis346(parameters, backend=backend, capture=writer) as camera:
+            result = measure(camera, seconds)
+    counts = dict(writer.counts)
+    losses = result.losses | {'transfers_dropped': result.transport.dropped_transfers}
+    print(', '.join(f'{count} {name}' for name, count in counts.items()) + f' in {file}')
+    if json is not None:
+        write_json(json, {'device': device, 'seconds': result.seconds, **counts, 'losses': losses})
 
 
 def _row(section: str, finding: Finding) -> dict[str, object]:
@@ -98,7 +197,12 @@ def _row(section: str, finding: Finding) -> dict[str, object]:
 
 
 def examine(
-    device: str, seconds: float, *, serial: str = '', root: Path = Path('/')
+    device: str,
+    seconds: float,
+    *,
+    serial: str = '',
+    root: Path = Path('/'),
+    bundle: Bundle | None = None,
 ) -> Iterator[tuple[str, list[Finding]]]:
     """Check everything; yield each section when it is done.
 
@@ -107,12 +211,16 @@ def examine(
         seconds: How long to measure the camera [s].
         serial: Serial number of the camera, or empty for the only one.
         root: Folder used as the root of the file system.
+        bundle: Collects what the camera sends.
 
     Raises:
         UnknownDeviceError: The device string is unknown.
     """
     check_device(device)
     files = HostFiles(root)
+    options: dict[str, Any] = {'serial': serial, 'more': check_zero}
+    if bundle is not None:
+        options |= {'capture': bundle.capture, 'watch': bundle.watch}
     software = [check_ros(os.environ), check_domain(os.environ), check_security(os.environ)]
     software.append(check_model())
     if is_real(device):
@@ -120,15 +228,13 @@ def examine(
         attached = check_attached(files, serial)
         yield 'camera', attached
         if worst(attached) < Level.ERROR:
-            yield 'measured', list(check_running(device, seconds, serial=serial, more=check_zero))
+            yield 'measured', list(check_running(device, seconds, **options))
     else:
         yield 'software', software
         with virtual_camera(device) as (backend, finding):
             yield 'camera', [finding]
             if backend is not None:
-                found = check_running(
-                    device, seconds, serial=serial, backend=backend, more=check_zero
-                )
+                found = check_running(device, seconds, backend=backend, **options)
                 yield 'measured', list(found)
     yield 'computer', check_computer(files, Path.cwd())
 
@@ -313,3 +419,19 @@ def _own_sensor() -> Iterator[Any]:
         yield in_process_backend(sensor.device)
     finally:
         sensor.close()
+
+
+@contextmanager
+def camera_backend(device: str) -> Iterator[Any]:
+    """Yield the pyusb backend of a virtual camera, starting one if none runs; None for a real one.
+
+    Raises:
+        NoCameraError: The named virtual sensor does not answer.
+    """
+    if is_real(device):
+        yield None
+        return
+    with virtual_camera(device) as (backend, finding):
+        if backend is None:
+            raise NoCameraError(finding.found, remedy=finding.remedy)
+        yield backend

@@ -19,6 +19,7 @@ from mixtac_driver.decode.state import DecoderCounters
 from mixtac_driver.device import DATA_ENDPOINT, DEBUG_ENDPOINT, Connection, attached_cameras
 from mixtac_driver.errors import DriverError, StreamError
 from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.usb.capture import CaptureWriter
 from mixtac_driver.usb.libusb import AsynchronousReader
 from mixtac_driver.usb.transport import (
     BulkReader,
@@ -109,6 +110,7 @@ class Davis346:
         pixel_filter: Pixels whose events the camera drops, most important first.
         on_debug: Called, in a thread of its own, with messages of the camera's USB controller.
         backend: A pyusb backend to use instead of the one that the device string names.
+        capture: Takes all control requests and data.
 
     Attributes:
         control: Settings and requests; usable from any thread, open or not.
@@ -123,7 +125,9 @@ class Davis346:
         pixel_filter: PixelFilter = (),
         on_debug: Callable[[DebugMessage], None] | None = None,
         backend: Any = None,  # noqa: ANN401
+        capture: CaptureWriter | None = None,
     ) -> None:
+        self._capture = capture
         self._p = p = parameters or DriverParameters()
         self.clock = ClockMap()
         self.is_master = True
@@ -211,7 +215,7 @@ class Davis346:
             UsbError: A request failed.
         """
         p, known = self._p, self._identity.serial if self._identity else ''
-        connection = Connection(p.device, p.serial, self._backend, known)
+        connection = Connection(p.device, p.serial, self._backend, known, self._capture)
         try:
             identity = read_identity(
                 connection.protocol,
@@ -274,6 +278,8 @@ class Davis346:
             now_s = time.monotonic()
             if transfer is not None:
                 heard_s = now_s
+                if self._capture is not None:
+                    self._capture.arrival(transfer.data, transfer.arrival_ns)
                 yield from self._decode(decoder, epochs, connection, transfer)
             elif now_s - heard_s > timeout_s and not self._stopping.is_set():
                 raise StreamError(

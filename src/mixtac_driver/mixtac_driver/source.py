@@ -17,6 +17,9 @@ from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.transport import DebugMessage
 from mixtac_recordings.recording import AEDAT4_SUFFIX, BAG_SUFFIXES
 
+CAPTURE_SUFFIXES = ('.pcap', '.zip')
+"""Captures of USB, and bundles that hold one."""
+
 
 class Source(Protocol):
     """Yields batches; `batches` is for one thread, everything else may be used from others."""
@@ -92,7 +95,11 @@ def source_kind(device: str) -> SourceKind:
         check_device(device)
     except UnknownDeviceError as error:
         path = Path(device)
-        if path.suffix in (AEDAT4_SUFFIX, *BAG_SUFFIXES) or '/' in device or path.exists():
+        if (
+            path.suffix in (AEDAT4_SUFFIX, *BAG_SUFFIXES, *CAPTURE_SUFFIXES)
+            or '/' in device
+            or path.exists()
+        ):
             return SourceKind.RECORDED
         remedy = f'{error.remedy}, or the path of a recording'
         raise UnknownDeviceError(error.message, remedy=remedy) from error
@@ -114,10 +121,19 @@ def make_source(
 
     Raises:
         UnknownDeviceError: The device string names nothing known.
+        RecordingError: It names a capture that cannot be read.
     """
-    if source_kind(parameters.device) is SourceKind.RECORDED:
+    backend, path = None, Path(parameters.device)
+    recorded = source_kind(parameters.device) is SourceKind.RECORDED
+    if recorded and path.suffix in CAPTURE_SUFFIXES:
+        from mixtac_driver.usb.capture import read_capture
+        from mixtac_driver.usb.replay import ReplayBackend, ReplayedCamera
+
+        camera = ReplayedCamera(read_capture(path), loop=parameters.playback_loop)
+        backend = ReplayBackend(camera)
+    elif recorded:
         # A camera's driver starts without the readers of recordings.
         from mixtac_driver.playback.source import RecordedSource
 
         return RecordedSource(parameters)
-    return Davis346(parameters, pixel_filter=pixel_filter, on_debug=on_debug)
+    return Davis346(parameters, pixel_filter=pixel_filter, on_debug=on_debug, backend=backend)

@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeVar, cast
 
+import yaml
+
 from mixtac_events.errors import MixtacError
 
 Value = bool | int | float | str
@@ -163,3 +165,15 @@ def build(schema: type[T], values: Mapping[str, object]) -> T:
         near = difflib.get_close_matches(unknown[0], known, 1) or [', '.join(known)]
         raise ParameterError(f'unknown parameter {unknown[0]}', remedy=f'did you mean {near[0]}?')
     return schema(**{name: known[name].check(value) for name, value in values.items()})
+
+
+def parameter_file(node: str, settings: Any) -> str:  # noqa: ANN401
+    """Return settings as a parameter file of ROS 2.
+
+    Args:
+        node: Name of the node, in any namespace.
+        settings: An instance of a schema.
+    """
+    values = {spec.name: getattr(settings, spec.name) for spec in specs(type(settings))}
+    content = {f'/**/{node}': {'ros__parameters': values}}
+    return str(yaml.safe_dump(content, sort_keys=False))

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from mixtac_driver.camera import LOSSES, Davis346
+from mixtac_driver.camera import LOSSES, CameraBatch, Davis346
 from mixtac_driver.davis346.model import Identity
 from mixtac_driver.davis346.settings import CameraParameters
 from mixtac_driver.doctor.computer import Finding, Level, Value, ok
 from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.usb.capture import CaptureWriter
 from mixtac_driver.usb.transport import TransportCounters
 from mixtac_events.clock_map import ClockEstimate
 from mixtac_events.errors import MixtacError
@@ -66,12 +67,16 @@ class Measurement:
         return count / self.seconds if self.seconds else 0.0
 
 
-def measure(camera: Davis346, seconds: float) -> Measurement:
+Watch = Callable[[CameraBatch], None]
+
+
+def measure(camera: Davis346, seconds: float, watch: Watch | None = None) -> Measurement:
     """Start an open camera, count its data, and stop it.
 
     Args:
         camera: An open camera.
         seconds: Duration, from the first data on [s].
+        watch: Called with each batch that is counted.
 
     Raises:
         UsbError: A request failed or the camera went away.
@@ -86,6 +91,8 @@ def measure(camera: Davis346, seconds: float) -> Measurement:
             began_s, began_us = time.monotonic(), batch.time_us
             size_before = camera.transport_counters.size
             continue
+        if watch is not None:
+            watch(batch)
         result.events += len(batch.decoded.events)
         result.frames += len(batch.decoded.frames)
         result.latest.extend(batch.decoded.frames)
@@ -129,6 +136,8 @@ def check_running(
     serial: str = '',
     backend: Any = None,  # noqa: ANN401
     more: Callable[[str, Measurement], Finding] | None = None,
+    capture: CaptureWriter | None = None,
+    watch: Watch | None = None,
 ) -> Iterator[Finding]:
     """Open a camera, count its data, and yield findings one by one.
 
@@ -138,9 +147,11 @@ def check_running(
         serial: Serial number, or empty for the only camera.
         backend: A pyusb backend to use instead of the one that `device` names.
         more: Makes one more finding of the serial number and the measurement.
+        capture: Takes all control requests and data.
+        watch: Called with each batch that is counted.
     """
     p = DriverParameters(device=device, serial=serial)
-    camera = Davis346(p, backend=backend)
+    camera = Davis346(p, backend=backend, capture=capture)
     try:
         camera.open()
     except MixtacError as error:
@@ -148,7 +159,7 @@ def check_running(
         return
     try:
         yield check_identity(camera.identity)
-        measured = measure(camera, seconds)
+        measured = measure(camera, seconds, watch)
         yield from check_measurement(measured, p, camera.identity)
         if more is not None:
             yield more(camera.identity.serial, measured)

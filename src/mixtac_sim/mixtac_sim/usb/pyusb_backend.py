@@ -16,6 +16,7 @@ import secrets
 import socket
 import threading
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from usb.backend import IBackend
@@ -75,10 +76,14 @@ class VirtualBackend(IBackend):  # type: ignore[misc]
 
     Args:
         connect: Opens a link to the camera, or raises `VirtualUsbError` when there is none.
+        inject: Injects a fault into the camera.
+
+    Attributes:
+        inject: As given.
     """
 
-    def __init__(self, connect: Callable[[], Link]) -> None:
-        self._connect = connect
+    def __init__(self, connect: Callable[[], Link], inject: Callable[[Fault], None]) -> None:
+        self._connect, self.inject = connect, inject
         self._lock = threading.Lock()
         self._parsed: list[SimpleNamespace] | None = None
 
@@ -270,7 +275,7 @@ class InProcessLink:
 
 def in_process_backend(device: VirtualDavis346) -> VirtualBackend:
     """Return a pyusb backend that finds this one device."""
-    return VirtualBackend(lambda: InProcessLink(device))
+    return VirtualBackend(lambda: InProcessLink(device), device.inject)
 
 
 _CONTROL_CHANNEL: Final = 0
@@ -410,7 +415,7 @@ def open_backend(device: str) -> VirtualBackend:
     """
     path = device.partition(':')[2] or wire.default_socket_path()
     SocketLink(path).close()
-    return VirtualBackend(lambda: SocketLink(path))
+    return VirtualBackend(lambda: SocketLink(path), partial(inject, path))
 
 
 def inject(path: str, fault: Fault) -> None:

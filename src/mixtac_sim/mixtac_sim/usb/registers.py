@@ -232,9 +232,11 @@ class RegisterFile:
 
     Attributes:
         writes: Number of registers stored so far.
+        stuck: Modules whose registers keep their values.
     """
 
     def __init__(self, board: Board) -> None:
+        self.stuck: set[int] = set()
         self._read_only = _read_only(board)
         self._values = _power_up(board)
         self._counters: Counter[tuple[int, int]] = Counter()
@@ -253,7 +255,8 @@ class RegisterFile:
     def write(self, module: int, param: int, value: int) -> None:
         """Store a register; writes to read-only registers and statistics have no effect."""
         key = (module, param)
-        if key not in self._read_only and key not in _STATISTICS:
+        fixed = key in self._read_only or key in _STATISTICS
+        if not fixed and module not in self.stuck:
             self._values[key] = value & _MASK
             self.writes += 1
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from mixtac_events.arrays import Events
 from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.pixels.aps import ApsFrame
+from mixtac_sim.usb.defects import Defects
 from mixtac_sim.usb.registers import (
     Aps,
     Board,
@@ -177,12 +178,16 @@ class Oscillator:
     """
 
     def __init__(self, skew_ppm: float) -> None:
-        self._skew_ppb = round(skew_ppm * 1000)
+        self._skew_ppb = self._next_ppb = round(skew_ppm * 1000)
         self.origin_us = 0
+
+    def next_skew(self, skew_ppm: float) -> None:
+        """Change the rate [1e-6] with the next reset, so that time does not jump."""
+        self._next_ppb = round(skew_ppm * 1000)
 
     def reset(self, true_us: int) -> None:
         """Restart camera time at zero at this true time."""
-        self.origin_us = true_us
+        self.origin_us, self._skew_ppb = true_us, self._next_ppb
 
     def to_camera(self, true_us: NDArray[np.int64]) -> NDArray[np.int64]:
         """Convert true times [us, int64 array] to camera time, rounded down to whole us."""
@@ -200,6 +205,7 @@ _EVENT_SHARE: Final = 0.5
 # The simulation may run ahead: half a minute of inertial samples. More means that the device is not
 # advanced; then the oldest go, and events are counted.
 _MAX_WAITING: Final = 1 << 15
+_RISING_EDGE: Final = 3
 
 
 class StreamAssembler:
@@ -210,11 +216,18 @@ class StreamAssembler:
         board: The fixed properties of the camera.
         oscillator: The camera clock.
         fifo: Buffer for the words.
+        defects: Defects of the camera and signals at it.
     """
 
     def __init__(
-        self, registers: RegisterFile, board: Board, oscillator: Oscillator, fifo: ByteFifo
+        self,
+        registers: RegisterFile,
+        board: Board,
+        oscillator: Oscillator,
+        fifo: ByteFifo,
+        defects: Defects,
     ) -> None:
+        self._defects = defects
         self._registers = registers
         self._board = board
         self._oscillator = oscillator
@@ -240,6 +253,11 @@ class StreamAssembler:
             and read(Module.MUX, Mux.RUN)
             and read(Module.MUX, Mux.TIMESTAMP_RUN)
         )
+
+    @property
+    def _detects_edges(self) -> bool:
+        read = self._registers.read
+        return bool(read(Module.EXTINPUT, 0) and read(Module.EXTINPUT, 1))
 
     def settings_changed(self) -> None:
         """Read the event filter settings again."""
@@ -291,7 +309,7 @@ class StreamAssembler:
             if due < len(events):
                 self._events.appendleft(events[due:])
             parts.append(events[:due])
-        events = Events.concatenate(parts)
+        events = self._defects.events(Events.concatenate(parts), true_us)
         events = events[int(np.searchsorted(events.t, self._oscillator.origin_us)) :]
         camera_us = self._oscillator.to_camera(events.t)
         return Events(camera_us, events.x, events.y, events.polarity)
@@ -311,13 +329,14 @@ class StreamAssembler:
         return Blocks(self._oscillator.to_camera(due.t), due.stamped, due.end, due.words)
 
     def _due_samples(self, true_us: int) -> list[Blocks]:
+        samples = [_edge(t) for t in self._defects.edges(true_us) if self._detects_edges]
         if not (self._readings and self._readings[0].t_us < true_us):
-            return []
-        settings, samples = self.imu_settings(), []
+            return samples
+        settings = self.imu_settings()
         while self._readings and self._readings[0].t_us < true_us:
             reading = self._readings.popleft()
             if settings.running and reading.t_us >= self._oscillator.origin_us:
-                samples.append(imu_blocks(reading, settings))
+                samples.append(imu_blocks(self._defects.reading(reading), settings))
         return samples
 
     def _begin_frame(self, frame: ApsFrame) -> Blocks:
@@ -326,7 +345,7 @@ class StreamAssembler:
             return Blocks.empty()
         self._snapshot = False
         self.late_frames += frame.frame_start_us < self._done_us
-        return frame_blocks(frame, self._readout_settings())
+        return frame_blocks(self._defects.frame(frame), self._readout_settings())
 
     def _readout_settings(self) -> ReadoutSettings:
         def read(param: int) -> int:
@@ -376,7 +395,7 @@ class StreamAssembler:
         words: NDArray[np.uint16] = self._encoder.encode(
             events, blocks, until_us, coalesce=self._stalled
         )
-        fitted = self._fifo.push(words)
+        fitted = self._fifo.push(self._defects.words(words))
         self._stalled = self._stalled and not fitted
         return fitted
 
@@ -384,3 +403,7 @@ class StreamAssembler:
         at_mux = self._registers.read(Module.MUX, Mux.DROP_DVS_ON_TRANSFER_STALL)
         module, param = (Module.MUX, Mux.DVS_DROPPED) if at_mux else (Module.DVS, Dvs.DROPPED)
         self._registers.count(module, param, events)
+
+
+def _edge(t: int) -> Blocks:
+    return Blocks.from_lists([t], [True], [[_RISING_EDGE]])
