@@ -13,6 +13,7 @@ import hashlib
 import io
 import json
 import platform
+import re
 import socket
 import sys
 import tempfile
@@ -95,7 +96,7 @@ class Bundle:
         self._clock.add(decoded.time_us, batch.arrival_ns)
         if decoded.time_us < self._since_us + EVENTS_US and self._count < MOST_EVENTS:
             e = decoded.events
-            self._events.append(Events(*(np.array(c) for c in (e.t, e.x, e.y, e.polarity))))
+            self._events.append(Events(e.t.copy(), e.x.copy(), e.y.copy(), e.polarity.copy()))
             self._count += len(e)
             self._samples.append(decoded.imu)
         self._frames += decoded.frames[: MOST_FRAMES - len(self._frames)]
@@ -207,7 +208,8 @@ class Bundle:
             return text
         for serial, name in self._names.items():
             text = text.replace(serial, name)
-        return text.replace(str(Path.home()), '~').replace(socket.gethostname(), 'host')
+        text = text.replace(str(Path.home()), '~')
+        return re.sub(rf'\b{re.escape(socket.gethostname())}\b', 'host', text)
 
 
 def usb_tree(files: HostFiles, rename: Any) -> str:  # noqa: ANN401

@@ -33,7 +33,8 @@ class DeviceParameters:
 
     Attributes:
         device: Device to open: davis346 for a camera on USB, virtual or virtual:/path/of/socket for
-            the virtual sensor, or the path of a recording (an AEDAT4 file, or a bag folder or file)
+            the virtual sensor, or the path of a recording (an AEDAT4 file, a bag folder or file, a
+            capture or a bundle)
         serial: Serial number of the camera. Empty: the only one attached
         encoding: Encoding of event packets
         event_message_time_threshold: Longest time that an event packet spans
@@ -60,6 +61,9 @@ class DeviceParameters:
         undistort_events: Also publish events at undistorted pixels; needs a calibration
         compressed_frames: Also publish frames on image_raw/compressed, for networks: `jpeg` with 8
             bits, or `png` without loss; empty for none
+        saved_parameters: Name of the file, such as left.yaml, to which the service save_parameters
+            writes the running settings, in the state folder ($MIXTAC_HOME, by default
+            ~/.local/state/mixtac)
     """
 
     device: str = fixed('davis346')
@@ -84,6 +88,7 @@ class DeviceParameters:
     undistort_frames: bool = fixed(False)
     undistort_events: bool = fixed(False)
     compressed_frames: str = fixed('', choices=('', 'jpeg', 'png'))
+    saved_parameters: str = fixed('driver.yaml')
 
 
 NO_SEEK = -1.0

@@ -126,8 +126,8 @@ def make_source(
     backend, path = None, Path(parameters.device)
     recorded = source_kind(parameters.device) is SourceKind.RECORDED
     if recorded and path.suffix in CAPTURE_SUFFIXES:
+        from mixtac_driver.playback.replay import ReplayBackend, ReplayedCamera
         from mixtac_driver.usb.capture import read_capture
-        from mixtac_driver.usb.replay import ReplayBackend, ReplayedCamera
 
         camera = ReplayedCamera(read_capture(path), loop=parameters.playback_loop)
         backend = ReplayBackend(camera)

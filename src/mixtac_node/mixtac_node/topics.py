@@ -276,6 +276,16 @@ SERVICES = (
         'in the camera, the others in the driver. Keep the scene still.',
     ),
     Service(
+        'driver/save_parameters',
+        'Writes the running settings as a parameter file, `saved_parameters` in the state folder.',
+    ),
+    Service(
+        'driver/self_test',
+        'Looks at the stream for five seconds: clock, wraps, noise, focus, ripple of the lamp, '
+        'temperature. Keep the scene still. Changes nothing.',
+        'diagnostic_msgs/srv/SelfTest',
+    ),
+    Service(
         'virtual_sensor/play',
         'Virtual sensor only: plays the scenario that the parameters describe.',
     ),

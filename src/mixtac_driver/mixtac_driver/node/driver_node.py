@@ -138,6 +138,7 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         decoded, origin_us, identity = batch.decoded, batch.origin.us, self._identity
         if identity is None:
             return
+        self._driver_services.watch_batch(batch)
         self._publish_events(batch, identity)
         if self._time is not None:
             self._time.publish(batch.time_us)

@@ -61,7 +61,7 @@ class Request(NamedTuple):
         kind: bmRequestType.
         number: bRequest.
         value: wValue.
-        index: wIndex.
+        w_index: wIndex.
         data: Bytes sent or received.
         status: 0, or the error number of a refusal.
     """
@@ -70,7 +70,7 @@ class Request(NamedTuple):
     kind: int
     number: int
     value: int
-    index: int
+    w_index: int
     data: bytes
     status: int = 0
 
@@ -107,7 +107,7 @@ class Capture:
         found: dict[tuple[int, int], int] = {}
         for r in self.requests:
             if (r.kind, r.number, r.status) == (VENDOR_IN, REQUEST_ONE, 0) and len(r.data) == 4:
-                found.setdefault((r.value, r.index), int.from_bytes(r.data, 'big'))
+                found.setdefault((r.value, r.w_index), int.from_bytes(r.data, 'big'))
         return found
 
     def descriptors(self) -> dict[int, bytes]:
@@ -278,12 +278,13 @@ def _parse(data: bytes, path: Path) -> Capture:
         status, length, setup = fields[10], fields[11], fields[13]
         device = devices.setdefault((bus, address), _Device())
         if kind == CONTROL and event == SUBMISSION and shown == PRESENT:
-            r = SETUP.unpack(setup)
-            device.pending[number] = Request(stamp_ns, *r[:4], payload)
+            request_type, request, value, index, _ = SETUP.unpack(setup)
+            made = Request(stamp_ns, request_type, request, value, index, payload)
+            device.pending[number] = made
         elif kind == CONTROL and event == COMPLETION and number in device.pending:
-            request = device.pending.pop(number)
-            answer = payload if request.kind & 0x80 else request.data
-            device.requests.append(request._replace(data=answer, status=-status))
+            made = device.pending.pop(number)
+            answer = payload if made.kind & 0x80 else made.data
+            device.requests.append(made._replace(data=answer, status=-status))
         elif (kind, event, endpoint) == (BULK, COMPLETION, DATA_ENDPOINT) and length:
             device.missing += max(length - len(payload), 0)
             device.arrivals.append(Arrival(stamp_ns, payload))

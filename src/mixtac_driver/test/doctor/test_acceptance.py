@@ -29,7 +29,7 @@ from mixtac_sim.usb.faults import Fault, FaultKind
 from mixtac_sim.usb.pyusb_backend import in_process_backend
 
 pytestmark = pytest.mark.live
-STILL_S = 2.5
+STILL_S = 2.0
 EVERYTHING = tuple(range(1, len(CHECKS) + 1))
 DEFECTS = {
     1: Fault(FaultKind.CLOCK_SKEW, amount=3000.0),

@@ -19,6 +19,7 @@ from mixtac_driver.camera import Davis346
 from mixtac_driver.doctor.stream import measure
 from mixtac_driver.errors import EndOfStream
 from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.playback.replay import ReplayBackend, ReplayedCamera
 from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.usb.capture import (
     HEADER,
@@ -27,7 +28,6 @@ from mixtac_driver.usb.capture import (
     CaptureWriter,
     read_capture,
 )
-from mixtac_driver.usb.replay import ReplayBackend, ReplayedCamera
 from mixtac_events.arrays import Events
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.usb.pyusb_backend import in_process_backend
