@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a force can be trusted, and why not.
 
-Four groups of checks, none of which knows a particular fault:
+Five groups of checks, none of which knows a particular fault:
 
 * The picture: a pressed gel is the gel of the reference, displaced and nothing else. What is left
   after the reference is displaced, tile by tile, no contact explains.
@@ -10,6 +10,7 @@ Four groups of checks, none of which knows a particular fault:
   size and in pattern.
 * The estimate: the frame's force is the force that was estimated at the centre of its exposure.
 * Rates: neither ON nor OFF events ever stop where the sensor at rest has noise of both kinds.
+* Repetition: noise never makes the same frame twice, nor the same events at the same intervals.
 
 Thresholds lie outside of all that 44 simulated trials without a fault show (presets `easy`,
 `paper_like` and `hard`, 0 to 10 N, blows, vibrations; 5.6 minutes), most by a factor of two or
@@ -19,6 +20,7 @@ more; none was chosen by a fault. `mixtac experiments faults` counts false alarm
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import deque
 from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple
@@ -62,13 +64,13 @@ TEXTS = {
     ' look at the image; after a change of the gel release the sensor and call ~/tare',
     Reason.LIGHT_CHANGED: 'the light changed beyond what contact explains: check the LEDs, then'
     ' release the sensor and call ~/tare',
-    Reason.FRAME_FROZEN: 'the camera sends the same frame again and again: restart the driver',
+    Reason.FRAME_FROZEN: 'the camera sends the same frames again and again: restart the driver',
     Reason.EVENTS_MISSING: 'there are no events, or too few for the motion that the frames show:'
     ' check the biases and restart the driver',
     Reason.EVENTS_WITHOUT_MOTION: 'there are many events although the frames do not move: check'
     ' for hot pixels, flicker and biases',
-    Reason.EVENTS_DISAGREE: 'events and frames tell of different motions: check that both are of'
-    ' the same camera and neither is mirrored or late',
+    Reason.EVENTS_DISAGREE: 'events and frames tell of different motions, or the same events come'
+    ' again and again: check that both are of the same camera and neither is mirrored or late',
     Reason.CAMERA_MOVED: 'the whole picture has moved against the reference: fix the camera,'
     ' release the sensor and call ~/tare',
     Reason.OTHER_CAMERA: 'another camera was connected: release the sensor and call ~/tare',
@@ -245,6 +247,48 @@ def add_signs(
             out[row, column] += share if polarity[index] else -share
 
 
+MARKED_BITS, MOST_MARKS = 5, 32
+"""One event in 32 is marked, up to so many between two frames."""
+
+
+@njit(cache=True, nogil=True)
+def marks(
+    t: NDArray[np.int64],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    polarity: NDArray[np.bool_],
+    out: NDArray[np.uint64],
+) -> int:
+    """Find places in a stream of events by which it is known again, wherever it is cut.
+
+    A mark is a hash of four events in a row and of the time from the first to the last.
+
+    Args:
+        t: Times [us], int64 [n].
+        x: Columns, uint16 [n].
+        y: Rows, uint16 [n].
+        polarity: True where brighter, bool [n].
+        out: Room for marks, uint64 [m].
+
+    Returns:
+        Number of marks, m at most.
+    """
+    found = 0
+    for index in range(x.shape[0] - 3):
+        if found == out.shape[0]:
+            break
+        mark = np.uint64(t[index + 3] - t[index])
+        for place in range(index, index + 4):
+            pixel = (np.uint64(y[place]) << np.uint64(16)) | np.uint64(x[place])
+            mark ^= (pixel << np.uint64(1)) | np.uint64(polarity[place])
+            mark *= np.uint64(0x9E3779B97F4A7C15)
+            mark ^= mark >> np.uint64(29)
+        if mark >> np.uint64(64 - MARKED_BITS) == 0:
+            out[found] = mark
+            found += 1
+    return found
+
+
 STRONG_CHANGE = 0.25
 """Change of a bin that lies above the thresholds of its pixels [log units]."""
 
@@ -297,6 +341,7 @@ def warm_up() -> None:
     place = np.zeros(1, np.uint16)
     picture_figures(contrast, contrast, flow)
     add_signs(place, place, np.ones(1, np.bool_), 4, contrast)
+    marks(np.zeros(1, np.int64), place, place, np.ones(1, np.bool_), np.empty(1, np.uint64))
     agreement(contrast, contrast, contrast)
 
 
@@ -353,8 +398,12 @@ FALL, RISE = 0.2, 0.002
 """Shares of a new value by which levels of noise follow it."""
 AT_REST = 1.5
 """Events over those at rest up to which a frame without motion counts as rest."""
+FRAMES_KNOWN, ROWS_APART = 128, 8
+"""Frames that are known again by every eighth row, and the events between them by their marks."""
+LEAST_MARKS, MOST_KNOWN = 4, 0.5
+"""Share of marks that are known again, from so many marks on; without a fault none is."""
 WINDOWS_KEPT = 96
-"""Windows whose events are kept for the next frame."""
+"""Windows, at least, whose events are kept for the next frame."""
 
 
 def disagreement_scale(force: float) -> float:
@@ -362,13 +411,51 @@ def disagreement_scale(force: float) -> float:
     return 0.1 + 0.3 * abs(force)
 
 
-class _Window(NamedTuple):
-    """A window, with the numbers of its events and of those that are ON."""
+class _Recent:
+    """What the latest frames were known by."""
 
-    end_us: int
-    events: Events
-    number: int
-    brighter: int
+    def __init__(self) -> None:
+        self._groups: deque[frozenset[int]] = deque()
+        self._all: set[int] = set()
+
+    def add(self, group: frozenset[int]) -> int:
+        """Add what a frame is known by; return how much of it was known before."""
+        known = len(group & self._all)
+        self._groups.append(group)
+        self._all |= group
+        if len(self._groups) > FRAMES_KNOWN:
+            self._all -= self._groups.popleft()
+        return known
+
+
+class _Windows:
+    """The latest windows, in order.
+
+    Attributes:
+        ends_us: Their ends.
+        events: Their events.
+        numbers: The numbers of their events.
+        brighter: The numbers of those that are ON.
+    """
+
+    def __init__(self) -> None:
+        self.ends_us: list[int] = []
+        self.events: list[Events] = []
+        self.numbers: list[int] = []
+        self.brighter: list[int] = []
+
+    def add(self, end_us: int, events: Events, number: int, brighter: int) -> None:
+        self.ends_us.append(end_us)
+        self.events.append(events)
+        self.numbers.append(number)
+        self.brighter.append(brighter)
+        if len(self.numbers) == 2 * WINDOWS_KEPT:
+            for each in (self.ends_us, self.events, self.numbers, self.brighter):
+                del each[:WINDOWS_KEPT]
+
+    def between(self, start_us: int, end_us: int) -> slice:
+        """Return which windows end after a time, and not after another."""
+        return slice(bisect_right(self.ends_us, start_us), bisect_right(self.ends_us, end_us))
 
 
 class Validity:
@@ -384,7 +471,6 @@ class Validity:
 
     def __init__(self, window_us: int, width: int) -> None:
         self._window_us, self._width = window_us, width
-        self._windows: deque[_Window] = deque(maxlen=WINDOWS_KEPT)
         self._rest = [0.0, 0.0]  # ON and OFF events per window
         self._rests = 0
         self._noise = self._murmur = self._slope = 0.0
@@ -393,7 +479,7 @@ class Validity:
 
     def clear(self) -> None:
         """Forget the stream: a hole, a restart or another reference. Noise levels are kept."""
-        self._windows.clear()
+        self._windows = _Windows()
         self._held.clear()
         self._rate = list(self._rest)
         self._before: tuple[int, F32 | None] = (0, None)
@@ -402,6 +488,7 @@ class Validity:
         self._age = self._untold = self._low = self._unalike = 0
         self._busy = False
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
+        self._frames, self._marks = _Recent(), _Recent()
 
     @property
     def reason(self) -> Reason:
@@ -419,9 +506,9 @@ class Validity:
         if not complete:
             self._start_over()
             return
-        count = len(events)
+        count = events.t.shape[0]
         brighter = int(np.count_nonzero(events.polarity))
-        self._windows.append(_Window(end_us, events, count, brighter))
+        self._windows.add(end_us, events, count, brighter)
         rate, rest = self._rate, self._rest
         rate[0] += (brighter - rate[0]) / RATE_WINDOWS
         rate[1] += (count - brighter - rate[1]) / RATE_WINDOWS
@@ -467,28 +554,35 @@ class Validity:
         """Return what the frame says about the events since the frames before it."""
         before_us, before = self._before
         self._before = mid_us, contrast
+        if self._frames.add(frozenset([hash(contrast[::ROWS_APART].tobytes())])):
+            return {Reason.FRAME_FROZEN}
         if before is None or self._anchor is None:
             self._anchor, self._signs, self._age = contrast, np.zeros_like(contrast), 0
             self._busy = self._is_busy(mid_us, mid_us)
             return set()
-        if np.array_equal(before, contrast):
-            return {Reason.FRAME_FROZEN}
-        parts = self._between(before_us, mid_us)
-        if parts is None:
+        chosen = self._between(before_us, mid_us)
+        if chosen is None:
             self._start_over()
             return set()
+        parts = self._windows.events[chosen]
         told = np.zeros_like(contrast)
         size = self._width // contrast.shape[1]
         # At once: a call of compiled code takes longer than the few events of a window.
-        x = np.concatenate([part.events.x for part in parts])
-        y = np.concatenate([part.events.y for part in parts])
-        polarity = np.concatenate([part.events.polarity for part in parts])
+        x = np.concatenate([part.x for part in parts])
+        y = np.concatenate([part.y for part in parts])
+        polarity = np.concatenate([part.polarity for part in parts])
         add_signs(x, y, polarity, size, told)
+        t = np.concatenate([part.t for part in parts])
+        room = np.empty(MOST_MARKS, np.uint64)
+        new = frozenset(room[: marks(t, x, y, polarity, room)].tolist())
+        repeated = self._marks.add(new) > MOST_KNOWN * max(len(new), LEAST_MARKS)
         self._signs += told
         self._age += 1
         busy = self._is_busy(before_us, mid_us)
         self._busy |= busy
-        found = self._judge_pair(before, contrast, told, parts)
+        found = self._judge_pair(before, contrast, told, chosen)
+        if repeated:
+            found.add(Reason.EVENTS_DISAGREE)
         *_, strong, slope = agreement(self._anchor, contrast, self._signs)
         if strong >= STRONG_BINS and not self._busy:
             low = slope < max(LEAST_SLOPE, LEAST_SLOPE_OF_OWN * self._slope)
@@ -502,23 +596,21 @@ class Validity:
             self._signs[:] = 0.0
         return found
 
-    def _judge_pair(
-        self, before: F32, contrast: F32, told: F32, parts: list[_Window]
-    ) -> set[Reason]:
+    def _judge_pair(self, before: F32, contrast: F32, told: F32, chosen: slice) -> set[Reason]:
         """Compare two frames in a row; follows the noise of frames and events at rest."""
         change, events, correlation, *_ = agreement(before, contrast, told)
         if not self._noise:
             self._noise, self._murmur = change, events
         self._noise += (change - self._noise) * (FALL if change < self._noise else RISE)
         self._murmur += (events - self._murmur) * (FALL if events < self._murmur else RISE)
-        total = sum(part.number for part in parts)
-        brighter = sum(part.brighter for part in parts)
-        rates = [number / max(len(parts), 1) for number in (brighter, total - brighter)]
+        numbers = self._windows.numbers[chosen]
+        brighter = sum(self._windows.brighter[chosen])
+        rates = [number / len(numbers) for number in (brighter, sum(numbers) - brighter)]
         still = change < STILL * self._noise
         alone = events * math.sqrt(max(1.0 - correlation * correlation, 0.0))
         # A blow makes many events in a few windows, a storm in all of them.
         most = MOST_RATE * sum(self._rest)
-        many = most > 0.0 and all(part.number > most for part in parts)
+        many = 0.0 < most < min(numbers)
         untold = still and (many or alone > MOST_UNTOLD * self._murmur)
         self._untold = self._untold + 1 if untold else 0
         if still and not many and alone < AT_REST * self._murmur:
@@ -542,22 +634,21 @@ class Validity:
         self._unalike = self._unalike + 1 + clear if low else 0
         return {Reason.EVENTS_DISAGREE} if self._unalike >= JUDGEMENTS else set()
 
-    def _between(self, start_us: int, end_us: int) -> list[_Window] | None:
+    def _between(self, start_us: int, end_us: int) -> slice | None:
         """Return the windows between the centres of two exposures; None if some are missing."""
         half = self._window_us // 2
-        first, last = start_us + half, end_us + half
-        parts = [part for part in self._windows if first < part.end_us <= last]
-        whole = (end_us - start_us) // self._window_us
-        return parts if parts and whole - 1 <= len(parts) <= whole + 1 else None
+        chosen = self._windows.between(start_us + half, end_us + half)
+        count, whole = chosen.stop - chosen.start, (end_us - start_us) // self._window_us
+        return chosen if count and whole - 1 <= count <= whole + 1 else None
 
     def _is_busy(self, start_us: int, end_us: int) -> bool:
         """Return whether there was a blow in a comparison or at its ends."""
         most = BUSY_PER_MS * self._window_us // 1000
-        first, last = start_us - BUSY_MARGIN_US, end_us + BUSY_MARGIN_US
-        return any(part.number > most and first < part.end_us <= last for part in self._windows)
+        near = self._windows.between(start_us - BUSY_MARGIN_US, end_us + BUSY_MARGIN_US)
+        return max(self._windows.numbers[near], default=0) > most
 
     def _start_over(self) -> None:
-        self._windows.clear()
+        self._windows = _Windows()
         self._rate = list(self._rest)
         self._before, self._anchor = (0, None), None
 

@@ -24,6 +24,7 @@ from mixtac_fger.validity import (
     Validity,
     add_signs,
     agreement,
+    marks,
     picture_findings,
 )
 
@@ -126,8 +127,10 @@ def noise(start_us: int, end_us: int, count: int = 60) -> Events:
     )
 
 
-def follow(trial, encoded, events: Events, frames, *, until_us: int = 1_150_000) -> list[Reason]:
-    """Return what is said of each window of a trial with noise at its pixels."""
+def follow(
+    trial, encoded, events: Events, frames, *, until_us: int = 1_150_000, alone: bool = False
+) -> list[Reason]:
+    """Return what is said of each window of a trial, with noise at its pixels or alone."""
     validity = Validity(WINDOW_US, WIDTH)
     reasons, frame = [], 0
     middle = trial.exposure_start_us + EXPOSURE_US // 2
@@ -135,7 +138,9 @@ def follow(trial, encoded, events: Events, frames, *, until_us: int = 1_150_000)
         while frame < len(frames) and trial.arrival_us[frame] <= end:
             show(validity, encoded(frames[frame], int(middle[frame])))
             frame += 1
-        part = Events.concatenate([events.between(end - WINDOW_US, end), noise(end - 2000, end)])
+        part = events.between(end - WINDOW_US, end)
+        if not alone:
+            part = Events.concatenate([part, noise(end - 2000, end)])
         validity.window(end, part, complete=True)
         reasons.append(validity.reason)
     return reasons
@@ -210,6 +215,71 @@ def test_the_same_frame_again_is_frozen_until_frames_differ(trial, encoded, fram
     first, last = trial.arrival_us[8] // WINDOW_US, trial.arrival_us[9 + HOLD_FRAMES] // WINDOW_US
     assert wrong[0] == pytest.approx(first, abs=1)
     assert wrong[-1] == pytest.approx(last, abs=2)
+
+
+def test_frames_in_a_loop_are_known_again(trial, encoded, frames):
+    looped = [
+        frames[index] if index < 10 else frames[4 + index % 6] for index in range(len(frames))
+    ]
+    reasons = follow(trial, encoded, Events.empty(), looped)
+    first = int(trial.arrival_us[10]) // WINDOW_US
+    assert reasons[first + 1] is Reason.FRAME_FROZEN
+    assert set(reasons[: first - 1]) == {Reason.TRUSTED}
+
+
+def marks_of(events: Events, most: int = 10_000) -> list[int]:
+    room = np.empty(most, np.uint64)
+    return room[: marks(events.t, events.x, events.y, events.polarity, room)].tolist()
+
+
+@given(first=st.integers(0, 2000), shift=st.integers(-500_000, 10**12))
+@settings(deadline=None, max_examples=30)
+def test_events_are_known_again_wherever_and_whenever_they_are_cut(first, shift):
+    events = noise(0, 200_000, 4000)
+    whole, part = marks_of(events), marks_of(events[first : first + 1500].shifted(shift))
+    assert 60 < len(whole) < 250
+    assert set(part) <= set(whole)
+    assert len(part) > 10
+
+
+@pytest.mark.parametrize(
+    'change',
+    [
+        lambda events: replace(events, x=(events.x + 1).astype(np.uint16)),
+        lambda events: replace(events, polarity=~events.polarity),
+        lambda events: replace(events, t=np.sort(events.t + noise(1, 40_001, 4000).t % 200)),
+        lambda _: noise(7, 200_007, 4000),
+    ],
+    ids=['pixels', 'polarity', 'intervals', 'other noise'],
+)
+def test_other_events_are_not_known(change):
+    events = noise(0, 200_000, 4000)
+    assert len(set(marks_of(events)) & set(marks_of(change(events)))) <= 1
+
+
+def test_there_are_no_more_marks_than_room_for_them():
+    events = noise(0, 200_000, 4000)
+    assert marks_of(events, 5) == marks_of(events)[:5]
+    assert marks_of(events[:3]) == []
+
+
+def test_events_in_a_loop_are_found(trial, encoded, frames):
+    still = [noisy(trial.frames[0], index) for index in range(len(frames))]
+    length, begin = 200_000, 600_000
+    original = noise(0, 2_000_000, 60_000)
+    source = original.between(begin - length, begin)
+    copies = [source.shifted(length * (1 + index)) for index in range(5)]
+    for events, expected in (
+        (original, {Reason.TRUSTED}),
+        (
+            Events.concatenate([original.between(0, begin), *copies]),
+            {Reason.TRUSTED, Reason.EVENTS_DISAGREE},
+        ),
+    ):
+        reasons = follow(trial, encoded, events, still, alone=True)
+        assert set(reasons) == expected
+        assert set(reasons[: begin // WINDOW_US]) == {Reason.TRUSTED}
+    assert reasons[(begin + 120_000) // WINDOW_US] is Reason.EVENTS_DISAGREE
 
 
 def test_events_everywhere_while_nothing_moves(trial, encoded, frames):
