@@ -37,6 +37,7 @@ setup(
             'demo = mixtac_cli.demo.command:demo',
             'doctor = mixtac_cli.doctor:doctor',
             'export = mixtac_cli.export:export',
+            'import = mixtac_cli.export:import_',
             'inspect = mixtac_cli.export:inspect',
             'record = mixtac_cli.record.session:record',
             'repair = mixtac_cli.export:repair',

@@ -94,6 +94,8 @@ class ClockFit:
     @property
     def residual_rms_s(self) -> float:
         """Root mean square of the residuals [s]; 0 for two anchors without a prior."""
+        if not len(self.residuals_s):
+            return 0.0
         return float(np.sqrt(np.mean(self.residuals_s**2)))
 
     @property
@@ -124,6 +126,8 @@ class ClockFit:
 
     def summary(self) -> str:
         """Return a one-line summary."""
+        if not self.anchors:
+            return f'{self.method}: drift {self.drift_ppm:+.1f} ppm, no anchors'
         middle_us = self.anchors[0].camera_us // 2 + self.anchors[-1].camera_us // 2
         return (
             f'{len(self.anchors)} anchors over '

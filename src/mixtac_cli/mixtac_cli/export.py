@@ -1,26 +1,37 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""`mixtac export | inspect | repair`: recordings as other files, and their contents."""
+"""`mixtac export | import | inspect | repair`: recordings as other files, and their contents."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from mixtac_alignment.bags import write_fit
+from mixtac_alignment.clock_fit import ClockFit
+from mixtac_cli.options import OptionalPath
+from mixtac_node.topics import REFERENCE
 from mixtac_recordings.bag_writer import repair as repair_bag
+from mixtac_recordings.dataset import SPLITS, add_recording
 from mixtac_recordings.export import export_recording
+from mixtac_recordings.importing import TableOptions, import_recording
 from mixtac_recordings.recording import AEDAT4_SUFFIX, DamagedRecordingError
 from mixtac_recordings.summary import summarise
+
+TABLES = TableOptions()
+"""Defaults of `mixtac import`."""
 
 
 def export(
     recording: Annotated[Path, typer.Argument(help='Folder of a bag, .mcap, .db3 or .aedat4.')],
-    to: Annotated[str, typer.Option(help='aedat4, csv or npz.')],
+    to: Annotated[str, typer.Option(help='aedat4, csv, hdf5 or npz.')],
     out: Annotated[Path, typer.Option(help='New folder for the files.')],
 ) -> None:
     """Write events, frames, inertial samples, edges and forces of a recording to other files."""
@@ -34,11 +45,83 @@ def export(
         f'samples, {counts.edges} edges'
     )
     if to == 'aedat4':
-        console.print('AEDAT4 cannot hold forces: export them with --to csv or npz')
+        console.print('AEDAT4 cannot hold forces: export them with --to csv, hdf5 or npz')
     for topic, count in counts.wrenches.items():
         console.print(f'{topic}: {count} wrenches')
     if counts.damage:
         console.print(f'warning: {counts.damage}', style='yellow', markup=False)
+
+
+def import_(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help='Camera data: .csv, .npz, .h5, .aedat4, a bag, or a folder that `mixtac export`'
+            ' wrote.'
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help='Folder of the new bag.')],
+    forces: Annotated[
+        OptionalPath, typer.Option(help='Table of the reference force: .csv or .npz.')
+    ] = None,
+    same_clock: Annotated[
+        bool,
+        typer.Option('--same-clock', help='The forces are stamped on the clock of the camera.'),
+    ] = False,
+    time_unit: Annotated[
+        str, typer.Option(help='Unit of camera times where the file gives none: ns, us, ms or s.')
+    ] = TABLES.time_unit,
+    force_unit: Annotated[
+        str, typer.Option(help='Unit of the times of forces where the file gives none.')
+    ] = TABLES.force_unit,
+    size: Annotated[
+        str, typer.Option(help='Size of the camera, for example 346x260; empty: by its frames.')
+    ] = '',
+    profile: Annotated[
+        str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')
+    ] = '',
+    split: Annotated[str, typer.Option(help='train or test, for dataset.yaml.')] = '',
+) -> None:
+    """Make a bag of events, frames and forces in other files: csv, NPZ, HDF5, AEDAT4."""
+    if split not in {'', *SPLITS}:
+        raise typer.BadParameter(f'{split!r}: choose train or test', param_hint='--split')
+    options = TableOptions(time_unit, force_unit, _size(size))
+    console = Console()
+    with console.status(f'reading {source}'):
+        counts = import_recording(
+            source, out, forces=forces, same_clock=same_clock, options=options
+        )
+    wrenches = counts.wrenches.get(REFERENCE, 0)
+    figures = {'events': counts.events, 'frames': counts.frames, 'forces': wrenches}
+    console.print(f'{out}: {counts.events} events, {counts.frames} frames, {wrenches} forces')
+    if profile or split:
+        path = add_recording(
+            out, {**figures, 'imported_from': source.name}, profile=profile, split=split
+        )
+        console.print(f'described in {path}')
+    if same_clock and wrenches:
+        console.print(f'clock fit: {write_fit(_one_clock(), out)}')
+    elif wrenches:
+        console.print(f'the forces are on a clock of their own: next, mixtac align {out}')
+    if not counts.frames:
+        console.print('warning: no frames: the force cannot be estimated', style='yellow')
+    if counts.damage:
+        console.print(f'warning: {counts.damage}', style='yellow', markup=False)
+
+
+def _size(text: str) -> tuple[int, int] | None:
+    if not text:
+        return None
+    match = re.fullmatch(r'(\d+)x(\d+)', text)
+    if match is None:
+        raise typer.BadParameter(f'{text!r}: give columns and rows like 346x260')
+    return int(match[1]), int(match[2])
+
+
+def _one_clock() -> ClockFit:
+    """Return the map of two streams on one clock."""
+    nothing = np.zeros(0)
+    return ClockFit(1.0, 0.0, np.zeros((2, 2)), 0, 0.0, (), nothing, method='one clock')
 
 
 def inspect(

@@ -119,6 +119,14 @@ def evaluate(
     figures: Annotated[
         OptionalPath, typer.Option(help='Image file for plots of the trials.', callback=writable)
     ] = None,
+    series: Annotated[
+        OptionalPath,
+        typer.Option(
+            help='.csv or .npz file for the forces over time, with deviation, validity and'
+            ' reference.',
+            callback=writable,
+        ),
+    ] = None,
     robustness: Annotated[
         bool,
         typer.Option(
@@ -140,6 +148,7 @@ def evaluate(
         preset=preset,
         figures=figures,
         json=json,
+        series=series,
         with_losses=robustness,
     )
 

@@ -15,7 +15,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, Nodetype
 from rosbags.rosbag2 import Reader
@@ -57,12 +56,19 @@ def typestore() -> Typestore:
     Raises:
         RecordingError: The packages that define them are not installed.
     """
+    try:
+        from ament_index_python.packages import get_package_share_directory
+    except ImportError as error:
+        raise RecordingError(
+            f'bags cannot be read without the index of packages ({error})',
+            remedy='source the workspace',
+        ) from error
     store = get_typestore(Stores.ROS2_JAZZY)
     for name in _OWN_TYPES:
         package, _, message = name.split('/')
         try:
             share = Path(get_package_share_directory(package))
-        except PackageNotFoundError as error:
+        except LookupError as error:
             raise RecordingError(
                 f'bags cannot be read without {package}', remedy='source the workspace'
             ) from error
@@ -286,15 +292,20 @@ def _text(error: Exception) -> str:
     return ' '.join(str(error).split()) or type(error).__name__
 
 
-def find_bags(path: Path) -> list[Path]:
-    """Return a bag itself, or the bags in a folder in the order of their names.
+def find_bags(path: Path, depth: int = 3) -> list[Path]:
+    """Return a bag itself, or the bags in a folder and its folders in the order of their names.
 
     A bag that was cut off has its data but no metadata.yaml; hidden folders are left out.
+
+    Args:
+        path: Bag, or folder.
+        depth: Levels of folders to look into; 0 takes only a bag itself.
     """
     if path.is_file() or _holds_bag(path):
         return [path]
-    inside = path.iterdir() if path.is_dir() else ()
-    return sorted(each for each in inside if each.name[0] != '.' and _holds_bag(each))
+    inside = sorted(path.iterdir()) if path.is_dir() and depth else ()
+    folders = (each for each in inside if each.is_dir() and each.name[0] != '.')
+    return [bag for each in folders for bag in find_bags(each, depth - 1)]
 
 
 def _holds_bag(folder: Path) -> bool:

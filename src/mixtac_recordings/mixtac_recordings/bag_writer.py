@@ -137,6 +137,22 @@ class McapBag(Writer):
         if compressed:
             self.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
 
+    def add_topic(self, topic: str, type_name: str, *, reliable: bool, latched: bool) -> Connection:
+        """Announce a topic and return the handle to write it with.
+
+        Args:
+            topic: Absolute topic name.
+            type_name: For example `sensor_msgs/msg/Image`.
+            reliable: QoS the publisher offers, recorded for `ros2 bag play`.
+            latched: True for transient local.
+        """
+        return self.add_connection(
+            topic,
+            type_name,
+            typestore=typestore(),
+            offered_qos_profiles=(offered_qos(reliable=reliable, latched=latched),),
+        )
+
     def add_like(self, connection: Connection) -> Connection:
         """Announce a topic of another bag and return the handle to write its messages with.
 
@@ -250,7 +266,6 @@ class BagWriter:
         self.dropped = 0
         self._failure: Exception | None = None
         self._finished = False
-        self._types = typestore()
         try:
             self._writer = McapBag(path)
             self._writer.open()
@@ -272,26 +287,14 @@ class BagWriter:
         self._thread.start()
 
     def add_topic(self, topic: str, type_name: str, *, reliable: bool, latched: bool) -> Connection:
-        """Announce a topic and return the handle to write it with.
-
-        Args:
-            topic: Absolute topic name.
-            type_name: For example `sensor_msgs/msg/Image`.
-            reliable: QoS the publisher offers, recorded for `ros2 bag play`.
-            latched: True for transient local.
-        """
+        """Announce a topic and return the handle to write it with; see `McapBag.add_topic`."""
         self.written[topic] = 0
-        return self._writer.add_connection(
-            topic,
-            type_name,
-            typestore=self._types,
-            offered_qos_profiles=(offered_qos(reliable=reliable, latched=latched),),
-        )
+        return self._writer.add_topic(topic, type_name, reliable=reliable, latched=latched)
 
-    def write(self, connection: Connection, received_ns: int, data: bytes) -> None:
-        """Queue one serialised message, received at host time `received_ns`."""
+    def write(self, connection: Connection, timestamp: int, data: bytes) -> None:
+        """Queue one serialised message, received at a host time [ns]."""
         if len(self._queue) < QUEUE_SIZE:
-            self._queue.append((connection, received_ns, data))
+            self._queue.append((connection, timestamp, data))
         else:
             self.dropped += 1
 

@@ -182,6 +182,19 @@ def read_recordings(path: Path) -> dict[str, Any]:
     return dict(document)
 
 
+def folder_facts(bag: Path) -> dict[str, Any]:
+    """Return profile and split of a bag that nothing describes, by the folders it lies in.
+
+    The profile is the name of its folder; a folder named `train` or `test` is the split, and the
+    one above it the profile then.
+    """
+    above = [each.name for each in bag.absolute().parents][:2]
+    split = next((name for name in above if name in SPLITS), '')
+    profile = next((name for name in above if name and name not in SPLITS), '')
+    facts = {'profile': profile, 'split': split}
+    return {name: value for name, value in facts.items() if value}
+
+
 def described_trial(bag: Path) -> dict[str, Any]:
     """Return what the `dataset.yaml` beside a bag says of it; empty without a file or an entry.
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings as AEDAT4, CSV or NPZ, in one pass per kind of data and in constant memory."""
+"""Recordings as AEDAT4, CSV, HDF5 or NPZ, in one pass per kind of data, in constant memory."""
 
 from __future__ import annotations
 
@@ -86,7 +86,40 @@ class GrowingNpz:
         shutil.rmtree(self._folder, ignore_errors=True)
 
 
-FORMATS = ('aedat4', 'csv', 'npz')
+FORMATS = ('aedat4', 'csv', 'hdf5', 'npz')
+HDF5_SUFFIXES = frozenset({'.h5', '.hdf5'})
+
+
+def load_h5py() -> Any:  # noqa: ANN401
+    """Return the module h5py.
+
+    Raises:
+        RecordingError: It is not installed.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise RecordingError(
+            f'HDF5 files need h5py, which is not installed ({error})',
+            remedy='python3 tools/setup.py --with hdf5, or pip install -r requirements/hdf5.txt',
+        ) from error
+    return h5py
+
+
+def open_hdf5(path: Path, mode: str) -> Any:  # noqa: ANN401
+    """Return an HDF5 file, an `h5py.File`, opened to read (`r`) or newly made (`x`).
+
+    Raises:
+        RecordingError: h5py is not installed, or the file cannot be opened.
+    """
+    h5py = load_h5py()
+    with contextlib.suppress(ImportError):
+        # Registers the compression of DSEC where it is installed.
+        import hdf5plugin  # noqa: F401
+    try:
+        return h5py.File(path, mode)
+    except OSError as error:
+        raise RecordingError(f'{path} cannot be opened as HDF5: {error}') from error
 
 
 class Sink(Protocol):
@@ -274,19 +307,105 @@ class NpzSink(TableSink):
 
     def frame(self, frame: Frame) -> None:
         """Write a frame."""
-        self.table(
-            'frames',
-            exposure_start=np.array([frame.exposure_start_us]),
-            exposure_end=np.array([frame.exposure_end_us]),
-            origin=np.array([[frame.x, frame.y]]),
-            image=frame.image[None],
-        )
+        self.table('frames', **frame_columns(frame))
 
     def close(self) -> None:
         """Finish the files."""
         for file in self._files.values():
             file.close()
         (self._folder / 'units.txt').write_text(UNITS, encoding='utf8')
+
+
+HDF5_ROWS = 1 << 14
+"""Rows that are written at once, and of a chunk: those of a chunk fit into the library's cache."""
+
+
+class Hdf5Sink(TableSink):
+    """One HDF5 file: events in the layout of the DSEC data set, other tables as groups.
+
+    `events/p, x, y, t` with `t` in microseconds after `t_offset`, and `ms_to_idx`: the first event
+    at or after each millisecond (https://dsec.ifi.uzh.ch/data-format/).
+
+    Args:
+        folder: Folder for it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._file = open_hdf5(folder / 'recording.h5', 'x')
+        self._waiting: dict[str, list[dict[str, NDArray[Any]]]] = {}
+        self._rows: dict[str, int] = {}
+        self._starts: list[NDArray[np.int64]] = []
+        self._offset_us: int | None = None
+        self._milliseconds = 0
+        self._events = 0
+
+    def table(self, name: str, **columns: NDArray[Any]) -> None:
+        """Append rows to the data sets of a group."""
+        self._waiting.setdefault(name, []).append(columns)
+        self._rows[name] = self._rows.get(name, 0) + len(next(iter(columns.values())))
+        if self._rows[name] >= HDF5_ROWS or name == 'frames':
+            self._flush(name)
+
+    def _flush(self, name: str) -> None:
+        waiting, self._rows[name] = self._waiting.pop(name), 0
+        group = self._file.require_group(name)
+        for key in waiting[0]:
+            rows = np.concatenate([each[key] for each in waiting])
+            if key not in group:
+                chunk = (1 if rows.ndim > 2 else HDF5_ROWS, *rows.shape[1:])
+                shape = (0, *rows.shape[1:])
+                options = {'maxshape': (None, *rows.shape[1:]), 'compression': 'gzip'}
+                group.create_dataset(key, shape, rows.dtype, chunks=chunk, **options)
+            held = group[key]
+            if held.shape[1:] != rows.shape[1:]:
+                raise RecordingError(
+                    f'{name} of {rows.shape[1:]} after {held.shape[1:]}: a data set holds one size',
+                    remedy='export with --to csv or aedat4',
+                )
+            held.resize(len(held) + len(rows), axis=0)
+            held[-len(rows) :] = rows
+
+    def events(self, events: Events) -> None:
+        """Write events."""
+        if self._offset_us is None:
+            self._offset_us = int(events.t[0])
+        t = events.t - self._offset_us
+        if t[-1] > np.iinfo(np.uint32).max or t[0] < 0:
+            raise RecordingError(
+                f'events at {int(t[0])} .. {int(t[-1])} us after the first: the layout holds 71'
+                ' minutes',
+                remedy='export with --to npz',
+            )
+        limits = np.arange(self._milliseconds, int(t[-1]) // 1000 + 1)
+        self._starts.append(self._events + np.searchsorted(t, 1000 * limits))
+        self._milliseconds += len(limits)
+        self._events += len(t)
+        p = events.polarity.astype(np.uint8)
+        self.table('events', p=p, x=events.x, y=events.y, t=t.astype(np.uint32))
+
+    def frame(self, frame: Frame) -> None:
+        """Write a frame."""
+        self.table('frames', **frame_columns(frame))
+
+    def close(self) -> None:
+        """Write what waits, offset and index of the events, and the units."""
+        for name in list(self._waiting):
+            self._flush(name)
+        if self._offset_us is not None:
+            self._file['t_offset'] = np.int64(self._offset_us)
+            self._file['ms_to_idx'] = np.concatenate(self._starts).astype(np.uint64)
+        self._file.attrs['units'] = UNITS
+        self._file.close()
+
+
+def frame_columns(frame: Frame) -> dict[str, NDArray[Any]]:
+    """Return a frame as a row of a table."""
+    return {
+        'exposure_start': np.array([frame.exposure_start_us]),
+        'exposure_end': np.array([frame.exposure_end_us]),
+        'origin': np.array([[frame.x, frame.y]]),
+        'image': frame.image[None],
+    }
 
 
 UNITS = """\
@@ -343,6 +462,8 @@ def export_recording(
         raise RecordingError(
             f'unknown format {kind!r}', remedy=f'choose one of {", ".join(FORMATS)}'
         )
+    if kind == 'hdf5':
+        load_h5py()
     with contextlib.closing(open_recording(path)) as recording:
         try:
             out.mkdir(parents=True)
@@ -361,6 +482,8 @@ def export_recording(
 def _sink(kind: str, out: Path, recording: Recording) -> Sink:
     if kind == 'aedat4':
         return Aedat4Sink(out, recording.info)
+    if kind == 'hdf5':
+        return Hdf5Sink(out)
     return CsvSink(out) if kind == 'csv' else NpzSink(out)
 
 

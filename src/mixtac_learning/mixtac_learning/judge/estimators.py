@@ -46,6 +46,7 @@ class TrialEstimate:
         frames_only: The model's force of the latest frame, None where it has none [N] [T].
         deviation: Standard deviation that the model gives, None where it gives none [N] [T].
         corrected: Windows in which a frame was first used, None where that is not known, bool [T].
+        reasons: Values of `mixtac_fger.validity.Reason`, None where that is not known, uint8 [T].
     """
 
     name: str
@@ -58,6 +59,7 @@ class TrialEstimate:
     frames_only: NDArray[np.float64] | None = None
     deviation: NDArray[np.float64] | None = None
     corrected: NDArray[np.bool_] | None = None
+    reasons: NDArray[np.uint8] | None = None
 
     def scaled(self, scale: float) -> TrialEstimate:
         """Return the estimate of a sensor that was calibrated to this scale."""
@@ -93,7 +95,8 @@ def stream(
         DatasetError: The force of the trial is not known.
     """
     opened = open_estimator(model)
-    estimator = ForceEstimator(opened)
+    # Trials begin without contact: the first frames are the zero.
+    estimator = ForceEstimator(opened, assume_free=True)
     label, width = trial.label(), opened.window_us
     middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
     begin = min(int(trial.arrival_us[0]), int(label.t_us[0])) // width * width
@@ -118,12 +121,14 @@ def stream(
         for found in estimator.push_events(events, end, lost_before=lost_before):
             deviation = found.deviation or 0.0
             age_us = found.frame_age_us
-            rows.append((found.end_us, found.force, estimator.frame_force, deviation, age_us))
-    table = np.array(rows, np.float64).reshape(-1, 5)
+            force, frame_force = found.force, estimator.frame_force
+            rows.append((found.end_us, force, frame_force, deviation, age_us, found.reason))
+    table = np.array(rows, np.float64).reshape(-1, 6)
     deviations = table[:, 3] if opened.gives_deviation else None
     times, ages = table[:, 0].astype(np.int64), table[:, 4]
     corrected = np.diff(ages, prepend=ages[:1]) < 0.0
-    return _estimate(trial, times, table[:, 1], table[:, 2], deviations, corrected)
+    reasons = table[:, 5].astype(np.uint8)
+    return _estimate(trial, times, table[:, 1], table[:, 2], deviations, corrected, reasons)
 
 
 SETTLE_FRAMES = 5
@@ -204,6 +209,7 @@ def _estimate(
     frames_only: NDArray[np.float64] | None = None,
     deviation: NDArray[np.float64] | None = None,
     corrected: NDArray[np.bool_] | None = None,
+    reasons: NDArray[np.uint8] | None = None,
 ) -> TrialEstimate:
     """Return estimates beside the known force, at the times at which it is known."""
     label = trial.label()
@@ -221,6 +227,7 @@ def _estimate(
         frames_only=None if frames_only is None else frames_only[inside],
         deviation=None if deviation is None else deviation[inside],
         corrected=None if corrected is None else corrected[inside],
+        reasons=None if reasons is None else reasons[inside],
     )
 
 

@@ -21,7 +21,14 @@ from mixtac_learning.judge.estimators import (
     sensor_scales,
     trial_estimator,
 )
-from mixtac_learning.judge.report import by_profile, draw_trials, show_figures, show_skipped
+from mixtac_learning.judge.report import (
+    by_profile,
+    check_series,
+    draw_trials,
+    show_figures,
+    show_skipped,
+    write_series,
+)
 from mixtac_learning.judge.robustness import robustness
 from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.simulated import SimulatedSource
@@ -48,6 +55,7 @@ def run_evaluation(
     preset: str = TRAINING_PRESET,
     figures: Path | None = None,
     json: Path | None = None,
+    series: Path | None = None,
     with_losses: bool = False,
 ) -> None:
     """Judge a model on bags against the force that is known of each, or on simulated sensors.
@@ -65,6 +73,7 @@ def run_evaluation(
         preset: How difficult the simulated trials are.
         figures: Picture to draw; None for none.
         json: File for the figures; None for none.
+        series: File for the forces over time, .csv or .npz; None for none.
         with_losses: Judge with lost frames and packets as well.
 
     Raises:
@@ -72,6 +81,8 @@ def run_evaluation(
         DatasetError: No trial can be judged.
         FileError: A file cannot be written.
     """
+    if series is not None:
+        check_series(series)
     model = read_model(path)
     estimator = trial_estimator(model)
     content: dict[str, Any] = {'model': str(path)}
@@ -106,6 +117,9 @@ def run_evaluation(
     if figures is not None:
         draw_trials(figures, title, judged.estimates)
         console.print(f'drawn: {figures}')
+    if series is not None:
+        write_series(series, judged.estimates)
+        console.print(f'written: {series}')
     if with_losses:
         content['robustness'] = robustness(
             model, track(sources, 'judging with losses', transient=True)

@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from mixtac_fger.validity import Reason
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import (
     ROLLING_S,
@@ -23,6 +24,8 @@ from mixtac_learning.judge.metrics import (
     peak_error,
     rolling_errors,
 )
+from mixtac_learning.trials.trial import DatasetError
+from mixtac_node.files import replacing
 
 INTERVALS = {'coverage_68': 1.0, 'coverage_95': 1.96}
 """Half widths of the intervals in standard deviations: 68.3 % and 95 % of a Gaussian."""
@@ -237,3 +240,79 @@ def draw_trials(path: Path, title: str, estimates: Sequence[TrialEstimate]) -> N
         right.set(title='rolling MAE', xlabel='time [s]', ylabel='N', ylim=(0, None))
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
+
+
+SERIES = {
+    'trial': '%s',
+    'stamp': '%d',
+    'force': '%.6f',
+    'deviation': '%.6f',
+    'valid': '%d',
+    'reason': '%s',
+    'reference': '%.6f',
+}
+"""Columns of a series and how csv shows them."""
+SERIES_UNITS = {'stamp': 'us, camera clock', 'force': 'N', 'deviation': 'N', 'reference': 'N'}
+SERIES_SUFFIXES = ('.csv', '.npz')
+
+
+def check_series(path: Path) -> None:
+    """Check the name of a file for `write_series`.
+
+    Raises:
+        DatasetError: Its suffix is another.
+    """
+    if path.suffix not in SERIES_SUFFIXES:
+        raise DatasetError(
+            f'{path}: a series is written to {" or ".join(SERIES_SUFFIXES)}',
+            remedy='name it forces.csv or forces.npz',
+        )
+
+
+def write_series(path: Path, estimates: Sequence[TrialEstimate]) -> None:
+    """Write forces over time, a row or an element per window.
+
+    Columns: name of the trial; end of the window, camera clock [us]; force [N]; its standard
+    deviation [N], NaN from a model that gives none; whether the force can be trusted, and why not
+    by name; the force it is judged by [N]. A model without checks counts as trusted.
+
+    Args:
+        path: .csv or .npz file.
+        estimates: Estimates.
+
+    Raises:
+        DatasetError: The suffix is another.
+        FileError: It cannot be written.
+    """
+    check_series(path)
+    columns: dict[str, Any] = {
+        name: np.concatenate([_series(e)[name] for e in estimates]) for name in SERIES
+    }
+    with replacing(path) as scratch:
+        if path.suffix == '.npz':
+            with scratch.open('wb') as file:
+                np.savez_compressed(file, **columns)
+            return
+        headings = (
+            f'"{name} [{SERIES_UNITS[name]}]"' if name in SERIES_UNITS else name for name in SERIES
+        )
+        form = ','.join(SERIES.values()) + '\n'
+        with scratch.open('w', encoding='utf-8') as text:
+            text.write(','.join(headings) + '\n')
+            rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+            text.writelines(form % row for row in rows)
+
+
+def _series(estimate: TrialEstimate) -> dict[str, Any]:
+    count = len(estimate.t_us)
+    reasons = np.zeros(count, np.uint8) if estimate.reasons is None else estimate.reasons
+    nothing = np.full(count, np.nan)
+    return {
+        'trial': np.full(count, estimate.name),
+        'stamp': estimate.t_us,
+        'force': estimate.force,
+        'deviation': nothing if estimate.deviation is None else estimate.deviation,
+        'valid': reasons == Reason.TRUSTED,
+        'reason': np.array([Reason(each).name for each in Reason])[reasons],
+        'reference': estimate.known,
+    }

@@ -270,24 +270,31 @@ def bag_sources(folder: Path, reference: str = REFERENCE) -> list[BagSource]:
     """Return the bags of a folder, or the folder itself where it is a bag.
 
     Args:
-        folder: A bag, or a folder of bags with or without `dataset.yaml`.
+        folder: A bag, or a folder of bags. Bags without `dataset.yaml` have the profile and the
+            split that their folders are named after.
         reference: Topic of the reference force.
 
     Raises:
         DatasetError: There are none.
     """
     from mixtac_recordings.bag import find_bags
-    from mixtac_recordings.dataset import described_trial
+    from mixtac_recordings.dataset import described_trial, folder_facts
 
     bags = find_bags(folder)
     if not bags:
         raise DatasetError(f'{folder} holds no bags: give a bag or a folder of bags')
     return [
-        BagSource(bag, reference, described_trial(bag) or _described_inside(bag)) for bag in bags
+        BagSource(bag, reference, folder_facts(bag) | _known(described_trial(bag) or _inside(bag)))
+        for bag in bags
     ]
 
 
-def _described_inside(bag: Path) -> dict[str, Any]:
+def _known(facts: dict[str, Any]) -> dict[str, Any]:
+    """Return the facts that are not empty: `mixtac record` leaves them so where none was given."""
+    return {name: value for name, value in facts.items() if value != ''}
+
+
+def _inside(bag: Path) -> dict[str, Any]:
     import yaml
 
     try:

@@ -8,9 +8,13 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 from mixtac_fger.weights import write_model
 from mixtac_learning.judge import evaluation
-from mixtac_learning.trials.trial import TrialArrays
+from mixtac_learning.judge.report import SERIES
+from mixtac_learning.trials.trial import DatasetError, TrialArrays
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,16 @@ def test_a_bag_that_is_named_is_judged_whatever_its_split(
     path, out = tmp_path / 'm.safetensors', tmp_path / 'figures.json'
     write_model(path, model)
     bags = [Path('one.bag'), Path('folder')]
-    evaluation.run_evaluation(path, bags, reference='/w', json=out)
+    series = tmp_path / 'forces.npz'
+    evaluation.run_evaluation(path, bags, reference='/w', json=out, series=series)
     assert 'its end is missing' in capsys.readouterr().err
     assert json.loads(out.read_text())['bags'] == ['one.bag', 'b']
+    found = np.load(series)
+    assert set(found['trial']) == {'one.bag', 'b'}
+    assert len({len(found[name]) for name in SERIES}) == 1
+    assert np.array_equal(found['valid'], found['reason'] == 'TRUSTED')
+    evaluation.run_evaluation(path, bags[:1], reference='/w', series=tmp_path / 'forces.csv')
+    rows = (tmp_path / 'forces.csv').read_text().splitlines()
+    assert len(rows) == 1 + np.count_nonzero(found['trial'] == 'one.bag')
+    with pytest.raises(DatasetError):
+        evaluation.run_evaluation(path, bags, series=tmp_path / 'forces.txt')

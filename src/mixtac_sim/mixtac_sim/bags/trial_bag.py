@@ -18,8 +18,8 @@ import numpy as np
 
 from mixtac_node import topics
 from mixtac_node.topics import Topic
-from mixtac_recordings.bag import blank_message, typestore
-from mixtac_recordings.bag_writer import McapBag, offered_qos
+from mixtac_recordings.bag import blank_message
+from mixtac_recordings.bag_writer import McapBag
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.bags.camera import CameraMessages
@@ -160,13 +160,11 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
         writer.set_custom_data('mixtac.trial', json.dumps(asdict(spec)))
         with writer:
             connections = {
-                each.name: writer.add_connection(
+                each.name: writer.add_topic(
                     each.resolved(NAMESPACE),
                     each.type_name,
-                    typestore=typestore(),
-                    offered_qos_profiles=(
-                        offered_qos(reliable=each.reliable, latched=each.latched),
-                    ),
+                    reliable=each.reliable,
+                    latched=each.latched,
                 )
                 for each in BAG_TOPICS
             }
