@@ -46,6 +46,7 @@ FLOORS = {
     'mixtac_slip_control': 4,
     'mixtac_sim': 4,
     'mixtac_learning': 5,
+    'mixtac': 5,
     'mixtac_cli': 6,
     'mixtac_lab': 7,
     'mixtac_bringup': 8,

@@ -22,7 +22,7 @@ from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import CameraFacts, check_camera, open_estimator
 from mixtac_fger.live_feed import LiveFeed, feed_diagnosis
 from mixtac_fger.parameters import FgerParameters
-from mixtac_fger.reference import TareError, reference_name
+from mixtac_fger.reference import TareError, reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import find_model, read_model
 from mixtac_msgs.msg import ForceQuality
@@ -110,8 +110,8 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             model = read_model(path)
             estimator = open_estimator(model)
             check_camera(estimator, model.card, self._camera)
-            self._reference = _stored_reference(
-                _reference_file(settings, self._camera.serial), estimator
+            self._reference = stored_reference(
+                _reference_file(settings, self._camera.serial), estimator.reference
             )
         except MixtacError as error:
             self.get_logger().error(f'{settings.model}: {error}')
@@ -132,16 +132,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if self._reference is not None and self._estimator.reference is not None:
             self._estimator.reference.use(self._reference)
         self._feed = LiveFeed(
-            ForceEstimator(
-                self._estimator,
-                background_frames=True,
-                force_scale=settings.force_scale,
-                contact_threshold_n=settings.contact_threshold,
-                longest_without_frame_us=round(settings.longest_without_frame * 1e6),
-                stale_frame_us=round(settings.stale_frame_age * 1e6),
-                assume_free=settings.assume_free,
-                tare_on_release=settings.tare_on_release,
-            ),
+            ForceEstimator(self._estimator, background_frames=True, **settings.estimator_options()),
             deadline_s=settings.deadline,
         )
         freeze_loaded()
@@ -222,7 +213,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             state_file(wanted.reference or 'none')
             if self._estimator is not None:
                 name = _reference_file(wanted, self._camera.serial)
-                self._reference = _stored_reference(name, self._estimator)
+                self._reference = stored_reference(name, self._estimator.reference)
         if self._feed is not None:
             estimator = self._feed.estimator
             estimator.force_scale = wanted.force_scale
@@ -274,7 +265,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._reference = None
         try:
             name = _reference_file(self._settings, self._camera.serial)
-            self._reference = _stored_reference(name, open_estimator(model))
+            self._reference = stored_reference(name, open_estimator(model).reference)
         except MixtacError as error:
             self.get_logger().warning(f'{error}')
         if feed is not None and self._reference is not None:
@@ -377,24 +368,6 @@ def _reference_file(settings: FgerParameters, serial: str) -> str:
     if settings.reference or settings.assume_free:
         return settings.reference
     return reference_name(serial)
-
-
-def _stored_reference(name: str, estimator: Estimator) -> NDArray[Any] | None:
-    """Give an estimator its stored reference, and return it; None where there is none.
-
-    Args:
-        name: Name of the file; empty for none.
-        estimator: Its reference is set.
-
-    Raises:
-        MixtacError: The name is not plain, or the file cannot be used.
-    """
-    if not name:
-        return None
-    path = state_file(name)
-    if estimator.reference is None or not path.exists():
-        return None
-    return estimator.reference.load(path)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from mixtac_fger.weights import DEFAULT_MODEL
 from mixtac_node.parameters import parameter
@@ -64,3 +64,14 @@ class FgerParameters:
     image_transport: str = parameter('raw', choices=('raw', 'compressed'))
     longest_without_frame: float = parameter(2.0, unit='s', within=(0.05, 3600.0))
     deadline: float = parameter(0.003, unit='s', within=(0.0005, 1.0))
+
+    def estimator_options(self) -> dict[str, Any]:
+        """Return the options of `mixtac_fger.streaming.ForceEstimator`, by name."""
+        return {
+            'force_scale': self.force_scale,
+            'contact_threshold_n': self.contact_threshold,
+            'longest_without_frame_us': round(self.longest_without_frame * 1e6),
+            'stale_frame_us': round(self.stale_frame_age * 1e6),
+            'assume_free': self.assume_free,
+            'tare_on_release': self.tare_on_release,
+        }

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mixtac_events.errors import MixtacError
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import mean_contrast
-from mixtac_node.files import FileError, replacing
+from mixtac_node.files import FileError, replacing, state_file
 
 F32 = NDArray[np.float32]
 
@@ -249,3 +249,21 @@ def _read(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
         raise ReferenceFileError(
             f'{path} is not a reference file ({error})', remedy=_REMEDY
         ) from error
+
+
+def stored_reference(name: str, reference: Reference | None) -> F32 | None:
+    """Use the stored reference of a sensor, and return it; None where there is none.
+
+    Args:
+        name: Name of the file in the state folder; empty for none.
+        reference: That of an estimator; None if it needs none.
+
+    Raises:
+        MixtacError: The name is not plain, or the file cannot be used.
+    """
+    if not name:
+        return None
+    path = state_file(name)
+    if reference is None or not path.exists():
+        return None
+    return reference.load(path)

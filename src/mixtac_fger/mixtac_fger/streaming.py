@@ -320,6 +320,11 @@ class ForceEstimator:
         return self._estimator.reference
 
     @property
+    def frame(self) -> EncodedFrame | None:
+        """The latest frame that was used; None without one."""
+        return self._frame
+
+    @property
     def frame_force(self) -> float:
         """Frames-only force of the latest frame [N]; 0 without one."""
         return 0.0 if self._frame is None else self.force_scale * self._frame.force

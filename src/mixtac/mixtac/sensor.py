@@ -1,0 +1,399 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A sensor as an object: force and pictures as they come, without ROS.
+
+The same parts as in the ROS nodes do the work: the driver's source and supervisor, the live
+estimator with its checks, and the writer of bags.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixtac.latest import LONG_MS, Latest, NotOpenError, SensorError
+from mixtac_driver.node.settings import DriverSettings
+from mixtac_driver.parameters import DriverParameters
+from mixtac_driver.pixels import warm_up as warm_up_mask
+from mixtac_driver.source import SourceKind, make_source, source_kind
+from mixtac_driver.supervisor import State, Supervisor
+from mixtac_events.arrays import Events
+from mixtac_fger.estimator import CameraFacts, check_camera, open_estimator
+from mixtac_fger.parameters import FgerParameters
+from mixtac_fger.reference import reference_name, stored_reference
+from mixtac_fger.streaming import ForceEstimator, warm_up
+from mixtac_fger.validity import Reason
+from mixtac_fger.weights import find_model, read_model
+from mixtac_node.files import state_file
+from mixtac_recordings.messages import left_aligned
+from mixtac_recordings.recording import RecordingError
+
+if TYPE_CHECKING:
+    from mixtac.recorder import Recorder
+    from mixtac.virtual import VirtualProcess
+    from mixtac_driver.camera import CameraBatch
+    from mixtac_driver.source import Source
+    from mixtac_events.readings import Frame
+    from mixtac_fger.estimator import EncodedFrame, Estimate
+
+USB: Final = 'usb'
+VIRTUAL: Final = 'virtual'
+
+
+class Reading(NamedTuple):
+    """The force at the end of a window of 2 ms, and how far it can be trusted.
+
+    Attributes:
+        stamp_us: End of the window, camera clock [us since the Unix epoch].
+        force: Normal force [N]; NaN where it is withheld because it cannot be trusted.
+        deviation: Its standard deviation [N]; NaN from a model that gives none.
+        valid: Whether it can be trusted.
+        reason: Why not; `Reason.TRUSTED` if it can.
+        frame_age_s: From the latest frame to the end of the window [s].
+    """
+
+    stamp_us: int
+    force: float
+    deviation: float
+    valid: bool
+    reason: Reason
+    frame_age_s: float
+
+    def __str__(self) -> str:
+        """Return force and deviation, or why there is no valid force."""
+        text = f'{self.force:.3f} N +- {self.deviation:.3f} N'
+        return text if self.valid else f'{text}, not valid: {self.reason.text}'
+
+
+class Picture(NamedTuple):
+    """A frame that the estimator has used.
+
+    Attributes:
+        stamp_us: Middle of its exposure, camera clock [us since the Unix epoch].
+        image: Intensity, uint16 [height, width], the camera's 10 bits left-aligned.
+        difference: Log contrast less that without contact, float32 [rows, columns], a value for 4 x
+            4 pixels; None of a model that does not compare.
+    """
+
+    stamp_us: int
+    image: NDArray[np.uint16]
+    difference: NDArray[np.float32] | None
+
+
+WAITING: Final = 8
+"""Frames that wait to be encoded; the estimator keeps fewer."""
+
+
+class _Run:
+    """An open sensor: takes batches in the thread of its supervisor."""
+
+    def __init__(
+        self,
+        feed: ForceEstimator,
+        settings: FgerParameters,
+        driver: DriverSettings,
+        source: Source,
+        recorder: Recorder | None,
+        forces: Latest[Reading],
+        pictures: Latest[Picture],
+    ) -> None:
+        self._feed, self._settings, self._driver = feed, settings, driver
+        self._source, self._recorder = source, recorder
+        self._forces, self._pictures = forces, pictures
+        self._images: deque[tuple[int, NDArray[np.uint16]]] = deque(maxlen=WAITING)
+        self._shown: EncodedFrame | None = None
+        self._trusted = math.nan
+        self._identity = source.status().identity
+        self._lock = threading.Lock()
+        self.supervisor = Supervisor(
+            source,
+            driver.parameters,
+            on_start=self._restart,
+            on_batch=self._batch,
+            on_error=lambda _line: None,
+        )
+
+    @property
+    def serial(self) -> str:
+        return self._identity.serial if self._identity else ''
+
+    def check(self) -> None:
+        """Raise where the source has failed or ended."""
+        if self.supervisor.failure is not None:
+            raise self.supervisor.failure
+        if self.supervisor.state is State.ENDED:
+            raise SensorError('the recording has ended', remedy='open it again')
+
+    def reason(self) -> str:
+        """Return why no force comes; empty if unknown."""
+        return self.supervisor.error or self._feed.status().reason
+
+    def tare(self) -> None:
+        with self._lock:
+            self._feed.tare()
+            reference, name = self._feed.reference, self._settings.reference
+            if name and reference is not None:
+                reference.save(state_file(name))
+
+    def _restart(self) -> None:
+        before, self._identity = self._identity, self._source.status().identity
+        if before and self._identity and before.serial != self._identity.serial:
+            with self._lock:
+                self._feed.change_camera()
+
+    def _batch(self, batch: CameraBatch) -> None:
+        decoded, origin_us = batch.decoded, batch.origin.us
+        assert self._identity is not None  # noqa: S101  (the source is open)
+        for frame in decoded.frames:
+            self._take_frame(frame, origin_us)
+        kept = self._driver.mask.keep(decoded.events, self._identity.geometry.event_size)
+        # The driver's arrays are overwritten by the next batch.
+        events = Events(kept.t + origin_us, kept.x.copy(), kept.y.copy(), kept.polarity.copy())
+        with self._lock:
+            estimates = self._feed.push_events(events, batch.time_us)
+            self._show()
+        readings = [self._reading(estimate) for estimate in estimates]
+        if readings:
+            self._forces.put(readings[-1])
+        if self._recorder is not None:
+            forces = [reading.force for reading in readings]
+            self._recorder.write(batch, events, estimates, forces)
+
+    def _take_frame(self, frame: Frame, origin_us: int) -> None:
+        image, mid_us = left_aligned(frame.image), frame.middle_us + origin_us
+        self._images.append((mid_us, image))
+        self._feed.push_frame(image, mid_us)
+        control = self._source.control
+        if control is not None and self._identity is not None:
+            exposure_us = frame.exposure_cycles / self._identity.clocks.adc
+            self._driver.follow(frame, exposure_us, control)
+
+    def _show(self) -> None:
+        frame, reference = self._feed.frame, self._feed.reference
+        if frame is None or frame is self._shown:
+            return
+        self._shown = frame
+        difference = None
+        if frame.contrast is not None and reference is not None and reference.array is not None:
+            difference = frame.contrast - reference.array
+        for mid_us, image in self._images:
+            if mid_us == frame.mid_us:
+                self._pictures.put(Picture(mid_us, image, difference))
+
+    def _reading(self, estimate: Estimate) -> Reading:
+        force = estimate.force
+        if estimate.valid:
+            self._trusted = force
+        elif self._settings.invalid_force != 'publish':
+            force = self._trusted if self._settings.invalid_force == 'hold' else math.nan
+        return Reading(
+            stamp_us=estimate.end_us,
+            force=force,
+            deviation=math.nan if estimate.deviation is None else estimate.deviation,
+            valid=estimate.valid,
+            reason=estimate.reason,
+            frame_age_s=estimate.frame_age_us * 1e-6,
+        )
+
+
+class Sensor:
+    """A tactile sensor; use it in a `with` statement, or call `open` and `close`.
+
+    `read`, `async_read` and `read_latest` return forces as LeRobot's cameras return images: they
+    wait for the next one, for one that was not returned yet, or not at all. `pictures` has the
+    same three for frames. All methods may be called from any thread.
+
+    Without a stored reference the force of a camera is not valid until the sensor was touched,
+    released and `tare` was called, as with the ROS node. Virtual sensors and recordings begin
+    without contact: their first still frames are the zero.
+
+    Args:
+        source: `virtual` for a simulated sensor that nothing touches, `virtual:press` for one that
+            the profile of that name touches again and again (`mixtac_sim.world.profiles`),
+            `usb` for the camera that is attached, `usb:SERIAL` for one of several, a device
+            string of the driver, or the path of a recording.
+        model: Weight file, or name of a shipped model; empty for that of `fger`.
+        record: Folder of a new bag, as `mixtac record` writes it; None to record nothing.
+        driver: Settings of the camera and of playback.
+        fger: Settings of the estimator.
+
+    Attributes:
+        pictures: Frames that the estimator has used: `Latest[Picture]`.
+    """
+
+    def __init__(
+        self,
+        source: str = USB,
+        *,
+        model: str = '',
+        record: Path | str | None = None,
+        driver: DriverParameters | None = None,
+        fger: FgerParameters | None = None,
+    ) -> None:
+        self.source = source
+        self._record = None if record is None else Path(record)
+        self._driver = driver or DriverParameters()
+        self._fger = fger or FgerParameters()
+        if model:
+            self._fger = replace(self._fger, model=model)
+        self._closing: list[Callable[[], object]] = []
+        self._lock = threading.RLock()
+        self._run: _Run | None = None
+        self.pictures: Latest[Picture] = Latest('picture', self._check, self._reason)
+        self._forces: Latest[Reading] = Latest('force', self._check, self._reason)
+
+    def __enter__(self) -> Sensor:
+        """Open the sensor."""
+        self.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the sensor."""
+        self.close()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it was opened and not closed since."""
+        return self._run is not None
+
+    @property
+    def serial(self) -> str:
+        """Serial number of the camera; empty while closed."""
+        return self._run.serial if self._run else ''
+
+    def open(self) -> None:
+        """Load the model, open the source and start; compiling takes seconds the very first time.
+
+        Raises:
+            ModelError: The weights are missing, damaged, or do not fit the camera.
+            NoCameraError: No such camera is attached.
+            SensorError: It is open already, or the virtual sensor does not start.
+            MixtacError: The source or the bag cannot be opened.
+        """
+        with self._lock:
+            if self._run is not None:
+                raise SensorError('the sensor is open already', remedy='call close() first')
+            try:
+                self._run = self._start()
+            except BaseException:
+                self._clean_up()
+                raise
+
+    def close(self) -> None:
+        """Stop, and finish the recording; harmless on a closed sensor.
+
+        Raises:
+            RecordingError: The bag could not be finished.
+        """
+        with self._lock:
+            self._run = None
+            self._clean_up()
+
+    def read(self, timeout_ms: float = LONG_MS) -> Reading:
+        """Wait for a force that is newer than this call; see `Latest.read`."""
+        return self._forces.read(timeout_ms)
+
+    def async_read(self, timeout_ms: float = 200) -> Reading:
+        """Return the latest force that was not returned by it yet; see `Latest.async_read`."""
+        return self._forces.async_read(timeout_ms)
+
+    def read_latest(self, max_age_ms: float = 500) -> Reading:
+        """Return the latest force at once, unless it is too old; see `Latest.read_latest`."""
+        return self._forces.read_latest(max_age_ms)
+
+    def tare(self) -> None:
+        """Make the present force zero and, with a camera, store the reference for the next time.
+
+        Raises:
+            TareError: In contact, too few still frames, or no release was seen since the start.
+            NotOpenError: The sensor is closed.
+        """
+        self._check()
+        run = self._run
+        if run is not None:
+            run.tare()
+
+    def _start(self) -> _Run:
+        if self._record is not None and self._record.exists():
+            raise RecordingError(f'{self._record} exists', remedy='record to a new folder')
+        path = find_model(self._fger.model)
+        model = read_model(path)
+        warm_up(open_estimator(model))
+        warm_up_mask()
+        parameters = self._driver_parameters()
+        kind = source_kind(parameters.device)
+        settings = replace(
+            self._fger, assume_free=self._fger.assume_free or kind is not SourceKind.CAMERA
+        )
+        driver = DriverSettings(parameters)
+        camera, pixel_filter = driver.camera_settings()
+        source = make_source(camera, pixel_filter=pixel_filter)
+        source.open()
+        self._closing.append(source.close)
+        identity = source.status().identity
+        assert identity is not None  # noqa: S101  (it was opened)
+        width, height = size = identity.geometry.event_size
+        if source.control is not None:
+            driver.use_size(size)
+        estimator = open_estimator(model)
+        check_camera(estimator, model.card, CameraFacts(width, height, serial=identity.serial))
+        if not settings.reference and kind is SourceKind.CAMERA:
+            settings = replace(settings, reference=reference_name(identity.serial))
+        stored_reference(settings.reference, estimator.reference)
+        options = settings.estimator_options()
+        feed = ForceEstimator(estimator, background_frames=True, **options)
+        self._closing.append(feed.close)
+        recorder = None
+        if self._record is not None:
+            # Needs the message definitions of the workspace.
+            from mixtac.recorder import Recorder
+
+            recorder = Recorder(self._record, identity, source)
+            self._closing.append(recorder.close)
+        run = _Run(feed, settings, driver, source, recorder, self._forces, self.pictures)
+        self._closing.append(run.supervisor.stop)
+        run.supervisor.start()
+        return run
+
+    def _driver_parameters(self) -> DriverParameters:
+        device, _, rest = self.source.partition(':')
+        if device == USB:
+            return replace(self._driver, device=DriverParameters.device, serial=rest)
+        if device == VIRTUAL and not rest.startswith('/'):
+            from mixtac.virtual import VirtualProcess
+
+            process: VirtualProcess = VirtualProcess(rest)
+            self._closing.append(process.close)
+            return replace(self._driver, device=process.device)
+        return replace(self._driver, device=self.source)
+
+    def _clean_up(self) -> None:
+        failure = None
+        while self._closing:
+            try:
+                self._closing.pop()()
+            except Exception as error:  # noqa: BLE001 - everything is closed before it is raised
+                failure = failure or error
+        if failure is not None:
+            raise failure
+
+    def _check(self) -> None:
+        """Raise where no reading can be expected any more."""
+        run = self._run
+        if run is None:
+            raise NotOpenError(
+                f'the sensor {self.source!r} is not open',
+                remedy='call open() or use it in a with statement',
+            )
+        run.check()
+
+    def _reason(self) -> str:
+        return self._run.reason() if self._run else ''

@@ -1,0 +1,117 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A virtual sensor in a process of its own, which `Sensor('virtual')` starts and ends.
+
+`python -m mixtac.virtual [SCENARIO]` prints one line of JSON with the socket of its camera, and
+runs until its standard input ends. The host's lack of time stops simulated time; nothing is lost.
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import signal
+import sys
+import tempfile
+from pathlib import Path
+from typing import Final
+
+from mixtac.latest import SensorError
+from mixtac_events.errors import MixtacError
+from mixtac_node.process import JsonProcess
+
+NO_CONTACT: Final = 'idle'
+LEAD_US: Final = 2_000_000
+"""From the start of the stream to the first contact, and between two scenarios [us]."""
+SCENARIO_S: Final = 25.0
+START_S: Final = 120.0
+"""Longest time to start [s]; the very first time the simulation is compiled."""
+
+
+class VirtualProcess:
+    """Runs a virtual sensor until it is closed.
+
+    Args:
+        scenario: Force profile that is played again and again, one of
+            `mixtac_sim.world.profiles.PROFILES`; empty for no contact.
+
+    Attributes:
+        device: Device string of its camera.
+
+    Raises:
+        SensorError: It does not start.
+    """
+
+    def __init__(self, scenario: str) -> None:
+        command = [sys.executable, '-m', 'mixtac.virtual', scenario or NO_CONTACT]
+        self._process = JsonProcess('the virtual sensor', command)
+        try:
+            found = self._process.expect('device', START_S)
+        except MixtacError as error:
+            self.close()
+            raise SensorError(str(error), remedy='is mixtac_sim installed?') from error
+        if found.get('error'):
+            self.close()
+            raise SensorError(str(found['error']))
+        self.device = str(found['device'])
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.stop()
+
+
+def serve(scenario: str) -> None:
+    """Serve a virtual camera until standard input ends.
+
+    Args:
+        scenario: See `VirtualProcess`.
+
+    Raises:
+        MixtacError: Unknown scenario, or the socket cannot be made.
+    """
+    from mixtac_sim.live.simulation_process import SimulationProcess
+    from mixtac_sim.live.virtual_sensor import make_virtual_sensor
+    from mixtac_sim.usb.server import UsbServer
+    from mixtac_sim.world.effects import PAPER_LIKE
+    from mixtac_sim.world.profiles import make_profile
+
+    # Forked while this process has one thread.
+    process = SimulationProcess()
+    make_profile(scenario, 0, SCENARIO_S, preset=PAPER_LIKE, sync=False)
+    with tempfile.TemporaryDirectory(prefix='mixtac-') as folder:
+        sensor = make_virtual_sensor(
+            device_seed=1, seed=1, skew_ppm=17.0, preset=PAPER_LIKE, process=process, patient=True
+        )
+        server = UsbServer(sensor.device, str(Path(folder) / 'camera.sock'))
+        try:
+            sensor.start()
+            print(json.dumps({'device': f'virtual:{server.path}'}), flush=True)
+            plays = 0
+            while not select.select([sys.stdin], [], [], 0.05)[0]:
+                state = sensor.state()
+                if state.streaming and not state.playing and scenario != NO_CONTACT:
+                    profile = make_profile(
+                        scenario, plays, SCENARIO_S, preset=PAPER_LIKE, sync=False
+                    )
+                    sensor.play(profile, lead_us=LEAD_US)
+                    plays += 1
+        finally:
+            sensor.close()
+            server.close()
+
+
+def main() -> int:
+    """Run the virtual sensor."""
+    # Ctrl-C comes to both processes; the other one decides when this one ends.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    try:
+        serve(sys.argv[1] if len(sys.argv) > 1 else NO_CONTACT)
+    except (MixtacError, ImportError) as error:
+        print(json.dumps({'device': '', 'error': str(error)}), flush=True)
+        return 1
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,24 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Installs mixtac."""
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'mixtac'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+    ],
+    install_requires=['setuptools'],
+    zip_safe=True,
+    maintainer='Mixtac maintainers',
+    maintainer_email='maintainers@mixtac.example.org',
+    description='Normal force of a Mixtac sensor in Python, without ROS',
+    license='Apache-2.0',
+)

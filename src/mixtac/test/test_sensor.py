@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A virtual sensor read and recorded without ROS, and its recording read again."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mixtac import (
+    ModelError,
+    NoCameraError,
+    NotOpenError,
+    Reading,
+    Sensor,
+    SensorError,
+)
+from mixtac_driver.errors import UnknownDeviceError
+from mixtac_recordings.bag import BagFile
+from mixtac_recordings.recording import RecordingError
+
+
+@pytest.fixture(scope='module')
+def recorded(tmp_path_factory) -> SimpleNamespace:
+    """Return what a virtual sensor gave, and the bag of it."""
+    bag = tmp_path_factory.mktemp('sensor') / 'bag'
+    with Sensor('virtual', record=bag) as sensor:
+        found = SimpleNamespace(
+            bag=bag,
+            sensor=sensor,
+            first=sensor.read(),
+            second=sensor.read(),
+            latest=sensor.read_latest(max_age_ms=60_000),
+            picture=sensor.pictures.read(),
+            serial=sensor.serial,
+        )
+        with pytest.raises(SensorError):
+            sensor.open()
+        for _ in range(20):
+            sensor.pictures.read()
+    return found
+
+
+@pytest.mark.live
+def test_forces_come_one_after_another_and_can_be_trusted(recorded):
+    first, second = recorded.first, recorded.second
+    assert isinstance(first, Reading)
+    assert first.stamp_us < second.stamp_us <= recorded.latest.stamp_us
+    assert first.valid
+    assert abs(first.force) < 0.05
+    assert recorded.serial
+
+
+@pytest.mark.live
+def test_pictures_have_the_frame_and_its_difference_to_no_contact(recorded):
+    picture = recorded.picture
+    assert picture.image.shape == (260, 346)
+    assert picture.image.dtype == np.uint16
+    assert picture.difference.dtype == np.float32
+    assert np.abs(picture.difference).mean() < 0.05
+
+
+@pytest.mark.live
+def test_a_closed_sensor_cannot_be_read(recorded):
+    assert not recorded.sensor.is_open
+    for read in (recorded.sensor.read, recorded.sensor.read_latest, recorded.sensor.tare):
+        with pytest.raises(NotOpenError):
+            read()
+    recorded.sensor.close()
+
+
+@pytest.mark.live
+def test_the_recording_is_that_of_the_graph(recorded):
+    with BagFile(recorded.bag) as bag:
+        counts = bag.counts
+        _, forces = bag.wrenches('/mixtac/force')
+    assert counts['/mixtac/events'] > 500
+    assert counts['/mixtac/image_raw'] == counts['/mixtac/camera_info'] > 20
+    assert counts['/mixtac/force_quality'] == len(forces) > 100
+    assert counts['/mixtac/camera_clock'] > 0
+    with pytest.raises(RecordingError):
+        Sensor('virtual', record=recorded.bag).open()
+
+
+@pytest.mark.live
+def test_a_recording_is_a_sensor_until_it_ends(recorded):
+    with Sensor(str(recorded.bag)) as sensor:
+        assert sensor.read().valid
+        ended = None
+        while ended is None:
+            try:
+                sensor.async_read(timeout_ms=10_000)
+            except SensorError as error:
+                ended = error
+    assert not isinstance(ended, TimeoutError)
+
+
+@pytest.mark.parametrize(
+    ('source', 'model', 'error'),
+    [
+        ('virtual', 'no_such_model', ModelError),
+        ('usb:no_such_serial', '', NoCameraError),
+        ('no_such_device', '', UnknownDeviceError),
+        ('virtual:no_such_scenario', '', SensorError),
+    ],
+)
+def test_what_cannot_be_opened_says_why(source, model, error):
+    sensor = Sensor(source, model=model)
+    with pytest.raises(error):
+        sensor.open()
+    assert not sensor.is_open
+
+
+def test_nothing_of_it_needs_ros():
+    code = 'import sys; sys.modules["rclpy"] = None; import mixtac.recorder, mixtac.virtual'
+    subprocess.run([sys.executable, '-c', code], check=True, timeout=120, cwd=Path('/'))
