@@ -110,6 +110,9 @@ def main() -> int:
     except (MixtacError, ImportError) as error:
         print(json.dumps({'device': '', 'error': str(error)}), flush=True)
         return 1
+    finally:
+        # It leaves already.
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
     return 0
 
 

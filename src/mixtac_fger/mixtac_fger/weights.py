@@ -9,6 +9,7 @@ the configuration, where the training data came from, and figures on data that w
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,7 +35,8 @@ def shipped_models() -> Path:
 
         return Path(get_package_share_directory('mixtac_fger')) / 'models'
     except (ImportError, LookupError, OSError):  # no ROS, or none that knows this package
-        return Path(__file__).resolve().parents[1] / 'models'
+        here = Path(__file__).resolve().parents[1] / 'models'
+        return here if here.is_dir() else Path(sys.prefix) / 'share' / 'mixtac_fger' / 'models'
 
 
 def find_model(name: str) -> Path:

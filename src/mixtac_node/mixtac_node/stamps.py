@@ -1,14 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Times in microseconds or nanoseconds as ROS stamps, and back."""
+"""Times in microseconds or nanoseconds as ROS stamps, and back; reading one needs no ROS."""
 
 from __future__ import annotations
 
-from builtin_interfaces.msg import Time
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from builtin_interfaces.msg import Time
 
 
 def us_to_stamp(t_us: int) -> Time:
     """Return a time [us since the epoch of its clock] as a ROS stamp."""
+    from builtin_interfaces.msg import Time
+
     seconds, microseconds = divmod(int(t_us), 1_000_000)
     return Time(sec=seconds, nanosec=microseconds * 1000)
 
@@ -20,6 +25,8 @@ def stamp_to_us(stamp: Time) -> int:
 
 def ns_to_stamp(t_ns: int) -> Time:
     """Return a time [ns since the epoch of its clock] as a ROS stamp."""
+    from builtin_interfaces.msg import Time
+
     seconds, nanoseconds = divmod(int(t_ns), 1_000_000_000)
     return Time(sec=seconds, nanosec=nanoseconds)
 
