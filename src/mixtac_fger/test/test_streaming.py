@@ -259,7 +259,9 @@ def test_another_camera_needs_a_zero_of_its_own(model, trial):
     assert Reason.OTHER_CAMERA not in reasons(estimator, 1_100_000)
 
 
-@pytest.mark.parametrize(('level', 'moves', 'still'), [(12, 0, True), (3, 0, True), (12, 4, False)])
+@pytest.mark.parametrize(
+    ('level', 'moves', 'still'), [(12, 0, True), (3, 0, True), (60, 0, True), (12, 4, False)]
+)
 def test_noise_alone_does_not_disturb_the_reference(model, trial, level, moves, still):
     estimator = ForceEstimator(FgerEstimator(model))
     random = np.random.default_rng(1)
