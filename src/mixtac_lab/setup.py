@@ -43,6 +43,7 @@ BENCHMARKS = {
     'slip': f'{PACKAGE}.bench.slip:slip',
     'soak': f'{PACKAGE}.bench.soak:soak',
     'limits': f'{PACKAGE}.bench.limits:limits',
+    'realism': f'{PACKAGE}.bench.realism:realism',
 }
 
 setup(

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from mixtac_cli.bundle import hashed
-from mixtac_driver.doctor.acceptance import CHECKS, Outcome, Person, accept
+from mixtac_driver.doctor.acceptance import CHECKS, SETTLE_S, Outcome, Person, accept
 from mixtac_driver.parameters import DriverParameters
 
 LEAST_S = 12.0
@@ -24,6 +24,8 @@ COLOURS = {Outcome.PASS: 'green', Outcome.FAIL: 'bold red', Outcome.SKIP: 'yello
 VIRTUAL_EDGES_HZ = 20.0
 VIRTUAL_FLASHES = 8
 OUTAGE_S = 0.5
+VIRTUAL_SETTLE_S = 5.0
+"""A virtual sensor compiles when it first streams, and stops its time meanwhile."""
 
 
 def person(console: Console, *, flash: bool, unplug: bool, edges_hz: float) -> Person:
@@ -93,7 +95,9 @@ def check_camera(
     console.print('the sensor must rest untouched, in steady light', soft_wrap=True)
     identity: dict[str, str] = {}
     checks = []
-    for check in accept(parameters, seconds, who, backend=backend, identify=identity.update):
+    settle_s = SETTLE_S if backend is None else VIRTUAL_SETTLE_S
+    options: dict[str, Any] = {'backend': backend, 'identify': identity.update}
+    for check in accept(parameters, seconds, who, settle_s=settle_s, **options):
         checks.append(check)
         colour = COLOURS[check.outcome]
         limit = f' [dim](limit {escape(check.limit)})[/dim]' if check.limit else ''

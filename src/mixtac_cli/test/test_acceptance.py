@@ -33,8 +33,9 @@ def stubbed(monkeypatch, tmp_path):
     """The command, on a virtual camera of which each check is known."""
     server = UsbServer(VirtualDavis346('V0000003'), str(tmp_path / 'camera.sock'))
 
-    def accept(_parameters, _seconds, _person, *, backend, identify):
+    def accept(_parameters, _seconds, _person, *, backend, identify, settle_s):
         assert backend is not None
+        assert settle_s > 0
         identify({'serial': 'V0000003', 'chip': 'DAVIS346B', 'firmware': '0.6', 'logic': '18.1'})
         yield from CHECKS
 

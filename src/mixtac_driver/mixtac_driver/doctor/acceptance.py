@@ -361,7 +361,7 @@ class BiasChange:
 
 
 BIAS_CHANGES = (
-    BiasChange('ONBn', {'ONBn_coarse': 5, 'ONBn_fine': 90}, 1, rises=True),
+    BiasChange('ONBn', {'ONBn_coarse': 5, 'ONBn_fine': 40}, 1, rises=True),
     BiasChange('OFFBn', {'OFFBn_coarse': 4, 'OFFBn_fine': 6}, 0, rises=True),
     BiasChange('DiffBn', {'DiffBn_coarse': 4, 'DiffBn_fine': 140}, 1, rises=True),
     BiasChange('PrBp', {'PrBp_coarse': 0}, 2, rises=False),
@@ -469,6 +469,7 @@ def check_stamps(stretch: Stretch) -> Check:
     return judged(7, figure, abs(figure) <= MOST_LATE_MS, limit, found)
 
 
+SETTLE_S = 0.5
 UNPLUGGED = 3
 UNPLUG_TIMEOUT_S = 60.0
 MOST_RETURN_S = 5.0
@@ -510,6 +511,7 @@ def accept(
     backend: Any = None,  # noqa: ANN401
     wanted: tuple[int, ...] = tuple(range(1, len(CHECKS) + 1)),
     identify: Callable[[dict[str, str]], None] | None = None,
+    settle_s: float = SETTLE_S,
 ) -> Iterator[Check]:
     """Make the checks; yield each result when it is there.
 
@@ -520,6 +522,7 @@ def accept(
         backend: A pyusb backend to use instead of the one that the device string names.
         wanted: Numbers of the checks to make.
         identify: Called with what the camera says of itself.
+        settle_s: Time before the still stretch [s].
     """
     p = replace(
         parameters,
@@ -537,7 +540,7 @@ def accept(
             names = {'serial': known.serial, 'chip': known.chip}
             identify({**names, 'firmware': firmware, 'logic': logic})
         camera.start()
-        for check in _streaming_checks(camera, p, seconds, person, wanted):
+        for check in _streaming_checks(camera, p, (settle_s, seconds), person, wanted):
             done.add(check.number)
             yield check
         camera.stop()
@@ -552,10 +555,15 @@ def accept(
 
 
 def _streaming_checks(
-    camera: Davis346, p: DriverParameters, seconds: float, person: Person, wanted: tuple[int, ...]
+    camera: Davis346,
+    p: DriverParameters,
+    times_s: tuple[float, float],
+    person: Person,
+    wanted: tuple[int, ...],
 ) -> Iterator[Check]:
     batches = camera.batches()
-    still = take(batches, seconds, settle_s=0.5)
+    settle_s, seconds = times_s
+    still = take(batches, seconds, settle_s=settle_s)
     for check in passive_checks(still, person.edges_hz):
         if check.number in wanted:
             yield check

@@ -145,7 +145,8 @@ class PixelSettings:
             nominal: Settings of the chip at the default registers, which are then scaled by what
                 the formulas say of the change.
 
-        Shot noise grows with the bandwidth and with the inverse of the threshold (estimate).
+        Shot noise grows with the bandwidth and with the inverse of the threshold (estimate); a leak
+        reaches a lower threshold sooner.
         """
         now, usual = PixelBiases.from_registers(registers), PixelBiases.from_registers({})
         on, off = now.threshold_on / usual.threshold_on, now.threshold_off / usual.threshold_off
@@ -156,6 +157,8 @@ class PixelSettings:
             threshold_off=nominal.threshold_off * off,
             source_follower_hz=nominal.source_follower_hz * speed,
             refractory_us=nominal.refractory_us * now.refractory_us / usual.refractory_us,
+            leak_hz=nominal.leak_hz / on,
+            leak_hz_per_lux=nominal.leak_hz_per_lux / on,
             shot_hz=nominal.shot_hz * speed * 2.0 / (on + off),
         )
 
