@@ -26,14 +26,13 @@ from mixtac_driver.doctor.acceptance import (
 )
 from mixtac_driver.parameters import DriverParameters
 from mixtac_sim.usb.faults import Fault, FaultKind
-from mixtac_sim.usb.pyusb_backend import in_process_backend
 
-pytestmark = pytest.mark.live
-STILL_S = 2.0
+STILL_S = 1.6
+PARAMETERS = DriverParameters(device='virtual', usb_early_packet_delay=125)
 EVERYTHING = tuple(range(1, len(CHECKS) + 1))
 DEFECTS = {
     1: Fault(FaultKind.CLOCK_SKEW, amount=3000.0),
-    2: Fault(FaultKind.LOST_WRAP, size=60, count=1),
+    2: Fault(FaultKind.LOST_WRAP, size=45, count=1),
     3: Fault(FaultKind.LOST_EDGES, size=5),
     4: Fault(FaultKind.STUCK_BIASES),
     5: Fault(FaultKind.MUTE_RETURN),
@@ -45,57 +44,44 @@ DEFECTS = {
 }
 
 
-def outcomes(defect, wanted):
+@pytest.fixture
+def scene(monkeypatch):
+    return RestingScene(monkeypatch)
+
+
+def outcomes(scene, defect, wanted):
     """Return the outcome of each check of a virtual camera with a defect."""
-    scene = RestingScene()
-    try:
-        if defect is not None:
-            scene.device.inject(defect)
-        checks = list(
-            accept(
-                DriverParameters(device='virtual'),
-                STILL_S,
-                scene.person(),
-                backend=in_process_backend(scene.device),
-                wanted=wanted,
-            )
-        )
-    finally:
-        scene.close()
-    for check in checks:
+    if defect is not None:
+        scene.device.inject(defect)
+    who, checks = scene.person(), {}
+    for check in accept(PARAMETERS, STILL_S, who, backend=scene.backend, wanted=wanted):
         print(check)
-    return {check.number: check.outcome for check in checks}
+        checks[check.number] = check.outcome
+    return checks
 
 
-def test_a_sound_camera_passes_every_check():
-    assert outcomes(None, EVERYTHING) == dict.fromkeys(EVERYTHING, Outcome.PASS)
+def test_a_sound_camera_passes_every_check(scene):
+    assert outcomes(scene, None, EVERYTHING) == dict.fromkeys(EVERYTHING, Outcome.PASS)
 
 
 @pytest.mark.parametrize('number', DEFECTS)
-def test_each_defect_fails_its_own_check_and_no_other(number):
+def test_each_defect_fails_its_own_check_and_no_other(scene, number):
     full = os.environ.get('MIXTAC_ACCEPTANCE_FULL')
     wanted = EVERYTHING if full else tuple(sorted({number, *PASSIVE}))
     expected = dict.fromkeys(wanted, Outcome.PASS) | {number: Outcome.FAIL}
-    assert outcomes(DEFECTS[number], wanted) == expected
+    assert outcomes(scene, DEFECTS[number], wanted) == expected
 
 
-def test_what_nobody_does_is_skipped():
-    scene = RestingScene()
-    backend = in_process_backend(scene.device)
-    checks = accept(DriverParameters(), 0.6, Person(), backend=backend, wanted=(3, 5, 7))
+def test_what_nobody_does_is_skipped(scene):
+    checks = accept(PARAMETERS, 0.6, Person(), backend=scene.backend, wanted=(3, 5, 7))
     assert {c.number: c.outcome for c in checks} == dict.fromkeys((3, 5, 7), Outcome.SKIP)
-    scene.close()
 
 
-def test_a_missing_camera_fails_every_check():
-    scene = RestingScene()
+def test_a_missing_camera_fails_every_check(scene):
     scene.device.unplug()
-    checks = list(
-        accept(DriverParameters(), 0.6, Person(), backend=in_process_backend(scene.device))
-    )
+    checks = list(accept(PARAMETERS, 0.6, Person(), backend=scene.backend))
     assert [c.number for c in checks] == list(EVERYTHING)
     assert {c.outcome for c in checks} == {Outcome.FAIL}
-    scene.close()
 
 
 def test_an_empty_stretch_passes_nothing():

@@ -99,6 +99,6 @@ def test_the_virtual_sensor_is_within_a_factor_of_two_of_real_cameras():
     if not all(path.exists() for path in paths):
         pytest.skip(f'no real recordings in {DATA}')
     real = [of_recording(path) for path in paths]
-    virtual = of_virtual_sensor('idle', 2.0, preset('easy'))
+    virtual = of_virtual_sensor('idle', 1.0, preset('easy'))
     # At rest no pixel fires twice within a few milliseconds, as pixels do that see something move.
     assert set(far_apart(real, [virtual])) <= {'interval p01 [ms]'}
