@@ -57,7 +57,11 @@ CELL_FEATURES = 4
 """Numbers per grid cell and window: flow x, flow y, ON count, OFF count."""
 CORRECTION_POINTS = ('exposure_centre', 'arrival')
 """Where a frame's force is compared with the estimate; see `FgerConfig.correction_point`."""
-LATER_FIELDS: dict[str, Any] = {'event_shortcut': False, 'deviation_size': 0}
+LATER_FIELDS: dict[str, Any] = {
+    'event_shortcut': False,
+    'deviation_size': 0,
+    'force_unit': 1.0,
+}
 """Fields that weight files of the first release lack, and what they mean by that."""
 
 
@@ -112,6 +116,8 @@ class FgerConfig:
             of its exposure and the correction is carried forward to now; `arrival`: with the
             present estimate, as a literal reading of Algorithm 1 has it (15 % more error).
         history_windows: How many past estimates are kept for that comparison.
+        force_unit: Gain that was folded into the weights: forces in the training were so many
+            times smaller.
     """
 
     width: int = 346
@@ -140,6 +146,7 @@ class FgerConfig:
     deviation_size: int = 16
     correction_point: str = 'exposure_centre'
     history_windows: int = 64
+    force_unit: float = 1.0
 
     def __post_init__(self) -> None:
         """Check the values against each other.

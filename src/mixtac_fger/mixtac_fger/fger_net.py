@@ -121,7 +121,7 @@ def with_gain(model: Model, gain: float, deviation: float = 1.0) -> Model:
     """
     if not 0.0 < gain < float('inf'):
         raise ModelError(f'a gain of {gain} is impossible', remedy='check the known forces')
-    checked_config(model)
+    unit = gain * checked_config(model).force_unit
     tensors = {name: np.array(tensor) for name, tensor in model.tensors.items()}
     for layer in ('increment.2', 'correction.2', 'frame.head'):
         for kind in ('weight', 'bias'):
@@ -131,7 +131,7 @@ def with_gain(model: Model, gain: float, deviation: float = 1.0) -> Model:
     if 'deviation.scale' in tensors:
         tensors['deviation.hidden.weight'][:, -1] /= np.float32(gain)
         tensors['deviation.scale'] *= np.float32(gain * deviation)
-    return replace(model, tensors=tensors)
+    return replace(model, config=model.config | {'force_unit': unit}, tensors=tensors)
 
 
 class FgerEstimator:

@@ -3,12 +3,13 @@
 """The recurrent path and the uncertainty head, compiled: what runs 500 times a second.
 
 Memory is fixed; nothing is allocated per window. The torch network of `mixtac_learning.network` is
-the reference that this is tested against.
+the reference that this is tested against. Only `EventGain` has no part there: it is what a sensor
+shows of itself while it runs.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -54,7 +55,7 @@ class CorrectionWeights(NamedTuple):
 
 
 class StepState(NamedTuple):
-    """State and scratch memory of the recurrent path, float32.
+    """State and scratch memory of the recurrent path, float32 if not said otherwise.
 
     Attributes:
         hidden: LSTM output h.
@@ -65,6 +66,8 @@ class StepState(NamedTuple):
         event_output: Scratch.
         gates: Scratch.
         increment_hidden: Scratch.
+        gain: Gain of slow increments, and the increment that is half slow and half fast [N].
+        increments: Sums of the slow and of the fast increments of the network [N], float64, [2].
     """
 
     hidden: F32
@@ -75,6 +78,8 @@ class StepState(NamedTuple):
     event_output: F32
     gates: F32
     increment_hidden: F32
+    gain: F32
+    increments: NDArray[np.float64]
 
 
 def step_weights(tensors: Tensors) -> StepWeights:
@@ -106,8 +111,12 @@ def correction_weights(tensors: Tensors) -> CorrectionWeights:
     )
 
 
-def step_state(weights: StepWeights) -> StepState:
-    """Return a state at zero with its scratch memory."""
+FAST_INCREMENT = 0.1
+"""Increment of a window that is half slow and half fast [N]: 50 N/s. Only blows are faster."""
+
+
+def step_state(weights: StepWeights, unit: float = 1.0) -> StepState:
+    """Return a state at zero with its scratch memory; for `unit` see `FgerConfig.force_unit`."""
     lstm = weights.gates_hidden.shape[0]
     sizes = (
         lstm,
@@ -119,7 +128,9 @@ def step_state(weights: StepWeights) -> StepState:
         4 * lstm,
         weights.increment_hidden.shape[1],
     )
-    return StepState(*(np.zeros(size, np.float32) for size in sizes))
+    scratch: list[Any] = [np.zeros(size, np.float32) for size in sizes]
+    gain = np.array([1.0, unit * FAST_INCREMENT], np.float32)
+    return StepState._make([*scratch, gain, np.zeros(2)])
 
 
 @njit(cache=True, nogil=True, fastmath={'contract'})
@@ -182,7 +193,10 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
     total = weights.increment_output_bias[0]
     for index in range(state.increment_hidden.shape[0]):
         total += state.increment_hidden[index] * weights.increment_output[index]
-    state.force[0] += total
+    slow = np.float32(1.0) / (np.float32(1.0) + (total / state.gain[1]) ** 2)
+    state.increments[0] += slow * total
+    state.increments[1] += total - slow * total
+    state.force[0] += total + (state.gain[0] - np.float32(1.0)) * slow * total
 
 
 @njit(cache=True, nogil=True)
@@ -255,6 +269,64 @@ def deviation(state: F32, force: float, weights: DeviationWeights) -> Any:  # no
     return weights.scale[0] * np.exp(bounded)
 
 
+class EventGain:
+    r"""How much a sensor's events say, by its frames.
+
+    Contrast thresholds, gels and beads differ from sensor to sensor, and with them the sum of
+    increments that events give for a change of force. From one frame to the next,
+
+    .. math:: \Delta F - B = g A,
+
+    where F is the corrected force at the centre of the exposure, A the sum of the slow increments
+    between the two centres and B that of the fast ones. g follows from least squares, in which
+    frames are forgotten with `KEPT` each, and which begins at one with the weight of a change of
+    `PRIOR_N`: it is pulled towards one, so that noise, or events that are wrong, do little. Blows
+    have no part: their events saturate, and no frame shows them.
+
+    Args:
+        unit: What one newton of the constants is; see `FgerConfig.force_unit`.
+    """
+
+    PRIOR_N: Final = 1.0
+    KEPT: Final = 0.998
+    LOWEST: Final = 0.5
+    HIGHEST: Final = 2.0
+    LARGEST_N: Final = 1.0
+
+    def __init__(self, unit: float = 1.0) -> None:
+        self._unit = unit
+        self._square = self._product = 0.0
+        self._before: tuple[float, float, float] | None = None
+
+    @property
+    def value(self) -> float:
+        """The gain."""
+        prior = (self._unit * self.PRIOR_N) ** 2
+        gain = (prior + self._product) / (prior + self._square)
+        return min(max(gain, self.LOWEST), self.HIGHEST)
+
+    def forget_frame(self) -> None:
+        """Begin anew with the next frame; the gain stays, which is the sensor's."""
+        self._before = None
+
+    def frame(self, force: float, slow: float, fast: float) -> None:
+        """Take a frame.
+
+        Args:
+            force: Corrected force at the centre of its exposure [N].
+            slow: Sum of slow increments up to there [N].
+            fast: Sum of fast increments up to there [N].
+        """
+        before, self._before = self._before, (force, slow, fast)
+        if before is None:
+            return
+        told = slow - before[1]
+        change = force - before[0] - (fast - before[2])
+        if max(abs(told), abs(change)) < self._unit * self.LARGEST_N:
+            self._square = self.KEPT * self._square + told * told
+            self._product = self.KEPT * self._product + told * change
+
+
 SETTLE_WINDOWS = 100
 """Windows after which the recurrent state has settled at a force."""
 
@@ -273,14 +345,21 @@ class RecurrentPath:
         self._weights = step_weights(tensors)
         self._correction = correction_weights(tensors)
         self._deviation = deviation_weights(tensors) if config.deviation_size else None
-        self._state = step_state(self._weights)
+        self._state = step_state(self._weights, config.force_unit)
         self._history = np.zeros(config.history_windows, np.float32)
+        self._increments = np.zeros((config.history_windows, 2))
         self._newest = 0
+        self._gain = EventGain(config.force_unit)
 
     @property
     def force(self) -> float:
         """Present estimate [N]."""
         return float(self._state.force[0])
+
+    @property
+    def event_gain(self) -> float:
+        """Gain of the events of this sensor; see `EventGain`."""
+        return float(self._state.gain[0])
 
     @property
     def deviation(self) -> float | None:
@@ -290,10 +369,14 @@ class RecurrentPath:
         return float(deviation(self._state.hidden, self._state.force[0], self._deviation))
 
     def clear(self) -> None:
-        """Forget everything: no force, no memory."""
+        """Forget everything but the gain of the events: no force, no memory."""
+        gain = self._state.gain.copy()
         for part in self._state:
             part[:] = 0.0
+        self._state.gain[:] = gain
+        self._gain.forget_frame()
         self._history[:] = 0.0
+        self._increments[:] = 0.0
 
     def start_at(self, force: float) -> None:
         """Begin at a known force [N], with a memory of having been there without events.
@@ -306,6 +389,7 @@ class RecurrentPath:
             self._state.force[0] = force
             advance(still, self._weights, self._state)
         self._state.force[0] = force
+        self._state.increments[:] = 0.0
         self._history[:] = force
 
     def correct(self, frame_feature: F32, lag: int) -> float:
@@ -318,8 +402,11 @@ class RecurrentPath:
         size = len(self._history)
         if self._config.correction_point != 'exposure_centre':
             lag = 0
-        then = self._history[(self._newest - min(max(lag, 0), size - 1)) % size]
+        place = (self._newest - min(max(lag, 0), size - 1)) % size
+        then = self._history[place]
         change = correction(then, frame_feature, self._correction)
+        self._gain.frame(float(then + change), *self._increments[place].tolist())
+        self._state.gain[0] = self._gain.value
         self._history += np.float32(change)
         self._state.force[0] += change
         return float(change)
@@ -333,4 +420,5 @@ class RecurrentPath:
         advance(features, self._weights, self._state)
         self._newest = (self._newest + 1) % len(self._history)
         self._history[self._newest] = self._state.force[0]
+        self._increments[self._newest] = self._state.increments
         return float(self._state.force[0])

@@ -160,6 +160,7 @@ UNSEEN_BY_SAMPLES = {
     'mlp_size',
     'event_shortcut',
     'deviation_size',
+    'force_unit',
     'correction_point',
     'history_windows',
 }
