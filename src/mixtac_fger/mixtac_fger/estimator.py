@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_events.arrays import Events
+    from mixtac_fger.comparisons import PictureFigures
     from mixtac_fger.reference import Reference
-    from mixtac_fger.validity import PictureFigures
     from mixtac_fger.weights import Model, ModelCard
 
     Image = NDArray[np.uint8] | NDArray[np.uint16]

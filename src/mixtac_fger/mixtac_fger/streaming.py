@@ -34,7 +34,7 @@ import numpy as np
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode, encode
 from mixtac_events.windows import WindowSlicer
-from mixtac_fger import validity
+from mixtac_fger import comparisons
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus
 from mixtac_fger.features import ImageError, correction_lag
 from mixtac_fger.reference import Reference, TareError, ZeroWatch
@@ -55,8 +55,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mixtac_fger.comparisons import PictureFigures
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
-    from mixtac_fger.validity import PictureFigures
 
 
 BACKWARD_US: Final = 20_000
@@ -626,7 +626,7 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
     Returns:
         Its estimates; none would mean that a part has not been run.
     """
-    validity.warm_up()
+    comparisons.warm_up()
     feed = ForceEstimator(estimator)
     reference = estimator.reference
     frames = 1 if reference is None else reference.frames

@@ -14,17 +14,14 @@ from scipy.ndimage import gaussian_filter
 from toy_sensor import EXPOSURE_US, INTERVAL_US
 
 from mixtac_events.arrays import Events
+from mixtac_fger.comparisons import STRONG_CHANGE, add_signs, agreement, marks
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.estimator import EncodedFrame
 from mixtac_fger.features import FramePreparation
 from mixtac_fger.validity import (
     HOLD_FRAMES,
-    STRONG_CHANGE,
     Reason,
     Validity,
-    add_signs,
-    agreement,
-    marks,
     picture_findings,
 )
 
