@@ -14,6 +14,7 @@ pytest.importorskip('mixtac_msgs.msg')
 pytest.importorskip('mixtac_sim.usb.server')
 
 from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.srv import SelfTest
 from event_camera_msgs.msg import EventPacket
 from sensor_msgs.msg import CameraInfo, Image, Imu, Temperature, TimeReference
 from std_srvs.srv import Trigger
@@ -188,6 +189,9 @@ def test_a_snapshot_its_exposure_and_edges(camera, graph):
     answer = graph.call(Trigger, '/mixtac/driver/find_hot_pixels')
     assert answer.success, answer.message
     assert '0 masked' in answer.message
+    answer = graph.call(SelfTest, '/mixtac/driver/self_test')
+    assert answer.id == camera.scene.device.serial
+    assert len(answer.status) == 7
 
 
 def test_time_goes_on_over_resets_asked_for_and_not(camera, graph):
