@@ -361,9 +361,10 @@ class BiasChange:
 
 
 BIAS_CHANGES = (
+    # A leak takes seconds to fill a threshold that was raised: lower ones come later.
+    BiasChange('DiffBn', {'DiffBn_coarse': 4, 'DiffBn_fine': 140}, 1, rises=True),
     BiasChange('ONBn', {'ONBn_coarse': 5, 'ONBn_fine': 40}, 1, rises=True),
     BiasChange('OFFBn', {'OFFBn_coarse': 4, 'OFFBn_fine': 6}, 0, rises=True),
-    BiasChange('DiffBn', {'DiffBn_coarse': 4, 'DiffBn_fine': 140}, 1, rises=True),
     BiasChange('PrBp', {'PrBp_coarse': 0}, 2, rises=False),
     BiasChange('PrSFBp', {'PrSFBp_coarse': 0}, 2, rises=False),
 )
