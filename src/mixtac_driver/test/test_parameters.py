@@ -152,6 +152,7 @@ def test_only_what_the_node_itself_is_made_of_is_fixed():
         'compressed_frames',
         'event_message_time_threshold',
         'event_message_size_threshold',
+        'saved_parameters',
         'stream_timeout',
     }
     assert 'usb_early_packet_delay' not in fixed
