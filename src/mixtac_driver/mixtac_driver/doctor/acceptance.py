@@ -361,7 +361,7 @@ class BiasChange:
 
 
 BIAS_CHANGES = (
-    # From one to the next thresholds are only lowered: a leak takes seconds to fill a raised one.
+    # A leak takes seconds to fill a threshold that was raised: lower ones come later.
     BiasChange('DiffBn', {'DiffBn_coarse': 4, 'DiffBn_fine': 140}, 1, rises=True),
     BiasChange('ONBn', {'ONBn_coarse': 5, 'ONBn_fine': 40}, 1, rises=True),
     BiasChange('OFFBn', {'OFFBn_coarse': 4, 'OFFBn_fine': 6}, 0, rises=True),
@@ -572,8 +572,7 @@ def _streaming_checks(
         changed, step_s = {}, max(seconds / 10, 0.3)
         for change in BIAS_CHANGES:
             camera.apply(replace(p, **dict(change.values)))
-            # Leaking pixels that a lower threshold overtakes fire at once, and then not for long.
-            changed[change.bias] = take(batches, step_s, settle_s=0.0 if change.rises else 0.2)
+            changed[change.bias] = take(batches, step_s, settle_s=0.2)
         camera.apply(p)
         yield check_biases(still, changed)
     if 7 in wanted:
