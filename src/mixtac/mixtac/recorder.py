@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mixtac_fger.estimator import fill_quality
 from mixtac_node import topics
 from mixtac_recordings import messages
 from mixtac_recordings.bag import blank_message
@@ -105,14 +106,8 @@ class Recorder:
             values = np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
             self._writer.wrench(topics.FORCE, stamp_ns, values, frame_id, arrival_ns)
         message = blank_message(topics.FORCE_QUALITY.type_name)
-        stamp = message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-        message.header.frame_id = frame_id
-        message.force = estimate.force
-        message.deviation = -1.0 if estimate.deviation is None else estimate.deviation
-        message.frame_age = estimate.frame_age_us * 1e-6
-        message.complete, message.saturated = estimate.complete, estimate.saturated
-        message.valid, message.reason = estimate.valid, int(estimate.reason)
+        messages.set_header(message, stamp_ns, frame_id)
+        fill_quality(message, estimate)
         self._writer.put(topics.FORCE_QUALITY, arrival_ns, message)
 
     def _write_clock(self, batch: CameraBatch) -> None:

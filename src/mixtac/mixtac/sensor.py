@@ -26,7 +26,7 @@ from mixtac_driver.pixels import warm_up as warm_up_mask
 from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.arrays import Events
-from mixtac_fger.estimator import CameraFacts, check_camera, open_estimator
+from mixtac_fger.estimator import CameraFacts, check_camera, given_force, open_estimator
 from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
@@ -110,7 +110,7 @@ class _Run:
         self._forces, self._pictures = forces, pictures
         self._images: deque[tuple[int, NDArray[np.uint16]]] = deque(maxlen=WAITING)
         self._shown: EncodedFrame | None = None
-        self._trusted = math.nan
+        self._trusted: float | None = None
         self._identity = source.status().identity
         self._lock = threading.Lock()
         self.supervisor = Supervisor(
@@ -189,14 +189,12 @@ class _Run:
                 self._pictures.put(Picture(mid_us, image, difference))
 
     def _reading(self, estimate: Estimate) -> Reading:
-        force = estimate.force
+        force = given_force(estimate, self._settings.invalid_force, self._trusted)
         if estimate.valid:
             self._trusted = force
-        elif self._settings.invalid_force != 'publish':
-            force = self._trusted if self._settings.invalid_force == 'hold' else math.nan
         return Reading(
             stamp_us=estimate.end_us,
-            force=force,
+            force=math.nan if force is None else force,
             deviation=math.nan if estimate.deviation is None else estimate.deviation,
             valid=estimate.valid,
             reason=estimate.reason,

@@ -95,9 +95,8 @@ class Bundle:
         self._arrivals.append((decoded.time_us, batch.arrival_ns))
         self._clock.add(decoded.time_us, batch.arrival_ns)
         if decoded.time_us < self._since_us + EVENTS_US and self._count < MOST_EVENTS:
-            e = decoded.events
-            self._events.append(Events(e.t.copy(), e.x.copy(), e.y.copy(), e.polarity.copy()))
-            self._count += len(e)
+            self._events.append(decoded.events.copy())
+            self._count += len(decoded.events)
             self._samples.append(decoded.imu)
         self._frames += decoded.frames[: MOST_FRAMES - len(self._frames)]
 

@@ -88,6 +88,10 @@ class Events:
         first, last = np.searchsorted(self.t, (start_us, end_us))
         return self[first:last]
 
+    def copy(self) -> Events:
+        """Return a copy that shares no memory."""
+        return Events(self.t.copy(), self.x.copy(), self.y.copy(), self.polarity.copy())
+
     def shifted(self, offset_us: int) -> Events:
         """Return the events with ``offset_us`` added to their times."""
         return Events(self.t + np.int64(offset_us), self.x, self.y, self.polarity)

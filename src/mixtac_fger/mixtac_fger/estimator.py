@@ -183,6 +183,28 @@ class Estimate(NamedTuple):
         return self.reason is Reason.TRUSTED
 
 
+def given_force(estimate: Estimate, policy: str, trusted: float | None) -> float | None:
+    """Return the force to give out by the parameter `invalid_force`; None for none [N].
+
+    Args:
+        estimate: The estimate.
+        policy: Value of the parameter.
+        trusted: Latest force that could be trusted [N]; None before the first.
+    """
+    if estimate.valid or policy == 'publish':
+        return estimate.force
+    return trusted if policy == 'hold' else None
+
+
+def fill_quality(message: Any, estimate: Estimate) -> None:  # noqa: ANN401
+    """Write everything but the header of a `ForceQuality` message."""
+    message.force = estimate.force
+    message.deviation = -1.0 if estimate.deviation is None else estimate.deviation
+    message.frame_age = estimate.frame_age_us * 1e-6
+    message.complete, message.saturated = estimate.complete, estimate.saturated
+    message.valid, message.reason = estimate.valid, int(estimate.reason)
+
+
 @dataclass(slots=True)
 class EstimatorCounters:
     """What the live estimator counts, since it was made.

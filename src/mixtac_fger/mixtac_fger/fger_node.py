@@ -19,7 +19,13 @@ from std_srvs.srv import Trigger
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError, SerialisedPacket, read_packet
 from mixtac_fger.config import ModelError
-from mixtac_fger.estimator import CameraFacts, check_camera, open_estimator
+from mixtac_fger.estimator import (
+    CameraFacts,
+    check_camera,
+    fill_quality,
+    given_force,
+    open_estimator,
+)
 from mixtac_fger.live_feed import LiveFeed, feed_diagnosis
 from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import TareError, reference_name, stored_reference
@@ -285,7 +291,9 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if not estimates:
             return
         for estimate in estimates:
-            force = self._published(estimate)
+            force = given_force(estimate, self._settings.invalid_force, self._trusted)
+            if estimate.valid:
+                self._trusted = force
             if force is not None:
                 self._force.publish(self._message.serialised(estimate.end_us, force))
         now_ns = time.time_ns()
@@ -300,25 +308,11 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             for estimate in estimates:
                 self._quality.publish(self._quality_of(estimate))
 
-    def _published(self, estimate: Estimate) -> float | None:
-        """Return the force to publish by the parameter `invalid_force`; None for none [N]."""
-        if estimate.valid:
-            self._trusted = estimate.force
-            return estimate.force
-        policy = self._settings.invalid_force
-        if policy == 'publish':
-            return estimate.force
-        return self._trusted if policy == 'hold' else None
-
     def _quality_of(self, estimate: Estimate) -> ForceQuality:
         message = ForceQuality()
         message.header.stamp = us_to_stamp(estimate.end_us)
         message.header.frame_id = self._settings.frame_id
-        message.force = estimate.force
-        message.deviation = -1.0 if estimate.deviation is None else estimate.deviation
-        message.frame_age = estimate.frame_age_us * 1e-6
-        message.complete, message.saturated = estimate.complete, estimate.saturated
-        message.valid, message.reason = estimate.valid, int(estimate.reason)
+        fill_quality(message, estimate)
         return message
 
     def _on_image(self, message: Image | CompressedImage) -> None:

@@ -58,7 +58,7 @@ def event_packet(
         new: See module.
     """
     message = new(topics.EVENTS.type_name)
-    _set_header(message, packet.arrival_ns, frame_id)
+    set_header(message, packet.arrival_ns, frame_id)
     message.width, message.height = size
     message.seq = sequence
     message.time_base = packet.encoded.time_base
@@ -93,7 +93,7 @@ def left_aligned(image: NDArray[np.uint16]) -> NDArray[np.uint16]:
 def image_header(frame: Frame, origin_us: int, frame_id: str, new: New = ros_message) -> Any:  # noqa: ANN401
     """Return the Image of a frame without its pixels, for messages that share its header."""
     message = new(topics.IMAGE_RAW.type_name)
-    _set_header(message, 1000 * (frame.middle_us + origin_us), frame_id)
+    set_header(message, 1000 * (frame.middle_us + origin_us), frame_id)
     return message
 
 
@@ -161,7 +161,7 @@ def imu(
         new: See module.
     """
     message = new(topics.IMU.type_name)
-    _set_header(message, 1000 * (int(samples.t[index]) + origin_us), frame_id)
+    set_header(message, 1000 * (int(samples.t[index]) + origin_us), frame_id)
     message.orientation.w = 1.0
     message.orientation_covariance[0] = -1.0
     parts = (
@@ -187,7 +187,7 @@ def camera_clock(host_ns: int, camera_us: int, source: str, new: New = ros_messa
         new: See module.
     """
     message = new(topics.CAMERA_CLOCK.type_name)
-    _set_header(message, host_ns, '')
+    set_header(message, host_ns, '')
     _set_time(message.time_ref, 1000 * camera_us)
     message.source = source
     return message
@@ -230,7 +230,7 @@ def external_edge(
         new: See module.
     """
     message = new(topics.EXTERNAL_EDGES.type_name)
-    _set_header(message, 1000 * time_us, frame_id)
+    set_header(message, 1000 * time_us, frame_id)
     message.kind = kind
     message.seq = sequence
     return message
@@ -246,12 +246,13 @@ def temperature(celsius: float, time_us: int, frame_id: str, new: New = ros_mess
         new: See module.
     """
     message = new(topics.TEMPERATURE.type_name)
-    _set_header(message, 1000 * time_us, frame_id)
+    set_header(message, 1000 * time_us, frame_id)
     message.temperature = celsius
     return message
 
 
-def _set_header(message: Any, t_ns: int, frame_id: str) -> None:  # noqa: ANN401
+def set_header(message: Any, t_ns: int, frame_id: str) -> None:  # noqa: ANN401
+    """Write the stamp [ns] and the frame of a message's header."""
     _set_time(message.header.stamp, t_ns)
     message.header.frame_id = frame_id
 

@@ -149,9 +149,7 @@ class StreamWriter:
             received_ns: Host time of its reception [ns since the Unix epoch].
         """
         message = blank_message(topic.type_name)
-        stamp = message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-        message.header.frame_id = frame_id
+        messages.set_header(message, stamp_ns, frame_id)
         force, torque = message.wrench.force, message.wrench.torque
         force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()
         self.put(topic, received_ns, message)

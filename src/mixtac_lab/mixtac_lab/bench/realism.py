@@ -175,8 +175,7 @@ def of_recording(path: Path) -> dict[str, float]:
     with closing(open_recording(path)) as recording:
         size = recording.info.width, recording.info.height
         for piece in recording.pieces(0):
-            e = piece.events
-            parts.append(Events(e.t.copy(), e.x.copy(), e.y.copy(), e.polarity.copy()))
+            parts.append(piece.events.copy())
             images += [frame.image for frame in piece.frames]
             starts += [frame.exposure_start_us for frame in piece.frames]
             samples.append(piece.imu)

@@ -54,8 +54,7 @@ def real_data(path):
     parts, frames, samples = [], [], []
     with closing(open_recording(path)) as recording:
         for piece in recording.pieces(0):
-            e = piece.events
-            parts.append(Events(e.t.copy(), e.x.copy(), e.y.copy(), e.polarity.copy()))
+            parts.append(piece.events.copy())
             frames += piece.frames
             samples += zip(
                 *(piece.imu.t, piece.imu.acceleration / 9.80665),

@@ -38,8 +38,7 @@ def played(request, tmp_path_factory):
                 decoded = next(batches).decoded
             except EndOfStream:
                 break
-            e = decoded.events
-            events.append(Events(e.t.copy(), e.x.copy(), e.y.copy(), e.polarity.copy()))
+            events.append(decoded.events.copy())
             frames += decoded.frames
             samples.append(decoded.imu)
     return real_data(path), (Events.concatenate(events), frames, samples)
