@@ -227,7 +227,7 @@ class LiveProfile:
 
     def motion(self, first: int, count: int) -> Floats | None:
         """Return the motion across the normal; as in `mixtac_sim.world.profiles.Profile`."""
-        steps = np.zeros((count, 3))
+        steps = np.zeros((count, 5))
         for begin, end, play in self._spans(first, count):
             part = play.scenario.motion(begin - play.start, end - begin)
             if part is not None:

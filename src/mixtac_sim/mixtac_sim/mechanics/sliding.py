@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""An indenter that is moved sideways and turned about the normal while it presses.
+"""An indenter that is moved sideways, turned about the normal and rolled while it presses.
 
 The skin under it is a spring along each axis: the block in shear of `Shear`, and for a turn the
 disc on a half-space, 16 / 3 G a^3 (Reissner and Sagoci 1944; the bonded layer adds less than 7 %
@@ -13,7 +13,8 @@ indenter's way x against the skin, in units of stiffness and largest pull, is
 
 and beyond its end the whole contact slides; without partial slip it sticks up to there. Under a
 round body friction bears a torque of 3 pi / 16 mu F a. Of partial slip nothing is remembered
-(a reversal has no loop of its own), and a slide and a turn do not share the friction.
+(a reversal has no loop of its own), and a slide and a turn do not share the friction. Rolling moves
+the contact and pulls at nothing: free rolling without creep, and without the skin's loss.
 """
 
 from __future__ import annotations
@@ -80,21 +81,23 @@ class Sliding:
         """Move the indenter.
 
         Args:
-            moves: Motion over each step, right and down [mm] and turn [rad] [n, 3].
+            moves: Motion over each step: right and down [mm], turn [rad], and how far the contact
+                rolls, right and down [mm] [n, 5].
             path: The contact along the normal [n].
             radius_mm: Contact radius [n] [mm].
         """
         shear, radius = self._shear, np.maximum(radius_mm, SMALLEST_MM)
         deeper = np.diff(path.depth_mm, prepend=self._depth_mm)
         self._depth_mm = float(path.depth_mm[-1])
-        way = moves.copy()
+        way, rolled = moves[:, :3].copy(), moves[:, 3:]
         way[:, :2] += deeper[:, None] * shear.lean
         stiffness = np.stack([shear.stiffness(radius), shear.turn_stiffness(radius)], axis=1)
         friction = shear.limit(path.force_n)
         limit = np.stack([friction, TORQUE_SHARE * friction * radius], axis=1)
         steps = np.empty((len(moves), 3, 3))
         state, branches = self._state, self._branches
-        _advance(state, branches, self._update, way, stiffness, limit, shear.partial_slip, steps)
+        given = (way, rolled, stiffness, limit)
+        _advance(state, branches, self._update, *given, shear.partial_slip, steps)
         return Across(
             steps[:, 0, :2],
             steps[:, 1, :2],
@@ -133,6 +136,7 @@ def _advance(
     branches: Floats,
     update: Floats,
     way: Floats,
+    rolled: Floats,
     stiffness: Floats,
     limit: Floats,
     partial_slip: bool,
@@ -145,7 +149,8 @@ def _advance(
             indenter [4, axis]; changes.
         branches: Branches of the displacement [axis, branch]; change.
         update: Coefficients of a step, of ``PronySeries.update``.
-        way: Motion of the indenter [n, axis].
+        way: Motion of the indenter against the skin [n, axis].
+        rolled: How far the contact rolls [n, 2].
         stiffness: Of shear [N/mm] and of the turn [N mm/rad] [n, 2].
         limit: Largest pull [N] and torque [N mm] [n, 2].
         partial_slip: Whether the rim slips first.
@@ -158,6 +163,8 @@ def _advance(
             carried[axis], gain = force_terms(branches[axis], update, state[1, axis])
             state[0, axis] += way[k, axis]
             state[3, axis] += way[k, axis]
+            if axis < 2:
+                state[3, axis] += rolled[k, axis]
             held[axis] = spring * (carried[axis] + gain * state[0, axis])
         for turn in range(2):
             first, last = (2, 3) if turn else (0, 2)

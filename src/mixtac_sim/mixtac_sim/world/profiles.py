@@ -62,6 +62,7 @@ class Segment:
         indenter: The indenter.
         move: Its motion across the normal over the segment, from rest to rest: right and down
             [mm], and turn from right to down [rad]. It stays there afterwards.
+        roll: How far the contact rolls over the segment, right and down [mm].
     """
 
     start_s: float
@@ -72,6 +73,7 @@ class Segment:
     tones: tuple[Tone, ...] = ()
     indenter: Indenter = HEMISPHERE
     move: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    roll: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Refuse to drop what has no weight.
@@ -123,8 +125,13 @@ class CommandSource(Protocol):
     def motion(self, first: int, count: int) -> Floats | None:
         """Return the motion across the normal over some grid steps; None if there never is one.
 
-        Right and down [mm], and turn [rad] [count, 3].
+        Right and down [mm], turn [rad], and rolling to the right and down [mm] [count, 5].
         """
+
+
+def _movers(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
+    """Return the segments with a motion across the normal."""
+    return tuple(segment for segment in segments if any(segment.move) or any(segment.roll))
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +155,7 @@ class Profile:
     def __post_init__(self) -> None:
         """Collect the starts of the segments, to search among, and those that move."""
         object.__setattr__(self, '_starts', tuple(s.start_s for s in self.segments))
-        object.__setattr__(self, '_moving', tuple(s for s in self.segments if any(s.move)))
+        object.__setattr__(self, '_moving', _movers(self.segments))
 
     @property
     def indenters(self) -> tuple[Indenter, ...]:
@@ -180,17 +187,17 @@ class Profile:
         """Return the motion across the normal over grid steps ``first`` to ``first + count``.
 
         Returns:
-            Right and down [mm], and turn [rad] [count, 3]; None if nothing in the profile moves so.
+            As `CommandSource.motion`; None if nothing in the profile moves so.
         """
         if not self._moving:
             return None
         times = np.arange(first, first + count + 1, dtype=np.float64) * (1e-6 * STEP_US)
-        steps = np.zeros((count, 3))
+        steps = np.zeros((count, 5))
         for segment in self._moving:
             if segment.start_s < times[-1] and segment.end_s > times[0]:
                 u = (times - segment.start_s) / (segment.end_s - segment.start_s)
                 u = np.clip(u, 0.0, 1.0)
-                steps += np.outer(np.diff(u * u * (3.0 - 2.0 * u)), segment.move)
+                steps += np.outer(np.diff(u * u * (3.0 - 2.0 * u)), (*segment.move, *segment.roll))
         return steps
 
     def longest_step(self, first: int, count: int) -> int:
@@ -335,7 +342,11 @@ REST_S = 1.6
 
 
 def touch(
-    rng: Generator, start_s: float, span_s: float, move: tuple[float, float, float] = (0, 0, 0)
+    rng: Generator,
+    start_s: float,
+    span_s: float,
+    move: tuple[float, float, float] = (0, 0, 0),
+    roll: tuple[float, float] = (0, 0),
 ) -> list[Segment]:
     """Return a press that is held, moved across the normal, and released with a long rest.
 
@@ -344,31 +355,83 @@ def touch(
         start_s: Start [s].
         span_s: Length with the rest [s]; below 2.4 s there is none.
         move: Motion: right and down [mm], turn [rad]; undone in the air.
+        roll: How far the contact rolls, right and down [mm]; undone in the air.
     """
     if span_s < REST_S + 0.8:
         return []
     force, rise, fall = rng.uniform(0.3, 1.0), rng.uniform(0.1, 0.3), rng.uniform(0.06, 0.2)
     top, end = start_s + rise, start_s + span_s - REST_S
     hold = _hold(rng, top, end - fall, force)
-    right, down, turn = move
+    back, unroll = (-move[0], -move[1], -move[2]), (-roll[0], -roll[1])
     return [
         Segment(start_s, top, Mode.FORCE, (0.0, rise), (0.0, force)),
-        replace(hold, move=move),
+        replace(hold, move=move, roll=roll),
         Segment(end - fall, end, Mode.FORCE, (0.0, fall), (force, 0.0)),
-        Segment(end, end + 0.3, Mode.FREE, move=(-right, -down, -turn)),
+        Segment(end, end + 0.3, Mode.FREE, move=back, roll=unroll),
     ]
+
+
+def _any_way(rng: Generator, shortest: float, longest: float) -> tuple[float, float]:
+    """Return a way in any direction, right and down [mm]."""
+    way, angle = rng.uniform(shortest, longest), rng.uniform(0.0, 2.0 * np.pi)
+    return way * np.cos(angle), way * np.sin(angle)
+
+
+def shear(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a press that is pulled sideways by 0.1 to 0.8 mm: it sticks, or slips at its rim."""
+    return touch(rng, start_s, span_s, (*_any_way(rng, 0.1, 0.8), 0.0))
 
 
 def slide(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     """Return a press that is pulled over the skin by 1 to 3 mm: stick, partial slip, slide."""
-    way, angle = rng.uniform(1.0, 3.0), rng.uniform(0.0, 2.0 * np.pi)
-    return touch(rng, start_s, span_s, (way * np.cos(angle), way * np.sin(angle), 0.0))
+    return touch(rng, start_s, span_s, (*_any_way(rng, 1.0, 3.0), 0.0))
 
 
 def torsion(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
     """Return a press that is turned about the normal by 10 to 40 degrees, to either side."""
     angle = np.radians(rng.uniform(10.0, 40.0)) * rng.choice((-1.0, 1.0))
     return touch(rng, start_s, span_s, (0.0, 0.0, float(angle)))
+
+
+def roll(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a press that rolls over the skin by 1 to 3 mm."""
+    return touch(rng, start_s, span_s, roll=_any_way(rng, 1.0, 3.0))
+
+
+HANDLING_MM = 2.0
+"""Farthest that `handling` moves the indenter along an axis [mm]."""
+
+
+def handling(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a press whose force wanders while it is pulled, slid, turned and rolled in turn."""
+    rest, now = min(0.4, 0.15 * span_s), start_s
+    force, end = 0.0, start_s + span_s - rest
+    segments, place, turned = [], np.zeros(4), 0.0
+    while end - now > 0.0:
+        length = min(rng.uniform(0.15, 0.7), end - now)
+        last = end - now < 0.8
+        length = end - now if last else length
+        wanted = 0.0 if last else rng.uniform(0.15, 1.0)
+        goal, turn = place.copy(), 0.0
+        kind = int(rng.integers(6)) if force > 0.0 and not last else 5
+        if kind < 3:
+            goal[:2] += _any_way(rng, *((0.05, 0.4), (0.3, 1.2), (1.0, 3.0))[kind])
+        if kind == 3 or (kind < 3 and rng.random() < 0.2):
+            turn = rng.uniform(-0.5, 0.5) - 0.5 * turned
+        if kind == 4:
+            goal[2:] += _any_way(rng, 0.5, 3.0)
+        move = np.clip(goal, -HANDLING_MM, HANDLING_MM) - place
+        place, turned = place + move, turned + turn
+        along = (float(move[0]), float(move[1]), float(turn))
+        rolled = (float(move[2]), float(move[3]))
+        knots, values = (0.0, length), (force, wanted)
+        segments.append(
+            Segment(now, now + length, Mode.FORCE, knots, values, move=along, roll=rolled)
+        )
+        now, force = now + length, wanted
+    x, y, right, down = (-place).tolist()
+    segments.append(Segment(end, end + rest, Mode.FREE, move=(x, y, -turned), roll=(right, down)))
+    return segments
 
 
 def long_hold(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
@@ -442,8 +505,9 @@ def make_profile(
             5 cm, bounces, hold), ``dynamic`` (all paces between 0 and 1 N), ``static`` (steps
             and ramps between 0 and 1 N; one long hold at ``easy``), ``long_term`` (one long
             hold), ``vibration`` (50 to 250 Hz), ``weights`` (20, 50 and 100 g in turn),
-            ``touch``, ``slide``, ``torsion`` (presses with a long rest after each, that are held
-            still, pulled over the skin or turned about the normal) or ``demo`` (a bit of
+            ``touch``, ``shear``, ``slide``, ``torsion``, ``roll`` (presses with a long rest after
+            each, that are held still, pulled sideways with and without a slide, turned about the
+            normal or rolled), ``handling`` (all of these without a rest) or ``demo`` (a bit of
             everything).
         seed: Fixes every random choice.
         duration_s: Length [s]; at least 10 for ``demo``.
@@ -539,8 +603,11 @@ PROFILES: dict[str, Body] = {
     'vibration': _repeated(vibration, 2.0, 4.0),
     'weights': weights,
     'touch': _repeated(touch, 2.6, 3.4),
+    'shear': _repeated(shear, 2.6, 3.4),
     'slide': _repeated(slide, 2.6, 3.4),
     'torsion': _repeated(torsion, 2.6, 3.4),
+    'roll': _repeated(roll, 2.6, 3.4),
+    'handling': _repeated(handling, 2.5, 5.0),
     'demo': _demo,
 }
 """Bodies of the profiles by name: (random stream, start [s], span [s]) -> segments."""

@@ -81,7 +81,7 @@ def test_a_slide_and_a_turn_move_the_object_there_and_back(sensor, control):
     assert sensor.profile.motion(0, 32) is None
     control.slide(replace(P, slide_distance=1.5, hold_seconds=0.5))
     steps = sensor.profile.motion(0, 24_000)
-    assert steps.sum(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    assert steps.sum(axis=0) == pytest.approx([0.0] * 5, abs=1e-9)
     assert np.cumsum(steps[:, 0]).max() == pytest.approx(1.5)
     sensor.commands(3_000_000)
     control.torsion(replace(P, torsion_angle=-30.0, hold_seconds=0.0))

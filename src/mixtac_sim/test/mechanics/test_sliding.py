@@ -20,10 +20,14 @@ def path(force_n):
 
 
 def moved(steps, force_n=0.8, radius=RADIUS, *, prony=ELASTIC, layer=LAYER, mu=MU, partial=True):
-    """Return what motion steps [n, 3] do under a force that is constant unless it is a series."""
+    """Return what motion steps [n, 3] do under a force that is constant unless it is a series.
+
+    Steps of five columns roll as well.
+    """
     sliding = Sliding(Shear(layer, mu, (0.0, 0.0), partial_slip=partial), prony)
     force = np.broadcast_to(force_n, len(steps))
-    return sliding.advance(np.asarray(steps), path(force), np.full(len(steps), radius))
+    steps = np.pad(steps, ((0, 0), (0, 5 - np.shape(steps)[1])))
+    return sliding.advance(steps, path(force), np.full(len(steps), radius))
 
 
 def along(axis, way, count=200):
@@ -83,6 +87,38 @@ def test_partial_slip_leaves_the_circle_of_cattaneo_and_mindlin_stuck():
     # What the skin does not follow any more is slid.
     np.testing.assert_allclose(found.place_mm[:, 1], way - np.minimum(way, whole), atol=1e-9)
     assert not found.pull_n[:, 0].any()
+
+
+def test_partial_slip_is_the_difference_of_two_sliding_pressures():
+    """Cattaneo's traction by rings: that of a full slide, less that of one on the stuck circle.
+
+    The integral of the traction is the pull; the way is that of the centre of the two Hertzian
+    tractions, each (2 - nu) pi q0 a / 8 G over a half-space, in units of the way of the whole.
+    """
+    r = (np.arange(40_000) + 0.5) / 40_000 * RADIUS
+    rings = 2.0 * np.pi * r * RADIUS / 40_000
+    largest = MU * 1.5 * 0.8 / (np.pi * RADIUS**2)  # traction at the centre of a full slide
+    whole = 1.5 * MU * 0.8 / Shear(LAYER, MU, (0.0, 0.0)).stiffness(np.array([RADIUS]))[0]
+    found = moved(along(0, whole, 300))
+    for share in (0.9, 0.6, 0.3):
+        stuck = share * RADIUS
+        slid = largest * np.sqrt(1.0 - (r / RADIUS) ** 2)
+        inside = largest * share * np.sqrt(np.maximum(1.0 - (r / stuck) ** 2, 0.0))
+        pull = float(np.sum((slid - inside) * rings))
+        way = whole * (largest * RADIUS - largest * share * stuck) / (largest * RADIUS)
+        at = np.interp(way, np.arange(1, 301) * whole / 300, found.pull_n[:, 0])
+        assert at == pytest.approx(pull, rel=1e-4)
+
+
+def test_a_roll_moves_the_contact_and_pulls_at_nothing():
+    steps = np.zeros((600, 5))
+    steps[:200, 0] = 0.2 / 200  # pulled, then rolled, then pulled back
+    steps[200:400, 4] = -2.0 / 200
+    steps[400:, 0] = -0.2 / 200
+    found = moved(steps, 5.0)
+    np.testing.assert_allclose(found.pull_n[200:400], found.pull_n[199:200].repeat(200, axis=0))
+    assert found.place_mm[399, 1] == pytest.approx(-2.0)
+    assert found.pull_n[-1, 0] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_friction_bears_the_torque_of_a_hertzian_pressure():

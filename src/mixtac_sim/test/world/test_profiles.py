@@ -65,12 +65,15 @@ def test_commands_do_not_depend_on_how_they_are_asked_for():
         np.testing.assert_array_equal(np.concatenate([p[column] for p in parts]), whole[column])
 
 
-@pytest.mark.parametrize(('name', 'axes'), [('slide', (0, 1)), ('torsion', (2,))])
+@pytest.mark.parametrize(
+    ('name', 'axes'),
+    [('shear', (0, 1)), ('slide', (0, 1)), ('torsion', (2,)), ('roll', (3, 4))],
+)
 def test_slides_and_turns_move_only_while_they_press_and_end_where_they_began(name, axes):
     profile = make_profile(name, 4, 12.0, sync=True)
     modes, targets, _ = commands(profile)
     steps = profile.motion(0, len(modes))
-    still = [axis for axis in range(3) if axis not in axes]
+    still = [axis for axis in range(5) if axis not in axes]
     assert not steps[:, still].any()
     assert np.abs(np.cumsum(steps, axis=0)).max() > 0.15
     assert np.abs(steps.sum(axis=0)).max() < 1e-9
@@ -80,6 +83,16 @@ def test_slides_and_turns_move_only_while_they_press_and_end_where_they_began(na
     parts = [profile.motion(k, 32) for k in range(0, len(modes), 32)]
     np.testing.assert_array_equal(np.concatenate(parts), steps)
     assert make_profile('touch', 4, 12.0).motion(0, 32) is None
+
+
+def test_handling_moves_every_way_while_it_presses_and_ends_where_it_began():
+    profile = make_profile('handling', 5, 20.0)
+    modes, targets, _ = commands(profile)
+    steps = profile.motion(0, len(modes))
+    assert steps.any(axis=0).all()
+    assert np.abs(steps.sum(axis=0)).max() < 1e-9
+    assert np.abs(np.cumsum(steps, axis=0))[:, [0, 1, 3, 4]].max() <= 2.0 + 1e-9
+    assert np.all(targets[steps.any(axis=1) & (modes == Mode.FORCE)] > 0.0)
 
 
 def test_targets_pass_through_their_knots_and_tones():
