@@ -309,10 +309,9 @@ def declared_launch_arguments(path: Path) -> list[str]:
 
     substitute = mock.MagicMock(DeclareLaunchArgument=declare)
     modules = (
-        *('launch', 'launch.actions', 'launch.conditions', 'launch.event_handlers'),
-        *('launch.events', 'launch.launch_description_sources', 'launch.substitutions'),
-        *('launch_ros', 'launch_ros.actions', 'launch_ros.event_handlers', 'launch_ros.events'),
-        *('launch_ros.events.lifecycle', 'launch_ros.substitutions'),
+        *('launch', 'launch.actions', 'launch.event_handlers', 'launch.events'),
+        *('launch.launch_description_sources', 'launch.logging', 'launch.substitutions'),
+        *('launch_ros', 'launch_ros.actions', 'launch_ros.substitutions'),
     )
     with mock.patch.dict(sys.modules, dict.fromkeys(modules, substitute)):
         sys.modules.pop('mixtac_node.launch_actions', None)

@@ -99,7 +99,7 @@ def _recorder(context):
     output, reference = value(context, 'output'), value(context, 'reference_topic')
     chosen = value(context, 'recorder')
     if chosen == 'mixtac' or (chosen == 'auto' and not _has_rosbag2()):
-        return node_actions(context, recorder(Path(output), reference))[0]
+        return node_actions(context, recorder(Path(output), reference))[-1]
     qos = rosbag2_qos(value(context, 'namespace'), reference)
     with tempfile.NamedTemporaryFile('w', suffix='.yaml', delete=False) as overrides:
         yaml.safe_dump(qos, overrides)

@@ -26,7 +26,8 @@ ARGUMENTS = [
         'device',
         default_value='davis346',
         description='Device that the driver opens: davis346, virtual, virtual:SOCKET (for several '
-        'on one machine), or the path of a recording',
+        'on one machine), or the path of a recording; none starts no driver, for `ros2 bag play` '
+        'or a driver on another machine',
     ),
     DeclareLaunchArgument(
         'serial',
@@ -68,7 +69,8 @@ ARGUMENTS = [
         'use_sim_time',
         default_value='false',
         choices=BOOLEAN,
-        description='Recordings: the driver publishes /clock and the estimator follows it',
+        description='Recordings: the driver publishes /clock, and the other nodes follow it; with '
+        'device:=none they follow that of the bag player',
     ),
     *(
         DeclareLaunchArgument(
@@ -95,7 +97,7 @@ def _nodes(context):
         simulated_time=value(context, 'use_sim_time') == 'true',
         reference_topic=value(context, 'reference_topic'),
     )
-    return [action for spec in graph for action in node_actions(context, spec)]
+    return node_actions(context, *graph)
 
 
 def generate_launch_description():

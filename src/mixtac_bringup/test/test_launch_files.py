@@ -6,15 +6,20 @@ from __future__ import annotations
 
 import runpy
 import threading
-import time
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
+from geometry_msgs.msg import WrenchStamped
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
+from rclpy.qos import qos_profile_system_default
+
 from mixtac_node.graph import config_file, sensor_graph
 from mixtac_node.process import GraphError
+from mixtac_node.topics import EVENTS, FORCE, IMAGE_RAW
 
 LAUNCH = Path(__file__).resolve().parents[3] / 'launch'
 FILES = ('sensor', 'replay', 'record')
@@ -137,36 +142,71 @@ def test_slip_control_takes_its_arm_and_detector():
     assert {"arm:='fr3'", "detector:='count'"} <= set(words(found[0]))
 
 
+def launched(name: str, watch, **arguments: str) -> tuple[int, list[int]]:
+    """Run a launch file while a function runs in a thread.
+
+    Returns:
+        Status of the launch, and those of its processes.
+    """
+    launch = pytest.importorskip('launch', reason='launch is not installed')
+    pytest.importorskip('launch_ros', reason='launch_ros is not installed')
+    from launch.actions import IncludeLaunchDescription, RegisterEventHandler
+    from launch.event_handlers import OnProcessExit
+    from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+    statuses: list[int] = []
+    ended = OnProcessExit(on_exit=lambda event, _: statuses.append(event.returncode))
+    source = PythonLaunchDescriptionSource(str(LAUNCH / f'{name}.launch.py'))
+    include = IncludeLaunchDescription(source, launch_arguments=list(arguments.items()))
+    service = launch.LaunchService(argv=[])
+    service.include_launch_description(
+        launch.LaunchDescription([RegisterEventHandler(ended), include])
+    )
+
+    def run() -> None:
+        try:
+            watch()
+        finally:
+            service.shutdown()
+
+    watcher = threading.Thread(target=run)
+    watcher.start()
+    status = service.run()
+    watcher.join()
+    return status, statuses
+
+
 @pytest.mark.dds
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize('single', SINGLE)
-@pytest.mark.usefixtures('ros_domain')
-def test_a_launched_virtual_sensor_gives_forces(tmp_path, single):
-    launch = pytest.importorskip('launch', reason='launch is not installed')
-    pytest.importorskip('launch_ros', reason='launch_ros is not installed')
-    from launch.actions import IncludeLaunchDescription
-    from launch.launch_description_sources import PythonLaunchDescriptionSource
-
-    from mixtac_cli.monitor_node import Monitor
-
-    source = PythonLaunchDescriptionSource(str(LAUNCH / 'sensor.launch.py'))
-    arguments = [('device', f'virtual:{tmp_path}/usb.sock'), ('single_process', single)]
-    service = launch.LaunchService(argv=[])
-    include = IncludeLaunchDescription(source, launch_arguments=arguments)
-    service.include_launch_description(launch.LaunchDescription([include]))
-    forces = []
+def test_a_launched_virtual_sensor_gives_forces_and_ends_well(tmp_path, node_under_test, single):
+    graph = node_under_test
+    forces = graph.listen(WrenchStamped, '/mixtac/force', qos_profile_system_default)
 
     def watch() -> None:
-        with Monitor('mixtac', 60) as monitor:
-            monitor.listen()
-            deadline = time.monotonic() + 120
-            while monitor.force_count < 100 and time.monotonic() < deadline:
-                time.sleep(0.1)
-            forces.append(monitor.force_count)
-        service.shutdown()
+        graph.spin_until(lambda: len(forces) >= 100)
+        found = graph.node.get_node_names_and_namespaces()
+        assert {('driver', '/mixtac'), ('fger', '/mixtac')} <= set(found)
+        for topic in (EVENTS, FORCE, IMAGE_RAW):
+            (end,) = graph.node.get_publishers_info_by_topic(topic.resolved('mixtac'))
+            assert end.topic_type == topic.type_name
+        answer = graph.call(GetState, '/mixtac/fger/get_state')
+        assert answer.current_state.id == State.PRIMARY_STATE_ACTIVE
 
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    service.run()
-    watcher.join()
-    assert forces[0] >= 100
+    device = f'virtual:{tmp_path}/usb.sock'
+    status, statuses = launched('sensor', watch, device=device, single_process=single)
+    assert forces[0].header.frame_id
+    assert status == 0
+    assert statuses == [0] * len(graph_names(device, single_process=SINGLE[single]))
+
+
+@pytest.mark.dds
+@pytest.mark.timeout(300)
+@pytest.mark.usefixtures('ros_domain')
+def test_a_launch_that_a_node_ends_has_a_status_and_the_reason_last(tmp_path, capfd):
+    own = tmp_path / 'own.yaml'
+    own.write_text('/**/fger:\n  ros__parameters:\n    model: /no/such.safetensors\n')
+    status, _ = launched('sensor', lambda: None, device='none', params_file=str(own))
+    assert status == 1
+    output = capfd.readouterr()
+    assert '/no/such.safetensors' in (output.out + output.err).splitlines()[-1]

@@ -90,6 +90,8 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__('fger')
         self._settings = declare(self, FgerParameters, self._change)
+        self._to_start = self._settings.autostart
+        self._refusal: MixtacError = ModelError('the estimator failed', remedy='see the log')
         self._model: Model | None = None
         self._estimator: Estimator | None = None
         self._reference: NDArray[Any] | None = None
@@ -107,6 +109,21 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._info: object | None = None
         self._ask_camera()
 
+    def check(self) -> None:
+        """Configure and activate the node once, with `autostart`, unless somebody has already.
+
+        Raises:
+            MixtacError: It refuses.
+        """
+        if not self._to_start:
+            return
+        self._to_start = False
+        success = TransitionCallbackReturn.SUCCESS
+        if self._model is None and (
+            self.trigger_configure() != success or self.trigger_activate() != success
+        ):
+            raise self._refusal
+
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load and check the model and the reference, compile what runs in real time."""
         self._ask_camera()
@@ -120,6 +137,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
                 _reference_file(settings, self._camera.serial), estimator.reference
             )
         except MixtacError as error:
+            self._refusal = error
             self.get_logger().error(f'{settings.model}: {error}')
             return TransitionCallbackReturn.FAILURE
         warm_up(open_estimator(model))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from mixtac_fger.weights import DEFAULT_MODEL
-from mixtac_node.parameters import parameter
+from mixtac_node.parameters import fixed, parameter
 
 POLICIES: Final = ('withhold', 'hold', 'publish')
 """What becomes of a force that cannot be trusted; the first is the default."""
@@ -19,6 +19,8 @@ class FgerParameters:
     """Parameters of the node; changes take effect at once unless a description excludes it.
 
     Attributes:
+        autostart: Configure and activate the node once at its start; it ends if it cannot be. The
+            launch files set this.
         model: Network weights: the path of a .safetensors file, or the name of a model that comes
             with mixtac_fger. Any architecture with an installed estimator. Fixed while the node is
             configured: clean it up to change the model.
@@ -52,6 +54,7 @@ class FgerParameters:
             /diagnostics. A packet spans 1 ms.
     """
 
+    autostart: bool = fixed(False)
     model: str = parameter(DEFAULT_MODEL)
     frame_id: str = parameter('mixtac_contact')
     force_scale: float = parameter(1.0, within=(0.1, 10.0))

@@ -264,6 +264,32 @@ def test_a_model_that_cannot_be_used_fails_the_configuration(node_under_test, tm
     assert not any('Traceback' in line for line in estimator.errors)
 
 
+def test_autostart_activates_once_and_never_again(node_under_test, tmp_path, model):
+    path = tmp_path / 'toy.safetensors'
+    write_model(path, model)
+    estimator = Estimator(node_under_test, str(path), autostart='true')
+    node_under_test.spin_until(lambda: estimator.state() == State.PRIMARY_STATE_ACTIVE)
+    for number in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
+        assert estimator.transition(number)[0]
+    # Somebody who configures it by hand may not want it active.
+    assert estimator.transition(Transition.TRANSITION_CONFIGURE) == (
+        True,
+        State.PRIMARY_STATE_INACTIVE,
+    )
+    end_s = time.monotonic() + 1.0
+    node_under_test.spin_until(lambda: time.monotonic() > end_s)
+    assert estimator.state() == State.PRIMARY_STATE_INACTIVE
+
+
+def test_autostart_without_a_model_ends_the_node_with_the_reason(node_under_test, tmp_path):
+    path = tmp_path / 'none.safetensors'
+    node_under_test.start('mixtac_fger.fger_node', 'autostart:=true', f'model:={path}')
+    assert node_under_test.process.wait(60.0) == 1
+    last = node_under_test.process.stderr.splitlines()[-1]
+    assert last.startswith('error: ')
+    assert str(path) in last
+
+
 def test_parameters_take_effect_at_once_or_are_refused(estimator, tmp_path):
     def set_to(**values: object) -> str:
         request = SetParameters.Request(

@@ -33,10 +33,17 @@ from rclpy.signals import SignalHandlerOptions
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
-from mixtac_node.process import GraphError, claim_nodes, freeze_loaded
+from mixtac_node.process import FATAL, GraphError, claim_nodes, freeze_loaded
 from mixtac_node.topics import DEFAULT_NAMESPACE, Topic, message_class
 
 T = TypeVar('T')
+ENDING = (signal.SIGINT, signal.SIGTERM)
+PATIENCE_S = 0.5
+"""Time that the callback which a signal interrupts has to return; a compilation takes longer."""
+
+
+class Interrupted(BaseException):
+    """Ends a callback that has not returned in time after a signal."""
 
 
 def qos(topic: Topic) -> QoSProfile:
@@ -286,6 +293,46 @@ def secure_start() -> Iterator[None]:
         ) from error
 
 
+class _Signals:
+    """SIGINT and SIGTERM from now on.
+
+    Attributes:
+        received: Whether one has come. A callback, or the construction of a node, that still runs
+            PATIENCE_S later ends with `Interrupted`.
+    """
+
+    def __init__(self) -> None:
+        self.received = False
+        signal.signal(signal.SIGALRM, _interrupt)
+        for number in ENDING:
+            signal.signal(number, self._receive)
+        # The launch files start nodes with SIGINT blocked: no import ends in a traceback.
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+
+    def _receive(self, _signum: int, _frame: object) -> None:
+        if not self.received:
+            self.received = True
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+
+    def ignore(self) -> None:
+        """Ignore them while the process ends; its status would not be 0 otherwise."""
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number in ENDING:
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _interrupt(_signum: int, _frame: object) -> None:
+    raise Interrupted
+
+
+def _close(nodes: list[Any]) -> None:
+    for node in reversed(nodes):
+        if hasattr(node, 'close'):
+            node.close()
+    for node in nodes:
+        node.destroy_node()
+
+
 def run(node_class: Callable[[], Any], args: list[str] | None = None) -> int:
     """Run one node until SIGINT or SIGTERM, then close it; see `run_together`.
 
@@ -313,16 +360,11 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
     Returns:
         Exit status: 0 after a signal, 1 with one line on stderr after a MixtacError.
     """
-    stopping = False
-
-    def stop(_signum: int, _frame: object) -> None:
-        nonlocal stopping
-        stopping = True
-
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
+    signals = _Signals()
     nodes: list[Any] = []
     try:
+        if signals.received:
+            return 0
         with secure_start():
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             nodes = make_nodes()
@@ -333,22 +375,19 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
             executor.add_node(node)
         checks = [node.check for node in nodes if hasattr(node, 'check')]
         freeze_loaded()
-        while not stopping and rclpy.ok():
+        while not signals.received and rclpy.ok():
             # In the wheels of Jazzy, spin() of this executor never calls back; spin_once does.
             executor.spin_once(timeout_sec=0.2)
             # Not in a timer: the executor would print a traceback before the error line.
             for check in checks:
                 check()
     except MixtacError as error:
-        print(f'error: {error}', file=sys.stderr)
+        print(f'{FATAL}{error}', file=sys.stderr)
         return 1
-    except ExternalShutdownException:
+    except (ExternalShutdownException, Interrupted):
         return 0
     finally:
-        for node in reversed(nodes):
-            if hasattr(node, 'close'):
-                node.close()
-        for node in nodes:
-            node.destroy_node()
+        signals.ignore()
+        _close(nodes)
         rclpy.try_shutdown()
     return 0

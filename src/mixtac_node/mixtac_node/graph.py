@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -201,6 +201,10 @@ def _sections(content: Any, name: str, path: Path) -> Iterator[tuple[str, Mappin
         yield from _sections(value, f'{name}/{key}' if name else str(key), path)
 
 
+NO_DRIVER = 'none'
+"""Device of a graph without a driver."""
+
+
 def is_virtual(device: str) -> bool:
     """Return whether a device is the virtual sensor."""
     return device.partition(':')[0] == 'virtual'
@@ -226,14 +230,16 @@ def sensor_graph(
     """Return the nodes from the camera to the force, in the order in which they are started.
 
     Args:
-        device: `davis346`, `virtual`, `virtual:SOCKET` or the path of a recording.
+        device: `davis346`, `virtual`, `virtual:SOCKET`, the path of a recording, or `none`: other
+            programs publish the driver's topics, as `ros2 bag play` does.
         driver: Overrides of the driver's parameters.
         estimator: Overrides of the force estimator's parameters.
         virtual_sensor: Overrides of the virtual sensor's parameters.
         single_process: Run driver and estimator in one process.
         align: Add the nodes that align the reference force and publish the error against it.
         view: Add the live view.
-        simulated_time: The driver publishes `/clock` and the estimator follows it.
+        simulated_time: The driver publishes `/clock`, or a bag player does without a driver, and
+            the other nodes follow it.
         reference_topic: Topic of the reference force; empty keeps that of the parameter files.
 
     Raises:
@@ -262,25 +268,34 @@ def sensor_graph(
         ]
     clock = {'playback_clock': True} if simulated_time else {}
     follow = {'use_sim_time': True} if simulated_time else {}
+    nodes = [replace(node, overrides={**node.overrides, **follow}) for node in nodes]
     # Nothing touches the virtual sensor before it is asked to, nor a sensor that is being recorded.
-    free = {} if is_camera(device) else {'assume_free': True}
-    estimation = [
-        NodeSpec(
-            'mixtac_driver',
-            'driver_node',
-            'driver',
-            required=True,
-            overrides={'device': device, **clock, **(driver or {})},
-        ),
-        NodeSpec(
-            'mixtac_fger',
-            'fger_node',
-            'fger',
-            lifecycle=True,
-            required=True,
-            overrides={**free, **follow, **(estimator or {})},
-        ),
-    ]
+    recorded = simulated_time or not is_camera(device)
+    free = {'assume_free': True} if recorded else {}
+    estimator_node = NodeSpec(
+        'mixtac_fger',
+        'fger_node',
+        'fger',
+        lifecycle=True,
+        required=True,
+        overrides={**free, **follow, **(estimator or {})},
+    )
+    if device == NO_DRIVER:
+        if driver or single_process:
+            what = 'single_process' if single_process else next(iter(driver or ()))
+            raise GraphError(
+                f'{what} is for a driver, which device {NO_DRIVER} leaves out',
+                remedy='name a device, or leave it out',
+            )
+        return [*nodes, estimator_node]
+    driver_node = NodeSpec(
+        'mixtac_driver',
+        'driver_node',
+        'driver',
+        required=True,
+        overrides={'device': device, **clock, **(driver or {})},
+    )
+    estimation = [driver_node, estimator_node]
     if single_process and simulated_time:
         raise GraphError(
             'simulated time needs driver and estimator in two processes: the driver publishes the '

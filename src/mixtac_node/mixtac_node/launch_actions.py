@@ -7,37 +7,32 @@ Needs `launch` and `launch_ros`, which come with a ROS installation only.
 
 from __future__ import annotations
 
+import functools
 import os
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from launch.actions import (
-    DeclareLaunchArgument,
-    EmitEvent,
-    GroupAction,
-    LogInfo,
-    RegisterEventHandler,
-    SetEnvironmentVariable,
-)
-from launch.conditions import IfCondition
-from launch.event_handlers import OnProcessExit
-from launch.events import Shutdown, matches_action
+from launch.actions import DeclareLaunchArgument, RegisterEventHandler, SetEnvironmentVariable
+from launch.event_handlers import OnProcessExit, OnProcessIO
+from launch.logging import get_logger
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import LifecycleNode, Node
-from launch_ros.event_handlers import OnStateTransition
-from launch_ros.events.lifecycle import ChangeState
-from lifecycle_msgs.msg import Transition
+from launch_ros.actions import Node
 
-from mixtac_node.process import profile_environment
+from mixtac_node.process import FATAL, GraphError, profile_environment
 from mixtac_node.topics import DEFAULT_NAMESPACE
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from launch import LaunchContext
 
     from mixtac_node.graph import NodeSpec
 
 BOOLEAN = ['true', 'false']
+LOGGER = get_logger('launch')
 _SHARED: dict[str, dict[str, Any]] = {
     'namespace': {
         'default_value': DEFAULT_NAMESPACE,
@@ -85,77 +80,80 @@ def given(context: LaunchContext, *names: str) -> dict[str, object]:
     return {name: yaml.safe_load(text) for name, text in texts.items() if text}
 
 
-def node_actions(context: LaunchContext, spec: NodeSpec) -> list[Any]:
-    """Return the actions that start a node, end the launch with it, and bring it up.
+def node_actions(context: LaunchContext, *specs: NodeSpec) -> list[Any]:
+    """Return the actions that start nodes, and end the launch with a node that it needs.
 
-    The arguments `namespace`, `params_file`, `log_level` and `autostart` are read from the context.
+    A launch that a node ends has a status other than 0, and the node's reason is its last line. The
+    arguments `namespace`, `params_file`, `log_level` and `autostart` are read from the context.
 
     Raises:
         GraphError: The parameter file does not exist.
     """
+    return _Graph([(spec, _node(context, spec)) for spec in specs]).actions()
+
+
+def _node(context: LaunchContext, spec: NodeSpec) -> Node:
+    """Return the action that starts a node."""
     own = value(context, 'params_file')
-    options = {
-        'package': spec.package,
-        'executable': spec.executable,
-        'name': spec.name,
-        'namespace': value(context, 'namespace'),
-        'output': 'screen',
+    if spec.lifecycle:
+        autostart = value(context, 'autostart') != 'false'
+        spec = replace(spec, overrides={'autostart': autostart, **spec.overrides})
+    return Node(
+        package=spec.package,
+        executable=spec.executable,
+        exec_name=spec.executable,
+        name=spec.name,
+        namespace=value(context, 'namespace'),
+        output='screen',
+        prefix=_quiet_imports(),
         # Not as `parameters`: launch_ros writes values for the named node only, and two nodes of
         # one process have two names.
-        'arguments': spec.ros_arguments(
+        arguments=spec.ros_arguments(
             Path(own) if own else None, value(context, 'log_level') or 'info'
         ),
-    }
-    node = LifecycleNode(**options) if spec.lifecycle else Node(**options)
-    actions = [node]
-    if spec.required:
-        actions.append(_shut_down_with(node, spec.name))
-    if spec.lifecycle:
-        actions.append(_bring_up(node, spec.name))
-    return actions
-
-
-def _shut_down_with(node: Any, name: str) -> Any:  # noqa: ANN401
-    """End the launch when a node that the graph needs has ended."""
-
-    def shut_down(_event: object, context: LaunchContext) -> list[Any] | None:
-        if context.is_shutdown:
-            return None
-        return _end(f'{name} has ended')
-
-    return RegisterEventHandler(OnProcessExit(target_action=node, on_exit=shut_down))
-
-
-def _end(reason: str) -> list[Any]:
-    return [LogInfo(msg=f'{reason}: shutting down'), EmitEvent(event=Shutdown(reason=reason))]
-
-
-def _bring_up(node: Any, name: str) -> Any:  # noqa: ANN401
-    """Configure a node, activate it once configured, end the launch if it refuses."""
-    activate = RegisterEventHandler(
-        OnStateTransition(
-            target_lifecycle_node=node,
-            # Without the start state this would also fire when the user deactivates the node.
-            start_state='configuring',
-            goal_state='inactive',
-            entities=[_transition(node, Transition.TRANSITION_ACTIVATE)],
-        )
     )
-    refused = RegisterEventHandler(
-        OnStateTransition(
-            target_lifecycle_node=node,
-            start_state='configuring',
-            goal_state='unconfigured',
-            entities=_end(f'{name} could not be configured (see its error above)'),
-        )
-    )
-    configure = _transition(node, Transition.TRANSITION_CONFIGURE)
-    autostart = IfCondition(LaunchConfiguration('autostart', default='true'))
-    return GroupAction([activate, refused, configure], condition=autostart, scoped=False)
 
 
-def _transition(node: Any, transition_id: int) -> Any:  # noqa: ANN401
-    """Return the event that requests a transition of a lifecycle node."""
-    return EmitEvent(
-        event=ChangeState(lifecycle_node_matcher=matches_action(node), transition_id=transition_id)
-    )
+@functools.cache
+def _quiet_imports() -> str:
+    """Return the prefix with which SIGINT waits for the end of the imports; empty without one."""
+    prefix = ['env', '--block-signal=INT']
+    supported = subprocess.run([*prefix, 'true'], capture_output=True, check=False).returncode == 0
+    return ' '.join(prefix) if supported else ''
+
+
+class _Graph:
+    """The nodes that are started together."""
+
+    def __init__(self, nodes: Sequence[tuple[NodeSpec, Node]]) -> None:
+        self._nodes = nodes
+        self._running = len(nodes)
+        self._failure: GraphError | None = None
+
+    def actions(self) -> list[Any]:
+        """Return the nodes and their event handlers."""
+        return [action for spec, node in self._nodes for action in self._watched(spec, node)]
+
+    def _watched(self, spec: NodeSpec, node: Node) -> list[Any]:
+        reason = f'{spec.name} has ended'
+
+        def read(event: Any) -> None:  # noqa: ANN401
+            nonlocal reason
+            for line in event.text.decode(errors='replace').splitlines():
+                if line.startswith(FATAL):
+                    reason = f'{spec.name}: {line.removeprefix(FATAL)}'
+
+        def ended(_event: object, context: LaunchContext) -> None:
+            self._running -= 1
+            if spec.required and not context.is_shutdown:
+                self._failure = GraphError(reason)
+                # Unlike the event Shutdown, an exception gives the launch a status other than 0.
+                raise self._failure
+            if not self._running and self._failure:
+                LOGGER.error(str(self._failure))
+
+        return [
+            RegisterEventHandler(OnProcessIO(target_action=node, on_stderr=read)),
+            RegisterEventHandler(OnProcessExit(target_action=node, on_exit=ended)),
+            node,
+        ]

@@ -120,7 +120,9 @@ def claim_nodes(names: Iterable[str], domain: int) -> list[IO[str]]:
 
 STOP_GRACE_S = 8.0
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
-_FATAL = re.compile(r'^error: (?P<text>.*)')
+FATAL = 'error: '
+"""Begins the line on stderr with which a node that failed ends."""
+_FATAL = re.compile(rf'^{FATAL}(?P<text>.*)')
 _LOGGED = re.compile(r'^\[(ERROR|FATAL)\] \[[^]]*\] \[[^]]*\]: (?P<text>.*)')
 
 

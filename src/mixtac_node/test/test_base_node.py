@@ -20,6 +20,7 @@ from mixtac_node.stamps import ns_to_stamp, stamp_to_ns, stamp_to_us, us_to_stam
 NODE = textwrap.dedent(
     """
     import sys
+    import time
     from dataclasses import dataclass
     from rclpy.node import Node
     from mixtac_events.errors import MixtacError
@@ -38,6 +39,9 @@ NODE = textwrap.dedent(
             self.values = declare(self, Example, self.apply)
             if self.values.device == 'broken':
                 raise MixtacError('device broken: choose another')
+            if self.values.device == 'compiling':
+                print('constructing', flush=True)
+                time.sleep(60)
             self.diagnostics = DiagnosticsPublisher(self, 'serial-7', self.status)
 
         def apply(self, values):
@@ -95,6 +99,25 @@ def test_errors_are_one_line_and_a_status(start):
     assert process.returncode == 1
     assert 'error: device broken: choose another' in stderr.splitlines()
     assert 'Traceback' not in stderr
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_start_that_takes_long(start, number):
+    process = start('device:=compiling')
+    assert process.stdout.readline() == 'constructing\n'
+    process.send_signal(number)
+    _, stderr = process.communicate(timeout=30)
+    assert (process.returncode, stderr) == (0, '')
+
+
+def test_a_blocked_interrupt_waits_for_the_end_of_the_imports(start):
+    # As the launch files start nodes.
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    process = start()
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=30)
+    assert (process.returncode, stderr) == (0, '')
 
 
 def test_security_without_keys_is_refused_with_one_line(start, ros_domain, tmp_path):

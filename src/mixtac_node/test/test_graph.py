@@ -67,6 +67,16 @@ def test_simulated_time_comes_from_the_driver():
         sensor_graph('/some/bag', simulated_time=True, single_process=True)
 
 
+def test_without_a_driver_all_nodes_follow_the_clock_of_the_bag_player():
+    nodes = sensor_graph('none', align=True, simulated_time=True)
+    assert names(nodes) == ['alignment', 'force_error', 'fger']
+    assert all(node.overrides['use_sim_time'] for node in nodes)
+    assert 'assume_free' not in overrides(sensor_graph('none'))['fger']
+    for options in ({'single_process': True}, {'driver': {'serial': '1'}}):
+        with pytest.raises(GraphError):
+            sensor_graph('none', **options)
+
+
 def test_one_process_reads_the_files_and_overrides_of_both_nodes():
     options = {'estimator': {'force_scale': 2.0}, 'single_process': True}
     nodes = sensor_graph('virtual:/a/b.sock', **options)
