@@ -21,7 +21,9 @@ from mixtac_node.topics import SERVICES, TOPICS
 
 ROOT = Path(__file__).resolve().parents[1]
 INTERFACE = json.loads((ROOT / 'test' / 'interface.json').read_text())
-RETIRED: dict[str, str] = {}
+RETIRED: dict[str, str] = {
+    'imu': 'a topic without orientation is imu/data_raw by REP 145',
+}
 """Retired name and the reason."""
 
 

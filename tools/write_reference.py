@@ -98,10 +98,10 @@ def reference() -> str:
     lines = ['# Topics, services and parameters', '']
     lines += ['Written from the code by `make docs`; a test fails when it is out of date.', '']
     lines += ['## Topics', '', 'Names without a leading slash are relative to the namespace.', '']
+    lines += ['Publishers are reliable, so that every subscription gets their messages.', '']
     lines += ['| topic | type | QoS | what |', '|---|---|---|---|']
     for topic in TOPICS:
-        reliability = 'reliable' if topic.reliable else 'best effort'
-        qos = f'{reliability}, depth {topic.depth}{", transient local" if topic.latched else ""}'
+        qos = f'depth {topic.depth}{", transient local" if topic.latched else ""}'
         lines.append(f'| `{topic.name}` | `{topic.type_name}` | {qos} | {topic.description} |')
     lines += ['', '## Services', '', '| service | type | what |', '|---|---|---|']
     lines += [f'| `{s.name}` | `{s.type_name}` | {s.description} |' for s in SERVICES]

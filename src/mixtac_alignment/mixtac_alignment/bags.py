@@ -396,7 +396,7 @@ def rewrite_bag(bag: Path, fit: ClockFit, out: Path, reference: str, namespace: 
                 fit_topic,
                 topics.CLOCK_FIT.type_name,
                 typestore=types,
-                offered_qos_profiles=(offered_qos(reliable=True, latched=True),),
+                offered_qos_profiles=(offered_qos(latched=True),),
             )
             writer.write(fit_handle, source.start_ns, _fit_message(types, fit, source.start_ns))
             raw = copied.keys() - {reference}

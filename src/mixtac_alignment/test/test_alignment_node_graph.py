@@ -69,7 +69,7 @@ def test_each_published_topic_has_its_type_and_qos(graph: Any, owner: str):
         infos = graph.get_publishers_info_by_topic(wanted.resolved(NAMESPACE))
         assert [(info.node_name, info.topic_type) for info in infos] == [(owner, wanted.type_name)]
         qos = infos[0].qos_profile
-        assert (qos.reliability == ReliabilityPolicy.RELIABLE) == wanted.reliable
+        assert qos.reliability == ReliabilityPolicy.RELIABLE
         assert (qos.durability == DurabilityPolicy.TRANSIENT_LOCAL) == wanted.latched
 
 

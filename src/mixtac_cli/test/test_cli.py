@@ -103,9 +103,7 @@ def test_a_truncated_bag_is_one_line(ros_domain: dict[str, str], tmp_path: Path)
     from mixtac_recordings.bag_writer import BagWriter
 
     writer = BagWriter(tmp_path / 'bag')
-    writer.add_topic(
-        '/mixtac/force', 'geometry_msgs/msg/WrenchStamped', reliable=False, latched=False
-    )
+    writer.add_topic('/mixtac/force', 'geometry_msgs/msg/WrenchStamped', latched=False)
     writer.close()
     data = next((tmp_path / 'bag').glob('*.mcap'))
     data.write_bytes(data.read_bytes()[:-40])

@@ -58,7 +58,7 @@ def test_each_topic_has_its_type_and_qos(graph: Monitor, topic):
     for info in infos:
         assert info.topic_type == topic.type_name
         qos = info.qos_profile
-        assert (qos.reliability == ReliabilityPolicy.RELIABLE) == topic.reliable
+        assert qos.reliability == ReliabilityPolicy.RELIABLE
         assert (qos.durability == DurabilityPolicy.TRANSIENT_LOCAL) == topic.latched
 
 

@@ -46,14 +46,19 @@ class Interrupted(BaseException):
     """Ends a callback that has not returned in time after a signal."""
 
 
-def qos(topic: Topic) -> QoSProfile:
-    """Return the QoS profile of a topic, for publishers and subscriptions alike."""
+def qos(topic: Topic, *, offered: bool = False) -> QoSProfile:
+    """Return the QoS profile of a topic.
+
+    Args:
+        topic: The topic.
+        offered: Return the publisher's, which is reliable, so that every subscription gets its
+            messages (REP 2003); otherwise that of our subscriptions.
+    """
+    reliable = offered or topic.reliable
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=topic.depth,
-        reliability=(
-            ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT
-        ),
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=(
             DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
         ),
@@ -102,7 +107,8 @@ class BaseNode:
             managed: Create a lifecycle publisher, which publishes only while the node is active.
         """
         create = self.create_lifecycle_publisher if managed else self.create_publisher
-        return create(message_class(topic.type_name), name or topic.name, qos(topic))
+        profile = qos(topic, offered=True)
+        return create(message_class(topic.type_name), name or topic.name, profile)
 
     def subscribe_topic(
         self,

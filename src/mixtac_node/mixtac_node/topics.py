@@ -31,7 +31,8 @@ class Topic:
         name: Relative to the namespace, or absolute.
         type_name: For example `sensor_msgs/msg/Image`.
         description: What it carries, on which clock.
-        reliable: Reliability its publisher offers.
+        reliable: Whether our subscriptions ask for lost messages again; publishers always offer
+            to send them again.
         depth: Queue depth its publisher offers.
         latched: True for transient local.
         condition: Parameter that must be set for it to be published, empty for none.
@@ -111,9 +112,10 @@ IMAGE_EXPOSURE = Topic(
     'read-out on the camera clock.',
 )
 IMU = Topic(
-    'imu',
+    'imu/data_raw',
     'sensor_msgs/msg/Imu',
-    description='Acceleration [m/s^2] and angular velocity [rad/s]; stamp on the camera clock.',
+    description='Acceleration [m/s^2] and angular velocity [rad/s], no orientation; stamp on the '
+    'camera clock.',
 )
 TEMPERATURE = Topic(
     'temperature',

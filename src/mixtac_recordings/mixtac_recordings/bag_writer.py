@@ -137,20 +137,19 @@ class McapBag(Writer):
         if compressed:
             self.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
 
-    def add_topic(self, topic: str, type_name: str, *, reliable: bool, latched: bool) -> Connection:
+    def add_topic(self, topic: str, type_name: str, *, latched: bool) -> Connection:
         """Announce a topic and return the handle to write it with.
 
         Args:
             topic: Absolute topic name.
             type_name: For example `sensor_msgs/msg/Image`.
-            reliable: QoS the publisher offers, recorded for `ros2 bag play`.
-            latched: True for transient local.
+            latched: True for transient local, as `ros2 bag play` then offers it.
         """
         return self.add_connection(
             topic,
             type_name,
             typestore=typestore(),
-            offered_qos_profiles=(offered_qos(reliable=reliable, latched=latched),),
+            offered_qos_profiles=(offered_qos(latched=latched),),
         )
 
     def add_like(self, connection: Connection) -> Connection:
@@ -223,18 +222,17 @@ def repair(path: Path, out: Path) -> Repair:
         return Repair(counts, bag.damage)
 
 
-def offered_qos(*, reliable: bool, latched: bool) -> Qos:
+def offered_qos(*, latched: bool) -> Qos:
     """Return the QoS profile to record for a topic, for `ros2 bag play`.
 
     Args:
-        reliable: Reliability that its publisher offers.
         latched: True for transient local.
     """
     zero = QosTime(0, 0)
     return Qos(
         QosHistory.KEEP_LAST,
         1000,
-        QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+        QosReliability.RELIABLE,
         QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
         zero,
         zero,
@@ -286,10 +284,10 @@ class BagWriter:
         self._thread = threading.Thread(target=self._work, name='bag-writer')
         self._thread.start()
 
-    def add_topic(self, topic: str, type_name: str, *, reliable: bool, latched: bool) -> Connection:
+    def add_topic(self, topic: str, type_name: str, *, latched: bool) -> Connection:
         """Announce a topic and return the handle to write it with; see `McapBag.add_topic`."""
         self.written[topic] = 0
-        return self._writer.add_topic(topic, type_name, reliable=reliable, latched=latched)
+        return self._writer.add_topic(topic, type_name, latched=latched)
 
     def write(self, connection: Connection, timestamp: int, data: bytes) -> None:
         """Queue one serialised message, received at a host time [ns]."""

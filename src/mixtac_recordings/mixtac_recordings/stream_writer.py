@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class Bag(Protocol):
     """A bag to write to: `bag_writer.McapBag`, or `bag_writer.BagWriter` from a thread."""
 
-    def add_topic(self, topic: str, type_name: str, *, reliable: bool, latched: bool) -> Any:  # noqa: ANN401
+    def add_topic(self, topic: str, type_name: str, *, latched: bool) -> Any:  # noqa: ANN401
         """Announce a topic and return the handle to write it with."""
 
     def write(self, connection: Any, timestamp: int, data: bytes) -> None:  # noqa: ANN401
@@ -67,7 +67,6 @@ class StreamWriter:
             self._handles[topic.name] = self._bag.add_topic(
                 topic.resolved(self._namespace),
                 topic.type_name,
-                reliable=topic.reliable,
                 latched=topic.latched,
             )
 

@@ -70,12 +70,8 @@ def bag(tmp_path: Path) -> Path:
     path = tmp_path / 'bag'
     store = typestore()
     writer = BagWriter(path)
-    events = writer.add_topic(
-        '/mixtac/events', 'event_camera_msgs/msg/EventPacket', reliable=False, latched=False
-    )
-    force = writer.add_topic(
-        '/mixtac/force', 'geometry_msgs/msg/WrenchStamped', reliable=False, latched=False
-    )
+    events = writer.add_topic('/mixtac/events', 'event_camera_msgs/msg/EventPacket', latched=False)
+    force = writer.add_topic('/mixtac/force', 'geometry_msgs/msg/WrenchStamped', latched=False)
     rng = np.random.default_rng(1)
     for index in range(40):
         start = EPOCH_US + 1000 * index
@@ -145,7 +141,7 @@ def test_a_bag_that_was_not_closed_is_read_to_its_last_record(bag: Path, kept: f
 @pytest.mark.parametrize('size', [600_000, 1_500_000, 2_600_000])
 def test_whole_chunks_of_a_killed_recorder_are_read(tmp_path: Path, size: int):
     writer = BagWriter(tmp_path / 'bag')
-    topic = writer.add_topic('/image', 'sensor_msgs/msg/Image', reliable=False, latched=False)
+    topic = writer.add_topic('/image', 'sensor_msgs/msg/Image', latched=False)
     message = blank_message('sensor_msgs/msg/Image')
     message.data = np.zeros(100_000, np.uint8)
     data = bytes(typestore().serialize_cdr(message, 'sensor_msgs/msg/Image'))

@@ -264,7 +264,7 @@ from mixtac_recordings.bag import BagFile
 bag_writer.RESERVE = 1 << 20
 path = Path(sys.argv[1]) / 'bag'
 writer = bag_writer.BagWriter(path)
-topic = writer.add_topic('/x', 'std_msgs/msg/String', reliable=True, latched=False)
+topic = writer.add_topic('/x', 'std_msgs/msg/String', latched=False)
 number = 0
 while not writer.failure:
     writer.write(topic, 10**18 + number, os.urandom(10_000))

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from mixtac_events.arrays import Floats
-from mixtac_node.base_node import QOS_SENSOR, BaseNode, declare, run
+from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp, stamp_to_ns
 from mixtac_sim.arm.controller import JointTrajectoryController, Release, Trajectory
@@ -52,7 +52,7 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
         # Seconds since 1970 would round a cycle of 1 ms by 0.02 %, which looks like a jerk.
         self._origin_ns = self.get_clock().now().nanoseconds
         self._restart(READY, BEFORE_S)
-        self._states = self.create_publisher(JointState, parameters.joint_state_topic, QOS_SENSOR)
+        self._states = self.create_publisher(JointState, parameters.joint_state_topic, 10)
         self.create_subscription(
             JointTrajectory, parameters.trajectory_topic, self._on_trajectory, 10
         )

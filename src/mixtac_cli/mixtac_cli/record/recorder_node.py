@@ -29,12 +29,12 @@ from mixtac_cli.record.meter import EVEN, RecordingSummary, TopicMeter
 from mixtac_events.errors import MixtacError
 from mixtac_node.base_node import BaseNode, declare, run, secure_start
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS
+from mixtac_node.topics import DEFAULT_NAMESPACE, FORCE, IMAGE_RAW, IMU, REFERENCE, TOPICS
 from mixtac_recordings.bag_writer import BagWriter
 from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_recordings.recording import RecordingError
 
-CAMERA_CLOCK = ('image_raw', 'imu', 'force')
+CAMERA_CLOCK = (IMAGE_RAW.name, IMU.name, FORCE.name)
 """Topics whose stamps are on the camera clock, which is checked by them."""
 DEPTH = 1000
 """Least queue depth of a subscription: messages of about one second."""
@@ -128,7 +128,6 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
             self._connections[topic.name] = writer.add_topic(
                 topic.resolved(self.get_namespace()),
                 topic.type_name,
-                reliable=topic.reliable,
                 latched=topic.latched,
             )
         self._began_ns = time.time_ns()

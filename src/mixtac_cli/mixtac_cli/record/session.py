@@ -22,6 +22,7 @@ from mixtac_cli.options import JsonFile, Namespace
 from mixtac_cli.record.meter import RecordingSummary, TopicMeter
 from mixtac_cli.record.recorder_node import Listener, running_listener
 from mixtac_driver.doctor.computer import Finding, Level, ok
+from mixtac_node import topics
 from mixtac_node.files import write_json
 from mixtac_node.topics import DEFAULT_NAMESPACE, EVENTS, REFERENCE
 from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
@@ -32,7 +33,7 @@ DISCOVERY_S = 1.5
 REFRESH_S = 0.5
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 REQUIRED = ('events', 'image_raw')
-LEAST_HZ = {'events': 990.0, 'image_raw': 5.0, 'force': 490.0, 'imu': 50.0}
+LEAST_HZ = {'events': 990.0, 'image_raw': 5.0, 'force': 490.0, topics.IMU.name: 50.0}
 """Smallest expected rates [Hz]: packets every 1 ms, windows of 2 ms."""
 RESERVE_BYTES = 1 << 30
 SHORT_BYTES = 10 << 30

@@ -50,7 +50,7 @@ def image_message(types, image, stamp_ns, encoding='mono16'):
 def write_bag(path, images, topic=TOPIC):
     store = typestore()
     writer = BagWriter(path)
-    connection = writer.add_topic(topic, 'sensor_msgs/msg/Image', reliable=False, latched=False)
+    connection = writer.add_topic(topic, 'sensor_msgs/msg/Image', latched=False)
     for index, image in enumerate(images):
         stamp = 10**9 + index * PERIOD_NS
         message = image_message(store.types, image, stamp)

@@ -46,12 +46,12 @@ def test_topics_are_judged_by_publishers_arrivals_and_rates():
         meter('events', 2000),
         meter('image_raw', 0),
         meter('force', 100),
-        meter('imu', 2000, missing=3),
+        meter('imu/data_raw', 2000, missing=3),
         meter('slip', 0),
     ]
-    publishers = {'events': 1, 'image_raw': 1, 'force': 1, 'imu': 1, 'slip': 0}
+    publishers = {'events': 1, 'image_raw': 1, 'force': 1, 'imu/data_raw': 1, 'slip': 0}
     found = {f.name: f.level for f in check_topics(meters, publishers, 2.0)}
-    assert found == {'events': OK, 'image_raw': ERROR, 'force': WARN, 'imu': WARN}
+    assert found == {'events': OK, 'image_raw': ERROR, 'force': WARN, 'imu/data_raw': WARN}
 
 
 def test_no_sensor_and_two_sensors_are_errors():
@@ -66,7 +66,7 @@ def levels(*args, **options):
 
 
 def test_clocks_that_agree_pass_and_others_do_not():
-    near = {'image_raw': NOW_NS - 30_000_000, 'imu': NOW_NS - 2_000_000}
+    near = {'image_raw': NOW_NS - 30_000_000, 'imu/data_raw': NOW_NS - 2_000_000}
     assert levels(NOW_NS, near) == [OK]
     assert levels(NOW_NS, {**near, 'force': NOW_NS - 10**11}) == [ERROR, WARN]
     old = {name: stamp - 10**12 for name, stamp in near.items()}

@@ -44,7 +44,7 @@ def test_everything_is_published_on_one_clock(camera, graph):
     graph.listen(EventPacket, '/mixtac/events', QOS_EVENTS)
     graph.listen(Image, '/mixtac/image_raw', QOS_SENSOR)
     graph.listen(CameraInfo, '/mixtac/camera_info', QOS_SENSOR)
-    graph.listen(Imu, '/mixtac/imu', QOS_SENSOR)
+    graph.listen(Imu, '/mixtac/imu/data_raw', QOS_SENSOR)
     graph.listen(TimeReference, '/mixtac/camera_clock', QOS_LATCHED)
     graph.listen(DiagnosticArray, '/diagnostics', 10)
     graph.start(DRIVER, camera.device, 'background_activity_filter_enabled:=false')
@@ -64,11 +64,11 @@ def test_everything_is_published_on_one_clock(camera, graph):
     assert (pixels % 64 == 0).all()
     assert any((pixels >> 6 == sent).all() for sent in camera.scene.frames)
     now_us = time.time_ns() // 1000
-    for topic in ('/mixtac/image_raw', '/mixtac/imu'):
+    for topic in ('/mixtac/image_raw', '/mixtac/imu/data_raw'):
         assert abs(stamp_to_us(graph.got[topic][-1].header.stamp) - now_us) < 2_000_000
     stamps = {stamp_to_us(info.header.stamp) for info in graph.got['/mixtac/camera_info']}
     assert len(stamps & {stamp_to_us(each.header.stamp) for each in images}) > 2
-    imu = graph.got['/mixtac/imu'][-1]
+    imu = graph.got['/mixtac/imu/data_raw'][-1]
     assert imu.linear_acceleration.z == pytest.approx(9.81, rel=3e-3)
     assert imu.orientation_covariance[0] == -1.0
     clock = graph.got['/mixtac/camera_clock'][-1]

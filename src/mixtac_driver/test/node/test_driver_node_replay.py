@@ -51,13 +51,13 @@ def test_a_bag_is_published_as_it_was_recorded(node_under_test, bag):
     for kind, topic, qos in (
         (EventPacket, '/mixtac/events', QOS_EVENTS),
         (Image, '/mixtac/image_raw', QOS_SENSOR),
-        (Imu, '/mixtac/imu', QOS_SENSOR),
+        (Imu, '/mixtac/imu/data_raw', QOS_SENSOR),
         (DiagnosticArray, '/diagnostics', 10),
     ):
         graph.listen(kind, topic, qos)
     # Paused, so that nothing is played before the listener is known to the driver.
     graph.start(DRIVER, f'device:={bag}', 'playback_paused:=true')
-    topics = ('/mixtac/events', '/mixtac/image_raw', '/mixtac/imu')
+    topics = ('/mixtac/events', '/mixtac/image_raw', '/mixtac/imu/data_raw')
     graph.spin_until(lambda: all(graph.node.count_publishers(topic) for topic in topics))
     graph.spin_until(lambda: graph.diagnostics('mixtac/driver').get('playback') == 'paused')
     (result,) = change(graph, playback_paused=False)
@@ -75,7 +75,7 @@ def test_a_bag_is_published_as_it_was_recorded(node_under_test, bag):
     assert [stamp_to_us(image.header.stamp) for image in images] == list(FRAMES)
     values = [np.frombuffer(image.data, np.uint16)[0] >> 6 for image in images]
     assert values == list(range(len(FRAMES)))
-    stamps = [stamp_to_us(imu.header.stamp) for imu in graph.got['/mixtac/imu']]
+    stamps = [stamp_to_us(imu.header.stamp) for imu in graph.got['/mixtac/imu/data_raw']]
     assert stamps == [t_us + 1 for t_us in FRAMES]
     values = graph.diagnostics('mixtac/driver')
     assert values['level'] == '0'

@@ -128,7 +128,7 @@ def test_temperature_comes_ten_times_a_second(node):
     times = [stamp_to_us(message.header.stamp) for message in sent]
     assert np.diff(times).tolist() == [100_000] * 4
     assert sent[0].temperature == 30.0
-    assert node.topics['imu'].sent == []
+    assert node.topics['imu/data_raw'].sent == []
     publisher.publish(samples(1, np.nan), ORIGIN_US + 10**7)
     assert len(sent) == 5
 

@@ -18,7 +18,7 @@ from mixtac_events.arrays import Events
 from mixtac_events.clock_map import ClockMap
 from mixtac_events.packetizer import ENCODING, PACKET_BYTES, PACKET_PERIOD_US, Packetizer
 from mixtac_events.readings import NO_SAMPLES, Frame, InertialSamples, inertial_samples
-from mixtac_node.topics import CAMERA_FRAME, IMU_FRAME
+from mixtac_node.topics import CAMERA_FRAME, IMU, IMU_FRAME
 from mixtac_recordings import messages
 from mixtac_recordings.bag import blank_message
 from mixtac_sim.bags.messages import MessageSink, StampedRows, TrialClocks
@@ -176,7 +176,7 @@ class CameraMessages:
         numbers = np.tile(rows.numbers, (len(samples.t), 1))
         numbers[:, _ANGULAR], numbers[:, _LINEAR] = samples.angular_velocity, samples.acceleration
         data = rows.make(stamps_ns, numbers)
-        self._sink.put_rows(received.tolist(), 'imu', data)
+        self._sink.put_rows(received.tolist(), IMU.name, data)
         self._add_temperatures(samples, received)
 
     def _add_temperatures(self, samples: InertialSamples, received: NDArray[np.int64]) -> None:

@@ -163,7 +163,6 @@ def write_trial(spec: TrialSpec, folder: Path, *, compress: bool = False) -> int
                 each.name: writer.add_topic(
                     each.resolved(NAMESPACE),
                     each.type_name,
-                    reliable=each.reliable,
                     latched=each.latched,
                 )
                 for each in BAG_TOPICS

@@ -132,7 +132,7 @@ def test_inertial_samples_are_those_of_the_real_path(bag, decoded):
     times = np.concatenate([samples.t for samples in decoded[2]])
     linear = np.concatenate([samples.acceleration for samples in decoded[2]])
     angular = np.concatenate([samples.angular_velocity for samples in decoded[2]])
-    found = [message for _, _, message in bag.messages('/mixtac/imu')]
+    found = [message for _, _, message in bag.messages('/mixtac/imu/data_raw')]
     assert len(times) > 2700
     for index, message in enumerate(found[: len(times)]):
         assert stamp_ns(message) == 1000 * (times[index] + origin)
@@ -153,7 +153,7 @@ def test_messages_are_byte_for_byte_those_of_the_driver(folder, decoded):
     wanted = {
         '/mixtac/image_raw': image,
         '/mixtac/image_exposure': messages.frame_exposure(frame, origin, image),
-        '/mixtac/imu': messages.imu(samples, 0, origin, 'imu'),
+        '/mixtac/imu/data_raw': messages.imu(samples, 0, origin, 'imu'),
         '/mixtac/temperature': messages.temperature(
             float(samples.temperature[0]), int(samples.t[0]) + origin, 'imu'
         ),
