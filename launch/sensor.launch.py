@@ -69,8 +69,8 @@ ARGUMENTS = [
         'use_sim_time',
         default_value='false',
         choices=BOOLEAN,
-        description='Recordings: the driver publishes /clock, and the other nodes follow it; with '
-        'device:=none they follow that of the bag player',
+        description='All nodes but the driver follow /clock: of a recording, which the driver '
+        'plays, of the virtual sensor, or with device:=none of a bag player',
     ),
     *(
         DeclareLaunchArgument(

@@ -42,6 +42,7 @@ BENCHMARKS = {
     'align': f'{PACKAGE}.bench.align:align',
     'slip': f'{PACKAGE}.bench.slip:slip',
     'soak': f'{PACKAGE}.bench.soak:soak',
+    'starts': f'{PACKAGE}.bench.starts:starts',
     'limits': f'{PACKAGE}.bench.limits:limits',
     'realism': f'{PACKAGE}.bench.realism:realism',
 }

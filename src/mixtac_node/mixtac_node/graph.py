@@ -238,8 +238,8 @@ def sensor_graph(
         single_process: Run driver and estimator in one process.
         align: Add the nodes that align the reference force and publish the error against it.
         view: Add the live view.
-        simulated_time: The driver publishes `/clock`, or a bag player does without a driver, and
-            the other nodes follow it.
+        simulated_time: All nodes but the driver follow `/clock`, which the driver publishes of a
+            recording, the virtual sensor of its simulation, and a bag player without a driver.
         reference_topic: Topic of the reference force; empty keeps that of the parameter files.
 
     Raises:
@@ -248,6 +248,7 @@ def sensor_graph(
     reference = {'reference_topic': reference_topic} if reference_topic else {}
     nodes = []
     if is_virtual(device):
+        clock = {'publish_clock': True} if simulated_time else {}
         path = device.partition(':')[2]
         socket = {'socket': path} if path else {}
         nodes.append(
@@ -256,7 +257,7 @@ def sensor_graph(
                 'virtual_sensor_node',
                 'virtual_sensor',
                 required=True,
-                overrides={**socket, **reference, **(virtual_sensor or {})},
+                overrides={**socket, **reference, **clock, **(virtual_sensor or {})},
             )
         )
     if view:
@@ -266,9 +267,14 @@ def sensor_graph(
             NodeSpec('mixtac_alignment', 'alignment_node', 'alignment', overrides=reference),
             NodeSpec('mixtac_alignment', 'force_error_node', 'force_error'),
         ]
-    clock = {'playback_clock': True} if simulated_time else {}
+    clock = {'playback_clock': True} if simulated_time and not is_virtual(device) else {}
     follow = {'use_sim_time': True} if simulated_time else {}
-    nodes = [replace(node, overrides={**node.overrides, **follow}) for node in nodes]
+    nodes[:] = [
+        each
+        if each.name == 'virtual_sensor'
+        else replace(each, overrides={**each.overrides, **follow})
+        for each in nodes
+    ]
     # Nothing touches the virtual sensor before it is asked to, nor a sensor that is being recorded.
     recorded = simulated_time or not is_camera(device)
     free = {'assume_free': True} if recorded else {}
@@ -298,8 +304,8 @@ def sensor_graph(
     estimation = [driver_node, estimator_node]
     if single_process and simulated_time:
         raise GraphError(
-            'simulated time needs driver and estimator in two processes: the driver publishes the '
-            'clock and cannot follow it; leave out single_process'
+            'simulated time needs driver and estimator in two processes: the driver stays on the '
+            'host clock; leave out single_process'
         )
     return [*nodes, *([_in_one_process(estimation)] if single_process else estimation)]
 

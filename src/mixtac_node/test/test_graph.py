@@ -67,6 +67,13 @@ def test_simulated_time_comes_from_the_driver():
         sensor_graph('/some/bag', simulated_time=True, single_process=True)
 
 
+def test_simulated_time_of_the_virtual_sensor_is_its_own():
+    found = overrides(sensor_graph('virtual', align=True, simulated_time=True))
+    assert found['virtual_sensor'] == {'publish_clock': True}
+    assert 'playback_clock' not in found['driver']
+    assert all(found[name]['use_sim_time'] for name in ('alignment', 'force_error', 'fger'))
+
+
 def test_without_a_driver_all_nodes_follow_the_clock_of_the_bag_player():
     nodes = sensor_graph('none', align=True, simulated_time=True)
     assert names(nodes) == ['alignment', 'force_error', 'fger']

@@ -74,7 +74,11 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
             meanwhile, 30 s at most. Gestures and camera settings during a scenario are delayed by
             up to twice this time
         slow_host: What happens when the host does not keep up: drop loses data, as a real camera
-            does; wait stops simulated time of camera, truth and reference until it does
+            does; wait stops simulated time of camera, truth and reference until it does. Stamps of
+            the camera and the reference lie in the past by as much as time has stopped, of which a
+            warning tells
+        publish_clock: Publish simulated time on /clock, for nodes with use_sim_time, so that a slow
+            host slows down all nodes alike
         play_on_start: Play the scenario once a driver reads the camera
         loop: Repeat the scenario without end, each time with a new seed
         reference_topic: Topic of the reference force sensor
@@ -86,6 +90,7 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
     seconds: float = parameter(25.0, unit='s', within=(10.0, 3600.0))
     lead_seconds: float = parameter(2.0, unit='s', within=(0.0, 30.0))
     slow_host: str = fixed('drop', choices=('drop', 'wait'))
+    publish_clock: bool = fixed(False)
     play_on_start: bool = parameter(False)
     loop: bool = parameter(False)
     reference_topic: str = fixed(topics.REFERENCE)

@@ -13,11 +13,12 @@ from typing import Any, Final
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
-from mixtac_node.base_node import QOS_FORCE, BaseNode, answering, declare, run
+from mixtac_node.base_node import CLOCK, QOS_FORCE, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp
 from mixtac_sim.live.simulation_process import SimulationProcess
@@ -31,13 +32,15 @@ from mixtac_sim.world.profiles import make_profile
 
 # Samples go out in small batches, as real force sensors' drivers do: it saves wake-ups.
 PUBLISH_PERIOD_S: Final = 0.004
+WARNING_PERIOD_S: Final = 5.0
+WARNING_US: Final = 100_000
 
 
 class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
     """Runs a virtual sensor, serves its camera and publishes the measurements of a bench.
 
-    Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time), both best
-    effort. Service ``~/play`` plays the scenario; ``~/press``, ``~/load``, ``~/drop``,
+    Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time). Service
+    ``~/play`` plays the scenario; ``~/press``, ``~/load``, ``~/drop``,
     ``~/vibrate``, ``~/slide``, ``~/torsion`` and ``~/release`` do what the parameters say.
     ``~/force_command`` sets a force [N] that fades when no new one comes.
 
@@ -64,7 +67,6 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             process=process,
             patient=self._settings.slow_host == 'wait',
         )
-        self._server = UsbServer(self._sensor.device, path)
         self._reference = self.publish_topic(
             topics.REFERENCE_WRENCH, name=self._settings.reference_topic
         )
@@ -77,8 +79,13 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         self._command = self.create_subscription(
             WrenchStamped, '~/force_command', self._on_force, QOS_FORCE
         )
-        self._diagnostics = DiagnosticsPublisher(self, self._sensor.device.serial, self._status)
+        clock = self._settings.publish_clock
+        self._time = self.create_publisher(Clock, CLOCK, 10) if clock else None
         self._sensor.start()
+        # The first step compiles: a driver that came before would miss the data.
+        self._server = UsbServer(self._sensor.device, path)
+        self._lost_us = 0
+        self._diagnostics = DiagnosticsPublisher(self, self._sensor.device.serial, self._status)
         self._thread = Thread(target=self._publish_all, name='publish', daemon=True)
         self._thread.start()
         self.get_logger().info(
@@ -128,6 +135,8 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
                 publish_wrenches(self._reference, batch, self._settings.reference_frame_id)
             for batch in self._sensor.take_truth():
                 publish_wrenches(self._truth, batch, self._settings.truth_frame_id)
+            if self._time is not None:
+                self._time.publish(Clock(clock=ns_to_stamp(self._sensor.time_ns())))
             self._play_if_due()
 
     def _play_if_due(self) -> None:
@@ -140,6 +149,13 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
     def _status(self) -> Status:
         state = self._sensor.state()
         losses = self._sensor.device.losses
+        if state.lost_us > self._lost_us + WARNING_US:
+            self._lost_us = state.lost_us
+            self.get_logger().warning(
+                'the host is too slow for real time: simulated time, and all stamps of camera and '
+                f'reference, lie {1e-6 * state.lost_us:.1f} s behind the host clock',
+                throttle_duration_sec=WARNING_PERIOD_S,
+            )
         if not state.running:
             return Status(ERROR, 'SIMULATED sensor, stopped by an internal error: see the log', {})
         lossless = not any(losses.values()) and not state.overruns

@@ -13,6 +13,7 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from mixtac_node.base_node import QOS_FORCE
@@ -80,6 +81,15 @@ def test_publishes_reference_and_truth_and_plays_on_request(graph, path):
     assert values['simulated'] == 'True'
     assert graph.stop()[0] == 0
     assert not list(camera.enumerate_devices())
+
+
+def test_its_clock_stands_still_with_simulated_time(graph, path):
+    got = graph.listen(Clock, '/clock', 10)
+    graph.start(NODE, f'socket:={path}', 'publish_clock:=true', 'slow_host:=wait')
+    graph.spin_until(lambda: len(got) > 50 and graph.got[REFERENCE])
+    newest_ns = [stamp_to_ns(each.clock) for each in got]
+    assert newest_ns == sorted(newest_ns)
+    assert newest_ns[-1] <= time.time_ns()
 
 
 def test_touches_on_request_and_follows_commanded_forces(graph, path):

@@ -268,8 +268,8 @@ def run_force(load: Load, seconds: float, *, together: bool) -> dict[str, Any]:
         together: Run driver and estimator in one process.
 
     Returns:
-        `single_process`, the figures of `programs.probe_node.force_figures`, `cpu` by process and
-        `cpu_total`.
+        `single_process`, the figures of `programs.probe_node.force_figures`, `cpu` by process,
+        `cpu_total`, and for separate processes `driver_core_share_per_mev_s`.
 
     Raises:
         GraphError: A process did not start, or no force arrived.
@@ -297,7 +297,10 @@ def run_force(load: Load, seconds: float, *, together: bool) -> dict[str, Any]:
             'no force arrived', remedy='run `mixtac up --device virtual` and read /diagnostics'
         )
     cpu = {node.name: shares[node.name] for node in nodes}
-    return {'single_process': together, **figures, 'cpu': cpu, 'cpu_total': sum(cpu.values())}
+    report = {'single_process': together, **figures, 'cpu': cpu, 'cpu_total': sum(cpu.values())}
+    if not together:
+        report['driver_core_share_per_mev_s'] = cpu['driver'] / (load.rate / 1e6)
+    return report
 
 
 def summarise(runs: Sequence[Mapping[str, Any]], rate: float) -> dict[str, Any]:
@@ -307,7 +310,9 @@ def summarise(runs: Sequence[Mapping[str, Any]], rate: float) -> dict[str, Any]:
         kind = [run for run in runs if run['single_process'] == together]
         if not kind:
             continue
-        keys = (*AGES, 'force_rate_hz', 'cpu_total')
+        keys = [*AGES, 'force_rate_hz', 'cpu_total']
+        if not together:
+            keys.append('driver_core_share_per_mev_s')
         summary[name] = {key: float(np.median([run[key] for run in kind])) for key in keys}
         summary[name]['windows_missing'] = sum(run['windows_missing'] for run in kind)
     return {'simulated_camera': True, 'events_per_s': rate, **summary, 'runs': list(runs)}

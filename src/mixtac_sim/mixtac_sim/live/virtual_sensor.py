@@ -251,6 +251,14 @@ class VirtualSensor:
     def _next_start_us(self) -> int:
         return self._simulated_us + 2 * _CHUNK_US
 
+    def time_ns(self) -> int:
+        """Return the time up to which everything was handed over; it never runs backwards.
+
+        Returns:
+            Host time at the start, plus simulated time since [ns since the Unix epoch].
+        """
+        return self._clock.start_epoch_ns + 1000 * self._due_us
+
     def take_truth(self) -> list[WrenchSamples]:
         """Return the true wrench at 1 kHz since the last call, stamped in host time."""
         return self._take(self._truth)
