@@ -3,8 +3,8 @@
 """The recurrent path and the uncertainty head, compiled: what runs 500 times a second.
 
 Memory is fixed; nothing is allocated per window. The torch network of `mixtac_learning.network` is
-the reference that this is tested against. Only `EventGain` has no part there: it is what a sensor
-shows of itself while it runs.
+the reference that this is tested against. Only `EventResponse` has no part there: it is what a
+sensor shows of itself while it runs.
 """
 
 from __future__ import annotations
@@ -66,8 +66,10 @@ class StepState(NamedTuple):
         event_output: Scratch.
         gates: Scratch.
         increment_hidden: Scratch.
-        gain: Gain of slow increments, and the increment that is half slow and half fast [N].
-        increments: Sums of the slow and of the fast increments of the network [N], float64, [2].
+        response: Gain of slow increments; play [N]; increment that is half slow and half fast [N];
+            slow increments that complete half a reversal [N]. See `EventResponse`.
+        increments: Sums of the slow and of the fast increments of the network [N], and the
+            direction of motion, -1 to 1; float64, [3].
     """
 
     hidden: F32
@@ -78,7 +80,7 @@ class StepState(NamedTuple):
     event_output: F32
     gates: F32
     increment_hidden: F32
-    gain: F32
+    response: F32
     increments: NDArray[np.float64]
 
 
@@ -113,6 +115,8 @@ def correction_weights(tensors: Tensors) -> CorrectionWeights:
 
 FAST_INCREMENT = 0.1
 """Increment of a window that is half slow and half fast [N]: 50 N/s. Only blows are faster."""
+REVERSAL_N = 0.03
+"""Increments after which half of the pixels have followed a reversal [N]."""
 
 
 def step_state(weights: StepWeights, unit: float = 1.0) -> StepState:
@@ -129,8 +133,8 @@ def step_state(weights: StepWeights, unit: float = 1.0) -> StepState:
         weights.increment_hidden.shape[1],
     )
     scratch: list[Any] = [np.zeros(size, np.float32) for size in sizes]
-    gain = np.array([1.0, unit * FAST_INCREMENT], np.float32)
-    return StepState._make([*scratch, gain, np.zeros(2)])
+    response = np.array([1.0, 0.0, unit * FAST_INCREMENT, unit * REVERSAL_N], np.float32)
+    return StepState._make([*scratch, response, np.zeros(3)])
 
 
 @njit(cache=True, nogil=True, fastmath={'contract'})
@@ -193,10 +197,14 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
     total = weights.increment_output_bias[0]
     for index in range(state.increment_hidden.shape[0]):
         total += state.increment_hidden[index] * weights.increment_output[index]
-    slow = np.float32(1.0) / (np.float32(1.0) + (total / state.gain[1]) ** 2)
-    state.increments[0] += slow * total
-    state.increments[1] += total - slow * total
-    state.force[0] += total + (state.gain[0] - np.float32(1.0)) * slow * total
+    gain, play, fast, reversal = state.response
+    slow = total / (np.float32(1.0) + (total / fast) ** 2)
+    direction = min(max(state.increments[2] + slow / reversal, -1.0), 1.0)
+    turned = direction - state.increments[2]
+    state.increments[0] += slow
+    state.increments[1] += total - slow
+    state.increments[2] = direction
+    state.force[0] += total + (gain - np.float32(1.0)) * slow + play * turned
 
 
 @njit(cache=True, nogil=True)
@@ -269,18 +277,22 @@ def deviation(state: F32, force: float, weights: DeviationWeights) -> Any:  # no
     return weights.scale[0] * np.exp(bounded)
 
 
-class EventGain:
-    r"""How much a sensor's events say, by its frames.
+class EventResponse:
+    r"""How the events of a sensor answer to force, by its frames: their gain and their play.
 
     Contrast thresholds, gels and beads differ from sensor to sensor, and with them the sum of
-    increments that events give for a change of force. From one frame to the next,
+    increments that events give for a change of force. And events have play, like a worn gear: after
+    a reversal a pixel is silent until the contrast has moved by a threshold or two, so that what
+    events tell lags behind. From one frame to the next,
 
-    .. math:: \Delta F - B = g A,
+    .. math:: \Delta F - B = g A + p \, \Delta s,
 
     where F is the corrected force at the centre of the exposure, A the sum of the slow increments
-    between the two centres and B that of the fast ones. g follows from least squares, in which
-    frames are forgotten with `KEPT` each, and which begins at one with the weight of a change of
-    `PRIOR_N`: it is pulled towards one, so that noise, or events that are wrong, do little. Blows
+    between the two centres and B that of the fast ones. s is the direction of the motion: it
+    follows the increments, `REVERSAL_N` from the middle to an end, and stops at -1 and 1. g and p
+    follow from least squares, in which frames are forgotten with `KEPT` each. It begins at g = 1
+    and p = 0, with the weight of a change of `PRIOR_N` and of the square root of `PRIOR_TURNS`
+    half reversals, and is pulled there, so that noise, or events that are wrong, do little. Blows
     have no part: their events saturate, and no frame shows them.
 
     Args:
@@ -288,43 +300,47 @@ class EventGain:
     """
 
     PRIOR_N: Final = 1.0
+    PRIOR_TURNS: Final = 20.0
     KEPT: Final = 0.998
     LOWEST: Final = 0.5
     HIGHEST: Final = 2.0
+    WIDEST_N: Final = 0.15
     LARGEST_N: Final = 1.0
 
     def __init__(self, unit: float = 1.0) -> None:
         self._unit = unit
-        self._square = self._product = 0.0
-        self._before: tuple[float, float, float] | None = None
+        self._prior = np.array([(unit * self.PRIOR_N) ** 2, self.PRIOR_TURNS])
+        self._squares, self._products = np.zeros((2, 2)), np.zeros(2)
+        self._before: tuple[float, NDArray[np.float64]] | None = None
 
     @property
-    def value(self) -> float:
-        """The gain."""
-        prior = (self._unit * self.PRIOR_N) ** 2
-        gain = (prior + self._product) / (prior + self._square)
-        return min(max(gain, self.LOWEST), self.HIGHEST)
+    def values(self) -> tuple[float, float]:
+        """The gain, and the play: half the way that events lose in a reversal [N]."""
+        squares = self._squares + np.diag(self._prior)
+        gain, play = np.linalg.solve(squares, self._products + self._prior * (1.0, 0.0)).tolist()
+        widest = self._unit * self.WIDEST_N
+        return min(max(gain, self.LOWEST), self.HIGHEST), min(max(play, 0.0), widest)
 
     def forget_frame(self) -> None:
-        """Begin anew with the next frame; the gain stays, which is the sensor's."""
+        """Begin anew with the next frame; gain and play stay, which are the sensor's."""
         self._before = None
 
-    def frame(self, force: float, slow: float, fast: float) -> None:
+    def frame(self, force: float, increments: NDArray[np.float64]) -> None:
         """Take a frame.
 
         Args:
             force: Corrected force at the centre of its exposure [N].
-            slow: Sum of slow increments up to there [N].
-            fast: Sum of fast increments up to there [N].
+            increments: `StepState.increments` at that time; copied.
         """
-        before, self._before = self._before, (force, slow, fast)
+        before, self._before = self._before, (force, increments.copy())
         if before is None:
             return
-        told = slow - before[1]
-        change = force - before[0] - (fast - before[2])
-        if max(abs(told), abs(change)) < self._unit * self.LARGEST_N:
-            self._square = self.KEPT * self._square + told * told
-            self._product = self.KEPT * self._product + told * change
+        slow, fast, turned = increments - before[1]
+        change = force - before[0] - fast
+        if max(abs(slow), abs(change)) < self._unit * self.LARGEST_N:
+            told = np.array([slow, turned])
+            self._squares = self.KEPT * self._squares + np.outer(told, told)
+            self._products = self.KEPT * self._products + change * told
 
 
 SETTLE_WINDOWS = 100
@@ -347,9 +363,9 @@ class RecurrentPath:
         self._deviation = deviation_weights(tensors) if config.deviation_size else None
         self._state = step_state(self._weights, config.force_unit)
         self._history = np.zeros(config.history_windows, np.float32)
-        self._increments = np.zeros((config.history_windows, 2))
+        self._increments = np.zeros((config.history_windows, 3))
         self._newest = 0
-        self._gain = EventGain(config.force_unit)
+        self._response = EventResponse(config.force_unit)
 
     @property
     def force(self) -> float:
@@ -357,9 +373,10 @@ class RecurrentPath:
         return float(self._state.force[0])
 
     @property
-    def event_gain(self) -> float:
-        """Gain of the events of this sensor; see `EventGain`."""
-        return float(self._state.gain[0])
+    def event_response(self) -> tuple[float, float]:
+        """Gain of the events of this sensor, and their play [N]; see `EventResponse`."""
+        gain, play = self._state.response[:2].tolist()
+        return gain, play
 
     @property
     def deviation(self) -> float | None:
@@ -369,12 +386,12 @@ class RecurrentPath:
         return float(deviation(self._state.hidden, self._state.force[0], self._deviation))
 
     def clear(self) -> None:
-        """Forget everything but the gain of the events: no force, no memory."""
-        gain = self._state.gain.copy()
+        """Forget everything but the response of the events: no force, no memory."""
+        response = self._state.response.copy()
         for part in self._state:
             part[:] = 0.0
-        self._state.gain[:] = gain
-        self._gain.forget_frame()
+        self._state.response[:] = response
+        self._response.forget_frame()
         self._history[:] = 0.0
         self._increments[:] = 0.0
 
@@ -405,8 +422,8 @@ class RecurrentPath:
         place = (self._newest - min(max(lag, 0), size - 1)) % size
         then = self._history[place]
         change = correction(then, frame_feature, self._correction)
-        self._gain.frame(float(then + change), *self._increments[place].tolist())
-        self._state.gain[0] = self._gain.value
+        self._response.frame(float(then + change), self._increments[place])
+        self._state.response[:2] = self._response.values
         self._history += np.float32(change)
         self._state.force[0] += change
         return float(change)

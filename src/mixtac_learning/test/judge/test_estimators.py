@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from mixtac_fger.recurrent_network import EventGain
+from mixtac_fger.recurrent_network import EventResponse
 from mixtac_learning.judge.estimators import stream
 from mixtac_learning.train.batches import stack
 from mixtac_learning.train.stages import estimate
@@ -17,11 +17,12 @@ from mixtac_learning.trials.samples import make_sample
 
 @pytest.fixture
 def exact(monkeypatch):
-    """Compare the live estimator with the batch network, which neither rounds nor learns a gain."""
+    """Compare the live estimator with the batch network, which neither rounds nor learns."""
     monkeypatch.setattr('mixtac_learning.trials.samples.STORED', np.float32)
     monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_WINDOWS', 1)
-    monkeypatch.setattr(EventGain, 'LOWEST', 1.0)
-    monkeypatch.setattr(EventGain, 'HIGHEST', 1.0)
+    monkeypatch.setattr(EventResponse, 'LOWEST', 1.0)
+    monkeypatch.setattr(EventResponse, 'HIGHEST', 1.0)
+    monkeypatch.setattr(EventResponse, 'WIDEST_N', 0.0)
 
 
 @pytest.mark.usefixtures('exact')

@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Gain and play of the events of a sensor: recovered, bounded, and without a part in blows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mixtac_fger.config import CELL_FEATURES, FgerConfig
+from mixtac_fger.recurrent_network import (
+    REVERSAL_N,
+    EventResponse,
+    RecurrentPath,
+    advance,
+    step_state,
+    step_weights,
+)
+
+
+def after(changes, told, *, fast=0.0, turns=0.0, unit: float = 1.0) -> tuple[float, float]:
+    """Return gain and play after frames between which the force changed and events told of it."""
+    response = EventResponse(unit)
+    same = np.broadcast_to(fast, len(changes)), np.broadcast_to(turns, len(changes))
+    forces, *sums = np.cumsum(np.stack([changes, told, *same]), axis=1)
+    for force, increments in zip(forces.tolist(), np.stack(sums, axis=1), strict=True):
+        response.frame(force, increments)
+    return response.values
+
+
+@given(true=st.floats(0.5, 2.0), noise=st.floats(0.0, 0.01), seed=st.integers(0, 1000))
+@settings(deadline=None, max_examples=40)
+def test_the_gain_of_a_sensor_is_found(true, noise, seed):
+    random = np.random.default_rng(seed)
+    told = random.normal(0.0, 0.3, 300)
+    changes = true * told + random.normal(0.0, noise, 300)
+    assert after(changes, told)[0] == pytest.approx(true, abs=0.1)
+
+
+@pytest.mark.parametrize('play', [0.0, 0.03, 0.08])
+def test_the_play_of_a_sensor_is_found(play):
+    """The play operator is the oracle; there is a frame every 20 windows, as in use."""
+    true = 0.3 * np.sin(0.05 * np.arange(20000))
+    told, direction = np.zeros((2, 20000))
+    response = EventResponse()
+    for index in range(1, 20000):
+        told[index] = np.clip(told[index - 1], true[index] - play, true[index] + play)
+        turn = (told[index] - told[index - 1]) / REVERSAL_N
+        direction[index] = np.clip(direction[index - 1] + turn, -1.0, 1.0)
+        if index % 20 == 0:
+            response.frame(float(true[index]), np.array([told[index], 0.0, direction[index]]))
+    gain, found = response.values
+    # Less, because nothing is told while the play is crossed.
+    assert 0.5 * play <= found <= play
+    late = slice(10000, None)
+    before = np.std((true - told)[late])
+    assert np.std((true - gain * told - found * direction)[late]) <= 0.65 * before
+
+
+def test_it_is_least_squares_with_a_prior():
+    random = np.random.default_rng(1)
+    told, noise = random.normal(0.0, 0.1, (2, 40))
+    turns = random.normal(0.0, 1.0, 40)
+    changes = 0.7 * told + 0.05 * turns + 0.1 * noise
+    # The first frame has none before it.
+    weight = EventResponse.KEPT ** (0.5 * np.arange(39)[::-1])
+    rows = np.vstack(
+        [
+            weight[:, None] * np.stack([told, turns], axis=1)[1:],
+            np.diag([EventResponse.PRIOR_N, EventResponse.PRIOR_TURNS**0.5]),
+        ]
+    )
+    target = np.append(weight * changes[1:], [EventResponse.PRIOR_N, 0.0])
+    expected = np.linalg.lstsq(rows, target, rcond=None)[0]
+    assert after(changes, told, turns=turns) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_sensor_at_rest_keeps_its_response():
+    random = np.random.default_rng(2)
+    gain, play = after(*random.normal(0.0, 0.003, (2, 500)), turns=random.normal(0.0, 0.1, 500))
+    assert gain == pytest.approx(1.0, abs=0.06)
+    assert play < 0.001
+
+
+def test_events_that_contradict_count_as_little_as_possible():
+    told = np.random.default_rng(3).normal(0.0, 0.2, 300)
+    assert after(-told, told)[0] == EventResponse.LOWEST
+    assert after(9.0 * told, told)[0] == EventResponse.HIGHEST
+    turns = np.random.default_rng(4).normal(0.0, 1.0, 300)
+    assert after(told - 0.2 * turns, told, turns=turns)[1] == 0.0
+    assert after(told + 0.2 * turns, told, turns=turns)[1] == EventResponse.WIDEST_N
+
+
+def test_blows_have_no_part():
+    random = np.random.default_rng(4)
+    told = random.normal(0.0, 0.1, 100)
+    blow = np.where(np.arange(100) % 10 == 5, 5.0, 0.0)
+    assert after(0.8 * told + blow, told, fast=blow) == pytest.approx(after(0.8 * told, told))
+    gain, _ = after(0.8 * told + blow, told)
+    assert gain == pytest.approx(after(0.8 * told, told)[0], abs=0.03)
+
+
+@given(unit=st.floats(0.2, 5.0))
+@settings(deadline=None, max_examples=20)
+def test_the_unit_of_the_force_makes_no_difference(unit):
+    told, turns = np.random.default_rng(5).normal(0.0, (0.2, 1.0), (50, 2)).T
+    changes = 0.7 * told + 0.05 * turns
+    gain, play = after(changes, told, turns=turns)
+    found = after(unit * changes, unit * told, turns=turns, unit=unit)
+    assert found == pytest.approx((gain, unit * play))
+
+
+def test_frames_before_a_hole_are_not_compared_with_those_behind_it():
+    response = EventResponse()
+    response.frame(0.0, np.zeros(3))
+    response.forget_frame()
+    response.frame(0.5, np.array([0.1, 0.0, 0.0]))
+    assert response.values == (1.0, 0.0)
+    response.frame(0.7, np.array([0.2, 0.0, 0.0]))
+    assert response.values[0] > 1.0
+
+
+@given(
+    gain=st.floats(0.5, 2.0),
+    play=st.floats(0.0, 0.15),
+    size=st.floats(0.01, 3000.0),
+    seed=st.integers(0, 100),
+)
+@settings(deadline=None, max_examples=30)
+def test_slow_increments_are_multiplied_and_fast_ones_are_not(model, gain, play, size, seed):
+    config = FgerConfig.from_dict(model.config)
+    weights = step_weights(model.tensors)
+    state = step_state(weights)
+    state.response[:2] = gain, play
+    shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
+    features = np.random.default_rng(seed).normal(0.0, size, shape).astype(np.float32)
+    advance(features, weights, state)
+    slow, fast, direction = state.increments
+    expected = gain * slow + fast + play * direction
+    assert state.force[0] == pytest.approx(expected, rel=1e-4, abs=1e-6)
+    total = slow + fast
+    assert slow == pytest.approx(total / (1.0 + (total / state.response[2]) ** 2), rel=1e-4)
+    assert direction == pytest.approx(np.clip(slow / state.response[3], -1.0, 1.0), rel=1e-5)
+
+
+def test_the_response_outlives_a_restart_of_the_state(model):
+    config = FgerConfig.from_dict(model.config)
+    path = RecurrentPath(config, model.tensors)
+    random = np.random.default_rng(6)
+    shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
+    path.start_at(0.0)
+    for _ in range(40):
+        for _ in range(20):
+            path.step(random.normal(0.0, 3.0, shape).astype(np.float32))
+        path.correct(random.normal(0.0, 3.0, config.frame_size).astype(np.float32), 10)
+    learned = path.event_response
+    assert learned[0] != 1.0
+    path.clear()
+    path.start_at(0.3)
+    assert path.event_response == learned
+    assert path.force == pytest.approx(0.3)
