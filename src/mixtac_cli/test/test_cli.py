@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -78,20 +76,6 @@ def up_with_model(env: dict[str, str], tmp_path: Path, model: Path):
 def test_a_missing_model_is_named(ros_domain: dict[str, str], tmp_path: Path):
     result = up_with_model(ros_domain, tmp_path, tmp_path / 'nowhere.safetensors')
     assert_one_clear_line(result, 'fger', 'nowhere.safetensors')
-
-
-@pytest.mark.dds
-def test_a_model_of_another_architecture_is_named(ros_domain: dict[str, str], tmp_path: Path):
-    header = json.dumps(
-        {
-            '__metadata__': {'architecture': 'resnet18'},
-            'weight': {'dtype': 'F32', 'shape': [1], 'data_offsets': [0, 4]},
-        }
-    ).encode()
-    other = tmp_path / 'other.safetensors'
-    other.write_bytes(struct.pack('<Q', len(header)) + header + b'\0\0\0\0')
-    result = up_with_model(ros_domain, tmp_path, other)
-    assert_one_clear_line(result, 'fger', 'resnet18')
 
 
 def test_evaluating_a_missing_model_is_one_line(ros_domain: dict[str, str], tmp_path: Path):
