@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 INTERFACE = json.loads((ROOT / 'test' / 'interface.json').read_text())
 RETIRED: dict[str, str] = {
     'imu': 'a topic without orientation is imu/data_raw by REP 145',
+    'alignment/reference': 'reference/wrench, a topic of the sensor rather than of a node',
 }
 """Retired name and the reason."""
 

@@ -48,7 +48,7 @@ RESTART_NS = 1_000_000_000
 class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
     """Keeps events, force and frames of the last minutes; fits both clocks when `~/fit` is called.
 
-    From then on the reference force is republished on the camera clock as `~/reference`.
+    From then on the reference force is republished on the camera clock as `reference/wrench`.
     """
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self.create_subscription(
             TimeReference, 'reference_edges', self._on_reference_edge, QOS_FORCE
         )
-        self._aligned = self.publish_topic(topics.ALIGNMENT_REFERENCE, name='~/reference')
+        self._aligned = self.publish_topic(topics.ALIGNMENT_REFERENCE)
         self._publisher = self.publish_topic(topics.CLOCK_FIT)
         self.create_service(Trigger, '~/fit', answering(self._on_fit))
         self._diagnostics = DiagnosticsPublisher(self, 'alignment', self._status)

@@ -62,7 +62,7 @@ class Peer:
         """Check that a sample comes back on the camera clock."""
         from mixtac_node.base_node import QOS_FORCE
 
-        heard = self.graph.listen(self._wrench, '/mixtac/alignment/reference', QOS_FORCE)
+        heard = self.graph.listen(self._wrench, '/mixtac/reference/wrench', QOS_FORCE)
         sent_s = float(case.reference_s(np.array(3.0)))
         self.graph.spin_until(lambda: heard, lambda: self._send_force(sent_s, 0.5))
         stamp = heard[0].header.stamp

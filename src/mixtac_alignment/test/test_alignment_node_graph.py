@@ -19,7 +19,7 @@ pytestmark = pytest.mark.dds
 NAMESPACE = 'left/finger'
 REFERENCE = '/other/wrench'
 PUBLISHED = {
-    'alignment': ('clock_fit', 'alignment/reference'),
+    'alignment': ('clock_fit', 'reference/wrench'),
     'force_error': ('force_error/mae', 'force_error/rmse'),
 }
 WRENCH = 'geometry_msgs/msg/WrenchStamped'
@@ -34,7 +34,7 @@ SUBSCRIBED = {
     },
     'force_error': {
         f'/{NAMESPACE}/force': WRENCH,
-        f'/{NAMESPACE}/alignment/reference': WRENCH,
+        f'/{NAMESPACE}/reference/wrench': WRENCH,
     },
 }
 

@@ -23,7 +23,7 @@ def test_running_errors_are_published(node_under_test: Any) -> None:
     node_under_test.start('mixtac_alignment.force_error_node')
     make = node_under_test.node.create_publisher
     estimate = make(WrenchStamped, '/mixtac/force', QOS_FORCE)
-    reference = make(WrenchStamped, '/mixtac/alignment/reference', QOS_FORCE)
+    reference = make(WrenchStamped, '/mixtac/reference/wrench', QOS_FORCE)
     heard = node_under_test.listen(Float64, '/mixtac/force_error/mae', QOS_FORCE)
     count = 0
 

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.dds
 OTHER_GRAPHS = {
     'clock_fit',
     'slip',
-    'alignment/reference',
+    'reference/wrench',
     'force_error/mae',
     'force_error/rmse',
 }

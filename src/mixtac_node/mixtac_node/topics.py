@@ -189,7 +189,7 @@ CLOCK_FIT = Topic(
     description='Map from the camera clock to the reference clock (alignment node).',
 )
 ALIGNMENT_REFERENCE = Topic(
-    'alignment/reference',
+    'reference/wrench',
     'geometry_msgs/msg/WrenchStamped',
     depth=100,
     description='The reference force, stamps on the camera clock, once there is a fit '
