@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of events without ROS: encoded, decoded, and read from serialised messages.
+"""Packets of events without ROS: encoded, decoded, read from serialised messages and written.
 
 At 1000 packets per second, converting messages to Python objects costs more than processing them.
 A node that subscribes with ``raw=True`` gets the serialised bytes (CDR, OMG Common Data
 Representation, little-endian in practice) and reads the fields from them here without copying the
-events.
+events. The driver writes these bytes itself, and publishes them as they are.
 """
 
 from __future__ import annotations
@@ -68,7 +68,9 @@ _START: Final = 4
 _STAMP_AND_LENGTH = struct.Struct('<iII')
 _SIZE = struct.Struct('<II')
 _NUMBERS = struct.Struct('<QQI')
+_TWO_NUMBERS = struct.Struct('<QQ')
 _LENGTH = struct.Struct('<I')
+_STAMP = {1: struct.Struct('<iI'), 0: struct.Struct('>iI')}
 
 
 @dataclass(slots=True, eq=False)
@@ -133,12 +135,46 @@ def read_packet(data: bytes) -> SerialisedPacket:
     return SerialisedPacket(stamp_ns, seq, time_base, encoding, width, height, is_bigendian, events)
 
 
+class PacketWriter:
+    """Writes the serialised messages that `read_packet` reads. For one thread.
+
+    Args:
+        frame_id: Frame of the camera.
+        encoding: Encoding of all packets.
+        size: Columns and rows of the sensor.
+    """
+
+    def __init__(self, frame_id: str, encoding: str, size: tuple[int, int]) -> None:
+        width, height = size
+        frame, name = (text.encode() + b'\0' for text in (frame_id, encoding))
+        head = CDR_LITTLE_ENDIAN + bytes(2) + _STAMP_AND_LENGTH.pack(0, 0, len(frame)) + frame
+        head = head.ljust(_aligned(len(head), 4), b'\0') + _SIZE.pack(height, width)
+        head = head.ljust(_aligned(len(head), 8), b'\0')
+        self._numbers_at = len(head)
+        little_endian = bytes(1)
+        head += _NUMBERS.pack(0, 0, len(name)) + name + little_endian
+        head = head.ljust(_aligned(len(head), 4), b'\0')
+        self._length_at = len(head)
+        self._head = bytearray(head + _LENGTH.pack(0))
+
+    def write(self, packet: EncodedPacket, seq: int, stamp_ns: int) -> bytes:
+        """Return the message of a packet.
+
+        Args:
+            packet: The packet.
+            seq: Its number.
+            stamp_ns: Its arrival on the host [ns, host clock].
+        """
+        head = self._head
+        _STAMP[1].pack_into(head, _START, *divmod(stamp_ns, 1_000_000_000))
+        _TWO_NUMBERS.pack_into(head, self._numbers_at, seq, packet.time_base)
+        _LENGTH.pack_into(head, self._length_at, len(packet.payload))
+        return b''.join((head, packet.payload.data))
+
+
 def _aligned(at: int, size: int) -> int:
     """Return the next place that is a multiple of `size` from the start of the content."""
     return at + (_START - at) % size
-
-
-_STAMP = {1: struct.Struct('<iI'), 0: struct.Struct('>iI')}
 
 
 def header_stamp_ns(data: bytes) -> int:

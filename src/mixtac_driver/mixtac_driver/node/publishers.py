@@ -23,6 +23,7 @@ from mixtac_driver.parameters import DeviceParameters, DriverParameters
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.packetizer import Packetizer
+from mixtac_events.packets import PacketWriter
 from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node import topics
 from mixtac_node.images import compress, fill, set_octets
@@ -53,6 +54,7 @@ class EventPublisher:
         self._publisher = node.publish_topic(topic)
         self._sequence = 0
         self._packetizer: Packetizer | None = None
+        self._writer: PacketWriter | None = None
 
     @property
     def wanted(self) -> bool:
@@ -72,14 +74,14 @@ class EventPublisher:
             arrival_ns: Host time of their arrival [ns since the Unix epoch].
             size: Width and height of the event array.
         """
-        if self._packetizer is None:
+        if self._packetizer is None or self._writer is None:
             period_us = round(self._p.event_message_time_threshold * 1e6)
             most_bytes = self._p.event_message_size_threshold
             self._packetizer = Packetizer(self._p.encoding, period_us, most_bytes)
+            self._writer = PacketWriter(self._p.camera_frame_id, self._p.encoding, size)
         for packet in self._packetizer.push(events, time_us, arrival_ns):
-            self._publisher.publish(
-                messages.event_packet(packet, self._sequence, size, self._p.camera_frame_id)
-            )
+            message = self._writer.write(packet.encoded, self._sequence, packet.arrival_ns)
+            self._publisher.publish(message)
             self._sequence += 1
             if self._meters is not None:
                 self._meters.packets.add()

@@ -33,6 +33,7 @@ from mixtac_driver.node.status import DriverMeters
 from mixtac_driver.parameters import DriverParameters
 from mixtac_events.arrays import Events
 from mixtac_events.codec import decode_message
+from mixtac_events.packets import read_packet
 from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node import topics
 from mixtac_node.images import decompress_grey
@@ -206,8 +207,9 @@ def test_packets_after_a_pause_begin_where_the_stream_is(node):
     before = len(topic.sent)
     publisher.restart()
     publish(ORIGIN_US + 10**6)
-    decoded = [decode_message(message) for message in topic.sent]
-    assert [message.seq for message in topic.sent] == list(range(len(topic.sent)))
+    packets = [read_packet(message) for message in topic.sent]
+    decoded = [decode_message(packet) for packet in packets]
+    assert [packet.seq for packet in packets] == list(range(len(packets)))
     assert decoded[before].events.t[0] == ORIGIN_US + 10**6
     ends = [each.complete_until for each in decoded]
     assert ends == sorted(ends)
@@ -252,7 +254,7 @@ def test_events_and_frames_come_at_undistorted_pixels(node, identity, tmp_path):
     events = Events(t, x, y, np.array([True, True, False]))
     publisher.publish_events(events, ORIGIN_US + 1, 0, (346, 260))
     publisher.publish_events(Events.empty(), ORIGIN_US + 2000, 0, (346, 260))
-    got = decode_message(node.topics['events_rect'].sent[0]).events
+    got = decode_message(read_packet(node.topics['events_rect'].sent[0])).events
     assert list(zip(got.x.tolist(), got.y.tolist(), strict=True)) == [(30, 35), (10, 5)]
     assert got.t[0] == ORIGIN_US
     image = np.zeros((260, 346), np.uint16)
