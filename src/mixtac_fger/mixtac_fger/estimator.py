@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_checkable
 
 from mixtac_fger.config import ModelError
 from mixtac_fger.validity import Reason
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
     from mixtac_events.arrays import Events
     from mixtac_fger.comparisons import PictureFigures
+    from mixtac_fger.contact_tracking import Contact, Touch
+    from mixtac_fger.displacement import SkinScale
     from mixtac_fger.reference import Reference
     from mixtac_fger.weights import Model, ModelCard
 
@@ -48,6 +50,7 @@ class EncodedFrame:
         contrast: Coarse log contrast, float32 [rows, columns]; None of an architecture that does
             not compute it, whose frames are not compared with the events.
         picture: What it has in common with the reference; None without one.
+        touch: Displacement of the beads and contact; None unless asked for.
     """
 
     mid_us: int
@@ -56,6 +59,7 @@ class EncodedFrame:
     content: Any
     contrast: NDArray[np.float32] | None = None
     picture: PictureFigures | None = None
+    touch: Touch | None = None
 
 
 class Estimator(Protocol):
@@ -128,6 +132,18 @@ class Estimator(Protocol):
         """Forget the recurrent state: no force, nothing remembered. The latest frame is kept."""
 
 
+@runtime_checkable
+class FindsContact(Protocol):
+    """What an estimator has besides whose frames tell where the contact is."""
+
+    @property
+    def flow(self) -> NDArray[np.float32]:
+        """Flow of the latest window, [rows, columns, 2] of the event grid [px per threshold]."""
+
+    def find_contacts(self, scale: SkinScale | None) -> None:
+        """Measure displacement and contact of frames from now on; None ends it."""
+
+
 def open_estimator(model: Model) -> Estimator:
     """Return a new estimator of a model, by the architecture that its weight file names.
 
@@ -167,6 +183,7 @@ class Estimate(NamedTuple):
         complete: All packets of the window arrived.
         saturated: Whether the sensor's readout has probably lost events because there were so many.
         reason: Why the force cannot be trusted; `Reason.TRUSTED` if nothing was found.
+        contact: State and place of the contact; None unless asked for.
     """
 
     end_us: int
@@ -176,6 +193,7 @@ class Estimate(NamedTuple):
     complete: bool = True
     saturated: bool = False
     reason: Reason = Reason.TRUSTED
+    contact: Contact | None = None
 
     @property
     def valid(self) -> bool:

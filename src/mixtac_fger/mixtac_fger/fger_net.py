@@ -32,6 +32,7 @@ from mixtac_fger.config import (
     operations_per_cycle,
     tensor_shapes,
 )
+from mixtac_fger.contact_tracking import TouchMeter
 from mixtac_fger.estimator import EncodedFrame
 from mixtac_fger.features import EventGuide, FramePreparation, WindowFeatures
 from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_events.arrays import Events
+    from mixtac_fger.displacement import SkinScale
     from mixtac_fger.estimator import Image
     from mixtac_fger.weights import Model
 
@@ -161,6 +163,7 @@ class FgerEstimator:
         self._features = np.zeros(self._window_features.shape, np.float32)
         self._guide: EventGuide | None = None
         self._pending_n, self._pending_windows = 0.0, 0
+        self._touch: TouchMeter | None = None
 
     @property
     def width(self) -> int:
@@ -192,6 +195,16 @@ class FgerEstimator:
         """Floating-point operations per frame interval of 40 ms."""
         return operations_per_cycle(self.config)
 
+    @property
+    def flow(self) -> NDArray[np.float32]:
+        """Flow of the latest window, [rows, columns, 2] of the event grid [px per threshold]."""
+        return self._features[..., :2]
+
+    def find_contacts(self, scale: SkinScale | None) -> None:
+        """Measure displacement and contact of frames from now on; None ends it."""
+        with self._encoding:
+            self._touch = None if scale is None else TouchMeter(self.config, scale)
+
     def encode(self, image: Image, mid_us: int) -> EncodedFrame | None:
         """Compare a frame with the reference; the number of its bits does not matter.
 
@@ -210,7 +223,9 @@ class FgerEstimator:
             force = frame_step(inputs, self._weights, self._maps, self._scratch, feature)
             guide = self._preparation.guide(contrast)
             content = _Content(feature, guide)
-            return EncodedFrame(mid_us, float(force), number, content, contrast.coarse, picture)
+            coarse = contrast.coarse
+            touch = None if self._touch is None else self._touch.measure(reference, coarse)
+            return EncodedFrame(mid_us, float(force), number, content, coarse, picture, touch)
 
     def correct(self, frame: EncodedFrame, lag: int) -> None:
         """Correct the estimate at the centre of the exposure, and with it all later ones."""

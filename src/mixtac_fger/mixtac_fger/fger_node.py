@@ -10,15 +10,17 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import PointStamped, WrenchStamped
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_srvs.srv import Trigger
 
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError, SerialisedPacket, read_packet
 from mixtac_fger.config import ModelError
+from mixtac_fger.contact_messages import fill_cloud, fill_contact, fill_field, fill_point, metric
 from mixtac_fger.estimator import (
     CameraFacts,
     check_camera,
@@ -31,7 +33,7 @@ from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import TareError, reference_name, stored_reference
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import find_model, read_model
-from mixtac_msgs.msg import ForceQuality
+from mixtac_msgs.msg import Contact, ForceQuality
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
     from event_camera_msgs.msg import EventPacket
     from lifecycle_msgs.srv import ChangeState
     from numpy.typing import NDArray
-    from sensor_msgs.msg import CameraInfo, CompressedImage, Image, TimeReference
+    from sensor_msgs.msg import CameraInfo, CompressedImage, TimeReference
 
     from mixtac_fger.estimator import Estimate, Estimator
     from mixtac_fger.weights import Model
@@ -102,6 +104,9 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._inputs: list[object] = []
         self._force: Any = None
         self._quality: Any = None
+        self._contact: tuple[Any, ...] = ()
+        self._field: tuple[Any, ...] = ()
+        self._lens, self._field_us = (0.0, (0.0, 0.0)), 0
         self._message = ForceMessage(self._settings.frame_id)
         self._diagnostics = DiagnosticsPublisher(self, self._settings.model, self._status)
         self.create_service(Trigger, '~/tare', self._tare)
@@ -144,6 +149,12 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._model, self._estimator, self._misfit = model, estimator, ''
         self._force = self.publish_topic(topics.FORCE, managed=True)
         self._quality = self.publish_topic(topics.FORCE_QUALITY, managed=True)
+        if settings.contact or settings.displacement != 'off':
+            outputs = (topics.CONTACT, topics.CONTACT_POINT)
+            self._contact = tuple(self.publish_topic(each, managed=True) for each in outputs)
+        if settings.displacement != 'off':
+            outputs = (topics.DISPLACEMENT, topics.DISPLACEMENT_POINTS)
+            self._field = tuple(self.publish_topic(each, managed=True) for each in outputs)
         self._diagnostics.hardware_id = settings.model
         return super().on_configure(state)
 
@@ -155,8 +166,10 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._trusted = None
         if self._reference is not None and self._estimator.reference is not None:
             self._estimator.reference.use(self._reference)
+        contact = settings.contact_settings(*self._lens) if self._contact else None
+        options = settings.estimator_options()
         self._feed = LiveFeed(
-            ForceEstimator(self._estimator, background_frames=True, **settings.estimator_options()),
+            ForceEstimator(self._estimator, background_frames=True, contact=contact, **options),
             deadline_s=settings.deadline,
         )
         freeze_loaded()
@@ -200,9 +213,10 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
 
     def _end(self) -> None:
         self.close()
-        for publisher in (self._force, self._quality):
+        for publisher in (self._force, self._quality, *self._contact, *self._field):
             if publisher is not None:
                 self.destroy_publisher(publisher)
+        self._contact = self._field = ()
         self._force = self._quality = self._model = self._estimator = None
 
     def _LifecycleNodeMixin__on_change_state(  # noqa: N802 - rclpy's own name for it
@@ -257,6 +271,8 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         whole = (0, 0, info.width, info.height), (0, 0, 0, 0)
         region = info.roi
         part = (region.x_offset, region.y_offset, region.width, region.height)
+        if info.k[0] > 0.0:
+            self._lens = float(info.k[0]), (float(info.k[2]), float(info.k[5]))
         cut = max(info.binning_x, info.binning_y) > 1 or part not in whole
         self._take(replace(self._camera, width=info.width, height=info.height, cut=cut))
 
@@ -325,11 +341,58 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if self._quality.get_subscription_count():
             for estimate in estimates:
                 self._quality.publish(self._quality_of(estimate))
+        self._publish_contact(feed, estimates)
+        if self._field:
+            self._publish_field(feed, estimates[-1].end_us)
+
+    def _publish_contact(self, feed: LiveFeed, estimates: list[Estimate]) -> None:
+        wanted = [each.get_subscription_count() for each in self._contact]
+        tracker = feed.estimator.contact
+        if not any(wanted) or tracker is None:
+            return
+        where = tracker.settings.scale, feed.estimator.size
+        for estimate in estimates:
+            found = estimate.contact
+            if found is None:
+                continue
+            if wanted[0]:
+                message = self._stamped(Contact(), estimate.end_us)
+                fill_contact(message, found, estimate.frame_age_us, *where)
+                self._contact[0].publish(message)
+            if wanted[1] and found.shape is not None:
+                place = self._stamped(PointStamped(), estimate.end_us)
+                fill_point(place.point, found)
+                self._contact[1].publish(place)
+
+    def _publish_field(self, feed: LiveFeed, end_us: int) -> None:
+        """Publish the displacement of a new frame, or of each window."""
+        tracker = feed.estimator.contact
+        if tracker is None or tracker.touch is None:
+            return
+        carried = self._settings.displacement == 'windows'
+        stamp_us = end_us if carried else tracker.frame_us
+        wanted = [each.get_subscription_count() for each in self._field]
+        if stamp_us == self._field_us or not any(wanted):
+            return
+        self._field_us = stamp_us
+        field, scale = tracker.touch.field, tracker.settings.scale
+        moved = metric(tracker.moved() if carried else field.moved, scale)
+        if wanted[0]:
+            image = self._stamped(Image(), stamp_us)
+            fill_field(image, moved)
+            self._field[0].publish(image)
+        if wanted[1]:
+            cloud = self._stamped(PointCloud2(), stamp_us)
+            fill_cloud(cloud, moved, field, scale, feed.estimator.size, PointField)
+            self._field[1].publish(cloud)
+
+    def _stamped(self, message: Any, stamp_us: int) -> Any:  # noqa: ANN401
+        message.header.stamp = us_to_stamp(stamp_us)
+        message.header.frame_id = self._settings.frame_id
+        return message
 
     def _quality_of(self, estimate: Estimate) -> ForceQuality:
-        message = ForceQuality()
-        message.header.stamp = us_to_stamp(estimate.end_us)
-        message.header.frame_id = self._settings.frame_id
+        message = self._stamped(ForceQuality(), estimate.end_us)
         fill_quality(message, estimate)
         return message
 

@@ -7,11 +7,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
+from mixtac_fger.contact_tracking import ContactSettings
+from mixtac_fger.displacement import skin_scale
 from mixtac_fger.weights import DEFAULT_MODEL
 from mixtac_node.parameters import fixed, parameter
 
 POLICIES: Final = ('withhold', 'hold', 'publish')
 """What becomes of a force that cannot be trusted; the first is the default."""
+DISPLACEMENT: Final = ('off', 'frames', 'windows')
+"""When the displacement of the beads is published; the first is the default."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,16 @@ class FgerParameters:
             are the reference where no reference is named. Set by `mixtac up` and the launch files
             for the virtual sensor and recordings.
         contact_threshold: Forces above this count as contact; ~/tare is refused during contact.
+        contact: Find where the sensor is touched, and publish `contact` and `contact_point` to
+            those who subscribe. Takes effect at the next activation, as the next five.
+        contact_on: Force from which on `contact` says that something touches the sensor.
+        contact_off: Force below which it says that nothing does any more.
+        object_radius: Radius of curvature of what touches the sensor. Where it is known, the area
+            of the contact is more accurate; 0 if it is not.
+        px_per_mm: Scale of the picture at the skin on the optical axis, where it was measured. 0 is
+            that of the camera's calibration (6 %), or the usual one (8 %).
+        displacement: Publish the displacement of the beads since the reference: `frames` at the
+            rate of the frames, `windows` also at 500 Hz, carried by events.
         tare_on_release: Tare after each contact, once the sensor has been free and still for 2 s.
             It removes slow drift of lamp, temperature and gel, and also a contact below about 0.1 N
             that stays after a release.
@@ -61,12 +75,23 @@ class FgerParameters:
     reference: str = parameter('')
     assume_free: bool = parameter(False)
     contact_threshold: float = parameter(0.15, unit='N', within=(0.01, 10.0))
+    contact: bool = parameter(True)
+    contact_on: float = parameter(0.03, unit='N', within=(0.005, 10.0))
+    contact_off: float = parameter(0.02, unit='N', within=(0.0, 10.0))
+    object_radius: float = parameter(0.0, unit='mm', within=(0.0, 1000.0))
+    px_per_mm: float = parameter(0.0, unit='px/mm', within=(0.0, 1000.0))
+    displacement: str = parameter('off', choices=DISPLACEMENT)
     tare_on_release: bool = parameter(False)
     invalid_force: str = parameter('withhold', choices=POLICIES)
     stale_frame_age: float = parameter(0.2, unit='s', within=(0.05, 60.0))
     image_transport: str = parameter('raw', choices=('raw', 'compressed'))
     longest_without_frame: float = parameter(2.0, unit='s', within=(0.05, 3600.0))
     deadline: float = parameter(0.003, unit='s', within=(0.0005, 1.0))
+
+    def contact_settings(self, focal_px: float, axis_px: tuple[float, float]) -> ContactSettings:
+        """Return how contacts are found by a camera; see `mixtac_fger.displacement.skin_scale`."""
+        scale = skin_scale(self.px_per_mm, focal_px, axis_px)
+        return ContactSettings(self.contact_on, self.contact_off, self.object_radius, scale)
 
     def estimator_options(self) -> dict[str, Any]:
         """Return the options of `mixtac_fger.streaming.ForceEstimator`, by name."""

@@ -35,7 +35,8 @@ from mixtac_events.arrays import Events
 from mixtac_events.codec import decode, encode
 from mixtac_events.windows import WindowSlicer
 from mixtac_fger import comparisons
-from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus
+from mixtac_fger.contact_tracking import ContactTracker
+from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, FindsContact
 from mixtac_fger.features import ImageError, correction_lag
 from mixtac_fger.reference import Reference, TareError, ZeroWatch
 from mixtac_fger.validity import (
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_fger.comparisons import PictureFigures
+    from mixtac_fger.contact_tracking import ContactSettings
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
 
 
@@ -257,8 +259,11 @@ class ForceEstimator:
         assume_free: Nothing touches the sensor at the start. Otherwise the forces are not valid
             until the reference is a stored one or `tare` has been called.
         tare_on_release: See below.
+        contact: How contacts are found; None for no contact and no displacement, as of an
+            architecture whose frames do not tell them.
 
     Attributes:
+        contact: State and place of the contact, and the displacement of the beads; None for none.
         force_scale: Factor of the estimates, from the calibration of the sensor; may be changed at
             any time, as the next two.
         contact_threshold_n: Estimates above this count as contact, in which `tare` refuses [N].
@@ -278,6 +283,7 @@ class ForceEstimator:
         stale_frame_us: int = STALE_FRAME_US,
         assume_free: bool = False,
         tare_on_release: bool = False,
+        contact: ContactSettings | None = None,
     ) -> None:
         self.force_scale = force_scale
         self.tare_on_release = tare_on_release
@@ -285,6 +291,12 @@ class ForceEstimator:
         self.longest_without_frame_us = longest_without_frame_us
         self.stale_frame_us = stale_frame_us
         self._estimator = estimator
+        self._finder: FindsContact | None = None
+        self.contact: ContactTracker | None = None
+        if contact is not None and isinstance(estimator, FindsContact):
+            estimator.find_contacts(contact.scale)
+            self._finder = estimator
+            self.contact = ContactTracker(contact, estimator.flow.shape[:2])
         if estimator.reference is not None:
             estimator.reference.assume_free = assume_free
         self._width_us = estimator.window_us
@@ -536,7 +548,10 @@ class ForceEstimator:
         count.incomplete += not complete
         count.saturated += saturated
         count.invalid += reason is not Reason.TRUSTED
-        return Estimate(end_us, force, deviation, age_us, complete, saturated, reason)
+        found = None
+        if self.contact is not None and self._finder is not None:
+            found = self.contact.window(end_us, self._finder.flow, force)
+        return Estimate(end_us, force, deviation, age_us, complete, saturated, reason, found)
 
     def _check(self, frame: EncodedFrame, then: float | None) -> None:
         self._validity.frame(frame.mid_us, frame.contrast, frame.picture, frame.force, then)
@@ -600,6 +615,8 @@ class ForceEstimator:
             self._check(frame, then)
             self._estimator.correct(frame, lag)
         self._frame = frame
+        if self.contact is not None and frame.touch is not None:
+            self.contact.frame(frame.mid_us, frame.touch)
         self._saturated = False
         self._count.frames += 1
         if self.tare_on_release and self._zero.due:
@@ -613,6 +630,8 @@ class ForceEstimator:
         self._recent.clear()
         self._encoded.clear()
         self._frame = None
+        if self.contact is not None:
+            self.contact.clear()
 
 
 WARM_UP_START_US = 1_000_000

@@ -153,6 +153,35 @@ FORCE_QUALITY = Topic(
     'age of the latest frame, whether all events arrived, and whether the force is valid or why '
     'not. Also while invalid forces are withheld.',
 )
+CONTACT = Topic(
+    'contact',
+    'mixtac_msgs/msg/Contact',
+    depth=100,
+    condition='contact',
+    description='Whether and where something touches the sensor, the area and its axes, in the '
+    'contact frame, at 500 Hz; stamp as of `force`.',
+)
+CONTACT_POINT = Topic(
+    'contact_point',
+    'geometry_msgs/msg/PointStamped',
+    depth=100,
+    condition='contact',
+    description='Place of the contact [m] while it is known, with the stamp of its `contact`.',
+)
+DISPLACEMENT = Topic(
+    'displacement',
+    'sensor_msgs/msg/Image',
+    condition='displacement',
+    description='With `displacement`: that of the beads since the reference, along x and y of the '
+    'contact frame [m], `32FC2`, a value every 8 px; stamp on the camera clock.',
+)
+DISPLACEMENT_POINTS = Topic(
+    'displacement/points',
+    'sensor_msgs/msg/PointCloud2',
+    condition='displacement',
+    description='With `displacement`: the same as points with `x`, `y`, `z`, `dx`, `dy` [m] and '
+    '`confidence` (0 to 1), in the contact frame.',
+)
 ForceMessage: TypeAlias = 'WrenchStamped'
 """Message of `FORCE` and of the reference force sensors."""
 

@@ -11,6 +11,7 @@ makes, and motion away from the centre of the contact, which pressing makes.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -30,6 +31,8 @@ LOG_FLOOR: Final = 0.05
 """Added to the relative intensity before the logarithm, so that dark pixels count little."""
 RIDGE: Final = 1e-3
 """Regularisation over the mean of the normal matrix' diagonal."""
+LEAST_MOVE_PX: Final = 4.0
+"""Distance by which a contact has to move to be followed [px]: less changes no weight by 5 %."""
 MODES: Final = 3
 """Translation along x and y, and pressing."""
 
@@ -62,6 +65,15 @@ class GuideMaker:
     def __init__(self, parameters: SlipControlParameters) -> None:
         self.parameters = parameters
         self._size = (0, 0)
+        self._centre: tuple[float, float] | None = None
+
+    def contact_at(self, column: float, row: float) -> None:
+        """Set where the contact is in the image [px], unless parameters say; for later frames."""
+        before, p = self._centre, self.parameters
+        if max(p.contact_column, p.contact_row) >= 0.0:
+            return
+        if before is None or math.dist(before, (column, row)) > LEAST_MOVE_PX:
+            self._centre, self._size = (column, row), (0, 0)
 
     def make(self, image: NDArray[np.uint8] | NDArray[np.uint16], frame_us: int) -> FlowGuide:
         """Return the guide of a frame.
@@ -96,8 +108,9 @@ class GuideMaker:
         height, width = size
         shape = (height // BIN, width // BIN)
         p = self.parameters
-        column = p.contact_column if p.contact_column >= 0.0 else width / 2.0
-        row = p.contact_row if p.contact_row >= 0.0 else height / 2.0
+        column, row = self._centre or (width / 2.0, height / 2.0)
+        column = p.contact_column if p.contact_column >= 0.0 else column
+        row = p.contact_row if p.contact_row >= 0.0 else row
         # 90 px on the DAVIS346, for which it was chosen; the same part of any other image.
         reach = p.contact_reach or 9.0 * min(size) / 26.0
         across = (BIN * np.arange(shape[1]) + 0.5 * (BIN - 1) - column) / reach
@@ -227,6 +240,15 @@ class SlipFeatures:
                 'columns: set the camera to full resolution'
             )
         self._guide = self._maker.make(image, frame_us)
+
+    def contact_at(self, column: float, row: float) -> None:
+        """Set where the contact is in the image [px], unless parameters say; from the next frame.
+
+        Ignored where it lies outside of the image.
+        """
+        height, width = self._size or (0, 0)
+        if 0.0 <= column < width and 0.0 <= row < height:
+            self._maker.contact_at(column, row)
 
     def lost_before(self, time_us: int) -> None:
         """Note that events before a time (camera clock [us]) are missing."""

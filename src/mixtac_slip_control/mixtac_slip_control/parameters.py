@@ -68,8 +68,9 @@ class SlipControlParameters:
             which also fires when the force merely changes.
         window: Counting window. Longer windows scatter less and answer later; gains and thresholds
             are per window.
-        contact_column: Column of the contact in the image; -1 is the middle of the image.
-        contact_row: Row of the contact in the image; -1 is the middle of the image.
+        contact_column: Column of the contact in the image; -1 is where `contact` says, and the
+            middle of the image before it does.
+        contact_row: Row of the contact in the image; -1 likewise.
         contact_reach: Distance from the contact over which the motion of the skin falls to 1/e.
             Smaller uses fewer beads, larger adds noise. 0 is 9/26 of the shorter side of the image
             (90 px on a DAVIS346).

@@ -21,7 +21,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError
-from mixtac_msgs.msg import ForceQuality, SlipState
+from mixtac_msgs.msg import Contact, ForceQuality, SlipState
 from mixtac_node import topics
 from mixtac_node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
@@ -78,6 +78,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self.subscribe_topic(topics.EVENTS, self._on_events)
         self.subscribe_topic(topics.IMAGE_RAW, self._on_image)
         self.subscribe_topic(topics.FORCE, self._on_force)
+        if max(p.contact_column, p.contact_row) < 0.0:
+            self.subscribe_topic(topics.CONTACT, self._on_contact)
         self.subscribe_topic(topics.FORCE_QUALITY, self._on_quality)
         self.create_subscription(Empty, p.heartbeat_topic, self._on_heartbeat, QOS_SENSOR)
         self.create_timer(WATCH_PERIOD_S, self._watch)
@@ -150,6 +152,10 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         stamp_us = stamp_to_us(message.header.stamp)
         self._controller.on_force(topics.normal_force(message), stamp_us, self._now_s())
         self._brake()
+
+    def _on_contact(self, message: Contact) -> None:
+        if message.located:
+            self._controller.features.contact_at(message.column, message.row)
 
     def _on_quality(self, message: ForceQuality) -> None:
         untrusted = '' if message.valid else REASONS.get(message.reason, 'unknown reason')

@@ -105,6 +105,34 @@ def test_counts_come_without_frames_and_lost_packets_are_marked() -> None:
     assert not any(w.guided or w.flow_x or w.flow_y for w in windows)
 
 
+def test_a_contact_off_the_middle_is_measured_where_it_is() -> None:
+    away_x, away_y = COLUMNS - 120.0, ROWS - 90.0
+    patch = np.exp(-(away_x**2 + away_y**2) / 90.0**2)
+    push = 0.4 / 90.0 * patch
+    events = events_of(push * away_x, push * away_y)
+    sizes = []
+    for place in (None, (120.0, 90.0), (-50.0, 90.0)):
+        features = SlipFeatures(SlipControlParameters())
+        features.resize(WIDTH, HEIGHT)
+        if place is not None:
+            features.contact_at(*place)
+        features.frame(np.round(REST).astype(np.uint16), 0)
+        (window,) = features.push(events, 1000)
+        sizes.append(np.hypot(window.flow_x, window.flow_y) / window.pressing)
+    # A press beside the middle looks like slip there; a place outside of the image is none.
+    assert sizes[1] < 0.15 < sizes[0]
+    assert sizes[2] == pytest.approx(sizes[0])
+
+
+def test_parameters_fix_the_place_of_the_contact() -> None:
+    fixed = SlipFeatures(SlipControlParameters(contact_column=173.0, contact_row=130.0))
+    fixed.resize(WIDTH, HEIGHT)
+    fixed.contact_at(60.0, 60.0)
+    fixed.frame(np.round(REST).astype(np.uint16), 0)
+    (window,) = fixed.push(events_of(0.4 * PATCH, STILL), 1000)
+    assert window.flow_x == pytest.approx(0.4 / CONTRAST, rel=0.15)
+
+
 def test_an_old_frame_is_not_used() -> None:
     features = SlipFeatures(SlipControlParameters())
     features.frame(np.round(REST).astype(np.uint16), 0)

@@ -159,6 +159,8 @@ class Received:
         slip_count: Events per counting window over arrival.
         slip_threshold: The count above which the object slips.
         slipping: Latest result of the slip detection, None before the first.
+        contact: Latest contact, None before the first.
+        displacement: Latest displacement of the beads, None once drawn.
         frame: Latest frame, None once drawn.
         frames: Frames received.
         nodes: Level (0 ok, 1 warning, 2 error, 3 stale) and message of the nodes, by name.
@@ -170,6 +172,8 @@ class Received:
     slip_count: Curve = field(default_factory=Curve)
     slip_threshold: Curve = field(default_factory=Curve)
     slipping: bool | None = None
+    contact: Any = None
+    displacement: Any = None
     frame: Any = None
     frames: int = 0
     nodes: dict[str, tuple[int, str]] = field(default_factory=dict)
@@ -184,6 +188,14 @@ class Received:
         self.slip_count.add(arrival_ns, float(message.count))
         self.slip_threshold.add(arrival_ns, float(message.threshold))
         self.slipping = bool(message.slipping)
+
+    def on_contact(self, message: Any) -> None:  # noqa: ANN401
+        """Keep a `mixtac_msgs/Contact`."""
+        self.contact = message
+
+    def on_field(self, message: Any) -> None:  # noqa: ANN401
+        """Keep the displacement of the beads, a `sensor_msgs/Image` 32FC2."""
+        self.displacement = message
 
     def on_diagnostics(self, message: Any) -> None:  # noqa: ANN401
         """Keep a `diagnostic_msgs/DiagnosticArray`."""
@@ -251,6 +263,37 @@ def _mixed(colour: Colour, shade: float) -> Colour:
     return red, green, blue
 
 
+FIELD_PX = 8
+"""Distance of the points of a displacement in the camera's image [px]."""
+EXAGGERATION = 5.0
+"""Factor by which arrows are longer than the displacement."""
+OUTLINE = np.linspace(0.0, 2.0 * np.pi, 33)
+
+
+def contact_outline(message: Any) -> NDArray[np.float64]:  # noqa: ANN401
+    """Return the ellipse of a `mixtac_msgs/Contact` in the image, columns and rows [33, 2]."""
+    along, across = message.major * np.cos(OUTLINE), message.minor * np.sin(OUTLINE)
+    cos, sin = np.cos(message.angle), np.sin(message.angle)
+    x, y = cos * along - sin * across, sin * along + cos * across
+    # Rows count downwards, y upwards.
+    return np.stack([message.column + message.scale * x, message.row - message.scale * y], axis=1)
+
+
+def field_arrows(message: Any, scale: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # noqa: ANN401
+    """Return starts and vectors of the arrows of a displacement in the image [n, 2] [px].
+
+    Args:
+        message: A `sensor_msgs/Image` 32FC2 [m].
+        scale: Of the camera's image [px/m].
+    """
+    shape = (message.height, message.width, 2)
+    moved = np.frombuffer(message.data, np.float32).reshape(shape)[::2, ::2]
+    rows, columns = np.mgrid[0 : shape[0] : 2, 0 : shape[1] : 2]
+    starts = FIELD_PX * (np.stack([columns, rows], axis=-1) + 0.5) - 0.5
+    vectors = EXAGGERATION * scale * moved * np.array([1.0, -1.0])
+    return starts.reshape(-1, 2), vectors.reshape(-1, 2)
+
+
 MOST_SAMPLES = 25
 """Samples per line and picture: 500 a second at 20 pictures."""
 _TEXT_PERIOD_NS = 500_000_000
@@ -290,6 +333,7 @@ class Drawing:
         canvas.at(now_ns)
         self._draw_events()
         self._draw_frame()
+        self._draw_contact()
         canvas.curve('force/estimate', received.force.take(MOST_SAMPLES))
         canvas.curve('force/reference', received.reference.take(MOST_SAMPLES))
         if received.slipping is not None:
@@ -329,6 +373,16 @@ class Drawing:
             return
         self._canvas.frame(np.asarray(image, np.uint8))
 
+    def _draw_contact(self) -> None:
+        contact = self._received.contact
+        if contact is None:
+            return
+        outline = contact_outline(contact) if contact.located else None
+        self._canvas.contact(outline)
+        field, self._received.displacement = self._received.displacement, None
+        if field is not None and contact.scale > 0.0:
+            self._canvas.arrows(*field_arrows(field, contact.scale))
+
     def _draw_rates(self, now_ns: int) -> None:
         received = self._received
         totals = {
@@ -357,6 +411,7 @@ class Drawing:
             '|---|---|',
             f'| force | **{_newtons(received.force.latest)}** at {rates["force"]:.0f} Hz |',
             f'| reference | {_newtons(received.reference.latest)} at {rates["reference"]:.0f} Hz |',
+            f'| contact | {_place(received.contact)} |',
             f'| slip | {slip} |',
             f'| events | {rates["events"] / 1000:.1f} k/s |',
             f'| packets | {rates["packets"]:.0f} /s; {gaps} |',
@@ -370,6 +425,16 @@ class Drawing:
             shown = message.replace('|', '/')
             lines.append(f'| {name} | {_LEVELS[min(level, 3)]} | {shown} |')
         return '\n'.join(lines)
+
+
+def _place(contact: Any) -> str:  # noqa: ANN401
+    """Return a contact in words; lengths in millimetres."""
+    if contact is None or not contact.in_contact:
+        return 'none'
+    if not contact.located:
+        return 'somewhere'
+    x, y, area = 1e3 * contact.position.x, 1e3 * contact.position.y, 1e6 * contact.area
+    return f'x {x:+.1f}, y {y:+.1f} mm, {area:.0f} mm^2'
 
 
 def _newtons(value: float) -> str:

@@ -78,6 +78,10 @@ LINES = {
 """Name in the legend and colour of each plotted line, by its path."""
 
 
+CONTACT, FIELD = (240, 228, 66), (86, 180, 233)
+"""Colours of the outline of the contact and of the displacement."""
+
+
 class Page:
     """A stream of drawings to the viewer's server, or to a file.
 
@@ -121,6 +125,16 @@ class Page:
     def frame(self, pixels: NDArray[np.uint8]) -> None:
         """Show a frame, grey [height, width] or RGB [height, width, 3]."""
         self._stream.log('frame', rr.Image(pixels))
+
+    def contact(self, outline: NDArray[np.float64] | None) -> None:
+        """Show the outline of the contact on the frame, columns and rows [n, 2]; None for none."""
+        strips = [] if outline is None else [outline]
+        self._stream.log('frame/contact', rr.LineStrips2D(strips, colors=[CONTACT], radii=[1.0]))
+
+    def arrows(self, starts: NDArray[np.float64], vectors: NDArray[np.float64]) -> None:
+        """Show a displacement on the frame: starts and vectors [n, 2] [px]."""
+        arrows = rr.Arrows2D(origins=starts, vectors=vectors, colors=[FIELD], radii=[0.4])
+        self._stream.log('frame/displacement', arrows)
 
     def text(self, entity: str, markdown: str) -> None:
         """Show a text."""

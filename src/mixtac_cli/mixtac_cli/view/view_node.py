@@ -77,6 +77,8 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         received = self._received
         self.subscribe_topic(topics.EVENTS, lambda m: received.packets.add(m, m.seq))
         self.subscribe_topic(topics.IMAGE_RAW, received.on_frame)
+        self.subscribe_topic(topics.CONTACT, received.on_contact)
+        self.subscribe_topic(topics.DISPLACEMENT, received.on_field)
         self.subscribe_topic(topics.FORCE, partial(self._plot, received.force))
         reference = self._settings.reference_topic
         plot_reference = partial(self._plot, received.reference)

@@ -81,6 +81,12 @@ class Sheet:
     def curve(self, entity, columns):
         self.curves.setdefault(entity, []).append(columns)
 
+    def contact(self, outline):
+        self.outline = outline
+
+    def arrows(self, starts, vectors):
+        self.starts, self.vectors = starts, vectors
+
     def show_slip(self):
         self.slip = True
 
@@ -221,3 +227,30 @@ def test_what_cannot_be_decoded_is_counted_and_the_rest_drawn():
     assert drawing.undecodable == 2
     assert 'events' in sheet.pictures
     assert 'frame' not in sheet.pictures
+
+
+def test_a_contact_and_a_displacement_are_drawn_on_the_frame():
+    received, sheet = Received(), Sheet()
+    received.on_contact(
+        SimpleNamespace(
+            in_contact=True,
+            located=True,
+            position=SimpleNamespace(x=1e-3, y=2e-3, z=0.0),
+            area=3e-6,
+            major=2e-3,
+            minor=1e-3,
+            angle=np.pi / 2,
+            column=100.0,
+            row=80.0,
+            scale=10_000.0,
+        )
+    )
+    moved = np.zeros((2, 3, 2), np.float32)
+    moved[0, 0] = (1e-4, 2e-4)
+    received.on_field(SimpleNamespace(height=2, width=3, data=moved.tobytes()))
+    Drawing(received, sheet).draw(10**9)
+    # Twice as high as wide, and upwards is towards lower rows.
+    assert np.ptp(sheet.outline, axis=0) == pytest.approx((20.0, 40.0), abs=0.5)
+    assert sheet.outline.mean(axis=0) == pytest.approx((100.0, 80.0), abs=1.0)
+    assert sheet.starts[0] == pytest.approx((3.5, 3.5))
+    assert sheet.vectors[0, 0] == pytest.approx(-0.5 * sheet.vectors[0, 1])

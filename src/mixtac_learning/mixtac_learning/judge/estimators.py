@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ from mixtac_learning.trials.trial import (
     window_ends,
 )
 from mixtac_recordings.messages import left_aligned
+
+if TYPE_CHECKING:
+    from mixtac_fger.estimator import Estimate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +83,8 @@ def stream(
     *,
     frames: int | None = None,
     losses: Losses | None = None,
+    observe: Callable[[Estimate], None] | None = None,
+    **options: Any,  # noqa: ANN401
 ) -> TrialEstimate:
     """Feed a trial to the live estimator in order of arrival.
 
@@ -87,6 +93,8 @@ def stream(
         trial: Events and frames; frames are handed over at `arrival_us`.
         frames: Only the first so many frames are handed over; None for all.
         losses: What does not arrive; None for nothing.
+        observe: Called with each estimate as the live estimator gives it.
+        options: Of `mixtac_fger.streaming.ForceEstimator`.
 
     Returns:
         The estimates; none if the model gives none.
@@ -96,7 +104,7 @@ def stream(
     """
     opened = open_estimator(model)
     # Trials begin without contact: the first frames are the zero.
-    estimator = ForceEstimator(opened, assume_free=True)
+    estimator = ForceEstimator(opened, assume_free=True, **options)
     label, width = trial.label(), opened.window_us
     middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
     begin = min(int(trial.arrival_us[0]), int(label.t_us[0])) // width * width
@@ -119,6 +127,8 @@ def stream(
         events = trial.events[cuts[index] : cuts[index + 1]]
         lost_before = index > 0 and bool(packet_lost[index - 1])
         for found in estimator.push_events(events, end, lost_before=lost_before):
+            if observe is not None:
+                observe(found)
             deviation = found.deviation or 0.0
             age_us = found.frame_age_us
             force, frame_force = found.force, estimator.frame_force

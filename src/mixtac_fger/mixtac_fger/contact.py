@@ -1,0 +1,432 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+r"""Where something touches the skin, how large the contact is and which way it lies.
+
+A press drives the beads of a thin bonded layer away from itself. The field of a contact at
+:math:`c` is fitted as
+
+.. math:: u(p) = a \, M d \, (1 + d^T M d)^{-3/2} + s \, e^{-|d|^2 / r^2}, \quad d = p - c
+
+by weighted least squares (Levenberg and Marquardt): the symmetric matrix :math:`M` holds the width
+along each axis, :math:`s` what shear and perspective add. Weights are the structure tensors of the
+field, so that the fit is one of the picture itself, and points without texture do not count.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mixtac_fger.displacement import SkinScale, field_places
+
+if TYPE_CHECKING:
+    from mixtac_fger.displacement import DisplacementField
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+PARAMETERS: Final = 8
+"""a, s_x, s_y, c_x, c_y, M_xx, M_xy, M_yy."""
+SHEAR_MM: Final = 5.0
+"""Distance over which shear and perspective fall to 1/e [mm]."""
+START_MM: Final = 3.0
+"""Width from which a fit begins [mm]."""
+NARROWEST_MM, WIDEST_MM = 0.8, 12.0
+"""Widths between which a fit stays [mm]."""
+ROUND: Final = 0.3
+"""Standard deviation of the logarithm of the ratio of the widths, before any measurement."""
+REACH_MM: Final = (14.0, 11.0)
+"""Largest distance of a contact from the axis, x and y [mm]: about what the camera sees."""
+SIGNIFICANT: Final = 10.0
+"""Standard deviations from which on a picture shows a contact; 7.7 is the largest at rest."""
+PLACE_DEVIATION_MM: Final = 0.14
+"""Standard deviation of the place per axis [mm] that the arrangement of the beads makes."""
+CARRY_RIDGE: Final = 0.03
+"""Regularisation over the diagonal of the normal matrix by which events change a contact."""
+KNOWN_OBJECT: Final = (0.4127, 0.1427, 0.3455, 0.3258)
+"""Logarithm of the contact's radius [mm] by those of width, steepness and radius of the object."""
+UNKNOWN_OBJECT: Final = (3.1956, -3.886, 1.0024, 1.8178, 0.0646, -0.462)
+"""The same by width and steepness, their squares and their product."""
+
+
+ITERATIONS: Final = 25
+"""Most steps of a fit."""
+DONE_MM: Final = 2e-3
+"""Change of the place at which a fit ends [mm]."""
+MOST_DAMPING: Final = 1e6
+
+
+@njit(cache=True, nogil=True)
+def _slopes(dx: float, dy: float, p: F64, model: F64, slopes: F64) -> None:
+    """Write the displacement [2] at a distance from the contact and its derivatives [2, 8]."""
+    mx, my = p[5] * dx + p[6] * dy, p[6] * dx + p[7] * dy
+    q = 1.0 / (1.0 + dx * mx + dy * my)
+    g = q * np.sqrt(q)
+    slope = -1.5 * g * q
+    e = np.exp(-(dx * dx + dy * dy) / (SHEAR_MM * SHEAR_MM))
+    away = 2.0 * e / (SHEAR_MM * SHEAR_MM)
+    for axis in range(2):
+        m = mx if axis == 0 else my
+        along, across = (p[5], p[6]) if axis == 0 else (p[6], p[7])
+        model[axis] = p[0] * m * g + p[1 + axis] * e
+        slopes[axis, 0] = m * g
+        slopes[axis, 1] = e if axis == 0 else 0.0
+        slopes[axis, 2] = e if axis == 1 else 0.0
+        slopes[axis, 3] = p[1 + axis] * away * dx - p[0] * (along * g + 2.0 * m * slope * mx)
+        slopes[axis, 4] = p[1 + axis] * away * dy - p[0] * (across * g + 2.0 * m * slope * my)
+        here = p[0] * m * slope
+        slopes[axis, 5] = here * dx * dx + (p[0] * dx * g if axis == 0 else 0.0)
+        slopes[axis, 6] = 2.0 * here * dx * dy + p[0] * (dy if axis == 0 else dx) * g
+        slopes[axis, 7] = here * dy * dy + (p[0] * dy * g if axis == 1 else 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _normal(places: F32, moved: F32, tensor: F32, p: F64, normal: F64, right: F64) -> float:
+    """Write the normal equations of a step at parameters `p`; return the weighted square left."""
+    normal[:] = 0.0
+    right[:] = 0.0
+    square = 0.0
+    model, slopes = np.empty(2), np.empty((2, PARAMETERS))
+    for row in range(places.shape[1]):
+        for column in range(places.shape[2]):
+            _slopes(places[0, row, column] - p[3], places[1, row, column] - p[4], p, model, slopes)
+            xx, xy, yy = tensor[0, row, column], tensor[1, row, column], tensor[2, row, column]
+            rx, ry = moved[0, row, column] - model[0], moved[1, row, column] - model[1]
+            wx, wy = xx * rx + xy * ry, xy * rx + yy * ry
+            square += rx * wx + ry * wy
+            for i in range(PARAMETERS):
+                right[i] += slopes[0, i] * wx + slopes[1, i] * wy
+                ax = xx * slopes[0, i] + xy * slopes[1, i]
+                ay = xy * slopes[0, i] + yy * slopes[1, i]
+                for j in range(i + 1):
+                    normal[i, j] += ax * slopes[0, j] + ay * slopes[1, j]
+    for i in range(PARAMETERS):
+        for j in range(i):
+            normal[j, i] = normal[i, j]
+    # A round contact unless the picture tells otherwise.
+    trace = p[5] + p[7]
+    if trace > 0.0:
+        uneven, skew = (p[5] - p[7]) / (trace * ROUND), 2.0 * p[6] / (trace * ROUND)
+        per = 1.0 / (trace * ROUND)
+        square += uneven * uneven + skew * skew
+        right[5] -= uneven * per
+        right[7] += uneven * per
+        right[6] -= 2.0 * skew * per
+        normal[5, 5] += per * per
+        normal[7, 7] += per * per
+        normal[5, 7] -= per * per
+        normal[7, 5] -= per * per
+        normal[6, 6] += 4.0 * per * per
+    return square
+
+
+@njit(cache=True, nogil=True)
+def _factored(matrix: F64, damping: float, lower: F64) -> bool:
+    """Write the Cholesky factor of a matrix with a damped diagonal; False if there is none."""
+    count = matrix.shape[0]
+    for i in range(count):
+        for j in range(i + 1):
+            total = matrix[i, j] * (1.0 + damping if i == j else 1.0)
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            if i == j:
+                if total <= 1e-12:
+                    return False
+                lower[i, i] = np.sqrt(total)
+            else:
+                lower[i, j] = total / lower[j, j]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _solved(lower: F64, right: F64, out: F64) -> None:
+    """Write the solution of equations with a Cholesky factor."""
+    count = right.shape[0]
+    for i in range(count):
+        total = right[i]
+        for k in range(i):
+            total -= lower[i, k] * out[k]
+        out[i] = total / lower[i, i]
+    for i in range(count - 1, -1, -1):
+        total = out[i]
+        for k in range(i + 1, count):
+            total -= lower[k, i] * out[k]
+        out[i] = total / lower[i, i]
+
+
+@njit(cache=True, nogil=True)
+def is_sensible(p: F64) -> bool:
+    """Return whether parameters are those of a contact within reach."""
+    trace, determinant = p[5] + p[7], p[5] * p[7] - p[6] * p[6]
+    if not determinant > 0.0 or not trace > 0.0:
+        return False
+    root = np.sqrt(max(0.25 * trace * trace - determinant, 0.0))
+    low, high = 0.5 * trace - root, 0.5 * trace + root
+    inside = abs(p[3]) < REACH_MM[0] and abs(p[4]) < REACH_MM[1]
+    return bool(inside and low * WIDEST_MM**2 > 1.0 and high * NARROWEST_MM**2 < 1.0)
+
+
+@njit(cache=True, nogil=True)
+def _search(places: F32, moved: F32, tensor: F32, p: F64) -> None:
+    """Write a and place of the round contact on a coarse grid that explains most."""
+    best, per = 0.0, 1.0 / (START_MM * START_MM)
+    p[:] = 0.0
+    p[0], p[5], p[7] = 1e-3, per, per
+    for i in range(-6, 7):
+        for j in range(-5, 6):
+            cx, cy, both, own = 1.5 * i, 1.5 * j, 0.0, 1e-12
+            for row in range(0, places.shape[1], 2):
+                for column in range(0, places.shape[2], 2):
+                    dx, dy = places[0, row, column] - cx, places[1, row, column] - cy
+                    q = 1.0 / (1.0 + per * (dx * dx + dy * dy))
+                    g = per * q * np.sqrt(q)
+                    xx, xy = tensor[0, row, column], tensor[1, row, column]
+                    yy = tensor[2, row, column]
+                    wx, wy = (xx * dx + xy * dy) * g, (xy * dx + yy * dy) * g
+                    both += wx * moved[0, row, column] + wy * moved[1, row, column]
+                    own += (wx * dx + wy * dy) * g
+            if both > 0.0 and both * both / own > best:
+                best = both * both / own
+                p[0], p[3], p[4] = both / own, cx, cy
+
+
+@njit(cache=True, nogil=True)
+def _fit(
+    places: F32, moved: F32, tensor: F32, anew: bool, p: F64, covariance: F64
+) -> tuple[float, float]:
+    """Fit from `p`, or from a search; write parameters and covariance.
+
+    Returns:
+        Weighted square of the field, and what the fit leaves of it.
+    """
+    squares, rows = np.zeros((3, PARAMETERS, PARAMETERS)), np.zeros((4, PARAMETERS))
+    normal, at, lower = squares[0], squares[1], squares[2]
+    right, push, step, tried = rows[0], rows[1], rows[2], rows[3]
+    whole = _normal(places, moved, tensor, step, normal, right)
+    if anew:
+        _search(places, moved, tensor, p)
+    left = _normal(places, moved, tensor, p, at, push)
+    damping = 1e-3
+    for _ in range(ITERATIONS):
+        now = np.inf
+        if _factored(at, damping, lower):
+            _solved(lower, push, step)
+            tried[:] = p + step
+            if is_sensible(tried):
+                now = _normal(places, moved, tensor, tried, normal, right)
+        if now < left:
+            done = abs(step[3]) + abs(step[4]) < DONE_MM and left - now < 1e-3 * left
+            p[:], at[:], push[:] = tried, normal, right
+            left, damping = now, max(0.2 * damping, 1e-7)
+            if done:
+                break
+        else:
+            damping = 10.0 * damping
+            if damping > MOST_DAMPING:
+                break
+    covariance[:] = 0.0
+    if _factored(at, 1e-9, lower):
+        for i in range(PARAMETERS):
+            push[:] = 0.0
+            push[i] = 1.0
+            _solved(lower, push, step)
+            covariance[i] = step
+    return whole, left
+
+
+@njit(cache=True, nogil=True)
+def _cell_slopes(
+    places: F32,
+    tensor: F32,
+    p: F64,
+    row_cell: NDArray[np.int64],
+    column_cell: NDArray[np.int64],
+    slopes: F64,
+    tensors: F64,
+) -> None:
+    """Write the mean derivatives [rows, columns, 2, 8] and tensors [.., 3] of cells."""
+    slopes[:] = 0.0
+    tensors[:] = 0.0
+    model, here = np.empty(2), np.empty((2, PARAMETERS))
+    count = np.zeros((slopes.shape[0], slopes.shape[1]))
+    for row in range(places.shape[1]):
+        for column in range(places.shape[2]):
+            _slopes(places[0, row, column] - p[3], places[1, row, column] - p[4], p, model, here)
+            i, j = row_cell[row], column_cell[column]
+            count[i, j] += 1.0
+            slopes[i, j] += here
+            for k in range(3):
+                tensors[i, j, k] += tensor[k, row, column]
+    for i in range(count.shape[0]):
+        for j in range(count.shape[1]):
+            slopes[i, j] /= count[i, j]
+
+
+def cell_gains(places: F32, tensor: F32, p: F64, grid: tuple[int, int]) -> F64:
+    """Return how parameters follow the mean displacement of cells, float64 [8, rows, columns, 2].
+
+    Least squares about the parameters: what the cells do not tell apart hardly changes.
+
+    Args:
+        places: Of the points of a field [mm], float32 [2, rows, columns].
+        tensor: Their weights, float32 [3, rows, columns].
+        p: Parameters.
+        grid: Rows and columns of cells.
+    """
+    slopes, tensors = np.empty((*grid, 2, PARAMETERS)), np.empty((*grid, 3))
+    cells = [np.arange(n) * m // n for n, m in zip(places.shape[1:], grid, strict=True)]
+    _cell_slopes(places, tensor, p, cells[0], cells[1], slopes, tensors)
+    weights = tensors[..., [[0, 1], [1, 2]]]
+    weighted = np.einsum('rcai,rcab->ircb', slopes, weights)
+    normal = np.einsum('ircb,rcbj->ij', weighted, slopes)
+    normal[np.diag_indices(PARAMETERS)] *= 1.0 + CARRY_RIDGE
+    return np.linalg.solve(normal, weighted.reshape(PARAMETERS, -1)).reshape(weighted.shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactFit:
+    """A contact fitted to a displacement field, in the contact frame.
+
+    Attributes:
+        parameters: a [mm^2], s [mm], c [mm], M [1/mm^2]; see the module.
+        covariance: Of these, float64 [8, 8], for the noise of the picture.
+        significance: Square root of what the contact explains of the field, over what it leaves:
+            standard deviations of the noise. Below `SIGNIFICANT` there is no contact to be seen.
+        gains: Change of the parameters per displacement of each cell of the event grid, right and
+            down in the image [.../px], float64 [8, rows, columns, 2]; None unless asked for.
+    """
+
+    parameters: F64
+    covariance: F64
+    significance: float
+    gains: F64 | None = None
+
+    @property
+    def seen(self) -> bool:
+        """Whether the picture shows a contact."""
+        return self.significance > SIGNIFICANT and self.parameters[0] > 0.0
+
+
+class ContactShape(NamedTuple):
+    """Place and shape of a contact, in the contact frame.
+
+    Attributes:
+        x_mm: Place to the right in the image [mm].
+        y_mm: Place upwards in the image [mm].
+        deviation_mm: Standard deviation of the place per axis [mm].
+        area_mm2: Area [mm^2].
+        area_deviation_mm2: Its standard deviation [mm^2].
+        major_mm: Larger semi-axis of the ellipse [mm].
+        minor_mm: Smaller semi-axis [mm].
+        angle: From x to the larger axis [rad], in (-pi/2, pi/2].
+    """
+
+    x_mm: float
+    y_mm: float
+    deviation_mm: float
+    area_mm2: float
+    area_deviation_mm2: float
+    major_mm: float
+    minor_mm: float
+    angle: float
+
+
+def contact_shape(p: F64, covariance: F64, scale: SkinScale, object_radius: float) -> ContactShape:
+    """Return what the parameters of a fit say about place and shape.
+
+    Args:
+        p: Parameters [8].
+        covariance: Of these [8, 8].
+        scale: Of the skin in the picture.
+        object_radius: Radius of curvature of what touches [mm]; 0 if it is not known.
+    """
+    mean, half = 0.5 * (p[5] + p[7]), math.hypot(0.5 * (p[5] - p[7]), p[6])
+    narrow, wide = (max(mean + sign * half, 1e-3) ** -0.5 for sign in (1.0, -1.0))
+    angle = 0.5 * math.atan2(-2.0 * p[6], p[7] - p[5])
+    radius, spread = contact_radius(math.sqrt(wide * narrow), p[0], object_radius)
+    ratio = math.sqrt(wide / narrow)
+    place = math.sqrt(
+        0.5 * (covariance[3, 3] + covariance[4, 4])
+        + PLACE_DEVIATION_MM**2
+        + 0.5 * scale.deviation**2 * (p[3] ** 2 + p[4] ** 2)
+    )
+    area = math.pi * radius**2
+    return ContactShape(
+        x_mm=float(p[3]),
+        y_mm=float(p[4]),
+        deviation_mm=place,
+        area_mm2=area,
+        area_deviation_mm2=area * math.hypot(spread, 2.0 * scale.deviation),
+        major_mm=radius * ratio,
+        minor_mm=radius / ratio,
+        angle=angle,
+    )
+
+
+def contact_radius(
+    width_mm: float, strength_mm2: float, object_radius: float
+) -> tuple[float, float]:
+    """Return the radius of a contact [mm], and the relative standard deviation of its area.
+
+    Laws fitted by `mixtac_lab.experiments.studies.contact_place.fit_laws` to simulated sensors.
+
+    Args:
+        width_mm: Geometric mean of the widths of the displacement field.
+        strength_mm2: Its a.
+        object_radius: Radius of curvature of what touches [mm]; 0 if it is not known.
+    """
+    width, steep = math.log(width_mm), math.log(max(strength_mm2, 1e-4) / width_mm)
+    known = object_radius > 0.0
+    more = (math.log(object_radius),) if known else (width**2, steep**2, width * steep)
+    law, spread = (KNOWN_OBJECT, 0.15) if known else (UNKNOWN_OBJECT, 0.3)
+    radius = math.exp(float(np.dot(law, (1.0, width, steep, *more))))
+    return min(max(radius, NARROWEST_MM / 4.0), WIDEST_MM), spread
+
+
+class ContactFitter:
+    """Fits contacts to displacement fields, each from where the one before was.
+
+    Args:
+        size: Columns and rows of the image [px].
+        scale: Of the skin in the picture; may be changed between two fits.
+        grid: Rows and columns of the event grid that gains are for; None for no gains.
+    """
+
+    def __init__(
+        self, size: tuple[int, int], scale: SkinScale, grid: tuple[int, int] | None = None
+    ) -> None:
+        self._size, self.scale, self._grid = size, scale, grid
+        self._parameters = np.zeros(PARAMETERS)
+        self._seen = False
+
+    def fit(self, field: DisplacementField) -> ContactFit:
+        """Return the contact that explains a field best, or what looks most like one.
+
+        Args:
+            field: Displacement since the reference.
+        """
+        shape = field.moved.shape[1:]
+        places = field_places((shape[0], shape[1]), field.spacing_px, self.scale, self._size)
+        px = np.float32(self.scale.px_per_mm)
+        # Rows count downwards, y upwards.
+        moved = field.moved * np.array([1.0 / px, -1.0 / px], np.float32)[:, None, None]
+        bins = (field.spacing_px / field.bin_px) ** 2
+        weight = np.float32(bins * (field.bin_px * px / max(field.noise, 1e-4)) ** 2)
+        signs = np.array([weight, -weight, weight], np.float32)[:, None, None]
+        tensor = field.tensor * signs
+        covariance = np.empty((PARAMETERS, PARAMETERS))
+        whole, left = _fit(places, moved, tensor, not self._seen, self._parameters, covariance)
+        degrees = max(left / moved.size, 1.0)
+        significance = math.sqrt(max(whole - left, 0.0) / degrees)
+        gains = None
+        if self._grid is not None:
+            gains = cell_gains(places, tensor, self._parameters, self._grid)
+            gains *= np.array([1.0 / px, -1.0 / px])
+        fit = ContactFit(self._parameters.copy(), degrees * covariance, significance, gains)
+        self._seen = fit.seen
+        return fit

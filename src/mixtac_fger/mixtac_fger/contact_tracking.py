@@ -1,0 +1,260 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The contact at 500 Hz: on and off by the force, place and shape by frames and events.
+
+Where frames are encoded, a contact is fitted to the displacement of the beads. Between frames, its
+parameters follow the displacement that events tell of, by the fit's own gains: a product of a small
+matrix and a vector per window. Events tell displacements in contrast thresholds, whose size is
+found from what they said between two frames.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from mixtac_fger.contact import ContactFit, ContactFitter, contact_shape, is_sensible
+from mixtac_fger.displacement import DisplacementField, FieldMeter, SkinScale
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mixtac_fger.config import FgerConfig
+    from mixtac_fger.contact import ContactShape
+
+    F32 = NDArray[np.float32]
+
+HISTORY: Final = 128
+"""Windows of which the sums of the flow are kept: frames arrive later than they are exposed."""
+THRESHOLD: Final = 0.25
+"""Contrast threshold before frames have told [log units]."""
+THRESHOLD_WEIGHT: Final = 20.0
+"""Weight of that, as a sum of squares of flow [px^2 per threshold^2]."""
+MEMORY: Final = 0.98
+"""Share of what earlier frames told about the threshold that is left after a frame."""
+MOST_CARRIED_MM: Final = 1.0
+"""Farthest that events carry a place from where the latest frame had it, along each axis [mm]."""
+REST_SHARE: Final = 0.01
+"""Share of the force without contact that its mean takes over per window: 0.2 s."""
+MOST_REST_N: Final = 0.05
+"""Largest force that is taken for one without contact [N]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContactSettings:
+    """How contacts are found.
+
+    Attributes:
+        on_n: Force from which on there is contact [N].
+        off_n: Force from which down there is none [N]; below `on_n`.
+        object_radius: Radius of curvature of what touches [mm]; 0 if it is not known.
+        scale: Of the skin in the picture.
+    """
+
+    on_n: float = 0.03
+    off_n: float = 0.02
+    object_radius: float = 0.0
+    scale: SkinScale = field(default_factory=SkinScale)
+
+
+class Touch(NamedTuple):
+    """What a frame tells about the contact.
+
+    Attributes:
+        field: Displacement of the beads.
+        fit: The contact that explains it best.
+    """
+
+    field: DisplacementField
+    fit: ContactFit
+
+
+class TouchMeter:
+    """Measures displacement and contact of frames; one per thread.
+
+    Args:
+        config: How frames become log contrasts, and the event grid.
+        scale: Of the skin in the picture.
+    """
+
+    def __init__(self, config: FgerConfig, scale: SkinScale) -> None:
+        self._meter = FieldMeter(config)
+        grid = config.grid_rows, config.grid_columns
+        self._fitter = ContactFitter((config.width, config.height), scale, grid)
+
+    def measure(self, reference: F32, image: F32) -> Touch:
+        """Return what a picture tells.
+
+        Args:
+            reference: Coarse log contrast without contact, float32 `FgerConfig.frame_shape`.
+            image: Coarse log contrast now, same shape.
+        """
+        found = self._meter.measure(reference, image)
+        return Touch(found, self._fitter.fit(found))
+
+
+class Contact(NamedTuple):
+    """The contact at the end of a window.
+
+    Attributes:
+        end_us: End of the window, camera clock [us].
+        touching: Whether something touches the sensor.
+        shape: Place and shape, in the contact frame; None without contact and until a frame has
+            shown where it is.
+    """
+
+    end_us: int
+    touching: bool
+    shape: ContactShape | None
+
+
+class FlowCarrier:
+    """Sums the displacement that events tell of, and finds the size of their thresholds.
+
+    Args:
+        shape: Rows and columns of the event grid.
+
+    Attributes:
+        threshold: Displacement per displacement in thresholds [log units].
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self._shape = shape
+        self._sum = np.zeros((*shape, 2))
+        self._past: deque[tuple[int, NDArray[np.float64]]] = deque(maxlen=HISTORY)
+        self._frame: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._both, self._own = THRESHOLD * THRESHOLD_WEIGHT, THRESHOLD_WEIGHT
+
+    @property
+    def threshold(self) -> float:
+        """Size of a contrast threshold, by frames and events so far [log units]."""
+        return min(max(self._both / self._own, 0.1), 0.6)
+
+    def window(self, end_us: int, flow: F32) -> None:
+        """Add the flow of a window, float32 [rows, columns, 2] [px per threshold]."""
+        self._sum = self._sum + flow
+        self._past.append((end_us, self._sum))
+
+    def until(self, time_us: int) -> NDArray[np.float64]:
+        """Return the sum of the flow at a time, camera clock [us]."""
+        for end_us, total in reversed(self._past):
+            if end_us <= time_us:
+                return total
+        return self._past[0][1] if self._past else self._sum
+
+    def since(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the displacement of each cell since a sum of `until` [px]."""
+        return self.threshold * (self._sum - start)
+
+    def frame(self, start: NDArray[np.float64], field: DisplacementField) -> None:
+        """Compare what events said between two frames with what the frames say.
+
+        Args:
+            start: Sum of the flow at the frame.
+            field: Displacement at the frame.
+        """
+        weight = field.tensor[0] + field.tensor[2]
+        weights = _pooled(weight, self._shape)
+        moved = np.stack([_pooled(weight * each, self._shape) for each in field.moved], axis=-1)
+        moved /= np.maximum(weights, 1e-12)[..., None]
+        before, self._frame = self._frame, (moved, start)
+        if before is None:
+            return
+        change, told = moved - before[0], start - before[1]
+        self._both = MEMORY * self._both + float(np.sum(change * told))
+        self._own = MEMORY * self._own + float(np.sum(told * told))
+
+
+def _pooled(values: F32, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return the sums of a map over the cells of a coarser grid."""
+    rows = np.arange(shape[0]) * values.shape[0] // shape[0]
+    columns = np.arange(shape[1]) * values.shape[1] // shape[1]
+    return np.asarray(np.add.reduceat(np.add.reduceat(values, rows, 0), columns, 1), np.float64)
+
+
+class ContactTracker:
+    """Follows the contact of a stream, window by window.
+
+    Args:
+        settings: May be replaced at any time by the attribute of this name.
+        shape: Rows and columns of the event grid.
+
+    Attributes:
+        settings: As given.
+        touch: What the latest frame tells; None without one.
+        frame_us: Centre of its exposure, camera clock [us].
+    """
+
+    def __init__(self, settings: ContactSettings, shape: tuple[int, int]) -> None:
+        self.settings = settings
+        self.touch: Touch | None = None
+        self.frame_us = 0
+        self._carrier = FlowCarrier(shape)
+        self._start = self._carrier.until(0)
+        self._touching = False
+        self._rest_n = 0.0
+
+    def frame(self, mid_us: int, touch: Touch) -> None:
+        """Take a frame.
+
+        Args:
+            mid_us: Centre of its exposure, camera clock [us].
+            touch: What it tells.
+        """
+        self.touch, self.frame_us, self._start = touch, mid_us, self._carrier.until(mid_us)
+        self._carrier.frame(self._start, touch.field)
+
+    def window(self, end_us: int, flow: F32, force: float) -> Contact:
+        """Take a window and return the contact at its end.
+
+        Args:
+            end_us: End of the window, camera clock [us].
+            flow: Flow of its events, float32 [rows, columns, 2] [px per threshold].
+            force: Normal force [N].
+        """
+        self._carrier.window(end_us, flow)
+        self._switch(force)
+        touch = self.touch
+        if not self._touching or touch is None or not touch.fit.seen:
+            return Contact(end_us, self._touching, None)
+        return Contact(end_us, True, self._shape(touch.fit))
+
+    def moved(self) -> F32:
+        """Return the displacement now, by the latest frame and events, as its field has it [px]."""
+        assert self.touch is not None  # noqa: S101  (the caller waits for a frame)
+        field = self.touch.field
+        carried = self._carrier.since(self._start)
+        rows, columns = (
+            np.arange(points) * cells // points
+            for points, cells in zip(field.moved.shape[1:], carried.shape, strict=False)
+        )
+        along = carried[rows[:, None], columns].transpose(2, 0, 1)
+        return np.asarray(field.moved + along, np.float32)
+
+    def clear(self) -> None:
+        """Forget frames and contact."""
+        self.touch, self._touching, self._rest_n = None, False, 0.0
+        self._carrier = FlowCarrier(self._start.shape[:2])
+
+    def _switch(self, force: float) -> None:
+        free = self.touch is not None and not self.touch.fit.seen
+        if free and not self._touching and abs(force) < MOST_REST_N:
+            self._rest_n += REST_SHARE * (force - self._rest_n)
+        above = force - self._rest_n
+        if self._touching:
+            self._touching = above > self.settings.off_n
+        else:
+            self._touching = above > self.settings.on_n
+
+    def _shape(self, fit: ContactFit) -> ContactShape:
+        p, settings = fit.parameters, self.settings
+        if fit.gains is not None:
+            change = fit.gains.reshape(len(p), -1) @ self._carrier.since(self._start).ravel()
+            change[3:5] = np.clip(change[3:5], -MOST_CARRIED_MM, MOST_CARRIED_MM)
+            carried = p + change
+            if carried[0] > 0.0 and is_sensible(carried):
+                p = carried
+        return contact_shape(p, fit.covariance, settings.scale, settings.object_radius)

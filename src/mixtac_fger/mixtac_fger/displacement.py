@@ -1,0 +1,208 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Displacement of the beads since the no-contact reference, in pixels and in millimetres of skin.
+
+Iterated least squares (Lucas and Kanade) between log contrasts: each step measures what the steps
+before left, against the reference moved by them. Neither exposure nor lamp current matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mixtac_events.frames import bin_mean, displacement, gradients
+
+if TYPE_CHECKING:
+    from mixtac_fger.config import FgerConfig
+
+F32 = NDArray[np.float32]
+
+STEPS: Final = 3
+"""Steps of the iteration; the third changes less than 1 % at 1 N."""
+RADIUS: Final = 2
+"""Half width of the least-squares box [bins]: two fifths of the distance of neighbouring beads."""
+RIDGE: Final = 1e-3
+"""As `FgerConfig.flow_regularisation`; the iteration undoes its bias where there is texture."""
+BLOCK: Final = 2
+"""Bins of a point of the field along each axis."""
+NOMINAL_PX_PER_MM: Final = 12.0
+"""Scale of the picture at the skin on the optical axis [px/mm]: mean of the virtual sensors."""
+NOMINAL_DEVIATION: Final = 0.08
+"""Its relative standard deviation between them (tolerances of lens, gap and gel)."""
+
+
+DISTANCE_MM: Final = 15.9
+"""Apparent distance from the lens to the skin [mm]: mean of the virtual sensors."""
+DISTANCE_DEVIATION: Final = 0.06
+"""Its relative standard deviation between them."""
+MEASURED_DEVIATION: Final = 0.01
+"""Relative standard deviation of a scale that was measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class SkinScale:
+    """How the skin appears in the picture.
+
+    The contact frame has its origin at the skin on the optical axis, x to the right in the image, y
+    upwards in the image, z into the gel, towards the camera.
+
+    Attributes:
+        px_per_mm: Scale at the skin on the optical axis [px/mm].
+        deviation: Its relative standard deviation.
+        axis_px: Column and row of the optical axis; None is the middle of the image.
+    """
+
+    px_per_mm: float = NOMINAL_PX_PER_MM
+    deviation: float = NOMINAL_DEVIATION
+    axis_px: tuple[float, float] | None = None
+
+    def axis(self, width: int, height: int) -> tuple[float, float]:
+        """Return column and row of the optical axis in an image of a size [px]."""
+        return self.axis_px or (0.5 * (width - 1), 0.5 * (height - 1))
+
+
+def skin_scale(px_per_mm: float, focal_px: float, axis_px: tuple[float, float]) -> SkinScale:
+    """Return the scale by the best that is known.
+
+    Args:
+        px_per_mm: Measured at the skin [px/mm]; 0 if it was not.
+        focal_px: Focal length of the calibrated camera [px]; 0 without a calibration.
+        axis_px: Its principal point, column and row.
+    """
+    axis = axis_px if focal_px > 0.0 else None
+    if px_per_mm > 0.0:
+        return SkinScale(px_per_mm, MEASURED_DEVIATION, axis)
+    if focal_px > 0.0:
+        return SkinScale(focal_px / DISTANCE_MM, DISTANCE_DEVIATION, axis)
+    return SkinScale()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DisplacementField:
+    """Displacement on a grid of points; along columns and rows of the image (y downwards).
+
+    Attributes:
+        moved: Displacement x and y [px], float32 [2, rows, columns].
+        tensor: Structure tensor xx, xy, yy of a bin of the picture [log units^2/px^2], float32
+            [3, rows, columns]: how much texture there is to measure by.
+        noise: Root mean square of what the displaced reference leaves of the picture [log units].
+        spacing_px: Distance of neighbouring points [px]; the first lies half of it from the corner.
+        bin_px: Pixels of a bin of the picture along each axis.
+    """
+
+    moved: F32
+    tensor: F32
+    noise: float
+    spacing_px: int
+    bin_px: int
+
+    def deviation(self) -> F32:
+        """Return the standard deviation of the displacement [px], float32 [rows, columns].
+
+        Of the less certain direction, from the texture of the point's box and the noise.
+        """
+        xx, xy, yy = self.tensor
+        low = 0.5 * (xx + yy - np.sqrt((xx - yy) ** 2 + 4.0 * xy * xy))
+        box = (2 * RADIUS + 1) ** 2
+        return np.asarray(self.noise / np.sqrt(box * np.maximum(low, 1e-9)), np.float32)
+
+    def confidence(self) -> F32:
+        """Return how far each displacement is to be believed, 0 to 1, float32 [rows, columns].
+
+        One half where the standard deviation is a quarter of a pixel.
+        """
+        return np.asarray(1.0 / (1.0 + (self.deviation() / 0.25) ** 2), np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _moved(image: F32, flow: F32, out: F32) -> None:
+    """Write an image displaced by a flow [2, rows, columns]; the border repeats."""
+    rows, columns = image.shape
+    for row in range(rows):
+        for column in range(columns):
+            x = min(max(column - flow[0, row, column], np.float32(0.0)), np.float32(columns - 1))
+            y = min(max(row - flow[1, row, column], np.float32(0.0)), np.float32(rows - 1))
+            left, top = min(int(x), columns - 2), min(int(y), rows - 2)
+            p, q = x - left, y - top
+            above = (1 - p) * image[top, left] + p * image[top, left + 1]
+            below = (1 - p) * image[top + 1, left] + p * image[top + 1, left + 1]
+            out[row, column] = (1 - q) * above + q * below
+
+
+@njit(cache=True, nogil=True)
+def _measure(
+    reference: F32, image: F32, work: F32, step: F32, flow: F32, moved: F32, tensor: F32
+) -> float:
+    """Write displacement [bins] and structure tensor [1/bin^2] of blocks; return the residual."""
+    rows, columns = image.shape
+    flow[:] = 0.0
+    for _ in range(STEPS):
+        _moved(reference, flow, tensor[3])
+        displacement(tensor[3], image, RADIUS, RIDGE, work, step)
+        flow += step
+    _moved(reference, flow, tensor[3])
+    gradients(tensor[3], 1, work[5], work[6])
+    square = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            gx, gy = work[5, row, column], work[6, row, column]
+            tensor[0, row, column] = gx * gx
+            tensor[1, row, column] = gx * gy
+            tensor[2, row, column] = gy * gy
+            left = image[row, column] - tensor[3, row, column]
+            square += left * left
+    for axis in range(5):
+        bin_mean(flow[axis] if axis < 2 else tensor[axis - 2], BLOCK, moved[axis])
+    return float(np.sqrt(square / (rows * columns)))
+
+
+class FieldMeter:
+    """Measures displacement fields; holds scratch memory, so one per thread.
+
+    Args:
+        config: How frames become log contrasts.
+    """
+
+    def __init__(self, config: FgerConfig) -> None:
+        rows, columns = config.frame_shape
+        self._bin = config.frame_bin
+        self._work = np.empty((9, rows, columns), np.float32)
+        self._step, self._flow = (np.empty((2, rows, columns), np.float32) for _ in range(2))
+        self._tensor = np.empty((4, rows, columns), np.float32)
+        self.shape = rows // BLOCK, columns // BLOCK
+
+    def measure(self, reference: F32, image: F32) -> DisplacementField:
+        """Return the displacement of a picture.
+
+        Args:
+            reference: Coarse log contrast without contact, float32 `FgerConfig.frame_shape`.
+            image: Coarse log contrast now, same shape.
+        """
+        out = np.empty((5, *self.shape), np.float32)
+        noise = _measure(reference, image, self._work, self._step, self._flow, out, self._tensor)
+        out[:2] *= self._bin
+        out[2:] /= self._bin**2
+        return DisplacementField(out[:2], out[2:], float(noise), BLOCK * self._bin, self._bin)
+
+
+def field_places(
+    field_shape: tuple[int, int], spacing_px: int, scale: SkinScale, size: tuple[int, int]
+) -> F32:
+    """Return x and y of a field's points in the contact frame [mm], float32 [2, rows, columns].
+
+    Args:
+        field_shape: Rows and columns of points.
+        spacing_px: Their distance [px].
+        scale: Of the skin in the picture.
+        size: Columns and rows of the image [px].
+    """
+    rows, columns = field_shape
+    column, row = scale.axis(*size)
+    x = (spacing_px * (np.arange(columns) + 0.5) - 0.5 - column) / scale.px_per_mm
+    y = -(spacing_px * (np.arange(rows) + 0.5) - 0.5 - row) / scale.px_per_mm
+    return np.stack(np.meshgrid(x, y)).astype(np.float32)

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Displacement fields of moved textures, contacts in fields of known ones, and their tracking."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mixtac_fger.config import FgerConfig
+from mixtac_fger.contact import ContactFitter, contact_shape
+from mixtac_fger.contact_tracking import ContactSettings, ContactTracker, FlowCarrier, Touch
+from mixtac_fger.displacement import DisplacementField, FieldMeter, SkinScale, field_places
+
+CONFIG = FgerConfig()
+SIZE = CONFIG.width, CONFIG.height
+SCALE = SkinScale(12.0, 0.0)
+ROWS, COLUMNS = CONFIG.frame_shape[0] // 2, CONFIG.frame_shape[1] // 2
+GRID = CONFIG.grid_rows, CONFIG.grid_columns
+PLACES = field_places((ROWS, COLUMNS), 8, SCALE, SIZE)
+FEW = settings(max_examples=12, deadline=None)
+ALONG = st.floats(-6.0, 6.0)
+
+
+def pressed(place, widths=(3.0, 3.0), angle=0.0, strength=0.4, shear=(0.0, 0.0), noise=0.0):
+    """Return the field [px] of a contact in the contact frame, y upwards."""
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    matrix = turn @ np.diag([1.0 / widths[0] ** 2, 1.0 / widths[1] ** 2]) @ turn.T
+    away = PLACES - np.array(place)[:, None, None]
+    driven = np.einsum('ij,jrc->irc', matrix, away)
+    square = np.sum(away * driven, axis=0)
+    fall = np.exp(-np.sum(away**2, axis=0) / 25.0)
+    moved = strength * driven * (1.0 + square) ** -1.5 + np.array(shear)[:, None, None] * fall
+    moved += noise * np.random.default_rng(0).normal(size=moved.shape)
+    moved *= np.array([12.0, -12.0])[:, None, None]
+    tensor = np.full((3, ROWS, COLUMNS), 1e-3, np.float32)
+    tensor[1] = 0.0
+    return DisplacementField(moved.astype(np.float32), tensor, 0.02, 8, 4)
+
+
+@FEW
+@given(x=ALONG, y=ALONG, shear=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)))
+def test_place_and_width_of_a_contact_are_found_with_any_shear(x, y, shear):
+    fit = ContactFitter(SIZE, SCALE).fit(pressed((x, y), shear=shear))
+    found = contact_shape(fit.parameters, fit.covariance, SCALE, 9.0)
+    assert fit.seen
+    assert (found.x_mm, found.y_mm) == pytest.approx((x, y), abs=0.02)
+    assert fit.parameters[5] == pytest.approx(3.0**-2, rel=0.02)
+    assert found.major_mm * found.minor_mm * math.pi == pytest.approx(found.area_mm2)
+
+
+@FEW
+@given(angle=st.floats(-1.5, 1.5))
+def test_an_oblong_contact_lies_where_its_longer_axis_points(angle):
+    fit = ContactFitter(SIZE, SCALE).fit(pressed((1.0, -1.0), widths=(4.0, 2.5), angle=angle))
+    found = contact_shape(fit.parameters, fit.covariance, SCALE, 0.0)
+    assert math.cos(2.0 * (found.angle - angle)) > 0.99
+    assert found.major_mm / found.minor_mm == pytest.approx(1.6, rel=0.1)
+
+
+def test_noise_alone_is_no_contact():
+    fit = ContactFitter(SIZE, SCALE).fit(pressed((0.0, 0.0), strength=0.0, noise=0.01))
+    assert not fit.seen
+
+
+def test_a_contact_of_another_field_is_followed():
+    fitter = ContactFitter(SIZE, SCALE)
+    for x in (0.0, 0.5, 5.0):
+        assert fitter.fit(pressed((x, 0.0))).parameters[3] == pytest.approx(x, abs=0.02)
+
+
+def test_displacement_of_a_moved_texture_is_measured_beyond_one_bin():
+    rows, columns = CONFIG.frame_shape
+    row, column = np.mgrid[0:rows, 0:columns].astype(np.float64)
+
+    def texture(x, y):
+        waves = np.random.default_rng(1).normal(0.0, 0.4, (40, 3))
+        return sum(0.1 * np.sin(a * x + b * y + 9.0 * c) for a, b, c in waves)
+
+    # 1.2 bins to the right and half a bin up: 4.8 and -2 px.
+    reference, image = texture(column, row), texture(column - 1.2, row + 0.5)
+    field = FieldMeter(CONFIG).measure(reference.astype(np.float32), image.astype(np.float32))
+    inner = field.moved[:, 3:-3, 3:-3]
+    assert np.median(inner[0]) == pytest.approx(4.8, abs=0.15)
+    assert np.median(inner[1]) == pytest.approx(-2.0, abs=0.15)
+    assert np.all(field.confidence() <= 1.0)
+    blank = np.zeros((rows, columns), np.float32)
+    assert np.all(np.isfinite(FieldMeter(CONFIG).measure(blank, blank).moved))
+
+
+def touch_at(x, y):
+    field = pressed((x, y))
+    return Touch(field, ContactFitter(SIZE, SCALE, GRID).fit(field))
+
+
+def cell_flow(before, after, threshold):
+    """Return what events tell of the change from one field to another, per threshold."""
+    change = DisplacementField(after.moved - before.moved, after.tensor, after.noise, 8, 4)
+    rows = np.arange(ROWS) * GRID[0] // ROWS
+    columns = np.arange(COLUMNS) * GRID[1] // COLUMNS
+    flow = np.zeros((*GRID, 2), np.float32)
+    count = np.zeros(GRID)
+    np.add.at(count, (rows[:, None], columns[None]), 1.0)
+    for axis in range(2):
+        np.add.at(flow[..., axis], (rows[:, None], columns[None]), change.moved[axis])
+    return flow / count[..., None].astype(np.float32) / threshold
+
+
+def test_events_carry_place_and_displacement_between_frames():
+    tracker = ContactTracker(ContactSettings(scale=SCALE), GRID)
+    before, after = touch_at(0.0, 0.0), touch_at(0.4, -0.2)
+    tracker.frame(10_000, before)
+    flow = cell_flow(before.field, after.field, 0.25)
+    still = tracker.window(12_000, np.zeros_like(flow), 0.5)
+    moved = tracker.window(14_000, flow, 0.5)
+    assert still.shape.x_mm == pytest.approx(0.0, abs=0.02)
+    assert moved.shape.x_mm == pytest.approx(0.4, abs=0.15)
+    assert moved.shape.y_mm == pytest.approx(-0.2, abs=0.1)
+
+
+def test_events_carry_the_displacement_between_frames():
+    tracker = ContactTracker(ContactSettings(scale=SCALE), GRID)
+    before, after = touch_at(0.0, 0.0), pressed((0.0, 0.0), strength=0.8)
+    tracker.frame(10_000, before)
+    tracker.window(12_000, cell_flow(before.field, after, 0.25), 0.5)
+    error = np.abs(tracker.moved() - after.moved).mean()
+    assert error < 0.5 * np.abs(before.field.moved - after.moved).mean()
+
+
+def test_frames_tell_the_size_of_a_contrast_threshold():
+    carrier, fields = FlowCarrier(GRID), [pressed((0.0, 0.0), strength=s) for s in (0.0, 0.8)]
+    carrier.frame(carrier.until(0), fields[0])
+    for index in range(40):
+        before, after = fields[index % 2], fields[(index + 1) % 2]
+        carrier.window(4000 * index + 2000, cell_flow(before, after, 0.4))
+        carrier.frame(carrier.until(4000 * (index + 1)), after)
+    assert carrier.threshold == pytest.approx(0.4, rel=0.15)
+
+
+def test_contact_switches_with_hysteresis_and_has_no_place_before_a_frame():
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
+    none = np.zeros((*GRID, 2), np.float32)
+    forces = (0.0, 0.025, 0.035, 0.025, 0.015, 0.025)
+    found = [tracker.window(2000 * i, none, force) for i, force in enumerate(forces)]
+    assert [each.touching for each in found] == [False, False, True, True, False, False]
+    assert all(each.shape is None for each in found)
