@@ -4,6 +4,7 @@
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch_ros.actions import Node
 
 from mixtac_node.graph import sensor_graph
 from mixtac_node.launch_actions import (
@@ -66,6 +67,13 @@ ARGUMENTS = [
         description='Show the sensor in the browser; needs rerun-sdk (docs/viewing.md)',
     ),
     DeclareLaunchArgument(
+        'frames',
+        default_value='true',
+        choices=BOOLEAN,
+        description='Publish the frames of the fingertip and its URDF; false where the URDF of the '
+        'robot contains it',
+    ),
+    DeclareLaunchArgument(
         'use_sim_time',
         default_value='false',
         choices=BOOLEAN,
@@ -97,7 +105,13 @@ def _nodes(context):
         simulated_time=value(context, 'use_sim_time') == 'true',
         reference_topic=value(context, 'reference_topic'),
     )
-    return node_actions(context, *graph)
+    frames = Node(
+        package='mixtac_description',
+        executable='frames_node',
+        namespace=value(context, 'namespace'),
+    )
+    published = value(context, 'frames') == 'true'
+    return [*node_actions(context, *graph), *([frames] if published else [])]
 
 
 def generate_launch_description():

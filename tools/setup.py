@@ -33,6 +33,7 @@ ROBOT_PACKAGES = (
     'mixtac_events',
     'mixtac_node',
     'mixtac_recordings',
+    'mixtac_description',
     'mixtac_driver',
     'mixtac_alignment',
     'mixtac_fger',

@@ -39,7 +39,7 @@ def processes(name: str, **values: str):
     from launch.actions import ExecuteProcess
 
     context = launch.LaunchContext()
-    context.launch_configurations.update(values)
+    context.launch_configurations.update({'frames': 'false', **values})
     description = runpy.run_path(str(LAUNCH / f'{name}.launch.py'))['generate_launch_description']()
     found, queue = [], list(description.entities)
     while queue:
@@ -73,6 +73,11 @@ def words(process) -> list[str]:
 def test_the_launch_file_starts_the_graph(device, single):
     found, _ = processes('sensor', device=device, single_process=single)
     assert names(found) == graph_names(device, single_process=SINGLE[single])
+
+
+def test_the_frames_of_the_fingertip_are_published_unless_the_robot_does():
+    found, _ = processes('sensor', device='davis346', frames='true')
+    assert names(found) == [*graph_names('davis346'), ('mixtac_description', 'frames_node')]
 
 
 @pytest.mark.parametrize('single', SINGLE)
@@ -194,7 +199,9 @@ def test_a_launched_virtual_sensor_gives_forces_and_ends_well(tmp_path, node_und
         assert answer.current_state.id == State.PRIMARY_STATE_ACTIVE
 
     device = f'virtual:{tmp_path}/usb.sock'
-    status, statuses = launched('sensor', watch, device=device, single_process=single)
+    status, statuses = launched(
+        'sensor', watch, device=device, single_process=single, frames='false'
+    )
     assert forces[0].header.frame_id
     assert status == 0
     assert statuses == [0] * len(graph_names(device, single_process=SINGLE[single]))

@@ -24,12 +24,12 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_srvs.srv import Trigger
 
 from mixtac_fger.reference import Reference
 from mixtac_fger.validity import Reason
-from mixtac_msgs.msg import ForceQuality
+from mixtac_msgs.msg import Contact, ForceQuality
 from mixtac_node.base_node import QOS_SENSOR
 from mixtac_node.stamps import stamp_to_us, us_to_stamp
 
@@ -96,6 +96,7 @@ def estimator(node_under_test, tmp_path, model, monkeypatch) -> Estimator:
         reference='reference.npz',
         invalid_force='publish',
         assume_free=True,
+        displacement='frames',
     )
 
 
@@ -193,7 +194,14 @@ def test_forces_come_every_2_ms_of_the_camera_clock(estimator, trial, tmp_path, 
         State.PRIMARY_STATE_ACTIVE,
     )
     estimator.graph.listen(DiagnosticArray, '/diagnostics', 10)
+    contacts = estimator.graph.listen(Contact, '/mixtac/contact', QOS)
+    clouds = estimator.graph.listen(PointCloud2, '/mixtac/displacement/points', QOS)
     received, quality = play(estimator.graph, trial)
+    assert {each.header.frame_id for each in [*contacts, *clouds]} == {'mixtac_contact'}
+    assert all(each.in_contact or not each.located for each in contacts)
+    points = np.frombuffer(clouds[-1].data, np.float32).reshape(-1, 6)
+    assert len(points) == clouds[-1].width * clouds[-1].height
+    assert np.isfinite(points).all()
     stamps = np.array([stamp_to_us(message.header.stamp) for message in received])
     assert {message.header.frame_id for message in received} == {'mixtac_contact'}
     assert (stamps % 2000 == 0).all()

@@ -34,7 +34,7 @@ from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
 from mixtac_node.process import FATAL, GraphError, claim_nodes, freeze_loaded
-from mixtac_node.topics import DEFAULT_NAMESPACE, Topic, message_class
+from mixtac_node.topics import DEFAULT_NAMESPACE, Topic, frame_id, message_class
 
 T = TypeVar('T')
 ENDING = (signal.SIGINT, signal.SIGTERM)
@@ -221,7 +221,8 @@ def declare(
     """Declare a schema's parameters on a node and return their values.
 
     Values are checked before they are used. Later changes are checked together and passed to
-    `on_change`; if that raises a MixtacError, they are refused with its message.
+    `on_change`; if that raises a MixtacError, they are refused with its message. Frames get the
+    prefix of the node's namespace, see `mixtac_node.topics.frame_id`.
 
     Args:
         node: An rclpy node (lifecycle or not).
@@ -239,7 +240,13 @@ def declare(
         except InvalidParameterValueException as error:
             raise ParameterError(' '.join(str(error).split())) from error
     names = {spec.name: spec for spec in declared}
-    current = build(schema, {name: node.get_parameter(name).value for name in names})
+    frames = {name for name in names if name.endswith('frame_id')}
+
+    def built(values: dict[str, Any]) -> T:
+        own = {name: frame_id(values[name], node.get_namespace()) for name in frames}
+        return build(schema, {**values, **own})
+
+    current = built({name: node.get_parameter(name).value for name in names})
 
     def apply(parameters: list[Any]) -> SetParametersResult:
         nonlocal current
@@ -249,7 +256,7 @@ def declare(
             reason = f'parameter {fixed[0]} is fixed while the node runs; restart with a new value'
             return SetParametersResult(successful=False, reason=reason)
         try:
-            wanted = build(schema, {**dataclasses.asdict(current), **changes})  # type: ignore[call-overload]
+            wanted = built({**dataclasses.asdict(current), **changes})  # type: ignore[call-overload]
             if changes and on_change is not None:
                 on_change(wanted)
         except MixtacError as error:

@@ -63,7 +63,21 @@ IMU_FRAME = 'imu'
 REFERENCE_FRAME = 'ft_sensor'
 """Default frame of the reference force sensor."""
 CONTACT_FRAME = 'mixtac_contact'
-"""Default frame of contact forces: z points from the contact into the gel."""
+"""Default frame of forces and contacts: x to the right and y up in the image, z into the gel."""
+
+
+def frame_prefix(namespace: str) -> str:
+    """Return what the names of the frames of a sensor begin with: nothing in the default one."""
+    name = namespace.strip('/').replace('/', '_')
+    return '' if name in {'', DEFAULT_NAMESPACE} else f'{name}_'
+
+
+def frame_id(name: str, namespace: str) -> str:
+    """Return a frame's name for the sensor of a namespace; names of the user's stay as they are."""
+    own = name in (CAMERA_FRAME, IMU_FRAME, CONTACT_FRAME)
+    return frame_prefix(namespace) + name if own else name
+
+
 REFERENCE = '/ft_sensor/wrench'
 EVENTS = Topic(
     'events',
