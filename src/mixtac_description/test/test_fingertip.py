@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from mixtac_description.fingertip import (
     DescriptionError,
     fingertip_urdf,
     fixed_frames,
     quaternion,
 )
-
 from mixtac_node.topics import CAMERA_FRAME, CONTACT_FRAME, IMU_FRAME, frame_id, frame_prefix
 
 URDF = Path(__file__).resolve().parents[1] / 'urdf' / 'fingertip.urdf.xacro'

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -41,6 +41,10 @@ REST_SHARE: Final = 0.01
 """Share of the force without contact that its mean takes over per window: 0.2 s."""
 MOST_REST_N: Final = 0.05
 """Largest force that is taken for one without contact [N]."""
+UNSEEN_N: Final = 0.1
+"""Largest force of a contact that a picture may fail to show [N]."""
+UNSEEN_US: Final = 40_000
+"""Time from the begin of a contact after which a picture that shows none ends it [us]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +62,18 @@ class ContactSettings:
     off_n: float = 0.02
     object_radius: float = 0.0
     scale: SkinScale = field(default_factory=SkinScale)
+
+
+@runtime_checkable
+class FindsContact(Protocol):
+    """What an estimator has besides whose frames tell where the contact is."""
+
+    @property
+    def flow(self) -> F32:
+        """Flow of the latest window, [rows, columns, 2] of the event grid [px per threshold]."""
+
+    def find_contacts(self, scale: SkinScale | None) -> None:
+        """Measure displacement and contact of frames from now on; None ends it."""
 
 
 class Touch(NamedTuple):
@@ -180,7 +196,7 @@ class ContactTracker:
 
     Args:
         settings: May be replaced at any time by the attribute of this name.
-        shape: Rows and columns of the event grid.
+        finder: The estimator whose frames tell, and whose flow is that of the latest window.
 
     Attributes:
         settings: As given.
@@ -188,14 +204,16 @@ class ContactTracker:
         frame_us: Centre of its exposure, camera clock [us].
     """
 
-    def __init__(self, settings: ContactSettings, shape: tuple[int, int]) -> None:
-        self.settings = settings
+    def __init__(self, settings: ContactSettings, finder: FindsContact) -> None:
+        self.settings, self._finder = settings, finder
+        finder.find_contacts(settings.scale)
         self.touch: Touch | None = None
         self.frame_us = 0
-        self._carrier = FlowCarrier(shape)
+        rows, columns = finder.flow.shape[:2]
+        self._carrier = FlowCarrier((rows, columns))
         self._start = self._carrier.until(0)
-        self._touching = False
-        self._rest_n = 0.0
+        self._touching, self._since_us = False, 0
+        self._rest_n = self._force_n = 0.0
 
     def frame(self, mid_us: int, touch: Touch) -> None:
         """Take a frame.
@@ -206,17 +224,21 @@ class ContactTracker:
         """
         self.touch, self.frame_us, self._start = touch, mid_us, self._carrier.until(mid_us)
         self._carrier.frame(self._start, touch.field)
+        lasting = mid_us > self._since_us + UNSEEN_US
+        if self._touching and lasting and not touch.fit.seen and self._force_n < UNSEEN_N:
+            # What is left of a release: the gel relaxes, and the estimate with it.
+            self._touching = False
+            self._rest_n = min(max(self._force_n, -MOST_REST_N), MOST_REST_N)
 
-    def window(self, end_us: int, flow: F32, force: float) -> Contact:
-        """Take a window and return the contact at its end.
+    def window(self, end_us: int, force: float) -> Contact:
+        """Take the window that the estimator has just taken and return the contact at its end.
 
         Args:
             end_us: End of the window, camera clock [us].
-            flow: Flow of its events, float32 [rows, columns, 2] [px per threshold].
             force: Normal force [N].
         """
-        self._carrier.window(end_us, flow)
-        self._switch(force)
+        self._carrier.window(end_us, self._finder.flow)
+        self._switch(end_us, force)
         touch = self.touch
         if not self._touching or touch is None or not touch.fit.seen:
             return Contact(end_us, self._touching, None)
@@ -237,17 +259,19 @@ class ContactTracker:
     def clear(self) -> None:
         """Forget frames and contact."""
         self.touch, self._touching, self._rest_n = None, False, 0.0
-        self._carrier = FlowCarrier(self._start.shape[:2])
+        rows, columns = self._start.shape[:2]
+        self._carrier = FlowCarrier((rows, columns))
 
-    def _switch(self, force: float) -> None:
+    def _switch(self, end_us: int, force: float) -> None:
+        self._force_n = force
         free = self.touch is not None and not self.touch.fit.seen
         if free and not self._touching and abs(force) < MOST_REST_N:
             self._rest_n += REST_SHARE * (force - self._rest_n)
         above = force - self._rest_n
         if self._touching:
             self._touching = above > self.settings.off_n
-        else:
-            self._touching = above > self.settings.on_n
+        elif above > self.settings.on_n:
+            self._touching, self._since_us = True, end_us
 
     def _shape(self, fit: ContactFit) -> ContactShape:
         p, settings = fit.parameters, self.settings
@@ -258,3 +282,10 @@ class ContactTracker:
             if carried[0] > 0.0 and is_sensible(carried):
                 p = carried
         return contact_shape(p, fit.covariance, settings.scale, settings.object_radius)
+
+
+def contact_tracker(settings: ContactSettings | None, estimator: object) -> ContactTracker | None:
+    """Return the tracker of an estimator; None without settings, or if its frames do not tell."""
+    if settings is None or not isinstance(estimator, FindsContact):
+        return None
+    return ContactTracker(settings, estimator)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from mixtac_fger.config import ModelError
 from mixtac_fger.validity import Reason
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from mixtac_events.arrays import Events
     from mixtac_fger.comparisons import PictureFigures
     from mixtac_fger.contact_tracking import Contact, Touch
-    from mixtac_fger.displacement import SkinScale
     from mixtac_fger.reference import Reference
     from mixtac_fger.weights import Model, ModelCard
 
@@ -130,18 +129,6 @@ class Estimator(Protocol):
 
     def clear(self) -> None:
         """Forget the recurrent state: no force, nothing remembered. The latest frame is kept."""
-
-
-@runtime_checkable
-class FindsContact(Protocol):
-    """What an estimator has besides whose frames tell where the contact is."""
-
-    @property
-    def flow(self) -> NDArray[np.float32]:
-        """Flow of the latest window, [rows, columns, 2] of the event grid [px per threshold]."""
-
-    def find_contacts(self, scale: SkinScale | None) -> None:
-        """Measure displacement and contact of frames from now on; None ends it."""
 
 
 def open_estimator(model: Model) -> Estimator:

@@ -35,8 +35,8 @@ from mixtac_events.arrays import Events
 from mixtac_events.codec import decode, encode
 from mixtac_events.windows import WindowSlicer
 from mixtac_fger import comparisons
-from mixtac_fger.contact_tracking import ContactTracker
-from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, FindsContact
+from mixtac_fger.contact_tracking import contact_tracker
+from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus
 from mixtac_fger.features import ImageError, correction_lag
 from mixtac_fger.reference import Reference, TareError, ZeroWatch
 from mixtac_fger.validity import (
@@ -291,12 +291,7 @@ class ForceEstimator:
         self.longest_without_frame_us = longest_without_frame_us
         self.stale_frame_us = stale_frame_us
         self._estimator = estimator
-        self._finder: FindsContact | None = None
-        self.contact: ContactTracker | None = None
-        if contact is not None and isinstance(estimator, FindsContact):
-            estimator.find_contacts(contact.scale)
-            self._finder = estimator
-            self.contact = ContactTracker(contact, estimator.flow.shape[:2])
+        self.contact = contact_tracker(contact, estimator)
         if estimator.reference is not None:
             estimator.reference.assume_free = assume_free
         self._width_us = estimator.window_us
@@ -310,8 +305,7 @@ class ForceEstimator:
         self._validity = Validity(estimator.window_us, estimator.width)
         self._reason_now = Reason.TRUSTED
         self._saturated = self._other_camera = False
-        self._release = Release()
-        self._zero = ZeroWatch()
+        self._release, self._zero = Release(), ZeroWatch()
         self._deviation: float | None = None
         self._since_us = -NO_LIMIT_US
         self._count = EstimatorCounters()
@@ -548,9 +542,7 @@ class ForceEstimator:
         count.incomplete += not complete
         count.saturated += saturated
         count.invalid += reason is not Reason.TRUSTED
-        found = None
-        if self.contact is not None and self._finder is not None:
-            found = self.contact.window(end_us, self._finder.flow, force)
+        found = None if self.contact is None else self.contact.window(end_us, force)
         return Estimate(end_us, force, deviation, age_us, complete, saturated, reason, found)
 
     def _check(self, frame: EncodedFrame, then: float | None) -> None:

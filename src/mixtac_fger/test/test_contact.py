@@ -92,6 +92,16 @@ def test_displacement_of_a_moved_texture_is_measured_beyond_one_bin():
     assert np.all(np.isfinite(FieldMeter(CONFIG).measure(blank, blank).moved))
 
 
+class Finder:
+    """An estimator of which a test sets the flow."""
+
+    def __init__(self):
+        self.flow = np.zeros((*GRID, 2), np.float32)
+
+    def find_contacts(self, scale):
+        self.scale = scale
+
+
 def touch_at(x, y):
     field = pressed((x, y))
     return Touch(field, ContactFitter(SIZE, SCALE, GRID).fit(field))
@@ -111,22 +121,25 @@ def cell_flow(before, after, threshold):
 
 
 def test_events_carry_place_and_displacement_between_frames():
-    tracker = ContactTracker(ContactSettings(scale=SCALE), GRID)
+    finder = Finder()
+    tracker = ContactTracker(ContactSettings(scale=SCALE), finder)
     before, after = touch_at(0.0, 0.0), touch_at(0.4, -0.2)
     tracker.frame(10_000, before)
-    flow = cell_flow(before.field, after.field, 0.25)
-    still = tracker.window(12_000, np.zeros_like(flow), 0.5)
-    moved = tracker.window(14_000, flow, 0.5)
+    still = tracker.window(12_000, 0.5)
+    finder.flow = cell_flow(before.field, after.field, 0.25)
+    moved = tracker.window(14_000, 0.5)
     assert still.shape.x_mm == pytest.approx(0.0, abs=0.02)
     assert moved.shape.x_mm == pytest.approx(0.4, abs=0.15)
     assert moved.shape.y_mm == pytest.approx(-0.2, abs=0.1)
 
 
 def test_events_carry_the_displacement_between_frames():
-    tracker = ContactTracker(ContactSettings(scale=SCALE), GRID)
+    finder = Finder()
+    tracker = ContactTracker(ContactSettings(scale=SCALE), finder)
     before, after = touch_at(0.0, 0.0), pressed((0.0, 0.0), strength=0.8)
     tracker.frame(10_000, before)
-    tracker.window(12_000, cell_flow(before.field, after, 0.25), 0.5)
+    finder.flow = cell_flow(before.field, after, 0.25)
+    tracker.window(12_000, 0.5)
     error = np.abs(tracker.moved() - after.moved).mean()
     assert error < 0.5 * np.abs(before.field.moved - after.moved).mean()
 
@@ -142,9 +155,21 @@ def test_frames_tell_the_size_of_a_contrast_threshold():
 
 
 def test_contact_switches_with_hysteresis_and_has_no_place_before_a_frame():
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), GRID)
-    none = np.zeros((*GRID, 2), np.float32)
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
     forces = (0.0, 0.025, 0.035, 0.025, 0.015, 0.025)
-    found = [tracker.window(2000 * i, none, force) for i, force in enumerate(forces)]
+    found = [tracker.window(2000 * i, force) for i, force in enumerate(forces)]
     assert [each.touching for each in found] == [False, False, True, True, False, False]
     assert all(each.shape is None for each in found)
+
+
+def test_what_is_left_of_a_release_ends_with_a_picture_without_contact():
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    free = pressed((0.0, 0.0), strength=0.0, noise=0.01)
+    unseen = Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free))
+    assert tracker.window(2000, 0.04).touching
+    # Exposed too early to tell.
+    tracker.frame(3000, unseen)
+    assert tracker.window(60_000, 0.04).touching
+    tracker.frame(59_000, unseen)
+    assert not tracker.window(62_000, 0.04).touching
+    assert tracker.window(64_000, 0.08).touching
