@@ -25,6 +25,7 @@ STUDIES = {
     'ablation': f'{STUDY}.difficulty:ablation',
     'faults': f'{STUDY}.faults:faults',
     'zero': f'{STUDY}.zero:zero',
+    'contact-place': f'{STUDY}.contact_place:contact_place',
     'models': f'{STUDY}.models:models',
     'adaptation': f'{STUDY}.models:adaptation',
     'alignment': f'{STUDY}.alignment:alignment',
