@@ -265,7 +265,7 @@ def _mixed(colour: Colour, shade: float) -> Colour:
 
 FIELD_PX = 8
 """Distance of the points of a displacement in the camera's image [px]."""
-EXAGGERATION = 5.0
+EXAGGERATION = 10.0
 """Factor by which arrows are longer than the displacement."""
 OUTLINE = np.linspace(0.0, 2.0 * np.pi, 33)
 
