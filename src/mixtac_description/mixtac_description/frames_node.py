@@ -15,9 +15,13 @@ from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
-from tf2_msgs.msg import TFMessage
 
-from mixtac_description.fingertip import FixedFrame, fingertip_urdf, fixed_frames
+from mixtac_description.fingertip import (
+    DescriptionError,
+    FixedFrame,
+    fingertip_urdf,
+    fixed_frames,
+)
 from mixtac_node.base_node import BaseNode, run
 from mixtac_node.topics import frame_prefix
 
@@ -29,6 +33,12 @@ class FramesNode(BaseNode, Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__('frames')
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ModuleNotFoundError as error:
+            raise DescriptionError(
+                'tf2_msgs is not installed', remedy='install ROS 2: the wheels do not have it'
+            ) from error
         urdf = fingertip_urdf(frame_prefix(self.get_namespace()))
         now = self.get_clock().now().to_msg()
         self._tf = self.create_publisher(TFMessage, '/tf_static', LATCHED)
