@@ -345,20 +345,21 @@ def contact_shape(p: F64, covariance: F64, scale: SkinScale, object_radius: floa
         scale: Of the skin in the picture.
         object_radius: Radius of curvature of what touches [mm]; 0 if it is not known.
     """
-    mean, half = 0.5 * (p[5] + p[7]), math.hypot(0.5 * (p[5] - p[7]), p[6])
+    strength, _, _, x, y, xx, xy, yy = p.tolist()
+    mean, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     narrow, wide = (max(mean + sign * half, 1e-3) ** -0.5 for sign in (1.0, -1.0))
-    angle = 0.5 * math.atan2(-2.0 * p[6], p[7] - p[5])
-    radius, spread = contact_radius(math.sqrt(wide * narrow), p[0], object_radius)
+    angle = 0.5 * math.atan2(-2.0 * xy, yy - xx)
+    radius, spread = contact_radius(math.sqrt(wide * narrow), strength, object_radius)
     ratio = math.sqrt(wide / narrow)
     place = math.sqrt(
         0.5 * (covariance[3, 3] + covariance[4, 4])
         + PLACE_DEVIATION_MM**2
-        + 0.5 * scale.deviation**2 * (p[3] ** 2 + p[4] ** 2)
+        + 0.5 * scale.deviation**2 * (x**2 + y**2)
     )
     area = math.pi * radius**2
     return ContactShape(
-        x_mm=float(p[3]),
-        y_mm=float(p[4]),
+        x_mm=x,
+        y_mm=y,
         deviation_mm=place,
         area_mm2=area,
         area_deviation_mm2=area * math.hypot(spread, 2.0 * scale.deviation),
@@ -373,7 +374,8 @@ def contact_radius(
 ) -> tuple[float, float]:
     """Return the radius of a contact [mm], and the relative standard deviation of its area.
 
-    Laws fitted by `mixtac_lab.experiments.studies.contact_place.fit_laws` to simulated sensors.
+    Laws by least squares over 40 simulated sensors (`paper_like`, seeds from 800100 on; in turn
+    under spheres of 9 and 4 mm and a flat face of 5 mm) at forces from 0.03 to 1 N.
 
     Args:
         width_mm: Geometric mean of the widths of the displacement field.
@@ -384,7 +386,8 @@ def contact_radius(
     known = object_radius > 0.0
     more = (math.log(object_radius),) if known else (width**2, steep**2, width * steep)
     law, spread = (KNOWN_OBJECT, 0.15) if known else (UNKNOWN_OBJECT, 0.3)
-    radius = math.exp(float(np.dot(law, (1.0, width, steep, *more))))
+    terms = (1.0, width, steep, *more)
+    radius = math.exp(sum(factor * term for factor, term in zip(law, terms, strict=True)))
     return min(max(radius, NARROWEST_MM / 4.0), WIDEST_MM), spread
 
 

@@ -105,6 +105,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._force: Any = None
         self._quality: Any = None
         self._contact: tuple[Any, ...] = ()
+        self._located = Contact()
         self._field: tuple[Any, ...] = ()
         self._lens, self._field_us = (0.0, (0.0, 0.0)), 0
         self._message = ForceMessage(self._settings.frame_id)
@@ -356,7 +357,9 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             if found is None:
                 continue
             if wanted[0]:
-                message = self._stamped(Contact(), estimate.end_us)
+                # A located contact fills every field: no need for a new message.
+                message = self._located if found.shape is not None else Contact()
+                self._stamped(message, estimate.end_us)
                 fill_contact(message, found, estimate.frame_age_us, *where)
                 self._contact[0].publish(message)
             if wanted[1] and found.shape is not None:

@@ -174,10 +174,12 @@ def contact_rows(trials: list[Touched]) -> list[dict[str, Any]]:
     rows = [
         _row(f'place, from {LOWEST_N} N, median', np.median(error), 0.3, 'mm', len(error)),
         _row('place, 90 %', np.quantile(error, 0.9), None, 'mm', len(error)),
-        _row(f'place, {EDGE_N} to {LOWEST_N} N, median', np.median(light), 0.3, 'mm', len(light)),
         _row('area, median error', np.median(area), 0.15, '', len(area)),
         _row('area, 90 %', np.quantile(area, 0.9), None, '', len(area)),
     ]
+    if len(light):
+        name = f'place, {EDGE_N} to {LOWEST_N} N, median'
+        rows.insert(2, _row(name, np.median(light), 0.3, 'mm', len(light)))
     for rising, name in ((True, 'on'), (False, 'off')):
         late = np.concatenate([each[rising] for each in delays])
         soon = np.mean(np.abs(late) * 1e3 <= SOON_US)
