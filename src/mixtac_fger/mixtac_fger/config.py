@@ -61,6 +61,7 @@ LATER_FIELDS: dict[str, Any] = {
     'event_shortcut': False,
     'deviation_size': 0,
     'force_unit': 1.0,
+    'shear': False,
 }
 """Fields that weight files of the first release lack, and what they mean by that."""
 
@@ -118,6 +119,7 @@ class FgerConfig:
         history_windows: How many past estimates are kept for that comparison.
         force_unit: Gain that was folded into the weights: forces in the training were so many
             times smaller.
+        shear: Whether there is a head for sideways force and torsion (`mixtac_fger.shear`).
     """
 
     width: int = 346
@@ -147,6 +149,7 @@ class FgerConfig:
     correction_point: str = 'exposure_centre'
     history_windows: int = 64
     force_unit: float = 1.0
+    shear: bool = False
 
     def __post_init__(self) -> None:
         """Check the values against each other.
@@ -169,6 +172,11 @@ class FgerConfig:
         if unknown or not self.frame_channels:
             raise ConfigError(
                 f'FgerConfig.frame_channels = {self.frame_channels}: choose from {FRAME_CHANNELS}'
+            )
+        if self.shear and not {'flow_x', 'flow_y'} <= set(self.frame_channels):
+            raise ConfigError(
+                f'FgerConfig.frame_channels = {self.frame_channels}: the head for sideways force'
+                ' needs flow_x and flow_y'
             )
         if self.correction_point not in CORRECTION_POINTS:
             raise ConfigError(
@@ -219,7 +227,10 @@ class FgerConfig:
         return from_mapping(cls, values, 'FgerConfig')
 
 
-STATISTICS = ('frame.mean', 'frame.scale', 'event.scale', 'deviation.scale')
+STATISTICS = (
+    *('frame.mean', 'frame.scale', 'event.scale', 'deviation.scale'),
+    *('shear.unit', 'shear.deviation'),
+)
 """Tensors of a weight file that are not trained by gradients."""
 
 
@@ -268,6 +279,10 @@ def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
         linear('deviation.hidden', config.lstm_size + 1, config.deviation_size)
         linear('deviation.output', config.deviation_size, 1)
         shapes['deviation.scale'] = (1,)
+    if config.shear:
+        linear('shear.frame', 2 * config.cells, 3, bias=False)
+        linear('shear.event', 2 * config.cells, 3, bias=False)
+        shapes['shear.unit'], shapes['shear.deviation'] = (3,), (3, 3)
     return shapes
 
 
@@ -285,9 +300,11 @@ def operations_per_cycle(config: FgerConfig) -> int:
         sizes[f'frame.convolutions.{2 * index}.weight'] * rows * columns
         for index, (rows, columns, _) in enumerate(map_shapes(config)[1:])
     )
-    total += sizes['frame.project.weight']
+    total += sizes['frame.project.weight'] + sizes.get('shear.frame.weight', 0)
     total += sum(size for name, size in sizes.items() if name.startswith('correction'))
     per_window = sum(
-        size for name, size in sizes.items() if not name.startswith(('frame', 'correction'))
+        size
+        for name, size in sizes.items()
+        if not name.startswith(('frame', 'correction', 'shear.frame'))
     )
     return 2 * (total + per_window * 40_000 // config.window_us)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_checkable
 
 from mixtac_fger.config import ModelError
 from mixtac_fger.validity import Reason
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from mixtac_fger.comparisons import PictureFigures
     from mixtac_fger.contact_tracking import Contact, Touch
     from mixtac_fger.reference import Reference
+    from mixtac_fger.shear import Shear
     from mixtac_fger.weights import Model, ModelCard
 
     Image = NDArray[np.uint8] | NDArray[np.uint16]
@@ -159,6 +160,27 @@ def open_estimator(model: Model) -> Estimator:
     return estimator
 
 
+@runtime_checkable
+class FindsShear(Protocol):
+    """What an estimator has besides that may know sideways force and torsion."""
+
+    @property
+    def shear(self) -> Shear | None:
+        """Sideways force and torsion after the latest `step`; None where they are unknown."""
+
+
+def known_shear(estimator: Estimator, normal: float, sideways: float) -> Shear | None:
+    """Return sideways force and torsion after the latest `step`; None where they are unknown.
+
+    Args:
+        estimator: Any.
+        normal: Gain of the normal force, which counts for all axes.
+        sideways: Gain of the sideways force beside it.
+    """
+    found = estimator.shear if isinstance(estimator, FindsShear) else None
+    return None if found is None else found.scaled(normal, normal * sideways)
+
+
 class Estimate(NamedTuple):
     """The force at the end of a window, and how far it can be trusted.
 
@@ -171,6 +193,7 @@ class Estimate(NamedTuple):
         saturated: Whether the sensor's readout has probably lost events because there were so many.
         reason: Why the force cannot be trusted; `Reason.TRUSTED` if nothing was found.
         contact: State and place of the contact; None unless asked for.
+        shear: Sideways force and torsion; None where they are unknown.
     """
 
     end_us: int
@@ -181,6 +204,7 @@ class Estimate(NamedTuple):
     saturated: bool = False
     reason: Reason = Reason.TRUSTED
     contact: Contact | None = None
+    shear: Shear | None = None
 
     @property
     def valid(self) -> bool:
@@ -208,6 +232,10 @@ def fill_quality(message: Any, estimate: Estimate) -> None:  # noqa: ANN401
     message.frame_age = estimate.frame_age_us * 1e-6
     message.complete, message.saturated = estimate.complete, estimate.saturated
     message.valid, message.reason = estimate.valid, int(estimate.reason)
+    shear = estimate.shear
+    message.sideways_known = message.torque_known = shear is not None
+    message.sideways_deviation = -1.0 if shear is None else shear.deviation
+    message.torque_deviation = -1.0 if shear is None else shear.torque_deviation
 
 
 @dataclass(slots=True)

@@ -38,6 +38,7 @@ from mixtac_fger.features import EventGuide, FramePreparation, WindowFeatures
 from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
 from mixtac_fger.recurrent_network import RecurrentPath
 from mixtac_fger.reference import Reference
+from mixtac_fger.shear import Shear, ShearHead
 from mixtac_fger.weights import MODEL_REMEDY
 
 if TYPE_CHECKING:
@@ -61,10 +62,11 @@ SPREAD_DEVIATIONS = 3.0
 
 
 class _Content(NamedTuple):
-    """What the recurrent path needs of a frame: f_frame, and what events are multiplied with."""
+    """What is needed of a frame: f_frame, what events are multiplied with, and the shear shown."""
 
     feature: NDArray[np.float32]
     guide: EventGuide
+    shear: NDArray[np.float64] | None
 
 
 def checked_config(model: Model) -> FgerConfig:
@@ -133,7 +135,30 @@ def with_gain(model: Model, gain: float, deviation: float = 1.0) -> Model:
     if 'deviation.scale' in tensors:
         tensors['deviation.hidden.weight'][:, -1] /= np.float32(gain)
         tensors['deviation.scale'] *= np.float32(gain * deviation)
+    if 'shear.unit' in tensors:
+        tensors['shear.unit'] *= np.float32(gain)
+        tensors['shear.deviation'][:, 1] *= np.float32(deviation)
     return replace(model, config=model.config | {'force_unit': unit}, tensors=tensors)
+
+
+def with_sideways_gain(model: Model, gain: float) -> Model:
+    """Return an FGER-Net model whose sideways forces are `gain` times those of `model`.
+
+    Args:
+        model: Not changed.
+        gain: Above 0.
+
+    Raises:
+        ModelError: The gain is no such number, the model knows no sideways force, or as
+            `checked_config`.
+    """
+    if not 0.0 < gain < float('inf'):
+        raise ModelError(f'a gain of {gain} is impossible', remedy='check the known forces')
+    if not checked_config(model).shear:
+        raise ModelError('the model gives no sideways force', remedy=MODEL_REMEDY)
+    unit = np.array(model.tensors['shear.unit'])
+    unit[:2] *= np.float32(gain)
+    return replace(model, tensors={**model.tensors, 'shear.unit': unit})
 
 
 class FgerEstimator:
@@ -164,6 +189,7 @@ class FgerEstimator:
         self._guide: EventGuide | None = None
         self._pending_n, self._pending_windows = 0.0, 0
         self._touch: TouchMeter | None = None
+        self._shear = ShearHead(config, model.tensors) if config.shear else None
 
     @property
     def width(self) -> int:
@@ -205,6 +231,11 @@ class FgerEstimator:
         with self._encoding:
             self._touch = None if scale is None else TouchMeter(self.config, scale)
 
+    @property
+    def shear(self) -> Shear | None:
+        """Sideways force and torsion after the latest window; None where they are unknown."""
+        return None if self._shear is None else self._shear.value
+
     def encode(self, image: Image, mid_us: int) -> EncodedFrame | None:
         """Compare a frame with the reference; the number of its bits does not matter.
 
@@ -222,7 +253,8 @@ class FgerEstimator:
             feature = np.empty(self.config.frame_size, np.float32)
             force = frame_step(inputs, self._weights, self._maps, self._scratch, feature)
             guide = self._preparation.guide(contrast)
-            content = _Content(feature, guide)
+            shear = None if self._shear is None else self._shear.measure(inputs, float(force))
+            content = _Content(feature, guide, shear)
             coarse = contrast.coarse
             touch = None if self._touch is None else self._touch.measure(reference, coarse)
             return EncodedFrame(mid_us, float(force), number, content, coarse, picture, touch)
@@ -232,6 +264,8 @@ class FgerEstimator:
         self._pending_n += self._path.correct(frame.content.feature, lag)
         self._pending_windows = SPREAD_WINDOWS
         self._guide = frame.content.guide
+        if self._shear is not None:
+            self._shear.correct(frame.content.shear, lag)
 
     def start_at(self, frame: EncodedFrame) -> None:
         """Start over at the frames-only force."""
@@ -239,12 +273,17 @@ class FgerEstimator:
         # A start at zero would take several frames to recover from, if in contact.
         self._path.start_at(frame.force)
         self._guide = frame.content.guide
+        if self._shear is not None:
+            self._shear.clear()
+            self._shear.correct(frame.content.shear, 0)
 
     def step(self, events: Events, end_us: int) -> tuple[float, float | None]:  # noqa: ARG002
         """Advance by one window; returns force and standard deviation [N]."""
         assert self._guide is not None  # noqa: S101  (the caller waits for a frame)
         self._window_features.compute(events, self._guide, self._features)
         force, deviation = self._path.step(self._features), self._path.deviation
+        if self._shear is not None:
+            self._shear.step(self._features, force)
         if self._pending_n == 0.0:
             return force, deviation
         if deviation is not None:
@@ -259,3 +298,5 @@ class FgerEstimator:
         """Forget the recurrent state."""
         self._pending_n = 0.0
         self._path.clear()
+        if self._shear is not None:
+            self._shear.clear()

@@ -48,17 +48,18 @@ if TYPE_CHECKING:
     from sensor_msgs.msg import CameraInfo, CompressedImage, TimeReference
 
     from mixtac_fger.estimator import Estimate, Estimator
+    from mixtac_fger.shear import Shear
     from mixtac_fger.weights import Model
 
 
 _STAMP = struct.Struct('<iI')
-_NUMBER = struct.Struct('<d')
-_STAMP_AT, _FORCE_Z_AT = 4, -32
-"""Places in a serialised message: after the representation, and four numbers before the end."""
+_NUMBERS = struct.Struct('<6d')
+_STAMP_AT, _WRENCH_AT = 4, -_NUMBERS.size
+"""Places in a serialised message: after the representation, and six numbers before the end."""
 
 
 class ForceMessage:
-    """Writes forces along z as serialised messages.
+    """Writes forces and the torque about z as serialised messages.
 
     Args:
         frame_id: Frame of the force.
@@ -69,16 +70,18 @@ class ForceMessage:
         message.header.frame_id = frame_id
         self._bytes = bytearray(serialize_message(message))
 
-    def serialised(self, stamp_us: int, force: float) -> bytes:
+    def serialised(self, stamp_us: int, force: float, shear: Shear | None = None) -> bytes:
         """Return the message.
 
         Args:
             stamp_us: Its stamp [us].
             force: Its force along z [N].
+            shear: Its other axes, which are 0 without.
         """
         seconds, rest = divmod(stamp_us, 1_000_000)
         _STAMP.pack_into(self._bytes, _STAMP_AT, seconds, rest * 1000)
-        _NUMBER.pack_into(self._bytes, _FORCE_Z_AT, force)
+        x, y, torque = (0.0, 0.0, 0.0) if shear is None else shear[:3]
+        _NUMBERS.pack_into(self._bytes, _WRENCH_AT, x, y, force, 0.0, 0.0, torque)
         return bytes(self._bytes)
 
 
@@ -99,6 +102,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._reference: NDArray[Any] | None = None
         self._feed: LiveFeed | None = None
         self._trusted: float | None = None
+        self._trusted_shear: Shear | None = None
         self._camera = CameraFacts()
         self._misfit = ''
         self._inputs: list[object] = []
@@ -256,6 +260,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if self._feed is not None:
             estimator = self._feed.estimator
             estimator.force_scale = wanted.force_scale
+            estimator.sideways_scale = wanted.sideways_scale
             estimator.contact_threshold_n = wanted.contact_threshold
             estimator.tare_on_release = wanted.tare_on_release
             estimator.longest_without_frame_us = round(wanted.longest_without_frame * 1e6)
@@ -328,9 +333,11 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         for estimate in estimates:
             force = given_force(estimate, self._settings.invalid_force, self._trusted)
             if estimate.valid:
-                self._trusted = force
+                self._trusted, self._trusted_shear = force, estimate.shear
             if force is not None:
-                self._force.publish(self._message.serialised(estimate.end_us, force))
+                held = not estimate.valid and self._settings.invalid_force == 'hold'
+                shear = self._trusted_shear if held else estimate.shear
+                self._force.publish(self._message.serialised(estimate.end_us, force, shear))
         now_ns = time.time_ns()
         # Off the critical path from here on.
         arrival_ns = (

@@ -28,9 +28,12 @@ class FgerParameters:
         model: Network weights: the path of a .safetensors file, or the name of a model that comes
             with mixtac_fger. Any architecture with an installed estimator. Fixed while the node is
             configured: clean it up to change the model.
-        frame_id: Frame of the published force; z points from the contact into the gel.
+        frame_id: Frame of the published force: x to the right and y upwards in the image, z from
+            the contact into the gel.
         force_scale: Factor of the published force: true force over estimated force, from the
             calibration of this sensor. Gels differ in stiffness, which no image shows.
+        sideways_scale: Factor of the published sideways force beside force_scale, from a weight
+            that hangs from the tip.
         reference: Name of the file of the no-contact reference of this sensor, such as
             left_finger.npz, in the state folder ($MIXTAC_HOME, by default ~/.local/state/mixtac).
             If empty, the file is that of the camera's serial number, reference_SERIAL.npz. ~/tare
@@ -72,6 +75,7 @@ class FgerParameters:
     model: str = parameter(DEFAULT_MODEL)
     frame_id: str = parameter('mixtac_contact')
     force_scale: float = parameter(1.0, within=(0.1, 10.0))
+    sideways_scale: float = parameter(1.0, within=(0.1, 10.0))
     reference: str = parameter('')
     assume_free: bool = parameter(False)
     contact_threshold: float = parameter(0.15, unit='N', within=(0.01, 10.0))
@@ -97,6 +101,7 @@ class FgerParameters:
         """Return the options of `mixtac_fger.streaming.ForceEstimator`, by name."""
         return {
             'force_scale': self.force_scale,
+            'sideways_scale': self.sideways_scale,
             'contact_threshold_n': self.contact_threshold,
             'longest_without_frame_us': round(self.longest_without_frame * 1e6),
             'stale_frame_us': round(self.stale_frame_age * 1e6),

@@ -36,7 +36,7 @@ from mixtac_events.codec import decode, encode
 from mixtac_events.windows import WindowSlicer
 from mixtac_fger import comparisons
 from mixtac_fger.contact_tracking import contact_tracker
-from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus
+from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, known_shear
 from mixtac_fger.features import ImageError, correction_lag
 from mixtac_fger.reference import Reference, TareError, ZeroWatch
 from mixtac_fger.validity import (
@@ -253,6 +253,7 @@ class ForceEstimator:
         estimator: Architecture with weights and state, not shared with others.
         background_frames: Encode frames in a thread; otherwise `push_frame` does it.
         force_scale: See below.
+        sideways_scale: See below.
         contact_threshold_n: See below.
         longest_without_frame_us: See below.
         stale_frame_us: See below.
@@ -265,7 +266,8 @@ class ForceEstimator:
     Attributes:
         contact: State and place of the contact, and the displacement of the beads; None for none.
         force_scale: Factor of the estimates, from the calibration of the sensor; may be changed at
-            any time, as the next two.
+            any time, as the next three.
+        sideways_scale: Factor of the sideways force beside `force_scale`.
         contact_threshold_n: Estimates above this count as contact, in which `tare` refuses [N].
         longest_without_frame_us: Age of the latest frame beyond which no force is given [us].
         stale_frame_us: Age of the latest frame beyond which the force is not trusted [us].
@@ -278,6 +280,7 @@ class ForceEstimator:
         *,
         background_frames: bool = False,
         force_scale: float = 1.0,
+        sideways_scale: float = 1.0,
         contact_threshold_n: float = 0.15,
         longest_without_frame_us: int = NO_LIMIT_US,
         stale_frame_us: int = STALE_FRAME_US,
@@ -285,7 +288,7 @@ class ForceEstimator:
         tare_on_release: bool = False,
         contact: ContactSettings | None = None,
     ) -> None:
-        self.force_scale = force_scale
+        self.force_scale, self.sideways_scale = force_scale, sideways_scale
         self.tare_on_release = tare_on_release
         self.contact_threshold_n = contact_threshold_n
         self.longest_without_frame_us = longest_without_frame_us
@@ -423,8 +426,8 @@ class ForceEstimator:
         """Raise where the picture shows a contact, or cannot rule one out."""
         if picture is None:
             return
-        alike = picture.likeness >= LEAST_LIKENESS
-        if reference.known and alike and abs(picture.outward) > CONTACT:
+        moved = picture.likeness >= LEAST_LIKENESS and abs(picture.outward) > CONTACT
+        if reference.known and moved:
             raise TareError(
                 'in contact: the skin is displaced against the reference',
                 remedy='release the sensor and try again; delete the stored reference if it is that'
@@ -543,7 +546,8 @@ class ForceEstimator:
         count.saturated += saturated
         count.invalid += reason is not Reason.TRUSTED
         found = None if self.contact is None else self.contact.window(end_us, force)
-        return Estimate(end_us, force, deviation, age_us, complete, saturated, reason, found)
+        shear = known_shear(self._estimator, self.force_scale, self.sideways_scale)
+        return Estimate(end_us, force, deviation, age_us, complete, saturated, reason, found, shear)
 
     def _check(self, frame: EncodedFrame, then: float | None) -> None:
         self._validity.frame(frame.mid_us, frame.contrast, frame.picture, frame.force, then)
@@ -640,16 +644,14 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
     comparisons.warm_up()
     feed = ForceEstimator(estimator)
     reference = estimator.reference
-    frames = 1 if reference is None else reference.frames
     for kind in (np.uint8, np.uint16):
-        for index in range(frames):
+        for index in range(1 if reference is None else reference.frames):
             image = np.full((estimator.height, estimator.width), 100, kind)
             feed.push_frame(image, WARM_UP_START_US - 1000 * index)
     t_us = np.arange(WARM_UP_START_US + 1000, WARM_UP_START_US + 11_000, 100, dtype=np.int64)
     zeros = np.zeros(len(t_us), np.uint16)
-    packet = encode(
-        Events(t_us, zeros, zeros, t_us % 200 == 0), complete_until=WARM_UP_START_US + 12_000
-    )
+    events = Events(t_us, zeros, zeros, t_us % 200 == 0)
+    packet = encode(events, complete_until=WARM_UP_START_US + 12_000)
     # Read-only bytes, as the middleware gives them.
     decoded = decode(
         packet.payload.tobytes(),

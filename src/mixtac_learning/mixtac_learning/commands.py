@@ -41,7 +41,8 @@ def train(
     config: Annotated[
         OptionalStr,
         typer.Argument(
-            help='YAML file, or a shipped one: ours, fger_paper, frames, events, fusion, smoke.'
+            help='YAML file, or a shipped one: ours, shear, fger_paper, frames, events, fusion,'
+            ' smoke.'
         ),
     ] = None,
     out: Annotated[
@@ -168,6 +169,13 @@ def adapt(
             ' 3.0 to 6.0 s after the start of the recording; repeatable.'
         ),
     ] = None,
+    sideways: Annotated[
+        OptionalStrings,
+        typer.Option(
+            help='Known pull to the side, of a weight that hangs from the pressed tip, in the first'
+            ' recording; written as --load, half a second after the contact began; repeatable.'
+        ),
+    ] = None,
     reference: ReferenceTopic = REFERENCE,
     serial: Annotated[
         str,
@@ -185,6 +193,7 @@ def adapt(
         find_model(model),
         out,
         loads=load or (),
+        sideways=sideways or (),
         reference=reference,
         json=json,
         serial=serial,

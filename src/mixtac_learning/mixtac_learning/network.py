@@ -107,6 +107,23 @@ class Course(NamedTuple):
     state: SequenceState
 
 
+class CarriedHead(nn.Module):
+    """The head of `mixtac_fger.shear`, which is fitted elsewhere: kept, scaled and written back.
+
+    Args:
+        config: Network configuration.
+    """
+
+    def __init__(self, config: FgerConfig) -> None:
+        super().__init__()
+        for name in ('frame', 'event'):
+            part = nn.Module()
+            part.register_buffer('weight', torch.zeros(3, 2 * config.cells))
+            self.add_module(name, part)
+        self.register_buffer('unit', torch.ones(3))
+        self.register_buffer('deviation', torch.zeros(3, 3))
+
+
 class FrameNetwork(nn.Module):
     """Phi_f: strided convolutions and a linear layer; plus the frames-only force.
 
@@ -177,6 +194,8 @@ class FgerNetwork(nn.Module):
         shortcut = config.event_size if config.event_shortcut else 0
         self.increment = perceptron(config.lstm_size + shortcut, config.mlp_size)
         self.correction = perceptron(1 + config.frame_size, config.mlp_size)
+        if config.shear:
+            self.shear = CarriedHead(config)
         self.deviation = (
             DeviationHead(config.lstm_size, config.deviation_size)
             if config.deviation_size

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
@@ -33,6 +35,9 @@ def test_shapes_without_torch_are_those_of_the_network(config):
     network = FgerNetwork(config)
     shapes = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     assert tensor_shapes(config) == shapes
+    carried = FgerNetwork(replace(config, frame_channels=('flow_x', 'flow_y'), shear=True))
+    names = set(carried.state_dict())
+    assert names == set(tensor_shapes(carried.config))
     assert count_parameters(config) == sum(p.numel() for p in network.parameters())
 
 

@@ -156,16 +156,18 @@ FORCE = Topic(
     'force',
     'geometry_msgs/msg/WrenchStamped',
     depth=100,
-    description='Estimated force at 500 Hz, `force.z` the normal force [N]; stamp is the end '
-    'of the event window on the camera clock, frame `mixtac_contact`.',
+    description='Estimated force on the skin at 500 Hz: `force.z` the normal force, `force.x` and '
+    '`force.y` sideways (right and up in the image) [N], `torque.z` [Nm]; 0 where `force_quality` '
+    'says unknown. Stamp is the end of the event window on the camera clock, frame '
+    '`mixtac_contact`.',
 )
 FORCE_QUALITY = Topic(
     'force_quality',
     'mixtac_msgs/msg/ForceQuality',
     depth=100,
-    description='For each window, with the stamp of its `force`: the standard deviation [N], the '
-    'age of the latest frame, whether all events arrived, and whether the force is valid or why '
-    'not. Also while invalid forces are withheld.',
+    description='For each window, with the stamp of its `force`: which axes are known and their '
+    'standard deviations, the age of the latest frame, whether all events arrived, and whether the '
+    'force is valid or why not. Also while invalid forces are withheld.',
 )
 CONTACT = Topic(
     'contact',

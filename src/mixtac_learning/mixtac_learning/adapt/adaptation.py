@@ -22,8 +22,16 @@ from torch import Tensor, nn
 
 from mixtac_fger import fger_net
 from mixtac_fger.estimator import SERIAL_KEY
-from mixtac_fger.weights import ModelCard, read_model, save_model
-from mixtac_learning.adapt.presses import PressSet, folds, gather_presses, parse_load
+from mixtac_fger.weights import Model, ModelCard, read_model, save_model
+from mixtac_learning.adapt.presses import (
+    Load,
+    PressSet,
+    folds,
+    gather_presses,
+    parse_load,
+    sideways_gain,
+)
+from mixtac_learning.judge.estimators import stream
 from mixtac_learning.judge.metrics import SMALLEST_FORCE_N, CalibrationError, fit_scale
 from mixtac_learning.network import FgerNetwork, model_of, network_of
 from mixtac_learning.train.batches import MemoryGroups, Sequences, stack
@@ -40,6 +48,7 @@ from mixtac_learning.train.stages import (
 )
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.samples import Sample
+from mixtac_learning.trials.trial import ForceLabel, camera_end_us
 from mixtac_node.files import write_json
 from mixtac_node.topics import REFERENCE
 
@@ -253,6 +262,7 @@ def run_adaptation(
     out: Path,
     *,
     loads: Sequence[str] = (),
+    sideways: Sequence[str] = (),
     reference: str = REFERENCE,
     json: Path | None = None,
     serial: str = '',
@@ -264,6 +274,7 @@ def run_adaptation(
         model: Weight file to start from.
         out: Weight file to write.
         loads: Known loads, texts like `0.5:3.0-6.0`; empty to use the reference in the bags.
+        sideways: Known sideways loads in the first bag, texts of the same form; empty for none.
         reference: Topic of the reference force.
         json: File for the figures; None for none.
         serial: Serial number of the sensor's camera, so that the node refuses other cameras; empty
@@ -277,7 +288,7 @@ def run_adaptation(
     console = Console()
     start = read_model(model)
     network = network_of(start)
-    known = [parse_load(text) for text in loads]
+    known, pulls = ([parse_load(text) for text in texts] for texts in (loads, sideways))
     sources = _sources(bags, reference, loads=bool(known))
     console.print(f'reading {len(sources)} recordings')
     trials = (each.load_camera() if known else each.load() for each in sources)
@@ -285,16 +296,48 @@ def run_adaptation(
     with console.status('adapting') as status:
         adapted = adapt(network, presses.presses, status.update)
     figures = adaptation_figures(adapted, presses)
+    content = model_of(adapted.network, ModelCard())
+    if pulls:
+        content, figures['sideways_gain'] = with_sideways_loads(content, sources[0], pulls)
+        console.print(f'sideways gain {figures["sideways_gain"]:.3f}')
     training = start.card.training | {
         'adapted': {'from': model.name, 'bags': [each.name for each in sources]} | figures
     }
     if serial:
         training[SERIAL_KEY] = serial
-    save_model(out, model_of(adapted.network, ModelCard(training, {'adaptation': figures})))
+    save_model(out, replace(content, card=ModelCard(training, {'adaptation': figures})))
     _report(console, adapted, presses)
     console.print(f'wrote {out}')
     if json is not None:
         write_json(json, {'model': str(model), 'out': str(out)} | figures)
+
+
+def with_sideways_loads(
+    model: Model, source: BagSource, loads: Sequence[Load]
+) -> tuple[Model, float]:
+    """Return a model whose sideways force is calibrated by known pulls, and the gain.
+
+    Args:
+        model: Calibrated for the normal force.
+        source: Recording of the pulls.
+        loads: Size of each pull, and when.
+
+    Raises:
+        CalibrationError: The pulls are not seen, or no gel explains the gain.
+        MixtacError: The recording or the model cannot be used.
+    """
+    trial = source.load_camera()
+    start_us = int(min(trial.events.t[0], trial.exposure_start_us[0]))
+    times = np.array([start_us, camera_end_us(trial)], np.float64)
+    found = stream(model, replace(trial, truth=ForceLabel(times, np.zeros(2))))
+    across = np.full((len(found.t_us), 2), np.nan) if found.across is None else found.across
+    gain = sideways_gain((found.t_us - start_us) / 1e6, across, loads)
+    if not GAINS[0] < gain < GAINS[1]:
+        raise CalibrationError(
+            f'the known pulls are {gain:.2f} times the estimates: no gel explains that; check the'
+            ' unit of the loads'
+        )
+    return fger_net.with_sideways_gain(model, gain), round(gain, 4)
 
 
 def _sources(bags: Sequence[Path], reference: str, *, loads: bool) -> list[BagSource]:

@@ -61,6 +61,50 @@ def parse_load(text: str) -> Load:
     return Load(force, start_s, end_s)
 
 
+REST_S = 0.5
+"""Time without the pull before each sideways load [s]."""
+LEAST_PULL_N = 0.03
+"""A sideways load changes the estimate by this at least [N]."""
+
+
+def sideways_gain(
+    since_s: NDArray[np.floating], across: NDArray[np.floating], loads: Sequence[Load]
+) -> float:
+    """Return the gain of the sideways force by known pulls: a weight that hangs from the tip.
+
+    What counts is how the estimate differs from that of the `REST_S` before the load, in the same
+    contact.
+
+    Args:
+        since_s: Times since the start of the recording [s], [T].
+        across: Estimates in the first two columns [N], nan where unknown, [T, 2 or more].
+        loads: Size of each pull, and when.
+
+    Raises:
+        CalibrationError: A load is outside the recording, or the estimate hardly sees it.
+    """
+    known, seen = [], []
+    for load in loads:
+        before = (since_s > load.start_s - REST_S - MARGIN_S) & (since_s < load.start_s - MARGIN_S)
+        inside = (since_s > load.start_s + MARGIN_S) & (since_s < load.end_s - MARGIN_S)
+        kept = np.isfinite(across[:, :2]).all(axis=1)
+        if not (before & kept).any() or not (inside & kept).any():
+            raise CalibrationError(
+                f'no sideways force from {load.start_s - REST_S} to {load.end_s} s: correct the'
+                ' times, and use a model that gives it'
+            )
+        change = across[inside & kept, :2].mean(axis=0) - across[before & kept, :2].mean(axis=0)
+        pull = float(np.hypot(*change))
+        if pull < LEAST_PULL_N:
+            raise CalibrationError(
+                f'the pull of {load.force} N changes the estimate by {pull:.3f} N: press the tip'
+                ' while the weight hangs, and check the times'
+            )
+        known.append(load.force)
+        seen.append(pull)
+    return float(np.dot(known, seen) / np.dot(seen, seen))
+
+
 def load_label(loads: Sequence[Load], start_us: int, end_us: int) -> ForceLabel:
     """Return a curve through the loads, zero elsewhere; valid in `known_windows` only.
 

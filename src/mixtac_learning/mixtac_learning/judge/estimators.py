@@ -51,6 +51,9 @@ class TrialEstimate:
         deviation: Standard deviation that the model gives, None where it gives none [N] [T].
         corrected: Windows in which a frame was first used, None where that is not known, bool [T].
         reasons: Values of `mixtac_fger.validity.Reason`, None where that is not known, uint8 [T].
+        across: `mixtac_fger.shear.Shear` of each window, nan where unknown, [T, 5]; None of an
+            estimator that never knows it.
+        known_across: True force x and y [N] and torque z [Nm], None where unknown [T, 3].
     """
 
     name: str
@@ -64,13 +67,18 @@ class TrialEstimate:
     deviation: NDArray[np.float64] | None = None
     corrected: NDArray[np.bool_] | None = None
     reasons: NDArray[np.uint8] | None = None
+    across: NDArray[np.float64] | None = None
+    known_across: NDArray[np.float64] | None = None
 
     def scaled(self, scale: float) -> TrialEstimate:
         """Return the estimate of a sensor that was calibrated to this scale."""
         frames = None if self.frames_only is None else scale * self.frames_only
         narrower = scale * CALIBRATED_DEVIATION
         deviation = None if self.deviation is None else narrower * self.deviation
-        return replace(self, force=scale * self.force, frames_only=frames, deviation=deviation)
+        across = None if self.across is None else scale * self.across
+        return replace(
+            self, force=scale * self.force, frames_only=frames, deviation=deviation, across=across
+        )
 
 
 TrialEstimator = Callable[[TrialArrays], TrialEstimate]
@@ -132,13 +140,18 @@ def stream(
             deviation = found.deviation or 0.0
             age_us = found.frame_age_us
             force, frame_force = found.force, estimator.frame_force
-            rows.append((found.end_us, force, frame_force, deviation, age_us, found.reason))
-    table = np.array(rows, np.float64).reshape(-1, 6)
+            across = found.shear or (np.nan,) * 5
+            rows.append(
+                (found.end_us, force, frame_force, deviation, age_us, found.reason, *across)
+            )
+    table = np.array(rows, np.float64).reshape(-1, 11)
     deviations = table[:, 3] if opened.gives_deviation else None
     times, ages = table[:, 0].astype(np.int64), table[:, 4]
     corrected = np.diff(ages, prepend=ages[:1]) < 0.0
     reasons = table[:, 5].astype(np.uint8)
-    return _estimate(trial, times, table[:, 1], table[:, 2], deviations, corrected, reasons)
+    return _estimate(
+        trial, times, table[:, 1], table[:, 2], deviations, corrected, reasons, table[:, 6:]
+    )
 
 
 SETTLE_FRAMES = 5
@@ -220,6 +233,7 @@ def _estimate(
     deviation: NDArray[np.float64] | None = None,
     corrected: NDArray[np.bool_] | None = None,
     reasons: NDArray[np.uint8] | None = None,
+    across: NDArray[np.float64] | None = None,
 ) -> TrialEstimate:
     """Return estimates beside the known force, at the times at which it is known."""
     label = trial.label()
@@ -238,6 +252,8 @@ def _estimate(
         deviation=None if deviation is None else deviation[inside],
         corrected=None if corrected is None else corrected[inside],
         reasons=None if reasons is None else reasons[inside],
+        across=None if across is None or np.isnan(across).all() else across[inside],
+        known_across=None if trial.across is None else trial.across.at(times),
     )
 
 

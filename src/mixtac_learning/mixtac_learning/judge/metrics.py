@@ -80,6 +80,28 @@ def measure(truth: NDArray[np.floating], estimate: NDArray[np.floating]) -> Metr
     )
 
 
+def across_errors(
+    across: NDArray[np.float64], known: NDArray[np.float64]
+) -> tuple[float, float, float, float]:
+    """Return the mean absolute errors of the sideways force [N] per axis and of the torque [N mm].
+
+    Args:
+        across: Estimates, nan where unknown, [T, 3 or more].
+        known: True values [T, 3].
+
+    Returns:
+        Error of the force, its mean size, error of the torque, its mean size.
+    """
+    inside = np.isfinite(across[:, :3]).all(axis=1)
+    error, size = np.abs(across[inside, :3] - known[inside]), np.abs(known[inside])
+    return (
+        float(error[:, :2].mean()),
+        float(size[:, :2].mean()),
+        1e3 * float(error[:, 2].mean()),
+        1e3 * float(size[:, 2].mean()),
+    )
+
+
 SMALLEST_FORCE_N = 0.1
 """A calibration needs forces beyond this."""
 FEWEST_SAMPLES = 50

@@ -16,6 +16,7 @@ from mixtac_fger.validity import Reason
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import (
     ROLLING_S,
+    across_errors,
     fast_error,
     frame_jump,
     hold_noise,
@@ -80,13 +81,13 @@ def summarise(
         first and last half second and at its worst, of `frame_jump`, `hold_noise` and `lag_ms`;
         `reference_mae` against the measured reference where the true force is what counts
         otherwise; `frames_only_mae` where the model has such an output; what `coverage_figures`
-        gives; with the scales `calibrated_mae`, `calibrated_rmse`, `calibrated_hold_noise` and
-        `calibrated_` before what `coverage_figures` gives.
+        and `across_figures` give; with the scales `calibrated_mae`, `calibrated_rmse`,
+        `calibrated_hold_noise` and `calibrated_` before what `coverage_figures` gives.
     """
     known = np.concatenate([each.known for each in estimates])
     pooled = measure(known, np.concatenate([each.force for each in estimates]))
     figures: dict[str, Any] = {'trials': len(estimates)} | pooled.to_dict()
-    figures |= _over_time(estimates) | coverage_figures(estimates)
+    figures |= _over_time(estimates) | coverage_figures(estimates) | across_figures(estimates)
     measured = [np.abs(e.force - e.reference) for e in estimates if e.reference is not None]
     framed = [np.abs(e.frames_only - e.known) for e in estimates if e.frames_only is not None]
     for name, errors in (('reference_mae', measured), ('frames_only_mae', framed)):
@@ -102,6 +103,25 @@ def summarise(
         found |= coverage_figures(scaled)
         figures |= {f'calibrated_{name}': value for name, value in found.items()}
     return figures
+
+
+def across_figures(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
+    """Return the errors across the normal over all windows; none where they are not known.
+
+    Returns:
+        `sideways_mae` per axis [N], `torque_mae_nmm`, and the mean sizes of what was estimated,
+        which is what no estimate at all would err by.
+    """
+    pairs = [
+        (each.across, each.known_across)
+        for each in estimates
+        if each.across is not None and each.known_across is not None
+    ]
+    if not pairs:
+        return {}
+    found, known = (np.concatenate(each) for each in zip(*pairs, strict=True))
+    names = ('sideways_mae', 'sideways_size', 'torque_mae_nmm', 'torque_size_nmm')
+    return dict(zip(names, map(_rounded, across_errors(found, known)), strict=True))
 
 
 def _over_time(estimates: Sequence[TrialEstimate]) -> dict[str, float]:
@@ -146,6 +166,11 @@ def _rounded(value: float) -> float:
 
 COLUMNS = (
     'mae',
+    'sideways_mae',
+    'sideways_size',
+    'sideways_mae_with_gain',
+    'torque_mae_nmm',
+    'torque_size_nmm',
     'rmse',
     'r2',
     'calibrated_mae',

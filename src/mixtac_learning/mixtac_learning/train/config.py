@@ -68,7 +68,9 @@ class TrainingSettings:
 
 
 OURS = 'ours'
-MODELS = (OURS, *PAPER_MODELS)
+SHEAR = 'shear'
+"""The head for sideways force and torsion beside a trained model (`network.base`)."""
+MODELS = (OURS, SHEAR, *PAPER_MODELS)
 _REMEDY = 'see the shipped files in config/train'
 
 

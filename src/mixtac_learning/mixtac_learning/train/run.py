@@ -17,7 +17,14 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from mixtac_fger.config import FgerConfig, from_mapping
-from mixtac_fger.weights import Model, ModelCard, save_model
+from mixtac_fger.weights import (
+    DEFAULT_MODEL,
+    Model,
+    ModelCard,
+    find_model,
+    read_model,
+    save_model,
+)
 from mixtac_learning.judge.estimators import trial_estimator
 from mixtac_learning.judge.evaluation import judge_devices
 from mixtac_learning.judge.report import show_figures, show_skipped
@@ -26,10 +33,11 @@ from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import paper_model_of
 from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
 from mixtac_learning.train.batches import DiskGroups
-from mixtac_learning.train.config import OURS, DataConfig, RunConfig, TrainingSettings
+from mixtac_learning.train.config import OURS, SHEAR, DataConfig, RunConfig, TrainingSettings
 from mixtac_learning.train.loop import Report, TrainingError, TrainingLoop
 from mixtac_learning.train.paper_stage import PaperTraining, train_paper
 from mixtac_learning.train.parallel import Processes
+from mixtac_learning.train.shear import HELD_OUT, ShearRecipe, train_shear
 from mixtac_learning.train.stages import train_fger
 from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
@@ -324,6 +332,14 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
                     bars[name] = progress.add_task(name, total=total)
                 progress.update(bars[name], completed=done, description=text)
 
+            if config.model == SHEAR:
+                found = run_head(
+                    config, jobs, lambda done, total: show('preparing', done, total, 'preparing')
+                )
+                show_figures(console, HELD_OUT.replace('_', ' '), found.card.metrics[HELD_OUT])
+                write_trained(console, config, found, json)
+                return
+
             def report(
                 stage: str, epoch: int, epochs: int, loss: float, error: float | None
             ) -> None:
@@ -344,15 +360,35 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
         metrics = judge_trained(config, trained.model)
         for title, figures in metrics.items():
             show_figures(console, title.replace('_', ' '), figures)
-        out = Path(config.out)
         card = ModelCard(trained.model.card.training, metrics)
-        save_model(out, replace(trained.model, card=card))
-        console.print(f'wrote {out}')
-        if json is not None:
-            content = {'model': str(out), 'run': asdict(config), 'training': card.training}
-            write_json(json, content | {'metrics': metrics})
+        write_trained(console, config, replace(trained.model, card=card), json)
     finally:
         processes.leave()
+
+
+def run_head(config: RunConfig, jobs: int, on_progress: Callable[[int, int], None]) -> Model:
+    """Return the model `network.base` with a trained head for sideways force and torsion.
+
+    Raises:
+        MixtacError: The base or the trials cannot be used.
+    """
+    started = time.monotonic()
+    path = find_model(str(config.network.get('base', DEFAULT_MODEL)))
+    base = read_model(path)
+    data = gather(config.data, ShearRecipe(path), jobs, on_progress, Processes())
+    facts = provenance(config, data, {})
+    facts['minutes'] = round((time.monotonic() - started) / 60, 1)
+    return train_shear(base, data.trained, data.checked, facts)
+
+
+def write_trained(console: Console, config: RunConfig, model: Model, json: Path | None) -> None:
+    """Write a model, and its figures where they are asked for."""
+    out, card = Path(config.out), model.card
+    save_model(out, model)
+    console.print(f'wrote {out}')
+    if json is not None:
+        content = {'model': str(out), 'run': asdict(config), 'training': card.training}
+        write_json(json, content | {'metrics': card.metrics})
 
 
 def default_folder(config: RunConfig) -> Path:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_events.arrays import Events
 from mixtac_events.readings import Frame
-from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
+from mixtac_learning.trials.trial import AcrossLabel, DatasetError, ForceLabel, TrialArrays
 from mixtac_node.topics import REFERENCE
 
 
@@ -82,12 +82,12 @@ _CAMERA_CLOCK = '/camera_clock'
 
 def read_forces(
     path: Path, reference: str, *, incomplete: bool = False
-) -> tuple[ForceLabel | None, ForceLabel | None]:
+) -> tuple[ForceLabel | None, ForceLabel | None, AcrossLabel | None]:
     """Return the true and the measured normal force of a bag on the camera clock.
 
-    The true one is None where the bag has none; the measured one where it has none or no clock map
-    to place it. A fit beside the bag is preferred to one inside, and a made one to a simulated
-    bag's true one.
+    Beside them the true force across the normal. The true ones are None where the bag has none; the
+    measured one where it has none or no clock map to place it. A fit beside the bag is preferred to
+    one inside, and a made one to a simulated bag's true one.
 
     Args:
         path: The bag.
@@ -105,6 +105,7 @@ def read_forces(
     from mixtac_recordings.recording import DamagedRecordingError
 
     forces: dict[bool, list[tuple[int, float]]] = {False: [], True: []}
+    across: list[tuple[float, float, float]] = []
     pairs: list[tuple[int, int]] = []
     fits: dict[bool, ClockFit] = {}
     with BagFile(path) as bag:
@@ -121,17 +122,22 @@ def read_forces(
             if topic == reference or topic.endswith(_TRUE_FORCE):
                 row = (stamp_to_ns(message.header.stamp), float(message.wrench.force.z))
                 forces[topic != reference].append(row)
+                if topic != reference:
+                    wrench = message.wrench
+                    across.append((wrench.force.x, wrench.force.y, wrench.torque.z))
             elif topic.endswith(_CAMERA_CLOCK):
                 pairs.append((stamp_to_ns(message.header.stamp), stamp_to_ns(message.time_ref)))
             else:
                 fits[topic.endswith(_TRUE_FIT)] = ClockFit.from_fields(vars(message))
     made = read_fit(path) if fit_path(path).exists() else fits.get(False)
     fit = made or fits.get(True)
-    truth = measured = None
+    truth = measured = sideways = None
     if forces[True]:
         stamps, values = zip(*forces[True], strict=True)
         t_us = host_to_camera_us(np.array(stamps, np.int64), pairs)
         truth = label_on_camera_clock(t_us, values, f'{path} topic ...{_TRUE_FORCE}')
+        order = np.argsort(t_us, kind='stable')
+        sideways = AcrossLabel(t_us[order], np.array(across, np.float64)[order])
     if forces[False] and fit is not None:
         stamps, values = zip(*forces[False], strict=True)
         t_us = fit.stamp_to_camera_us(np.array(stamps, np.int64))
@@ -142,7 +148,7 @@ def read_forces(
                 f'{path} has no clock fit to place {reference}', remedy=f'run `mixtac align {path}`'
             )
         raise DatasetError(f'{path} has no force', remedy=f'record {reference} beside the camera')
-    return truth, measured
+    return truth, measured, sideways
 
 
 _BLOCK = 1 << 20
@@ -212,8 +218,10 @@ class BagSource:
             RecordingError: The bag is damaged or holds no events and frames.
             DatasetError: It has no frames, no force, or no clock fit.
         """
-        truth, reference = read_forces(self.path, self.reference, incomplete=self.incomplete)
-        return replace(self.load_camera(), truth=truth, reference=reference)
+        truth, reference, across = read_forces(
+            self.path, self.reference, incomplete=self.incomplete
+        )
+        return replace(self.load_camera(), truth=truth, reference=reference, across=across)
 
     def load_camera(self) -> TrialArrays:
         """Read events and frames only: a trial of which no force is known.

@@ -161,6 +161,7 @@ UNSEEN_BY_SAMPLES = {
     'event_shortcut',
     'deviation_size',
     'force_unit',
+    'shear',
     'correction_point',
     'history_windows',
 }

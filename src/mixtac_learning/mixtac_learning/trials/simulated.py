@@ -7,8 +7,11 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from mixtac_learning.trials.trial import TrialArrays, aligned_force, true_force
+import numpy as np
+
+from mixtac_learning.trials.trial import AcrossLabel, TrialArrays, aligned_force, true_force
 from mixtac_sim.world import training_trials as generation
+from mixtac_sim.world.sensor import truth_wrench
 
 if TYPE_CHECKING:
     from mixtac_sim.world.training_trials import TrialSpec
@@ -60,6 +63,9 @@ def arrays_of(trial: Trial, origin: dict[str, Any]) -> TrialArrays:
         truth=true_force(trial.truth),
         reference=aligned_force(
             trial.reference_t_us, trial.reference_wrench[:, 2], scale, offset_us
+        ),
+        across=AcrossLabel(
+            trial.truth['t_us'].astype(np.float64), truth_wrench(trial.truth)[:, [0, 1, 5]]
         ),
         origin=origin,
     )

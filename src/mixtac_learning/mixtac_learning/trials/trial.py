@@ -42,6 +42,23 @@ class ForceLabel:
         return np.asarray((end - start) / np.maximum(end_us - start_us, 1), np.float32)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class AcrossLabel:
+    """The force across the normal, as a curve; axes of `mixtac_fger.shear`.
+
+    Attributes:
+        t_us: Camera clock [us], increasing.
+        values: Force x, force y [N], torque z [Nm], float64 [n, 3].
+    """
+
+    t_us: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+    def at(self, t_us: NDArray[np.integer]) -> NDArray[np.float64]:
+        """Return the values at times on the camera clock, [n, 3]."""
+        return np.stack([np.interp(t_us, self.t_us, column) for column in self.values.T], axis=1)
+
+
 def true_force(truth: NDArray[np.void]) -> ForceLabel:
     """Return the label of a simulated trial's truth (fields `t_us` and `fz`)."""
     return ForceLabel(truth['t_us'].astype(np.float64), truth['fz'].astype(np.float64))
@@ -81,6 +98,7 @@ class TrialArrays:
         arrival_us: When the host had the frame, int64 [N].
         truth: True normal force; None if unknown.
         reference: Normal force that the reference sensor measured; None without one.
+        across: True force across the normal; None if unknown.
         origin: Where it came from: seeds, profile, file.
     """
 
@@ -91,6 +109,7 @@ class TrialArrays:
     arrival_us: NDArray[np.int64]
     truth: ForceLabel | None
     reference: ForceLabel | None
+    across: AcrossLabel | None = None
     origin: dict[str, Any] = field(default_factory=dict)
 
     @property

@@ -53,9 +53,12 @@ def truth_rows(
 
 
 def truth_wrench(truth: NDArray[np.void]) -> Floats:
-    """Return the wrench of rows of truth at the contact [n, 6]; its tilting torques are none."""
+    """Return the wrench of rows of truth at the contact [n, 6]; its tilting torques are none.
+
+    In the contact frame: x to the right and y upwards in the image, z into the gel.
+    """
     none = np.zeros(len(truth))
-    return np.stack([truth['fx'], truth['fy'], truth['fz'], none, none, truth['tz']], axis=1)
+    return np.stack([truth['fx'], -truth['fy'], truth['fz'], none, none, -truth['tz']], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The head for sideways force: the fit finds what made the samples; a whole simulated trial."""
+
+import numpy as np
+import pytest
+
+from mixtac_fger.config import FgerConfig
+from mixtac_fger.fger_net import checked_config
+from mixtac_fger.shear import POWERS
+from mixtac_fger.weights import find_model, read_model
+from mixtac_learning.adapt.presses import parse_load, sideways_gain
+from mixtac_learning.judge.metrics import CalibrationError, across_errors
+from mixtac_learning.train.shear import HELD_OUT, ShearRecipe, ShearSample, fit_head, train_shear
+from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_sim.world.training_trials import TrialSpec
+
+CONFIG = FgerConfig()
+
+
+def sample(rng, weights, noise=0.0, count=400):
+    shape = (count, CONFIG.grid_rows, CONFIG.grid_columns, 2)
+    shown = rng.normal(0.0, 1.0, shape).astype(np.float32)
+    force = rng.uniform(0.1, 1.0, count).astype(np.float32)
+    wanted = shown.reshape(count, -1) @ weights.T * force[:, None] ** np.array(POWERS)
+    wanted += noise * rng.normal(size=wanted.shape)
+    flow, between = np.diff(shown, axis=0), force[1:]
+    return ShearSample(shown, force, wanted.astype(np.float32), flow, between, np.ones(1))
+
+
+def mirror_symmetric():
+    """Return weights of a law that has no favourite side: x by x, y by y, turns by both."""
+    weights = np.zeros((3, CONFIG.grid_rows, CONFIG.grid_columns, 2))
+    bump = np.outer([1, 2, 3, 3, 2, 1], [1, 2, 3, 4, 4, 3, 2, 1]) / 100.0
+    weights[0, ..., 0], weights[1, ..., 1] = bump, -bump
+    weights[2, ..., 1] = -bump * np.linspace(-1.0, 1.0, 8)
+    weights[2, ..., 0] = bump * np.linspace(-1.0, 1.0, 6)[:, None]
+    return weights.reshape(3, -1)
+
+
+def test_the_fit_finds_the_law_and_the_deviations():
+    rng = np.random.default_rng(1)
+    weights = mirror_symmetric()
+    clean = [sample(rng, weights) for _ in range(3)]
+    found = fit_head(clean, [sample(rng, weights, noise=0.05)])
+    np.testing.assert_allclose(found['shear.frame.weight'], weights, atol=0.08 * weights.max())
+    assert found['shear.deviation'][:, 0] == pytest.approx(0.05, rel=0.25)
+
+
+def test_a_hanging_weight_gives_the_gain_whatever_pulled_before():
+    since_s = np.arange(0.0, 10.0, 0.002)
+    across = np.tile([0.05, -0.02, 0.0], (len(since_s), 1))
+    across[(since_s > 3.0) & (since_s < 6.0), :2] += 0.1, 0.1
+    gain = sideways_gain(since_s, across, [parse_load('0.2:3-6')])
+    assert gain == pytest.approx(0.2 / np.hypot(0.1, 0.1))
+    for text in ('0.2:7-9', '0.2:20-22'):  # nothing pulls there; outside
+        with pytest.raises(CalibrationError):
+            sideways_gain(since_s, across, [parse_load(text)])
+
+
+def test_errors_leave_out_what_is_unknown():
+    known = np.array([[0.1, 0.2, 1e-3], [9.0, 9.0, 9.0]])
+    found = np.array([[0.2, 0.2, 3e-3, 0.0, 0.0], [np.nan] * 5])
+    assert across_errors(found, known) == pytest.approx((0.05, 0.15, 2.0, 1.0))
+
+
+def test_a_head_is_trained_beside_a_model_whose_other_weights_stay(tmp_path):
+    path = find_model('fger_small')
+    spec = TrialSpec(700, 700, 'handling', 6.0)
+    ShearRecipe(path).write(SimulatedSource(spec).load(), tmp_path / 'handling_1.npz')
+    samples = [tmp_path / 'handling_1.npz']
+    base = read_model(path)
+    found = train_shear(base, samples, samples, {'data': 'simulated'})
+    assert checked_config(found).shear
+    errors = found.card.metrics[HELD_OUT]['handling']
+    assert errors['sideways_mae_with_gain'] < 0.4 * errors['sideways_size']
+    for name, tensor in base.tensors.items():
+        if not name.startswith('shear.'):
+            assert (found.tensors[name] == tensor).all()
