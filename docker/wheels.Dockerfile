@@ -49,5 +49,7 @@ ENV MIXTAC_HOME=/opt/mixtac \
     NUMBA_CACHE_DIR=/home/mixtac/.cache/numba \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 HEALTHCHECK --interval=15s --timeout=12s --start-period=60s --retries=3 CMD ["healthcheck.sh", "force"]
+# As Ctrl-C does: the nodes end in order.
+STOPSIGNAL SIGINT
 ENTRYPOINT ["entrypoint.sh"]
 CMD ["mixtac", "up"]

@@ -1,9 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The structure of the images: pinned, multi-stage, non-root, made of files that exist."""
+"""The structure of the images: pinned, multi-stage, non-root, made of files that exist.
+
+Beside it, the unit of systemd.
+"""
 
 from __future__ import annotations
 
+import configparser
 import os
 import re
 import subprocess
@@ -56,6 +60,8 @@ def test_images_are_pinned_multi_stage_and_not_root(path):
     assert users
     assert users[-1] not in {'root', '0'}
     assert 'HEALTHCHECK' in dict(last)
+    # `ros2 launch` leaves its nodes running on SIGTERM.
+    assert dict(last)['STOPSIGNAL'] == 'SIGINT'
     for form in ('ENTRYPOINT', 'CMD'):
         assert dict(last)[form].startswith('[')
 
@@ -121,3 +127,16 @@ def test_commands_of_the_services_exist():
             assert (ROOT / 'launch' / command[3]).exists(), name
         else:
             assert command == ['mixtac', 'view']
+
+
+def test_the_service_starts_again_after_a_failure_only_and_ends_as_ctrl_c_does():
+    from mixtac_cli.main import INTERRUPTED
+
+    unit = configparser.ConfigParser(strict=False, interpolation=None)
+    unit.optionxform = str
+    unit.read(ROOT / 'config' / 'systemd' / 'mixtac.service')
+    service = unit['Service']
+    assert service['Restart'] == 'on-failure'
+    assert int(service['SuccessExitStatus']) == INTERRUPTED
+    assert (service['KillSignal'], service['KillMode']) == ('SIGINT', 'mixed')
+    assert Path(service['ExecStart'].split()[0]).name == 'mixtac'

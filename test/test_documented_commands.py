@@ -40,6 +40,7 @@ SYSTEM = {
     'export',
     'git',
     'ip',
+    'journalctl',
     'kill',
     'ls',
     'lsusb',

@@ -74,6 +74,18 @@ def declared(package: str) -> set[str]:
 
 
 @pytest.mark.parametrize('package', PACKAGES)
+def test_bloom_finds_what_it_releases_a_package_by(package):
+    root, folder = manifest(package), ROOT / 'src' / package
+    for tag in ('name', 'version', 'description', 'maintainer', 'license'):
+        assert root.findtext(tag)
+    # The sections that bloom reads, https://ros.org/reps/rep-0132.html.
+    text = (folder / 'CHANGELOG.rst').read_text()
+    assert f'Changelog for package {package}' in text
+    version = root.findtext('version')
+    assert f'\nForthcoming\n{"-" * 11}\n' in text or f'\n{version} (' in text
+
+
+@pytest.mark.parametrize('package', PACKAGES)
 def test_what_is_imported_is_declared(package):
     wanted = {KEYS.get(name, name) for name in imported(package) - set(WITHOUT_KEY)}
     assert sorted(wanted - declared(package)) == []

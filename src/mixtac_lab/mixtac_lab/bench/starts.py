@@ -8,6 +8,7 @@ was an error or a traceback, and none of its processes outlived it. Needs `ros2 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
@@ -91,12 +92,15 @@ def start_and_end(command: Sequence[str], monitor: Monitor, output: Path) -> dic
         output: File for what the launch prints.
 
     Returns:
-        The times of `TIMES`, `status` of the launch, `faults` lines of its output, `orphans` names
-        of processes that outlived it, and whether it was `clean`.
+        The times of `TIMES`, `status` of the launch, `faults` lines of its output, number of
+        processes that outlived it (`orphans`), and whether it was `clean`.
 
     Raises:
         GraphError: No force came, or the launch did not end.
     """
+    nodes: list[psutil.Process] = []
+    # In the background of a shell SIGINT is ignored, and would be in the launch.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     before, began_s = monitor.force_count, time.monotonic()
     with output.open('w') as sink:
         launch = subprocess.Popen(
@@ -117,14 +121,17 @@ def start_and_end(command: Sequence[str], monitor: Monitor, output: Path) -> dic
         raise GraphError(f'the launch did not end within {END_TIMEOUT_S:g} s') from error
     finally:
         launch.kill()
-    orphans = [each.name() for each in nodes if each.is_running()]
+        orphans = [each for each in nodes if each.is_running()]
+        for each in orphans:
+            with contextlib.suppress(psutil.Error):
+                each.kill()
     faults = [line for line in output.read_text().splitlines() if FAULT.search(line)]
     clean = not (status or orphans or faults)
     return {
         **dict(zip(TIMES, (force_s, end_s), strict=True)),
         'status': status,
         'faults': faults,
-        'orphans': orphans,
+        'orphans': len(orphans),
         'clean': clean,
     }
 

@@ -40,7 +40,7 @@ def test_a_clean_end_has_status_0_and_no_error(tmp_path, last, status, clean):
             return int(ready.exists())
 
     run = start_and_end([sys.executable, '-c', code], Forces(), tmp_path / 'output.txt')
-    assert (run['status'], run['clean'], run['orphans']) == (status, clean, [])
+    assert (run['status'], run['clean'], run['orphans']) == (status, clean, 0)
     report = summarise([run])
     assert (report['count'], report['clean']) == (1, int(clean))
     assert report['end_s']['p50'] == run['end_s']
