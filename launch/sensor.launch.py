@@ -12,6 +12,7 @@ from mixtac_node.launch_actions import (
     environment,
     given,
     node_actions,
+    quiet_imports,
     shared_arguments,
     value,
 )
@@ -108,10 +109,12 @@ def _nodes(context):
     frames = Node(
         package='mixtac_description',
         executable='frames_node',
+        exec_name='frames_node',
         namespace=value(context, 'namespace'),
+        prefix=quiet_imports(),
     )
     published = value(context, 'frames') == 'true'
-    return [*node_actions(context, *graph), *([frames] if published else [])]
+    return node_actions(context, *graph, beside=[frames] if published else [])
 
 
 def generate_launch_description():

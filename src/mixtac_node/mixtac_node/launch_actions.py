@@ -80,16 +80,24 @@ def given(context: LaunchContext, *names: str) -> dict[str, object]:
     return {name: yaml.safe_load(text) for name, text in texts.items() if text}
 
 
-def node_actions(context: LaunchContext, *specs: NodeSpec) -> list[Any]:
+def node_actions(
+    context: LaunchContext, *specs: NodeSpec, beside: Sequence[Node] = ()
+) -> list[Any]:
     """Return the actions that start nodes, and end the launch with a node that it needs.
 
     A launch that a node ends has a status other than 0, and the node's reason is its last line. The
     arguments `namespace`, `params_file`, `log_level` and `autostart` are read from the context.
 
+    Args:
+        context: Of the launch.
+        specs: The nodes.
+        beside: Nodes that are started with them and are not needed.
+
     Raises:
         GraphError: The parameter file does not exist.
     """
-    return _Graph([(spec, _node(context, spec)) for spec in specs]).actions()
+    nodes = [(spec.name if spec.required else '', _node(context, spec)) for spec in specs]
+    return _Graph([*nodes, *(('', node) for node in beside)]).actions()
 
 
 def _node(context: LaunchContext, spec: NodeSpec) -> Node:
@@ -105,7 +113,7 @@ def _node(context: LaunchContext, spec: NodeSpec) -> Node:
         name=spec.name,
         namespace=value(context, 'namespace'),
         output='screen',
-        prefix=_quiet_imports(),
+        prefix=quiet_imports(),
         # Not as `parameters`: launch_ros writes values for the named node only, and two nodes of
         # one process have two names.
         arguments=spec.ros_arguments(
@@ -115,7 +123,7 @@ def _node(context: LaunchContext, spec: NodeSpec) -> Node:
 
 
 @functools.cache
-def _quiet_imports() -> str:
+def quiet_imports() -> str:
     """Return the prefix with which SIGINT waits for the end of the imports; empty without one."""
     prefix = ['env', '--block-signal=INT']
     supported = subprocess.run([*prefix, 'true'], capture_output=True, check=False).returncode == 0
@@ -123,29 +131,29 @@ def _quiet_imports() -> str:
 
 
 class _Graph:
-    """The nodes that are started together."""
+    """The nodes that are started together, with the names of those that the graph needs."""
 
-    def __init__(self, nodes: Sequence[tuple[NodeSpec, Node]]) -> None:
+    def __init__(self, nodes: Sequence[tuple[str, Node]]) -> None:
         self._nodes = nodes
         self._running = len(nodes)
         self._failure: GraphError | None = None
 
     def actions(self) -> list[Any]:
         """Return the nodes and their event handlers."""
-        return [action for spec, node in self._nodes for action in self._watched(spec, node)]
+        return [action for name, node in self._nodes for action in self._watched(name, node)]
 
-    def _watched(self, spec: NodeSpec, node: Node) -> list[Any]:
-        reason = f'{spec.name} has ended'
+    def _watched(self, name: str, node: Node) -> list[Any]:
+        reason = f'{name} has ended'
 
         def read(event: Any) -> None:  # noqa: ANN401
             nonlocal reason
             for line in event.text.decode(errors='replace').splitlines():
                 if line.startswith(FATAL):
-                    reason = f'{spec.name}: {line.removeprefix(FATAL)}'
+                    reason = f'{name}: {line.removeprefix(FATAL)}'
 
         def ended(_event: object, context: LaunchContext) -> None:
             self._running -= 1
-            if spec.required and not context.is_shutdown:
+            if name and not context.is_shutdown:
                 self._failure = GraphError(reason)
                 # Unlike the event Shutdown, an exception gives the launch a status other than 0.
                 raise self._failure
