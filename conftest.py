@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from unittest import mock
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parent
 sys.path.insert(0, str(ROOT / 'test'))
@@ -35,6 +36,10 @@ PATIENCE_S = 120.0
 """The first process of a module may have to compile."""
 REPLY_S = 20.0
 LIVE = ('live', 'dds', 'umockdev')
+
+# A busy host may take its time.
+settings.register_profile('mixtac', deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile('mixtac')
 
 
 def pytest_configure(config: pytest.Config) -> None:
