@@ -34,5 +34,5 @@ def test_every_figure_is_readable(width):
 
 
 def test_wide_terminals_get_one_table():
-    assert printed(250).count('trials') == 1
+    assert printed(320).count('trials') == 1
     assert printed(80).count('trials') > 1
