@@ -26,6 +26,7 @@ STUDIES = {
     'faults': f'{STUDY}.faults:faults',
     'zero': f'{STUDY}.zero:zero',
     'contact-place': f'{STUDY}.contact_place:contact_place',
+    'contact': f'{STUDY}.contact:contact',
     'models': f'{STUDY}.models:models',
     'adaptation': f'{STUDY}.models:adaptation',
     'alignment': f'{STUDY}.alignment:alignment',
