@@ -284,7 +284,10 @@ def cell_gains(places: F32, tensor: F32, p: F64, grid: tuple[int, int]) -> F64:
     weights = tensors[..., [[0, 1], [1, 2]]]
     weighted = np.einsum('rcai,rcab->ircb', slopes, weights)
     normal = np.einsum('ircb,rcbj->ij', weighted, slopes)
-    normal[np.diag_indices(PARAMETERS)] *= 1.0 + CARRY_RIDGE
+    diagonal = np.diag_indices(PARAMETERS)
+    normal[diagonal] *= 1.0 + CARRY_RIDGE
+    # A picture without texture tells nothing at all.
+    normal[diagonal] += 1e-12 * max(float(np.trace(normal)), 1.0)
     return np.linalg.solve(normal, weighted.reshape(PARAMETERS, -1)).reshape(weighted.shape)
 
 

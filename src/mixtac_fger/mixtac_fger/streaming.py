@@ -35,7 +35,7 @@ from mixtac_events.arrays import Events
 from mixtac_events.codec import decode, encode
 from mixtac_events.windows import WindowSlicer
 from mixtac_fger import comparisons
-from mixtac_fger.contact_tracking import contact_tracker
+from mixtac_fger.contact_tracking import ContactSettings, contact_tracker
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, known_shear
 from mixtac_fger.features import ImageError, correction_lag
 from mixtac_fger.reference import Reference, TareError, ZeroWatch
@@ -57,7 +57,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_fger.comparisons import PictureFigures
-    from mixtac_fger.contact_tracking import ContactSettings
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
 
 
@@ -642,7 +641,7 @@ def warm_up(estimator: Estimator) -> list[Estimate]:
         Its estimates; none would mean that a part has not been run.
     """
     comparisons.warm_up()
-    feed = ForceEstimator(estimator)
+    feed = ForceEstimator(estimator, contact=ContactSettings())
     reference = estimator.reference
     for kind in (np.uint8, np.uint16):
         for index in range(1 if reference is None else reference.frames):

@@ -53,6 +53,19 @@ def test_place_and_width_of_a_contact_are_found_with_any_shear(x, y, shear):
     assert found.major_mm * found.minor_mm * math.pi == pytest.approx(found.area_mm2)
 
 
+def test_a_picture_without_texture_shows_no_contact():
+    """As behind a lens cap, or without a lamp."""
+    nothing = DisplacementField(
+        np.zeros((2, ROWS, COLUMNS), np.float32),
+        np.zeros((3, ROWS, COLUMNS), np.float32),
+        *(0.0, 8, 4),
+    )
+    fit = ContactFitter(SIZE, SCALE, GRID).fit(nothing)
+    assert not fit.seen
+    assert fit.gains is not None
+    assert np.isfinite(fit.gains).all()
+
+
 @FEW
 @given(angle=st.floats(-1.5, 1.5))
 def test_an_oblong_contact_lies_where_its_longer_axis_points(angle):
