@@ -38,13 +38,12 @@ from mixtac_recordings.recovery import (
     unpack,
 )
 
-_OWN_TYPES = (
-    topics.EVENTS.type_name,
-    topics.CLOCK_FIT.type_name,
-    topics.EXTERNAL_EDGES.type_name,
-    topics.FORCE_QUALITY.type_name,
-    topics.IMAGE_EXPOSURE.type_name,
-    topics.SLIP.type_name,
+_OWN_TYPES = sorted(
+    {
+        topic.type_name
+        for topic in topics.TOPICS
+        if topic.type_name.startswith(('event_camera_msgs/', 'mixtac_msgs/'))
+    }
 )
 """Message types of this workspace, which rosbags does not know."""
 
