@@ -119,11 +119,11 @@ def witness(ros_domain: dict[str, str], tmp_path) -> Iterator[Witness]:
 
 
 CONTRACT = {
-    '/mixtac/truth/wrench': ('virtual_grasp', 'geometry_msgs/msg/WrenchStamped', 'BEST_EFFORT'),
-    '/mixtac/truth/object': ('virtual_grasp', 'geometry_msgs/msg/PointStamped', 'BEST_EFFORT'),
-    '/mixtac/force': ('virtual_grasp', 'geometry_msgs/msg/WrenchStamped', 'BEST_EFFORT'),
+    '/mixtac/truth/wrench': ('virtual_grasp', 'geometry_msgs/msg/WrenchStamped', 'RELIABLE'),
+    '/mixtac/truth/object': ('virtual_grasp', 'geometry_msgs/msg/PointStamped', 'RELIABLE'),
+    '/mixtac/force': ('virtual_grasp', 'geometry_msgs/msg/WrenchStamped', 'RELIABLE'),
     '/clock': ('virtual_grasp', 'rosgraph_msgs/msg/Clock', 'RELIABLE'),
-    '/joint_states': ('virtual_arm', 'sensor_msgs/msg/JointState', 'BEST_EFFORT'),
+    '/joint_states': ('virtual_arm', 'sensor_msgs/msg/JointState', 'RELIABLE'),
     ARM_TOPIC: ('virtual_arm', 'trajectory_msgs/msg/JointTrajectory', 'RELIABLE'),
 }
 

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mixtac_fger.config import ConfigError, ModelError, from_mapping
-from mixtac_fger.weights import read_model, write_model
+from mixtac_fger.config import ARCHITECTURE, ConfigError, ModelError, from_mapping
+from mixtac_fger.weights import find_model, read_model, write_model
 from mixtac_learning import commands as training_cli
 from mixtac_learning.judge.estimators import stream, trial_estimator
 from mixtac_learning.network import network_of
@@ -32,6 +32,7 @@ from mixtac_learning.train.paper_stage import PaperTraining
 from mixtac_learning.train.run import train_model
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_sim.world import training_trials as generation
+from mixtac_sim.world.sensor import TRUTH_DTYPE
 from mixtac_sim.world.training_trials import TrialSpec
 
 
@@ -41,7 +42,7 @@ def simulated(monkeypatch, trial) -> list[str]:
     names: list[str] = []
 
     label = trial.truth
-    truth = np.zeros(len(label.t_us), [('t_us', 'i8'), ('fz', 'f8')])
+    truth = np.zeros(len(label.t_us), TRUTH_DTYPE)
     truth['t_us'], truth['fz'] = label.t_us, label.force
     wrench = np.zeros((len(label.force), 6))
     wrench[:, 2] = label.force + 0.01
@@ -151,11 +152,13 @@ def test_the_papers_networks_train_and_are_judged(tmp_path, simulated, model):
 
 def test_shipped_runs_can_be_read():
     names = sorted(path.stem for path in shipped_runs().glob('*.yaml'))
-    assert names == ['events', 'fger_paper', 'frames', 'fusion', 'ours', 'smoke']
+    assert names == ['events', 'fger_paper', 'frames', 'fusion', 'ours', 'shear', 'smoke']
     for name in names:
         run = read_run_config(find_run_config(name))
         if run.model == 'ours':
             from_mapping(TrainingSettings, run.training, 'training')
+        elif run.model == 'shear':
+            assert read_model(find_model(run.network['base'])).architecture == ARCHITECTURE
         else:
             from_mapping(PaperTraining, run.training, 'training')
             assert PaperConfig.from_dict({'model': run.model} | run.network).model == run.model

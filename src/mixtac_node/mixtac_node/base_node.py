@@ -317,6 +317,7 @@ class _Signals:
     def __init__(self) -> None:
         self.received = False
         signal.signal(signal.SIGALRM, _interrupt)
+        sys.unraisablehook = _unraisable
         for number in ENDING:
             signal.signal(number, self._receive)
         # The launch files start nodes with SIGINT blocked: no import ends in a traceback.
@@ -325,7 +326,7 @@ class _Signals:
     def _receive(self, _signum: int, _frame: object) -> None:
         if not self.received:
             self.received = True
-            signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE_S, PATIENCE_S)
 
     def ignore(self) -> None:
         """Ignore them while the process ends; its status would not be 0 otherwise."""
@@ -336,6 +337,12 @@ class _Signals:
 
 def _interrupt(_signum: int, _frame: object) -> None:
     raise Interrupted
+
+
+def _unraisable(report: sys.UnraisableHookArgs) -> None:
+    """Say nothing of a callback from C that is interrupted: the next interruption follows."""
+    if not isinstance(report.exc_value, Interrupted):
+        sys.__unraisablehook__(report)
 
 
 def _close(nodes: list[Any]) -> None:

@@ -33,7 +33,7 @@ class FileError(MixtacError):
     """A file that cannot be read or written, or whose content is not what it should be."""
 
 
-_PLAIN = re.compile(r'[A-Za-z0-9][A-Za-z0-9._-]*')
+_PLAIN = re.compile(r'[A-Za-z0-9][A-Za-z0-9._-]{0,199}')
 
 
 def state_file(name: str) -> Path:
@@ -44,7 +44,8 @@ def state_file(name: str) -> Path:
     nowhere else.
 
     Args:
-        name: Letters, digits, `.`, `_` and `-`; or the full path of such a file in this folder.
+        name: At most 200 letters, digits, `.`, `_` and `-`; or the full path of such a file in
+            this folder.
 
     Raises:
         FileError: The name is not plain.
@@ -57,8 +58,8 @@ def state_file(name: str) -> Path:
     if not _PLAIN.fullmatch(plain):
         raise FileError(
             f'{name!r} is not the name of a file in {folder}',
-            remedy='give a name of letters, digits, ".", "_" and "-", such as left_finger.npz, or'
-            ' set MIXTAC_HOME to another folder',
+            remedy='give a name of at most 200 letters, digits, ".", "_" and "-", such as'
+            ' left_finger.npz, or set MIXTAC_HOME to another folder',
         )
     return folder / plain
 

@@ -50,7 +50,7 @@ def test_follows_trajectories_and_says_why_it_rejects_one(node_under_test):
     assert np.array_equal(states[-1].position, READY)
     [published] = graph.node.get_publishers_info_by_topic('/joint_states')
     assert published.topic_type == 'sensor_msgs/msg/JointState'
-    assert published.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    assert published.qos_profile.reliability == ReliabilityPolicy.RELIABLE
     [commands] = graph.node.get_subscriptions_info_by_topic(TOPIC)
     assert commands.topic_type == 'trajectory_msgs/msg/JointTrajectory'
     assert commands.qos_profile.reliability == ReliabilityPolicy.RELIABLE

@@ -111,7 +111,8 @@ def sound_message(kind: Any) -> Any:  # noqa: ANN401
     numbers = [0.0] * len(joints)
     joint_values = (('name', joints), ('joint_names', joints), ('position', numbers))
     for name, held in (('width', WIDTH), ('height', HEIGHT), *joint_values):
-        if name in kind.get_fields_and_field_types():
+        # The position of a contact is a point.
+        if '/' not in kind.get_fields_and_field_types().get(name, '/'):
             setattr(message, name, held)
     if 'points' in kind.get_fields_and_field_types():
         point = JointTrajectoryPoint(positions=numbers, velocities=numbers, accelerations=numbers)
