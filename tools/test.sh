@@ -14,8 +14,8 @@ calculations=log/test_calculations.log
 # Linux may share its time among sessions first, and heeds niceness only within each: hence both.
 idle='echo 19 2>/dev/null >/proc/self/autogroup; exec nice -n 19 "$@"'
 calculation_tests=(env OMP_NUM_THREADS=1 python -m pytest -m 'not live' --timeout 900)
-setsid bash -c "$idle" idle "${calculation_tests[@]}" -n 2 --dist loadgroup \
-    --no-loadscope-reorder "$@" >"$calculations" 2>&1 &
+calculation_tests+=(--dist loadgroup --no-loadscope-reorder)
+setsid bash -c "$idle" idle "${calculation_tests[@]}" -n 2 "$@" >"$calculations" 2>&1 &
 calculating=$!
 trap 'kill -- -$calculating 2>/dev/null' EXIT
 trap 'exit 130' INT TERM
@@ -35,7 +35,8 @@ if [ $live = 1 ]; then
 fi
 if [ $calculated = 1 ]; then
     echo 'once more, alone: calculations that failed'
-    "${calculation_tests[@]}" "${failed_ones[@]}" "$@"
+    # By a worker as before: the names of failed tests contain their group.
+    "${calculation_tests[@]}" -n 1 "${failed_ones[@]}" "$@"
     calculated=$?
 fi
 if [ $calculated = $none ]; then exit $live; fi
