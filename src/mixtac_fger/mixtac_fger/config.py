@@ -185,6 +185,11 @@ class FgerConfig:
             )
 
     @property
+    def grid_shape(self) -> tuple[int, int]:
+        """Rows and columns of the event grid."""
+        return self.grid_rows, self.grid_columns
+
+    @property
     def gradient_shape(self) -> tuple[int, int]:
         """Rows and columns of the log-gradient map."""
         return self.height // self.gradient_bin, self.width // self.gradient_bin

@@ -23,6 +23,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_fger.displacement import SkinScale, field_places
+from mixtac_fger.features import bin_cells
 
 if TYPE_CHECKING:
     from mixtac_fger.displacement import DisplacementField
@@ -279,8 +280,7 @@ def cell_gains(places: F32, tensor: F32, p: F64, grid: tuple[int, int]) -> F64:
         grid: Rows and columns of cells.
     """
     slopes, tensors = np.empty((*grid, 2, PARAMETERS)), np.empty((*grid, 3))
-    cells = [np.arange(n) * m // n for n, m in zip(places.shape[1:], grid, strict=True)]
-    _cell_slopes(places, tensor, p, cells[0], cells[1], slopes, tensors)
+    _cell_slopes(places, tensor, p, *bin_cells(places.shape[1:], grid), slopes, tensors)
     weights = tensors[..., [[0, 1], [1, 2]]]
     weighted = np.einsum('rcai,rcab->ircb', slopes, weights)
     normal = np.einsum('ircb,rcbj->ij', weighted, slopes)

@@ -18,6 +18,7 @@ import numpy as np
 
 from mixtac_fger.contact import ContactFit, ContactFitter, contact_shape, is_sensible
 from mixtac_fger.displacement import DisplacementField, FieldMeter, SkinScale
+from mixtac_fger.features import bin_cells
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -98,8 +99,7 @@ class TouchMeter:
 
     def __init__(self, config: FgerConfig, scale: SkinScale) -> None:
         self._meter = FieldMeter(config)
-        grid = config.grid_rows, config.grid_columns
-        self._fitter = ContactFitter((config.width, config.height), scale, grid)
+        self._fitter = ContactFitter((config.width, config.height), scale, config.grid_shape)
 
     def measure(self, reference: F32, image: F32) -> Touch:
         """Return what a picture tells.
@@ -249,10 +249,7 @@ class ContactTracker:
         assert self.touch is not None  # noqa: S101  (the caller waits for a frame)
         field = self.touch.field
         carried = self._carrier.since(self._start)
-        rows, columns = (
-            np.arange(points) * cells // points
-            for points, cells in zip(field.moved.shape[1:], carried.shape, strict=False)
-        )
+        rows, columns = bin_cells(field.moved.shape[1:], carried.shape[:2])
         along = carried[rows[:, None], columns].transpose(2, 0, 1)
         return np.asarray(field.moved + along, np.float32)
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -174,7 +174,7 @@ class FramePreparation:
         self._work = np.empty((9, *config.frame_shape), np.float32)
         self._flow = np.empty((2, *config.frame_shape), np.float32)
         self._reads_flow = bool({'flow_x', 'flow_y'} & set(config.frame_channels))
-        self._row_cell, self._column_cell = bin_cells(config)
+        self._row_cell, self._column_cell = bin_cells(config.gradient_shape, config.grid_shape)
 
     def contrast(self, image: NDArray[np.uint16] | NDArray[np.uint8]) -> Contrast:
         """Return the log contrast of a frame.
@@ -249,13 +249,18 @@ def mean_contrast(parts: Iterable[F32]) -> F32:
     return np.asarray(np.mean(list(parts), axis=0), np.float32)
 
 
-def bin_cells(config: FgerConfig) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the grid row of each row of gradient bins and the grid column of each column."""
-    rows, columns = config.gradient_shape
-    return (
-        np.arange(rows, dtype=np.int64) * config.grid_rows // rows,
-        np.arange(columns, dtype=np.int64) * config.grid_columns // columns,
+def bin_cells(shape: Sequence[int], grid: Sequence[int]) -> tuple[Index, Index]:
+    """Return the grid row of each row of a map and the grid column of each column.
+
+    Args:
+        shape: Rows and columns of the map.
+        grid: Rows and columns of the event grid.
+    """
+    rows, columns = (
+        np.arange(bins, dtype=np.int64) * cells // bins
+        for bins, cells in zip(shape, grid, strict=True)
     )
+    return rows, columns
 
 
 class WindowFeatures:
@@ -267,7 +272,7 @@ class WindowFeatures:
 
     def __init__(self, config: FgerConfig) -> None:
         self._config = config
-        self._row_cell, self._column_cell = bin_cells(config)
+        self._row_cell, self._column_cell = bin_cells(config.gradient_shape, config.grid_shape)
         self._bins = (np.arange(COORDINATES) // config.gradient_bin).astype(np.uint16)
         self.shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
 

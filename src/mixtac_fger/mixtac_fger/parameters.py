@@ -46,7 +46,7 @@ class FgerParameters:
         contact: Find where the sensor is touched, and publish `contact` and `contact_point` to
             those who subscribe. Takes effect at the next activation, as the next five.
         contact_on: Force from which on `contact` says that something touches the sensor.
-        contact_off: Force below which it says that nothing does any more.
+        contact_off: Force below which `contact` says that the touch has ended.
         object_radius: Radius of curvature of what touches the sensor. Where it is known, the area
             of the contact is more accurate; 0 if it is not.
         px_per_mm: Scale of the picture at the skin on the optical axis, where it was measured. 0 is

@@ -26,6 +26,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mixtac_fger.features import bin_cells
+
 if TYPE_CHECKING:
     from mixtac_fger.config import FgerConfig
     from mixtac_fger.weights import Tensors
@@ -117,15 +119,6 @@ def weighted(cells: F32, force: float, weights: F32, powers: F64, out: F64) -> N
         out[axis] = total * base ** powers[axis]
 
 
-def flow_cells(config: FgerConfig) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the grid row of each row of the frame network's input, and the column of each."""
-    rows, columns = config.frame_shape
-    return (
-        np.arange(rows, dtype=np.int64) * config.grid_rows // rows,
-        np.arange(columns, dtype=np.int64) * config.grid_columns // columns,
-    )
-
-
 class ShearHead:
     """The head with its state; memory is fixed.
 
@@ -139,8 +132,8 @@ class ShearHead:
     def __init__(self, config: FgerConfig, tensors: Tensors) -> None:
         self._unit = config.force_unit
         self._channels = [config.frame_channels.index(name) for name in ('flow_x', 'flow_y')]
-        self._cells = flow_cells(config)
-        shape = (config.grid_rows, config.grid_columns, 2)
+        self._cells = bin_cells(config.frame_shape, config.grid_shape)
+        shape = (*config.grid_shape, 2)
         self._means = np.zeros(shape, np.float32)
         self._frame, self._event = (
             np.array(tensors[f'shear.{name}.weight'], np.float32).reshape(3, *shape)

@@ -41,7 +41,7 @@ def test_flow_is_the_regularised_least_squares_solution(image):
     preparation = FramePreparation(config)
     guide = preparation.guide(preparation.contrast(image))
     out = features_of(events, image)
-    row_cell, column_cell = bin_cells(config)
+    row_cell, column_cell = bin_cells(config.gradient_shape, config.grid_shape)
     x, y = events.x.astype(int) // 2, events.y.astype(int) // 2
     sign = np.where(events.polarity, 1.0, -1.0)
     for row, column in [(0, 0), (2, 5), (5, 7)]:

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from mixtac_fger.config import FgerConfig
+from mixtac_fger.features import bin_cells
 from mixtac_fger.fger_net import checked_config
 from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
 from mixtac_fger.recurrent_network import RecurrentPath
-from mixtac_fger.shear import HIGHEST, NEWTONS, POWERS, cell_means, flow_cells
+from mixtac_fger.shear import HIGHEST, NEWTONS, POWERS, cell_means
 from mixtac_fger.weights import Model, ModelCard, Tensors, read_model
 from mixtac_learning.trials.samples import make_sample
 from mixtac_learning.trials.trial import DatasetError, TrialArrays
@@ -100,13 +101,14 @@ def shear_sample(config: FgerConfig, tensors: Tensors, trial: TrialArrays) -> Sh
     channels = [config.frame_channels.index(name) for name in ('flow_x', 'flow_y')]
     path = RecurrentPath(config, tensors)
     count, windows = len(sample.frame_inputs), len(sample.window_end_us)
-    shown = np.zeros((count, config.grid_rows, config.grid_columns, 2), np.float32)
+    cells = bin_cells(config.frame_shape, config.grid_shape)
+    shown = np.zeros((count, *config.grid_shape, 2), np.float32)
     frame_force, force = np.zeros(count, np.float32), np.zeros(windows, np.float32)
     for window, slot in enumerate(sample.slots.tolist()):
         if slot >= 0:
             inputs = sample.frame_inputs[slot].astype(np.float32)
             frame_force[slot] = frame_step(inputs, weights, maps, scratch, feature)
-            cell_means(*inputs[channels], *flow_cells(config), shown[slot])
+            cell_means(*inputs[channels], *cells, shown[slot])
             path.correct(feature, int(sample.lags[window]))
         force[window] = path.step(sample.event_features[window].astype(np.float32))
     kept = config.reference_frames - 1
