@@ -73,7 +73,7 @@ class DeviceParameters:
     event_message_size_threshold: int = fixed(300_000, unit='bytes', within=(1000, 100_000_000))
     camera_frame_id: str = fixed('camera')
     imu_frame_id: str = fixed('imu')
-    stream_timeout: float = fixed(3.0, unit='s', within=(0.1, 60.0))
+    stream_timeout: float = fixed(3.0, unit='s', within=(0.1, 3600.0))
     usb_transfers: int = fixed(128, within=(1, 1024))
     usb_transfer_size: int = fixed(65536, unit='bytes', within=(512, 1 << 22))
     usb_queue_size: int = fixed(32 << 20, unit='bytes', within=(1 << 16, 1 << 30))

@@ -71,10 +71,11 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
             impulses
         seconds: Length of the scenario
         lead_seconds: Delay of the start of a scenario, which is computed up to twice as far ahead
-            meanwhile, 30 s at most. Gestures and camera settings during a scenario are delayed by
+            meanwhile, 45 s at most. Gestures and camera settings during a scenario are delayed by
             up to twice this time
         slow_host: What happens when the host does not keep up: drop loses data, as a real camera
-            does; wait stops simulated time of camera, truth and reference until it does. Stamps of
+            does; wait stops simulated time of camera, truth and reference until it does, and, where
+            lead_seconds is not 0, until the scenario or the next 45 s of it are computed. Stamps of
             the camera and the reference lie in the past by as much as time has stopped, of which a
             warning tells
         publish_clock: Publish simulated time on /clock, for nodes with use_sim_time, so that a slow

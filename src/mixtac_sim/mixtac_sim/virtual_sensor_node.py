@@ -152,8 +152,9 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         if state.lost_us > self._lost_us + WARNING_US:
             self._lost_us = state.lost_us
             self.get_logger().warning(
-                'the host is too slow for real time: simulated time, and all stamps of camera and '
-                f'reference, lie {1e-6 * state.lost_us:.1f} s behind the host clock',
+                'simulated time stopped, for a host that is too slow or a scenario that was '
+                'computed first: all stamps of camera and reference lie '
+                f'{1e-6 * state.lost_us:.1f} s behind the host clock',
                 throttle_duration_sec=WARNING_PERIOD_S,
             )
         if not state.running:

@@ -52,9 +52,10 @@ from mixtac_node.process import GraphError, ProcessGroup
 from mixtac_node.topics import DEFAULT_NAMESPACE
 
 SETTLE_S = 1.0
-LEAD = 0.4
-"""Delay of the scenario over its length: meanwhile most hosts compute nearly all of it ahead."""
-LONGEST_LEAD_S = 12.0
+LEAD_S = 8.0
+"""Delay of the scenario after time goes on again."""
+CLOCK_S = 5.0
+"""Time in which the driver finds out that the camera's clock stood still."""
 START_UP_S = 60.0
 TAIL_S = 1.0
 MAX_FORCE_GAP_S = 2.0
@@ -87,15 +88,17 @@ class Run:
     Attributes:
         gain: See `_evaluate`.
         dropped: See `_evaluate`.
+        computed_s: See `_evaluate`.
         waited_s: See `_evaluate`.
         host: `host_idle` and `host_stolen` of `_evaluate`.
-        clock_pairs: (host, camera) clock pairs [ns], shape (N, 2), int64.
+        clock_pairs: (host, camera) clock pairs [ns] of the scenario, shape (N, 2), int64.
         arrival_ns: Arrival of each force, host clock [ns], int64.
         stamp_ns: Stamp of each force, camera clock [ns], int64.
     """
 
     gain: float
     dropped: int
+    computed_s: float
     waited_s: float
     host: dict[str, float]
     clock_pairs: NDArray[np.int64]
@@ -161,7 +164,6 @@ def _run_graph(
     Returns:
         What was measured, and the exit status of nodes that did not end cleanly.
     """
-    lead_s = min(LEAD * seconds, LONGEST_LEAD_S)
     virtual_sensor = {
         'seed': seed,
         'device_seed': device_seed,
@@ -170,7 +172,7 @@ def _run_graph(
         'seconds': float(seconds),
         'play_on_start': False,
         'loop': False,
-        'lead_seconds': lead_s,
+        'lead_seconds': LEAD_S,
         'slow_host': 'wait',
     }
     # A blow saturates the sensor for an instant, and its peak is to be seen.
@@ -184,7 +186,7 @@ def _run_graph(
         'imu_gyro_enabled': False,
         'imu_temp_enabled': False,
         # While the host computes, the camera sends nothing.
-        'stream_timeout': 30.0,
+        'stream_timeout': 600.0,
     }
     sensor = sensor_graph(
         'virtual', driver=driver, virtual_sensor=virtual_sensor, estimator=estimator
@@ -205,16 +207,17 @@ def _run_graph(
             processes.check()
         # Messages in the first half second after discovery are often lost.
         time.sleep(SETTLE_S)
-        monitor.trigger('virtual_sensor/play', processes.check)
-        first, times = monitor.force_count, _processor_times()
-        LiveView(console, monitor).show(lead_s + seconds + TAIL_S, processes.check)
+        lost_s = _lost_s(monitor)
+        _compute_scenario(console, processes, monitor)
+        computed_s = _lost_s(monitor) - lost_s
+        first, times, pairs = monitor.force_count, _processor_times(), len(monitor.clock_pairs())
+        LiveView(console, monitor).show(LEAD_S - CLOCK_S + seconds + TAIL_S, processes.check)
         host = _shares(_processor_times() - times)
         arrival, stamp, _ = monitor.force()
-        waited_s = float(monitor.values('virtual_sensor').get('lost_us', 0)) / 1e6
-        pairs = monitor.clock_pairs()
+        waited_s = _lost_s(monitor) - lost_s - computed_s
         run = Run(
-            *(gain, _dropped(monitor), waited_s, host),
-            *(pairs, arrival[first:], stamp[first:]),
+            *(gain, _dropped(monitor), computed_s, waited_s, host),
+            *(monitor.clock_pairs()[pairs:], arrival[first:], stamp[first:]),
         )
         processes.stop('recorder')
         failed = {name: code for name, code in processes.stop().items() if code}
@@ -237,6 +240,26 @@ def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> f
     monitor.set_parameters('fger', {'force_scale': calibration.gain}, processes.check)
     console.print(f'gain {calibration.gain:.3f}', highlight=False)
     return calibration.gain
+
+
+def _compute_scenario(console: Console, processes: ProcessGroup, monitor: Monitor) -> None:
+    """Start the scenario; return when it is computed and the driver knows the clock again."""
+    monitor.trigger('virtual_sensor/play', processes.check)
+    while int(monitor.values('virtual_sensor').get('plays', 0)) == 0:
+        time.sleep(0.1)
+        processes.check()
+    with console.status('computing the scenario') as status:
+        while (values := monitor.values('virtual_sensor')).get('computing') == 'True':
+            done_s = float(values['ahead_us']) / 1e6
+            status.update(f'computing the scenario: {done_s:.0f} s are ready')
+            time.sleep(_PERIOD_S)
+            processes.check()
+    time.sleep(CLOCK_S)
+
+
+def _lost_s(monitor: Monitor) -> float:
+    """Return for how long simulated time has stopped so far [s]."""
+    return float(monitor.values('virtual_sensor').get('lost_us', 0)) / 1e6
 
 
 def _processor_times() -> NDArray[np.int64]:
@@ -286,7 +309,8 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
         `peak_event_rate_mev_s`: Highest event rate in 10 ms.
         `packet_hz`: Rate of event packets.
         `lost_packets`: Event packets missing in the recording.
-        `waited_s`: Time for which simulated time stopped because the host was too slow [s].
+        `computed_s`: Time for which simulated time stopped to compute the scenario [s].
+        `waited_s`: Time for which it stopped later, because the host was too slow [s].
         `host_idle`: Part of the host's processor time that nobody used during the scenario.
         `host_stolen`: Part of it that a virtual machine's host gave to others: with more than a
             hundredth, `latency_ms` is the host's and not the graph's.
@@ -328,6 +352,7 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
         'peak_event_rate_mev_s': float(rate[1].max() / 1e6),
         'packet_hz': len(streams.complete_us) / (np.ptp(streams.force_ns) / 1e9),
         'lost_packets': streams.lost_packets,
+        'computed_s': run.computed_s,
         'waited_s': run.waited_s,
         **run.host,
         'dropped': run.dropped,

@@ -204,10 +204,12 @@ def truth_mae(streams: Streams, clock_pairs: NDArray[np.int64] | None) -> float:
 
     Args:
         streams: The streams of the run.
-        clock_pairs: As of `host_time`.
+        clock_pairs: As of `host_time`; forces before the first are left out.
     """
     host_ns = host_time(streams, streams.force_ns, clock_pairs)
     inside = (host_ns >= streams.truth_ns[0]) & (host_ns <= streams.truth_ns[-1])
+    if clock_pairs is not None:
+        inside &= streams.force_ns >= clock_pairs[0, 1]
     truth = np.interp(host_ns[inside], streams.truth_ns, streams.truth_n)
     return float(np.abs(streams.force_n[inside] - truth).mean())
 

@@ -4,9 +4,10 @@
 
 The simulation runs a little ahead of the clock, because a frame must be known before its readout
 begins. While a scenario plays whose future is known, it runs much further ahead, so that
-an impact, which takes longer to compute than it lasts, is ready in time. Camera, truth and
-reference hand everything over when its time has come. If the host cannot keep up all the same,
-simulated time stops for a while, and the loss is counted. A node simulates in a process of its own.
+an impact, which takes longer to compute than it lasts, is ready in time; a patient sensor lets no
+time pass before the scenario is known. Camera, truth and reference hand everything over when its
+time has come. If the host cannot keep up all the same, simulated time stops for a while, and the
+loss is counted. A node simulates in a process of its own.
 """
 
 from __future__ import annotations
@@ -98,8 +99,8 @@ PERIOD_S: Final = 0.001
 _CHUNK_US: Final = 4000
 # Little beside any lead; a scenario begins two chunks later at the earliest.
 _AHEAD_PERIOD_S: Final = 0.02
-# What is computed ahead is kept: frames of 30 s are 130 MB.
-_MOST_AHEAD_US: Final = 30_000_000
+# What is computed ahead is kept: frames of 45 s are 200 MB.
+_MOST_AHEAD_US: Final = 45_000_000
 # Niceness of a patient sensor's releasing thread, of the thread that computes ahead, and of the
 # process that simulates a patient sensor.
 _PATIENT_NICENESS: Final = 5
@@ -112,9 +113,6 @@ _MAX_BATCHES: Final = 2048
 # A patient sensor waits when it is late by more than this, or more bytes than these are not read.
 _PATIENCE_US: Final = 20_000
 _BACKLOG: Final = 1 << 19
-# Once a scenario is not known in time, a patient sensor waits until so much of it is: in many short
-# waits everything would compete for the host at every moment, and all messages would be late.
-_REST_US: Final = 1_000_000
 # Who records a scenario still does so for a while after its end.
 _AFTERMATH_US: Final = 2_000_000
 
@@ -144,6 +142,7 @@ class SensorState:
         overruns: Number of times the host could not keep up and time stopped.
         lost_us: Total time for which it stopped [us].
         playing: Whether a scenario is under way.
+        computing: Whether time stands still until more of a scenario is known.
         streaming: Whether a host reads the camera.
         batches_dropped: Batches of truth or reference that were not fetched in time.
     """
@@ -155,6 +154,7 @@ class SensorState:
     overruns: int
     lost_us: int
     playing: bool
+    computing: bool
     streaming: bool
     batches_dropped: int
 
@@ -232,16 +232,20 @@ class VirtualSensor:
         Args:
             scenario: The scenario.
             lead_us: Time by which it starts later [us]. It is computed up to twice as far ahead,
-                30 s at most; what is played meanwhile and new settings of the camera take effect
-                as late.
+                and by a patient sensor as far as 45 s, before time goes on; what is played
+                meanwhile and new settings of the camera take effect as late. Not with 0.
 
         Returns:
             When it starts [us, simulated time].
         """
         start_us = self._next_start_us() + lead_us
         self._profile.play(scenario, start_us)
-        self._ahead_us = min(2 * lead_us, _MOST_AHEAD_US)
         self._ahead_until_us = start_us + round(scenario.duration_s * 1e6) + _AFTERMATH_US
+        self._ahead_us = min(2 * lead_us, _MOST_AHEAD_US)
+        if self._patient and lead_us:
+            # In many short waits everything would compete for the host at every moment, and all
+            # messages would be late.
+            self._ahead_us, self._resting = _MOST_AHEAD_US, True
         return start_us
 
     def commanded_force(self) -> tuple[float, Indenter | None]:
@@ -278,6 +282,7 @@ class VirtualSensor:
             overruns=self._overruns,
             lost_us=self._clock.lost_us,
             playing=end_us is not None and self._clock.now_us() < end_us,
+            computing=self._resting,
             streaming=self.device.streaming,
             batches_dropped=self._dropped,
         )
@@ -312,7 +317,7 @@ class VirtualSensor:
         waiting = slow or self._resting
         if waiting:
             self._clock.lose(behind_us)
-            self._overruns += not self._waiting
+            self._overruns += slow and not self._waiting
         self._waiting = waiting
         return waiting
 
@@ -321,8 +326,7 @@ class VirtualSensor:
         if not self._ahead_us or self._simulated_us >= self._ahead_until_us:
             return False
         if self._resting:
-            enough_us = min(_REST_US, self._ahead_us // 2)
-            return self._simulated_us < self._due_us + enough_us
+            return self._simulated_us < self._due_us + self._ahead_us
         return self._known_us() < self._clock.now_us()
 
     def _known_us(self) -> int:

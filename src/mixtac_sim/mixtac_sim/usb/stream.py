@@ -202,9 +202,9 @@ class Oscillator:
 
 # Beyond this share of the buffer events are dropped, so that frames and time still pass.
 _EVENT_SHARE: Final = 0.5
-# The simulation may run ahead: half a minute of inertial samples. More means that the device is not
+# The simulation may run ahead: a minute of inertial samples. More means that the device is not
 # advanced; then the oldest go, and events are counted.
-_MAX_WAITING: Final = 1 << 15
+_MAX_WAITING: Final = 1 << 16
 _RISING_EDGE: Final = 3
 
 
