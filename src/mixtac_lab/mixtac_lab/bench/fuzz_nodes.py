@@ -155,6 +155,9 @@ def octets(rng: Random, held: bytes) -> bytes:
 class Target(Protocol):
     """A node that is fuzzed, in process or over DDS."""
 
+    def settle(self) -> None:
+        """Wait until everything that it listens to is known."""
+
     def topics(self) -> Mapping[str, Any]:
         """Return the message types of what it subscribes to, by topic."""
 
@@ -194,6 +197,7 @@ def fuzz_target(
         requests: Number of requests to each service.
     """
     revive(target)
+    target.settle()
     sent = _fuzz_topics(target, target.topics(), mutated, messages)
     services = dict(target.services())
     kept = _parameters(target)
@@ -204,6 +208,7 @@ def fuzz_target(
         sent[name] = count
     use_clock = _parameter('use_sim_time', True)
     _set(target, [use_clock])
+    target.settle()
     clock = {name: kind for name, kind in target.topics().items() if name == '/clock'}
     sent |= _fuzz_topics(target, clock, mutated, messages)
     _set(target, [*kept, _parameter('use_sim_time', False)])

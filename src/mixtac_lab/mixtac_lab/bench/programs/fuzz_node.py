@@ -168,6 +168,9 @@ class DirectTarget:
         self.errors: Counter[str] = Counter()
         self.slowest_ms: dict[str, float] = {}
 
+    def settle(self) -> None:
+        """Return: in this process everything is known at once."""
+
     def topics(self) -> Mapping[str, Any]:
         """Return the message types of what it subscribes to, by topic."""
         return {each.topic_name: each.msg_type for each in self._node.subscriptions}
@@ -224,10 +227,18 @@ class LiveTarget:
         self.unanswered = 0
         ready = f'{name}/list_parameters'
         self._wait(lambda: ready in self.services())
-        # It answers once it is complete; what it subscribes to is then discovered one by one.
+        # It answers once it is complete.
         self.ask(ready, self.services()[ready].Request())
-        end_s = time.monotonic() + DISCOVERY_S
-        self._wait(lambda: time.monotonic() > end_s)
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait until what it listens to, which is discovered one by one, stays the same."""
+        found, end_s = (self.topics(), self.services()), time.monotonic() + DISCOVERY_S
+        while time.monotonic() < end_s:
+            self._spin()
+            latest = self.topics(), self.services()
+            if latest != found:
+                found, end_s = latest, time.monotonic() + DISCOVERY_S
 
     def topics(self) -> Mapping[str, Any]:
         """Return the message types of what it subscribes to, by topic."""
