@@ -93,7 +93,7 @@ def test_arguments_follow_the_messages():
     assert got == [(1, 2, 'more')]
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     st.integers(2, 3).flatmap(
         lambda inputs: st.tuples(

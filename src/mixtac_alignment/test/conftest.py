@@ -8,11 +8,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from hypothesis import settings
-
-# The first call of a compiled function takes seconds.
-settings.register_profile('mixtac', deadline=None)
-settings.load_profile('mixtac')
 
 
 @dataclass

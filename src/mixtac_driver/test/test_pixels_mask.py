@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_driver.errors import ConfigurationError
@@ -24,7 +24,6 @@ def events_at(pixels):
     return Events(t, np.ascontiguousarray(x), np.ascontiguousarray(y), t % 2 == 0)
 
 
-@settings(deadline=None)
 @given(st.lists(PIXELS, max_size=12), st.lists(PIXELS, max_size=50))
 def test_events_of_masked_pixels_are_dropped_and_counted(masked, seen):
     mask = PixelMask(masked, SIZE)

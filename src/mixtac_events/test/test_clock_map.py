@@ -28,7 +28,7 @@ def mapped(camera, host):
     return clock
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(-100, 100), st.floats(0, 3000), st.integers(0, 1000))
 def test_skew_and_offset_are_found_under_one_sided_delays(skew, base, seed):
     rng = np.random.default_rng(seed)
@@ -43,7 +43,7 @@ def test_skew_and_offset_are_found_under_one_sided_delays(skew, base, seed):
     assert estimate.steps == 0
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     st.floats(-200, 200),
     st.lists(st.floats(0, 5000), min_size=20, max_size=400),
@@ -57,7 +57,7 @@ def test_map_lies_below_every_recent_arrival_or_close_to_it(skew, delays, period
         assert clock.to_host_ns(t) <= arrival + 300_000
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(-200, 200), st.integers(-10_000_000, 100_000_000))
 def test_both_directions_agree(skew, ahead_us):
     camera, _, host = arrivals(15, skew, np.random.default_rng(1).exponential(200, 7500))

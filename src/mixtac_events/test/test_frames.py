@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_events.frames import (
@@ -35,7 +35,6 @@ def test_bins_are_block_means(kind):
     assert np.allclose(out, expected, rtol=1e-6)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.floats(0.01, 1000.0))
 def test_log_contrast_does_not_depend_on_exposure(gain):
     image = np.exp(waves())
@@ -55,7 +54,6 @@ def test_gradients_are_those_of_numpy_inside():
     assert np.allclose(along_y[1:-1, 1:-1], expected_y[1:-1, 1:-1], atol=1e-6)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 4), st.integers(0, 1000))
 def test_box_sums_are_those_of_the_definition(rows, columns, radius, seed):
     field = np.random.default_rng(seed).integers(-9, 9, (rows, columns)).astype(np.float32)
@@ -68,7 +66,6 @@ def test_box_sums_are_those_of_the_definition(rows, columns, radius, seed):
     assert np.array_equal(out, windows.sum(axis=(2, 3)))
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 def test_displacement_finds_how_far_a_texture_moved(shift_x, shift_y):
     reference = waves()

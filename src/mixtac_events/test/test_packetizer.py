@@ -42,7 +42,7 @@ def batches(draw):
     return out
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     batches(),
     st.sampled_from([100, 1000, 2500]),

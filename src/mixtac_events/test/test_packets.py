@@ -8,7 +8,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_events.packets import (
@@ -40,7 +40,6 @@ def ros():
     return serialise
 
 
-@settings(deadline=None)
 @given(
     frame=names,
     encoding=names,
@@ -62,7 +61,6 @@ def test_every_field_is_what_ros_wrote(
     assert bytes(found.events) == events
 
 
-@settings(deadline=None)
 @given(
     frame=names,
     encoding=names,

@@ -22,7 +22,7 @@ SCALE = SkinScale(12.0, 0.0)
 ROWS, COLUMNS = CONFIG.frame_shape[0] // 2, CONFIG.frame_shape[1] // 2
 GRID = CONFIG.grid_rows, CONFIG.grid_columns
 PLACES = field_places((ROWS, COLUMNS), 8, SCALE, SIZE)
-FEW = settings(max_examples=12, deadline=None)
+FEW = settings(max_examples=12)
 ALONG = st.floats(-6.0, 6.0)
 
 

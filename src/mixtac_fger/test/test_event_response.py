@@ -31,7 +31,7 @@ def after(changes, told, *, fast=0.0, turns=0.0, unit: float = 1.0) -> tuple[flo
 
 
 @given(true=st.floats(0.5, 2.0), noise=st.floats(0.0, 0.01), seed=st.integers(0, 1000))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_the_gain_of_a_sensor_is_found(true, noise, seed):
     random = np.random.default_rng(seed)
     told = random.normal(0.0, 0.3, 300)
@@ -103,7 +103,7 @@ def test_blows_have_no_part():
 
 
 @given(unit=st.floats(0.2, 5.0))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_the_unit_of_the_force_makes_no_difference(unit):
     told, turns = np.random.default_rng(5).normal(0.0, (0.2, 1.0), (50, 2)).T
     changes = 0.7 * told + 0.05 * turns
@@ -128,7 +128,7 @@ def test_frames_before_a_hole_are_not_compared_with_those_behind_it():
     size=st.floats(0.01, 3000.0),
     seed=st.integers(0, 100),
 )
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_slow_increments_are_multiplied_and_fast_ones_are_not(model, gain, play, size, seed):
     config = FgerConfig.from_dict(model.config)
     weights = step_weights(model.tensors)

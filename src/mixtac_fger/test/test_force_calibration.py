@@ -96,7 +96,7 @@ def refusal(*arguments, **conditions):
     return caught.value.reason
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     gain=st.floats(0.4, 3.0),
     wrong_g=st.tuples(*[st.floats(-1.0, 1.0)] * 3),

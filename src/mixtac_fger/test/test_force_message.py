@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_fger.fger_node import ForceMessage
@@ -14,7 +14,6 @@ from mixtac_fger.shear import Shear
 names = st.text(st.characters(min_codepoint=32, max_codepoint=0x3FF), max_size=20)
 
 
-@settings(deadline=None)
 @given(
     frame_id=names,
     stamp_us=st.integers(0, (2**31 - 1) * 1_000_000),

@@ -85,7 +85,7 @@ def test_what_no_contact_does_to_a_picture_is_found(encoded, trial, change, expe
     places=st.lists(st.tuples(st.integers(0, 70), st.integers(0, 50), st.booleans()), max_size=60),
     size=st.integers(1, 8),
 )
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_signs_are_a_histogram(places, size):
     x, y, on = (np.array([place[k] for place in places], int) for k in range(3))
     out = np.zeros((40 // size, 60 // size), np.float32)
@@ -230,7 +230,7 @@ def marks_of(events: Events, most: int = 10_000) -> list[int]:
 
 
 @given(first=st.integers(0, 2000), shift=st.integers(-500_000, 10**12))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_events_are_known_again_wherever_and_whenever_they_are_cut(first, shift):
     events = noise(0, 200_000, 4000)
     whole, part = marks_of(events), marks_of(events[first : first + 1500].shifted(shift))

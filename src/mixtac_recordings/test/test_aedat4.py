@@ -139,9 +139,7 @@ def test_a_file_without_a_whole_packet_gives_one_line_with_its_name(files, tmp_p
     assert '\n' not in str(error.value)
 
 
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     name=st.sampled_from(['NONE', 'LZ4', 'ZSTD']),
     near_end=st.booleans(),
@@ -160,7 +158,7 @@ def test_damage_anywhere_is_an_error_or_harmless(files, tmp_path, name, near_end
         assert str(path) in str(error)  # noqa: PT017 - it may as well be harmless
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(offset_us=st.integers(0, 49_999))
 def test_playing_from_an_offset_leaves_out_exactly_what_is_before(files, offset_us):
     found = read(files['LZ4'], START_US + offset_us)

@@ -68,9 +68,7 @@ def test_what_a_packet_expands_to_is_bounded(tmp_path, monkeypatch):
         file.packet(entry)
 
 
-@settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(near_end=st.booleans(), at=st.integers(0, 3000), octets=st.binary(min_size=1, max_size=8))
 def test_damage_anywhere_is_an_error_or_harmless(tmp_path, near_end, at, octets):
     path = tmp_path / 'damaged.aedat4'

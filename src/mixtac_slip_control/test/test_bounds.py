@@ -35,7 +35,7 @@ def fed(places: np.ndarray, forces: np.ndarray, drift: float = STILL) -> Contact
     return stiffness
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.floats(500.0, 2e4), st.floats(0.1, 1.0), st.integers(0, 10_000))
 def test_it_is_batch_least_squares_with_the_prior(k: float, force: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -52,7 +52,7 @@ def test_it_is_batch_least_squares_with_the_prior(k: float, force: float, seed: 
     assert stiffness.deviation == pytest.approx(math.sqrt(covariance[1, 1]), rel=1e-5)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.floats(500.0, 2e4), st.floats(0.1, 1.0), st.integers(1, 40), st.floats(0.1, 2.0))
 def test_the_largest_advance_is_where_the_upper_bound_meets_the_force(
     k: float, force: float, number: int, goal: float

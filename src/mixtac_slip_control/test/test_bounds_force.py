@@ -84,7 +84,7 @@ def peak_force(
     return max(forces), controller
 
 
-@settings(deadline=None, derandomize=True, max_examples=10)
+@settings(derandomize=True, max_examples=10)
 @given(
     st.floats(0.5, 20.0),
     st.integers(0, 20),

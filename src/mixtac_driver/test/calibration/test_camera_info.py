@@ -55,7 +55,7 @@ def test_a_file_of_camera_calibration_parsers_is_read():
 
 @pytest.mark.parametrize('model', MODELS)
 @given(data=st.data(), name=st.text(max_size=30))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_what_is_written_is_read_to_the_last_bit(model, data, name):
     camera = data.draw(calibrations(model))
     text = format_camera_info(camera, 'two\nlines')
@@ -70,7 +70,7 @@ def test_what_is_written_is_read_to_the_last_bit(model, data, name):
 
 
 @given(name=st.text(st.characters(codec='utf-8', exclude_categories=['Cs', 'Cc']), max_size=30))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_any_name_survives(name):
     assert parse_camera_info(format_camera_info(calibration(name=name))).name == name
 
@@ -109,7 +109,7 @@ def test_damage_is_named(tmp_path, old, new, said):
 
 
 @given(st.integers(0, len(OTHERS) - 1), st.binary(max_size=3))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_damage_anywhere_is_refused_or_harmless(place, junk):
     text = OTHERS[:place] + junk.decode('latin-1') + OTHERS[place + len(junk) + 1 :]
     try:

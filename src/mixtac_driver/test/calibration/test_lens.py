@@ -18,7 +18,7 @@ PIXELS = np.stack(np.meshgrid(np.linspace(0, 345, 24), np.linspace(0, 259, 18)),
 
 @pytest.mark.parametrize('model', MODELS)
 @given(data=st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_undistorted_pixels_are_opencvs(model, data):
     camera = data.draw(calibrations(model))
     ours, theirs = camera.undistort(PIXELS), opencv_undistorted(camera, PIXELS)
@@ -28,7 +28,7 @@ def test_undistorted_pixels_are_opencvs(model, data):
 
 @pytest.mark.parametrize('model', MODELS)
 @given(data=st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_distorting_undoes_it(model, data):
     camera = data.draw(calibrations(model))
     np.testing.assert_allclose(camera.distort(camera.undistort(PIXELS)), PIXELS, atol=1e-6)
@@ -69,7 +69,7 @@ def test_points_beyond_the_fold_are_marked():
     coefficients=st.lists(st.floats(-3, 3), min_size=8, max_size=8),
     points=st.lists(st.tuples(st.floats(-5, 5), st.floats(-5, 5)), min_size=1, max_size=20),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_whatever_is_called_undistorted_distorts_back(model, coefficients, points):
     lens, shown = np.array(coefficients[: len(MODELS[model])]), np.array(points)
     with np.errstate(all='ignore'):

@@ -62,7 +62,7 @@ def test_frames_are_opencvs(model, dtype):
 
 @pytest.mark.parametrize('model', MODELS)
 @given(data=st.data())
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_events_go_where_opencv_says(model, data):
     camera = data.draw(calibrations(model))
     expected = opencv_undistorted(camera, ALL.astype(float))

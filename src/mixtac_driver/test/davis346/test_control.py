@@ -124,7 +124,7 @@ def test_settings_survive_closing(fake):
     assert not camera.status().is_open
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     st.lists(
         st.tuples(

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_driver.node.settings import AutoExposure, right_exposure
@@ -134,7 +134,6 @@ def test_what_the_camera_was_not_told_is_asked_again():
     assert controller.exposure_us == 1000
 
 
-@settings(deadline=None)
 @given(st.integers(0, 1023), st.integers(0, 100), st.floats(1, 1e6), st.floats(0.05, 0.9))
 def test_one_step_is_bounded_and_goes_the_right_way(value, saturated, exposure_us, target):
     image = np.full(100, value, np.uint16)

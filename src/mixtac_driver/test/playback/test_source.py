@@ -99,7 +99,7 @@ def test_loops_repeat_the_events_shifted_by_length_and_gap(bag):
         assert shift_us == loop * 52_000
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(offset_us=st.integers(0, LENGTH_US - 1))
 def test_playing_from_an_offset_leaves_out_exactly_what_is_before(bag, offset_us):
     source = source_of(bag, playback_start=offset_us / 1e6)
@@ -111,7 +111,7 @@ def test_playing_from_an_offset_leaves_out_exactly_what_is_before(bag, offset_us
     ]
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(
     jumps=st.lists(st.integers(0, 2 * LENGTH_US), min_size=1, max_size=5), every=st.integers(1, 9)
 )

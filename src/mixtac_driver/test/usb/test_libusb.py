@@ -74,7 +74,7 @@ def test_nothing_in_time_gives_none(make_rig):
     assert rig.reader.get(0.01) is None
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.one_of(st.binary(min_size=0, max_size=8), st.just('get')), max_size=60))
 def test_no_byte_is_lost_whatever_the_consumer_does(steps):
     rig = Rig()

@@ -37,7 +37,7 @@ def rows(events):
     )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.integers(0, 90_000), min_size=1, max_size=5))
 def test_however_often_it_is_asked_every_event_comes_once_with_its_time(events_only, pauses):
     pattern = events_only

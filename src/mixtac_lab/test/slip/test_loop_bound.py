@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mixtac_lab.slip.loop import GRID_S, ArmReach, arrest_of, fastest_way
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.floats(0.02, 3.0), st.floats(1.0, 8.0), st.floats(800.0, 4000.0))
 def test_best_motion_keeps_acceleration_and_jerk(distance: float, a: float, jerk: float) -> None:
     way = fastest_way(distance, ArmReach(a, jerk, 0.0, 1.5), 2000)

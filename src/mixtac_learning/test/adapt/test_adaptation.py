@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -211,7 +211,6 @@ def test_a_press_of_unknown_force_is_left_out(sample):
 
 
 @given(count=st.integers(2, 40), parts=st.integers(2, 6))
-@settings(deadline=None)
 def test_every_press_is_held_out_once(count, parts):
     held = folds([None] * count, parts)
     assert sorted(index for each in held for index in each) == list(range(count))

@@ -21,7 +21,7 @@ def _skin(friction: Friction = EVEN) -> Skin:
     return Skin(LAYER, 6.0, friction, np.random.default_rng(0))
 
 
-@settings(deadline=None, max_examples=1000)
+@settings(max_examples=1000)
 @example(1.15625, 1.09375, 0.005859375, 6.103515625e-05)
 @given(st.floats(1e-3, 2.0), st.floats(-1.0, 2.0), st.floats(1e-4, 0.05), st.floats(1e-6, 1e-2))
 def test_slip_speed_solves_its_equation(

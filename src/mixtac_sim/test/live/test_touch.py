@@ -122,7 +122,7 @@ def test_a_vibration_has_its_frequency_and_amplitude(sensor, control):
     assert np.fft.rfftfreq(len(middle), 125e-6)[spectrum.argmax()] == pytest.approx(80.0, abs=2.0)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.tuples(st.floats(0.0, LARGEST_N), st.integers(1, 400)), min_size=2, max_size=12))
 @example([(1.0, 10), (0.0, 9)])  # the second comes when the first has just been reached
 def test_commanded_forces_are_followed_without_a_gap(steps):

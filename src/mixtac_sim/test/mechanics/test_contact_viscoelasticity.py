@@ -73,7 +73,7 @@ def test_loss_tangent_is_the_lag_of_a_sinusoid():
     assert abs(np.tan(lag)) == pytest.approx(loss_tangent(SERIES, frequency), rel=0.01)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     st.lists(st.floats(0.0, 5.0), min_size=1, max_size=30),
     st.floats(1e-5, 0.1),

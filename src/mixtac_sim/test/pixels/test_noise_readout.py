@@ -67,7 +67,7 @@ def test_pixel_that_waits_cannot_fire_again():
     assert readout.lost == 1
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     st.lists(st.tuples(st.integers(0, 7_999_999), st.integers(0, 89_959)), max_size=200),
     st.integers(0, 1_000),

@@ -20,7 +20,7 @@ event_rows = st.lists(
 ).map(sorted)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(event_rows, st.lists(st.integers(0, 200_000), max_size=6), st.booleans())
 def test_events_come_back_exactly_however_time_is_cut(rows, cuts, inverted):
     device = camera(board=Board(dvs_inverted=inverted))

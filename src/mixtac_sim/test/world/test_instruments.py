@@ -36,7 +36,7 @@ def test_clock_is_off_by_offset_and_drift(seed):
     assert true_s(sensor, samples)[-1] == pytest.approx(2.0, abs=1.3e-3)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.lists(st.integers(1, 15_999), max_size=8, unique=True), st.integers(0, 100))
 def test_pieces_give_what_the_whole_gives(cuts, seed):
     rng = np.random.default_rng(seed)

@@ -17,7 +17,7 @@ def commands(profile):
     return profile.commands(0, round(1e6 * profile.duration_s / STEP_US))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.sampled_from(sorted(PROFILES)), st.integers(0, 10**6), st.floats(10.0, 30.0))
 def test_commanded_forces_stay_in_range(name, seed, duration):
     profile = make_profile(name, seed, duration)

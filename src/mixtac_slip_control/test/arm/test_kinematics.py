@@ -36,7 +36,7 @@ def test_the_jacobian_is_the_derivative_of_the_pose(q):
         assert np.allclose(jacobian[:, i], np.concatenate([linear, angular]), atol=1e-8)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.tuples(*[st.floats(-0.05, 0.05)] * 3), st.tuples(*[st.floats(-0.3, 0.3)] * 7))
 def test_the_inverse_reaches_what_the_arm_can_reach(shift, posture):
     q = READY + np.array(posture)

@@ -28,7 +28,7 @@ def play(phases, v, a, step=1e-5):
     return s, v, a, worst
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(-0.01, 0.01), st.floats(-V, V), st.floats(-A, A))
 def test_the_fastest_motion_ends_at_rest_at_its_target_within_limits(d, v, a):
     phases = fastest(d, v, a, V, A, J)
@@ -53,7 +53,7 @@ def test_from_rest_the_time_is_the_textbooks(d):
     assert total == pytest.approx(expected, rel=1e-6)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.floats(-0.01, 0.01), st.floats(-V, V), st.floats(-A, A))
 def test_on_the_grid_it_ends_at_rest_with_hardly_more_jerk(d, v, a):
     start = np.array([0.3, v, a])

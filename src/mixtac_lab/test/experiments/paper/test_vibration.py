@@ -22,7 +22,7 @@ from mixtac_lab.experiments.paper.vibration import (
 from mixtac_recordings.recording import RecordingError
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(35.0, 490.0), st.floats(0.0, 6.28), st.integers(0, 100))
 def test_frequency_of_a_noisy_tone(hz, phase, seed):
     t_s = 1e-3 * np.arange(1000)
