@@ -6,8 +6,32 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 
 from mixtac_node.graph import slip_control
-from mixtac_node.launch_actions import environment, node_actions, shared_arguments, value
+from mixtac_node.launch_actions import (
+    environment,
+    given,
+    node_actions,
+    shared_arguments,
+    value,
+)
 
+PARAMETERS = (
+    'arm_address',
+    'lead',
+    'interval',
+    'limit_share',
+    'max_speed',
+    'max_total',
+    'max_force',
+    'normal_frame',
+    'normal_x',
+    'normal_y',
+    'normal_z',
+    'frame_id',
+    'trajectory_topic',
+    'joint_state_topic',
+    'controller_state_topic',
+    'heartbeat_topic',
+)
 ARGUMENTS = [
     DeclareLaunchArgument(
         'arm',
@@ -26,6 +50,14 @@ ARGUMENTS = [
         choices=['flow', 'count'],
         description="Slip detector: motion of the skin, or the paper's event count",
     ),
+    *(
+        DeclareLaunchArgument(
+            name,
+            default_value='',
+            description=f'Parameter {name} of slip control; empty: that of params_file',
+        )
+        for name in PARAMETERS
+    ),
     *shared_arguments('namespace', 'params_file', 'log_level'),
 ]
 
@@ -33,8 +65,7 @@ ARGUMENTS = [
 def _nodes(context):
     """Return the actions of slip control."""
     chosen = {name: value(context, name) for name in ('arm', 'detector')}
-    if backend := value(context, 'arm_backend'):
-        chosen['arm_backend'] = backend
+    chosen |= given(context, 'arm_backend', *PARAMETERS)
     return node_actions(context, slip_control(chosen))
 
 

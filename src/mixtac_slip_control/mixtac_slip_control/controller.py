@@ -8,22 +8,19 @@ are on one host clock, the one that trajectories are stamped with; event and for
 camera clock.
 
 Every trajectory ends at rest, so an arm that receives nothing more stops by itself; `braking` stops
-it sooner. `node_status` summarises the controller for diagnostics.
+it sooner.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Final
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
-from mixtac_events.sequence import SequenceCounter
-from mixtac_node.diagnostics import ERROR, OK, WARN
+from mixtac_slip_control.arm.following import FollowingWatch
 from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.detectors import Detectors
@@ -31,15 +28,7 @@ from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.features import SlipFeatures, SlipWindow
 from mixtac_slip_control.law import Advance
 from mixtac_slip_control.parameters import ADJUSTABLE_WHILE_ENABLED, SlipControlParameters
-from mixtac_slip_control.safety import (
-    EVENTS,
-    FORCE,
-    HEARTBEAT,
-    JOINTS,
-    Interlock,
-    InterlockState,
-    SafetyWatch,
-)
+from mixtac_slip_control.safety import Interlock, InterlockState, SafetyWatch
 
 Normal = Sequence[float] | Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -63,6 +52,7 @@ class SlipStep:
         enabled: Whether the arm may follow slip.
         advance: Wanted because of this window, along the contact normal [m].
         total_advance: Wanted since enabling [m].
+        reason: Why it stopped, else why it cannot be enabled now; empty if it can or is.
     """
 
     end_us: int
@@ -79,6 +69,7 @@ class SlipStep:
     enabled: bool
     advance: float
     total_advance: float
+    reason: str
 
 
 class SlipController:
@@ -94,6 +85,7 @@ class SlipController:
     Attributes:
         interlock: Whether the arm may follow.
         watch: Ages and limits.
+        following: Whether the arm is where the plan leads it; None without an arm.
         detectors: Both slip detectors.
         features: Cuts the event stream into windows.
     """
@@ -112,6 +104,7 @@ class SlipController:
         self.features = SlipFeatures(parameters)
         self._planner = planner
         self._advance = None if planner is None else Advance(parameters, planner)
+        self.following = None if planner is None else FollowingWatch(parameters, planner)
         self._normal_source = normal
         self._normal = np.zeros(3)
         self._settling = (0.0, 0.0)
@@ -166,8 +159,9 @@ class SlipController:
         self._parameters = parameters
         self.detectors.configure(parameters)
         self.watch.configure(parameters)
-        if self._advance is not None:
+        if self._advance is not None and self.following is not None:
             self._advance.configure(parameters)
+            self.following.configure(parameters)
 
     def on_force(self, force_n: float, stamp_us: int, now_s: float) -> None:
         """Take a normal force [N]; its stamp on the camera clock [us]."""
@@ -181,10 +175,44 @@ class SlipController:
         self.watch.on_quality(untrusted)
         self.tick(now_s)
 
-    def on_joint_state(self, positions: Sequence[float], now_s: float) -> None:
-        """Take the joint positions [rad] of the arm, in the planner's order."""
-        self.watch.on_joint_state(positions, now_s)
+    def on_frame(
+        self, image: NDArray[np.uint8] | NDArray[np.uint16], stamp_us: int, now_s: float
+    ) -> None:
+        """Take a frame.
+
+        Args:
+            image: Intensity [height, width], any number of bits.
+            stamp_us: Centre of its exposure, camera clock [us].
+            now_s: Host time [s].
+
+        Raises:
+            SlipControlError: Too small, or of another size than the events.
+        """
+        self.features.frame(image, stamp_us)
+        self.watch.on_frame(stamp_us, self.features.contrast, now_s)
+
+    def on_joint_state(
+        self, positions: Sequence[float], now_s: float, stamp_s: float | None = None
+    ) -> None:
+        """Take the joint positions [rad] of the arm, in the planner's order.
+
+        Args:
+            positions: One for each joint.
+            now_s: Host time [s].
+            stamp_s: When they were measured, on the same clock [s]; None: now.
+        """
+        measured_s = now_s if stamp_s is None else stamp_s
+        self.watch.on_joint_state(positions, measured_s)
+        if self.enabled and self.following is not None and self.watch.joints is not None:
+            self.following.on_measured(np.array(self.watch.joints), measured_s)
         self.tick(now_s)
+
+    def on_commanded(self, positions: Sequence[float], stamp_s: float, now_s: float) -> None:
+        """Take the joint positions [rad] that the arm's controller commands at a time [s]."""
+        q = np.asarray(positions, np.float64)
+        if self.following is not None and np.isfinite(q).all():
+            self.following.on_commanded(q, stamp_s, now_s)
+            self.tick(now_s)
 
     def on_heartbeat(self, now_s: float) -> None:
         """Take a heartbeat of the supervisor."""
@@ -219,9 +247,24 @@ class SlipController:
             self.interlock.stop(str(error))
             return None
 
+    def fault(self, now_s: float) -> str | None:
+        """Return why the arm may not follow slip now, or None."""
+        fault = self.watch.fault(now_s)
+        if fault is None and self.enabled and self.following is not None:
+            fault = self.following.fault(now_s)
+        return fault
+
+    def reason(self, now_s: float) -> str:
+        """Return why it stopped, else why it cannot be enabled now; empty if it can or is."""
+        if self.interlock.state is InterlockState.STOPPED:
+            return self.interlock.reason
+        if self.enabled:
+            return ''
+        return (self._reason_not_to_enable(now_s) or '') if self.has_arm else 'no arm'
+
     def tick(self, now_s: float) -> str | None:
         """Stop if there is a fault; return it, enabled or not."""
-        fault = self.watch.fault(now_s)
+        fault = self.fault(now_s)
         if fault is not None:
             self.interlock.stop(fault)
         return fault
@@ -230,9 +273,10 @@ class SlipController:
         """Return the trajectory that ends a motion early, or None where nothing moves.
 
         To be asked for once after a stop or a disabling. Where it cannot be planned, the last
-        trajectory brings the arm to rest.
+        trajectory brings the arm to rest. An arm that is not where the plan leads it is left alone:
+        a trajectory from there would begin with a step.
         """
-        if self._planner is None:
+        if self._planner is None or (self.following is not None and self.following.lost):
             return None
         try:
             return self._planner.stop(now_s)
@@ -258,7 +302,7 @@ class SlipController:
             SlipControlError: No arm, nothing learned, slip at present, an arm that still moves, a
                 watchdog, a limit, or a stop that was not reset.
         """
-        if self._planner is None or self._advance is None:
+        if self._planner is None or self._advance is None or self.following is None:
             raise SlipControlError(
                 'slip control has no arm', remedy='start it with the parameter arm'
             )
@@ -273,6 +317,7 @@ class SlipController:
             self._normal = np.asarray(source(joints) if callable(source) else source, np.float64)
             self._planner.reset(joints, self._normal, self._parameters.max_total)
             self._advance.start()
+            self.following.start(now_s + settling_s, np.array(measured), commanded)
         except SlipControlError:
             self.interlock.disable()
             raise
@@ -293,7 +338,7 @@ class SlipController:
                 'slip control is enabled and not stopped: nothing to reset',
                 remedy='call ~/enable with data false to disable it',
             )
-        fault = self.watch.fault(now_s)
+        fault = self.fault(now_s)
         if self.interlock.state is InterlockState.STOPPED and fault is not None:
             raise SlipControlError(f'slip control stays stopped: {fault}')
         self.interlock.reset()
@@ -320,13 +365,15 @@ class SlipController:
         # A trajectory from the measured positions would cut a motion that has not ended.
         if start <= now_s < end or (self._planner is not None and self._planner.moving(now_s)):
             return 'the arm still comes to rest from the last motion: try again in a moment'
+        if self.following is not None and (reason := self.following.reason_not_to_enable(now_s)):
+            return reason
         return self.watch.fault(now_s)
 
     def _may_move(self, now_s: float) -> bool:
         return self.enabled and now_s >= self._settling[1] and self.tick(now_s) is None
 
     def _step(self, window: SlipWindow, now_s: float) -> SlipStep:
-        self.watch.on_window(window.count, complete=window.complete, now_s=now_s)
+        self.watch.on_window(window, now_s)
         detectors, count = self.detectors, self.detectors.count
         motion = wanted = 0.0
         if self._advance is not None:
@@ -350,78 +397,5 @@ class SlipController:
             enabled=self.enabled,
             advance=wanted,
             total_advance=self.total_advance,
+            reason=self.reason(now_s),
         )
-
-
-AGES: Final = (EVENTS, FORCE, JOINTS, HEARTBEAT)
-
-
-@dataclass(slots=True)
-class FeedCounts:
-    """Messages of the node, in and out.
-
-    Attributes:
-        packets: Event packets received and missing, by their sequence numbers.
-        refused: Messages that could not be read.
-        problem: Why the latest of them could not, empty if there was none.
-        windows: Slip states published.
-        trajectories: Trajectories sent to the arm.
-    """
-
-    packets: SequenceCounter = field(default_factory=SequenceCounter)
-    refused: int = 0
-    problem: str = ''
-    windows: int = 0
-    trajectories: int = 0
-
-
-def node_status(
-    controller: SlipController, counts: FeedCounts, latest: SlipStep | None, now_s: float
-) -> tuple[int, str, dict[str, object]]:
-    """Return level, a one-line summary, and figures by name.
-
-    Args:
-        controller: The controller.
-        counts: Messages of the node.
-        latest: Result of the latest window, None before the first.
-        now_s: Host time [s].
-    """
-    slicer = controller.features.slicer
-    values: dict[str, object] = {
-        'state': controller.interlock.state.name.lower(),
-        'packets': counts.packets.received,
-        'lost packets': counts.packets.lost,
-        'unreadable messages': counts.refused,
-        'windows': counts.windows,
-        'skipped windows': slicer.skipped_windows,
-        'late events': slicer.late_events,
-        'clock restarts': slicer.restarts,
-        'trajectories': counts.trajectories,
-        'advance limit [m]': controller.advance_limit,
-    }
-    for name in AGES:
-        age = controller.watch.age(name, now_s)
-        values[f'{name} age [s]'] = age if math.isfinite(age) else 'never'
-    if latest is not None:
-        values |= {
-            'count threshold [events]': latest.threshold,
-            'flow threshold [px]': latest.flow_threshold,
-            'total advance [m]': latest.total_advance,
-        }
-    return *_summary(controller, counts, latest, now_s), values
-
-
-def _summary(
-    controller: SlipController, counts: FeedCounts, latest: SlipStep | None, now_s: float
-) -> tuple[int, str]:
-    if controller.interlock.state is InterlockState.STOPPED:
-        return ERROR, f'stopped: {controller.interlock.reason}'
-    if latest is None:
-        problem = counts.problem or 'check that the driver runs'
-        return WARN, f'no events yet: {problem}'
-    if not controller.detectors.learned:
-        return WARN, 'learning the background: keep the contact still'
-    if controller.enabled:
-        return OK, 'enabled'
-    fault = controller.watch.fault(now_s) if controller.has_arm else 'no arm'
-    return OK, f'watching; cannot be enabled: {fault}' if fault else 'watching; ready'

@@ -344,8 +344,13 @@ class Detectors:
             advance_m: Commanded motion of the arm within it [m].
 
         Returns:
-            Whether the object slips, by the chosen detector.
+            Whether the object slips, by the chosen detector; a change of light is no slip.
         """
+        if window.light:
+            # Neither detector sees it, and no advance answers it; a slip goes on afterwards.
+            self._rest = 0
+            self.slipping = False
+            return False
         by_count = self.count.update(window, advance_m)
         by_flow = self.flow.update(window, advance_m)
         self.slipping = by_flow if self._parameters.detector == 'flow' else by_count

@@ -35,6 +35,8 @@ LEAST_MOVE_PX: Final = 4.0
 """Distance by which a contact has to move to be followed [px]: less changes no weight by 5 %."""
 MODES: Final = 3
 """Translation along x and y, and pressing."""
+ZONES: Final = 3
+"""At the contact, around it, far from it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,11 +48,18 @@ class FlowGuide:
         solver: Inverse of the regularised normal matrix, float64 [3, 3]; times the negative sums
             it gives motion at the contact [px per contrast threshold].
         frame_us: Centre of the frame's exposure, camera clock [us].
+        contrast: Root mean square gradient of the log intensity at the contact [1/px].
+        zones: 0 at the contact (within its reach), 1 around it, 2 far from it (one and a half
+            reaches), uint8 [rows, columns] of bins.
+        bins: Bins of each zone, int64 [3].
     """
 
     fields: NDArray[np.float32]
     solver: NDArray[np.float64]
     frame_us: int
+    contrast: float
+    zones: NDArray[np.uint8]
+    bins: NDArray[np.int64]
 
 
 class GuideMaker:
@@ -96,7 +105,10 @@ class GuideMaker:
         np.multiply(along_y, self._weight, out=fields[1])
         np.multiply(fields[0], self._away_x, out=fields[2])
         fields[2] += fields[1] * self._away_y
-        return FlowGuide(fields, _solver(fields), int(frame_us))
+        squares = float(np.vdot(fields[:2], fields[:2]))
+        contrast = math.sqrt(0.5 * squares / self._weight_squares)
+        solver = _solver(fields)
+        return FlowGuide(fields, solver, int(frame_us), contrast, self._zones, self._bins)
 
     def _resize(self, size: tuple[int, ...]) -> None:
         """Make scratch memory and the geometry of the contact for images [height, width]."""
@@ -119,6 +131,9 @@ class GuideMaker:
         weight = np.exp(-(away_x**2 + away_y**2))
         self._away_x, self._away_y = away_x.astype(np.float32), away_y.astype(np.float32)
         self._weight = weight.astype(np.float32)
+        self._zones = np.digitize(np.hypot(away_x, away_y), (1.0, 1.5)).astype(np.uint8)
+        self._bins = np.bincount(self._zones.ravel(), minlength=ZONES)
+        self._weight_squares = float(np.sum(weight**2))
         self._work = [np.empty(shape, np.float32) for _ in range(4)]
         self._size = (height, width)
 
@@ -139,6 +154,8 @@ def window_sums(
     fields: NDArray[np.float32],
     bin_size: int,
     sums: NDArray[np.float64],
+    zones: NDArray[np.uint8],
+    signs: NDArray[np.int64],
 ) -> None:
     """Write the signed sums of the fields over some events; events outside are left out.
 
@@ -149,14 +166,20 @@ def window_sums(
         fields: Of a `FlowGuide`, float32 [modes, rows, columns] of bins.
         bin_size: Pixels along a bin.
         sums: Written, float64 [modes].
+        zones: Zone of each bin, uint8 [rows, columns].
+        signs: Written: brighter less darker events, and all, of each zone, int64 [2, zones].
     """
     modes, rows, columns = fields.shape
     sums[:] = 0.0
+    signs[:] = 0
     for index in range(x.shape[0]):
         row, column = y[index] // bin_size, x[index] // bin_size
         if row >= rows or column >= columns:
             continue
         sign = 1.0 if polarity[index] else -1.0
+        zone = zones[row, column]
+        signs[0, zone] += 1 if polarity[index] else -1
+        signs[1, zone] += 1
         for mode in range(modes):
             sums[mode] += sign * fields[mode, row, column]
 
@@ -165,6 +188,28 @@ MAX_EMPTY_RUN: Final = 20
 """Most empty windows that are returned after a gap; older ones are skipped."""
 STALE_GUIDE_US: Final = 500_000
 """A frame older than this is not used."""
+LIGHT_EVENTS: Final = 200
+"""Fewest events of a window far from the contact that can tell a change of light."""
+LIGHT_SHARE: Final = 0.6
+"""Share of one sign over the other from which these events come from light."""
+LIGHT_RATIO: Final = (0.6, 5.0)
+"""Density of these events over that at the contact, between which they are everywhere: slip moves
+the skin around the contact and hardly any other."""
+
+
+def is_light(signs: NDArray[np.int64], bins: NDArray[np.int64]) -> bool:
+    """Return whether a change of light made the events of a window: everywhere, with one sign.
+
+    Args:
+        signs: Brighter less darker events, and all, at the contact, around it and far from it,
+            int64 [2, 3].
+        bins: Bins of these zones, int64 [3].
+    """
+    far, near = int(signs[1, 2]), int(signs[1, 0])
+    if far < LIGHT_EVENTS or abs(signs[0, 2]) < LIGHT_SHARE * far:
+        return False
+    low, high = LIGHT_RATIO
+    return bool(low * near * bins[2] <= far * bins[0] <= high * near * bins[2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +224,7 @@ class SlipWindow:
         pressing: Motion away from the contact, at its reach, same unit.
         guided: Whether a recent frame was there to measure motion with; else the three above are 0.
         complete: False where packets of the window were lost.
+        light: Whether its events come from a change of light.
     """
 
     end_us: int
@@ -188,6 +234,7 @@ class SlipWindow:
     pressing: float
     guided: bool
     complete: bool
+    light: bool = False
 
 
 class SlipFeatures:
@@ -208,12 +255,19 @@ class SlipFeatures:
         # Without a frame every event lies outside the fields, and the sums stay 0.
         self._blank = np.zeros((MODES, 1, 1), np.float32)
         self._sums = np.zeros(MODES)
+        self._nowhere = np.zeros((1, 1), np.uint8)
+        self._signs = np.zeros((2, ZONES), np.int64)
         self._lost_until_us = 0
+
+    @property
+    def contrast(self) -> float:
+        """Contrast of the latest frame at the contact [1/px]; NaN before the first."""
+        return self._guide.contrast if self._guide is not None else math.nan
 
     def warm_up(self) -> None:
         """Compile (or load) the kernels, for frames of 8 and of 16 bits."""
         none16, none = np.empty(0, np.uint16), np.empty(0, np.bool_)
-        window_sums(none16, none16, none, self._blank, BIN, self._sums)
+        window_sums(none16, none16, none, self._blank, BIN, self._sums, self._nowhere, self._signs)
         maker = GuideMaker(self._maker.parameters)
         maker.make(np.ones((4 * BIN, 4 * BIN), np.uint8), 0)
         maker.make(np.ones((4 * BIN, 4 * BIN), np.uint16), 0)
@@ -270,7 +324,9 @@ class SlipFeatures:
         guide = self._guide
         fresh = guide is not None and abs(end_us - guide.frame_us) <= STALE_GUIDE_US
         fields = guide.fields if guide is not None and fresh else self._blank
-        window_sums(events.x, events.y, events.polarity, fields, BIN, self._sums)
+        zones = guide.zones if guide is not None and fresh else self._nowhere
+        places = events.x, events.y, events.polarity
+        window_sums(*places, fields, BIN, self._sums, zones, self._signs)
         motion = -(guide.solver @ self._sums) if guide is not None and fresh else self._sums
         return SlipWindow(
             end_us=end_us,
@@ -280,4 +336,5 @@ class SlipFeatures:
             pressing=float(motion[2]),
             guided=fresh,
             complete=end_us - self.slicer.width_us >= self._lost_until_us,
+            light=guide is not None and fresh and is_light(self._signs, guide.bins),
         )

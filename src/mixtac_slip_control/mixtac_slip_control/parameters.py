@@ -61,6 +61,16 @@ class SlipControlParameters:
         trajectory_topic: Topic to which trajectories are published, reliable: that of a
             joint_trajectory_controller that interpolates from the desired state.
         joint_state_topic: Topic of the joint positions of the arm.
+        controller_state_topic: Topic on which the controller reports what it commands
+            (`control_msgs/JointTrajectoryControllerState`); empty for none. With it slip control
+            starts from the commanded positions and stops when a trajectory came too late.
+        lead: Time from a trajectory to the first point that may differ from the one before. It must
+            cover the worst transport to the controller and two of its periods. Less than 6 ms needs
+            the controller state, and a measured transport that allows it.
+        interval: Least time between two trajectories.
+        controller_period: Period of the arm's controller.
+        limit_share: Share of the joints' limits of velocity, acceleration and jerk that is used.
+        max_speed: Largest speed of the fingertip.
         heartbeat_topic: Topic of the heartbeat (`std_msgs/Empty`) of the supervisor; the arm moves
             only while it arrives.
         frame_id: Frame of the `slip` messages: z points from the contact into the gel.
@@ -129,6 +139,16 @@ class SlipControlParameters:
         max_force_age: Age of the latest force estimate above which slip control stops.
         max_joint_age: Age of the latest joint states above which slip control stops.
         max_heartbeat_age: Age of the latest heartbeat above which slip control stops.
+        max_frame_age: Age of the latest frame above which slip control stops; the flow detector
+            needs frames.
+        min_contrast: Smallest contrast of the picture at the contact with which the flow detector
+            sees slip: root mean square gradient of the log intensity.
+        min_force: Mean force below which the contact counts as lost, which stops slip control.
+        contact_loss_time: Time over which the force is averaged for `min_force`.
+        max_following_error: Largest difference between measured and commanded advance, beyond what
+            `arm_lag` explains, above which slip control stops.
+        max_displacement: Largest difference of a joint from where the plan leads it, across the
+            advance, above which slip control stops.
         saturation_count: Events in a window from which the sensor counts as saturated; slip control
             stops after two such windows in a row.
 
@@ -151,6 +171,12 @@ class SlipControlParameters:
     settling_time: float = parameter(0.5, unit='s', within=(0.05, 10.0))
     trajectory_topic: str = fixed('/fr3_arm_controller/joint_trajectory')
     joint_state_topic: str = fixed('/joint_states')
+    controller_state_topic: str = fixed('/fr3_arm_controller/controller_state')
+    lead: float = fixed(6e-3, unit='s', within=(2e-3, 0.2))
+    interval: float = fixed(2e-3, unit='s', within=(1e-3, 0.1))
+    controller_period: float = fixed(1e-3, unit='s', within=(1e-4, 0.02))
+    limit_share: float = fixed(0.95, within=(0.01, 1.0))
+    max_speed: float = fixed(0.25, unit='m/s', within=(1e-3, 1.0))
     heartbeat_topic: str = fixed('slip_control/heartbeat')
     frame_id: str = fixed('mixtac_contact')
     detector: str = parameter('flow', choices=DETECTORS)
@@ -191,6 +217,12 @@ class SlipControlParameters:
     max_force_age: float = parameter(0.05, unit='s', within=(2e-3, 1.0))
     max_joint_age: float = parameter(0.05, unit='s', within=(2e-3, 1.0))
     max_heartbeat_age: float = parameter(0.5, unit='s', within=(0.01, 10.0))
+    max_frame_age: float = parameter(0.25, unit='s', within=(0.01, 0.5))
+    min_contrast: float = parameter(0.02, unit='1/px', within=(0.0, 1.0))
+    min_force: float = parameter(0.03, unit='N', within=(0.0, 100.0))
+    contact_loss_time: float = parameter(0.05, unit='s', within=(2e-3, 10.0))
+    max_following_error: float = parameter(3e-4, unit='m', within=(1e-5, 1e-2))
+    max_displacement: float = parameter(5e-3, unit='rad', within=(1e-4, 0.1))
     saturation_count: int = parameter(8000, within=(10, 1000000))
 
     def __post_init__(self) -> None:
@@ -207,6 +239,11 @@ class SlipControlParameters:
                     f'parameter {name} = {seconds:g} s: give at least {fewest} windows of '
                     f'{self.window:g} s'
                 )
+        if self.lead < 2.0 * self.controller_period:
+            raise ParameterError(
+                f'parameter lead = {self.lead:g} s: give at least two of controller_period = '
+                f'{self.controller_period:g} s'
+            )
         if 0.0 < self.contact_reach < LEAST_REACH_PX:
             raise ParameterError(
                 f'parameter contact_reach = {self.contact_reach:g} px: give at least '

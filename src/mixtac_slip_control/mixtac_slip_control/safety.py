@@ -15,6 +15,7 @@ from enum import IntEnum
 from typing import Final
 
 from mixtac_slip_control.errors import SlipControlError
+from mixtac_slip_control.features import SlipWindow
 from mixtac_slip_control.parameters import SlipControlParameters
 
 
@@ -86,10 +87,13 @@ EVENTS: Final = 'events'
 FORCE: Final = 'force'
 JOINTS: Final = 'joint states'
 HEARTBEAT: Final = 'heartbeat'
+FRAMES: Final = 'frames'
 SATURATED_WINDOWS: Final = 2
 """Saturated windows in a row that stop."""
 LOST_WINDOWS: Final = 5
-"""Windows in a row with lost packets that stop."""
+"""Windows in a row with lost packets that stop, or without a frame of their time."""
+LIGHT_WINDOWS: Final = 200
+"""Windows made by light, less the others, that stop: slip is not seen in them."""
 
 
 class SafetyWatch:
@@ -118,7 +122,10 @@ class SafetyWatch:
         self.joints: tuple[float, ...] | None = None
         self._arrived: dict[str, float] = {}
         self._wrong: dict[str, str] = {}
-        self._saturated = self._lost = 0
+        self._saturated = self._lost = self._light = self._unguided = 0
+        self._contrast = math.inf
+        self._mean_force: float | None = None
+        self._frame_us: int | None = None
         self._force_stamp_us: int | None = None
         self._untrusted = ''
 
@@ -126,11 +133,21 @@ class SafetyWatch:
         """Use other limits and ages from now on."""
         self._parameters = parameters
 
-    def on_window(self, count: int, *, complete: bool, now_s: float) -> None:
+    def on_window(self, window: SlipWindow, now_s: float) -> None:
         """Record a window that was closed now."""
-        self._saturated = self._saturated + 1 if count >= self._parameters.saturation_count else 0
-        self._lost = 0 if complete else self._lost + 1
+        full = window.count >= self._parameters.saturation_count
+        self._saturated = self._saturated + 1 if full else 0
+        self._lost = 0 if window.complete else self._lost + 1
+        self._unguided = 0 if window.guided else self._unguided + 1
+        self._light = max(self._light + (1 if window.light else -1), 0)
         self._arrived[EVENTS] = now_s
+
+    def on_frame(self, stamp_us: int, contrast: float, now_s: float) -> None:
+        """Record a frame with its stamp, camera clock [us], and its contrast [1/px]."""
+        if stamp_us == self._frame_us:
+            return  # a repeated message shows nothing new
+        self._frame_us, self._contrast = stamp_us, contrast
+        self._arrived[FRAMES] = now_s
 
     def on_force(self, force_n: float, stamp_us: int, now_s: float) -> bool:
         """Record a force [N] with its stamp, camera clock [us]; return whether it is a new one."""
@@ -142,20 +159,24 @@ class SafetyWatch:
         self._wrong.pop(FORCE, None)
         self._force_stamp_us = stamp_us
         self.force = force_n
+        age = self.age(FORCE, now_s)
         self._arrived[FORCE] = now_s
+        keep = math.exp(-max(age, 0.0) / self._parameters.contact_loss_time)
+        mean = force_n if self._mean_force is None else self._mean_force
+        self._mean_force = force_n + keep * (mean - force_n)
         return True
 
     def on_quality(self, untrusted: str) -> None:
         """Record why the latest force cannot be trusted; empty if it can."""
         self._untrusted = untrusted
 
-    def on_joint_state(self, positions: Sequence[float], now_s: float) -> None:
-        """Record joint positions [rad]."""
+    def on_joint_state(self, positions: Sequence[float], stamp_s: float) -> None:
+        """Record joint positions [rad] of a time [s]."""
         if not all(math.isfinite(q) for q in positions):
             self._wrong[JOINTS] = f'joint positions are {tuple(positions)}'
             return
         self.joints = tuple(float(q) for q in positions)
-        self._arrived[JOINTS] = now_s
+        self._arrived[JOINTS] = stamp_s
         reason = self._check_state(self.joints)
         if reason is None:
             self._wrong.pop(JOINTS, None)
@@ -175,7 +196,7 @@ class SafetyWatch:
         """Return why the arm may not follow slip now, or None."""
         if self._untrusted:
             return f'the force is not valid: {self._untrusted}'
-        return self._stale(now_s) or self._limits()
+        return self._stale(now_s) or self._limits() or self._unseen()
 
     def _stale(self, now_s: float) -> str | None:
         p = self._parameters
@@ -186,6 +207,7 @@ class SafetyWatch:
             (FORCE, p.max_force_age),
             (JOINTS, p.max_joint_age),
             (HEARTBEAT, p.max_heartbeat_age),
+            *(((FRAMES, p.max_frame_age),) if p.detector == 'flow' else ()),
         )
         for name, limit in allowed:
             if name in self._wrong:
@@ -206,6 +228,26 @@ class SafetyWatch:
             )
         if self._lost >= LOST_WINDOWS:
             return f'event packets are missing in {self._lost} windows in a row'
+        if self._mean_force is not None and self._mean_force < p.min_force:
+            return (
+                f'contact lost: the mean force of {self._mean_force:.2f} N is below min_force '
+                f'{p.min_force:.2f} N'
+            )
         if self.force is not None and self.force > p.max_force:
             return f'force {self.force:.2f} N is above max_force {p.max_force:.2f} N'
+        return None
+
+    def _unseen(self) -> str | None:
+        """Return why slip could not be seen, or None."""
+        p = self._parameters
+        if p.detector == 'flow':
+            if self._unguided >= LOST_WINDOWS:
+                return 'the latest frame is not of the time of the events, or of another size'
+            if self._contrast < p.min_contrast:
+                return (
+                    f'the picture at the contact has a contrast of {self._contrast:.3f} per px, '
+                    f'below min_contrast {p.min_contrast:g}: slip of it cannot be seen'
+                )
+        if self._light >= LIGHT_WINDOWS:
+            return 'the light changes all over the picture: slip cannot be seen'
         return None

@@ -9,12 +9,14 @@ trajectory that answers it. The node starts disabled. This is not a safety-rated
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import sys
+from typing import Any
 
 from event_camera_msgs.msg import EventPacket
 from rclpy.node import Node
 from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import Empty
+from std_msgs.msg import Empty, Header
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -26,7 +28,7 @@ from mixtac_node import topics
 from mixtac_node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import DiagnosticsPublisher, Status
 from mixtac_node.images import grey
-from mixtac_node.stamps import stamp_to_us, us_to_stamp
+from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 from mixtac_slip_control.arm.backends import TRAJECTORY, ArmBackend, TrajectoryBackend, open_backend
 from mixtac_slip_control.arm.model import ArmParts, make_arm
 from mixtac_slip_control.arm.trajectory import (
@@ -34,10 +36,11 @@ from mixtac_slip_control.arm.trajectory import (
     TrajectoryMessage,
     settling_trajectory,
 )
-from mixtac_slip_control.controller import FeedCounts, SlipController, SlipStep, node_status
+from mixtac_slip_control.controller import SlipController, SlipStep
 from mixtac_slip_control.errors import BackendError
 from mixtac_slip_control.parameters import SlipControlParameters
 from mixtac_slip_control.safety import InterlockState
+from mixtac_slip_control.status import FeedCounts, node_status
 
 STEP_FIELDS = tuple(f.name for f in dataclasses.fields(SlipStep) if f.name != 'end_us')
 REASONS = {
@@ -48,6 +51,8 @@ REASONS = {
 """Why a force is not valid, by the number in the message."""
 WATCH_PERIOD_S = 5e-3
 """Period of the watchdogs while nothing arrives [s]."""
+STATE_PERIOD_S = 0.1
+"""Period of `slip` while no window arrives [s]."""
 
 
 class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
@@ -83,6 +88,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self.subscribe_topic(topics.FORCE_QUALITY, self._on_quality)
         self.create_subscription(Empty, p.heartbeat_topic, self._on_heartbeat, QOS_SENSOR)
         self.create_timer(WATCH_PERIOD_S, self._watch)
+        self._told = 0
+        self.create_timer(STATE_PERIOD_S, self._tell)
         self._diagnostics = DiagnosticsPublisher(self, 'slip_control', self._status)
 
     def _open_backend(self, arm: ArmParts) -> ArmBackend:
@@ -99,12 +106,38 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         backend = TrajectoryBackend(arm.arm.names, lambda t: publisher.publish(message.fill(t)))
 
         def on_joints(joints: JointState) -> None:
-            if backend.on_joint_state(joints.name, joints.position, self._now_s()):
+            stamp_s = self._stamp_s(joints.header)
+            if backend.on_joint_state(joints.name, joints.position, stamp_s):
                 self._read_arm()
                 self._brake()
 
         self.create_subscription(JointState, p.joint_state_topic, on_joints, QOS_SENSOR)
+        if p.controller_state_topic:
+            self._listen_to_controller(backend, p.controller_state_topic)
         return backend
+
+    def _listen_to_controller(self, backend: TrajectoryBackend, topic: str) -> None:
+        """Read what the controller commands, where its messages are installed."""
+        try:
+            messages = importlib.import_module('control_msgs.msg')
+        except ImportError:
+            self.get_logger().info(f'control_msgs is not installed: {topic} is not read')
+            return
+
+        def on_state(state: Any) -> None:  # noqa: ANN401
+            reference = getattr(state, 'reference', None) or state.desired
+            q = backend.ordered(state.joint_names, reference.positions)
+            if q is not None:
+                stamp_s = self._stamp_s(state.header)
+                self._controller.on_commanded(q.tolist(), stamp_s, self._now_s())
+                self._brake()
+
+        kind = messages.JointTrajectoryControllerState
+        self.create_subscription(kind, topic, on_state, QOS_SENSOR)
+
+    def _stamp_s(self, header: Header) -> float:
+        """Return the time of a message [s]; now if it has none."""
+        return 1e-9 * stamp_to_ns(header.stamp) or self._now_s()
 
     def close(self) -> None:
         """Bring the arm to rest and release it."""
@@ -144,7 +177,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
 
     def _on_image(self, message: Image) -> None:
         try:
-            self._controller.features.frame(grey(message), stamp_to_us(message.header.stamp))
+            stamp_us = stamp_to_us(message.header.stamp)
+            self._controller.on_frame(grey(message), stamp_us, self._now_s())
         except MixtacError as error:
             self._refuse(str(error))
 
@@ -184,7 +218,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             return
         if state is not None and state.stamp_s != self._arm_stamp_s:
             self._arm_stamp_s = state.stamp_s
-            self._controller.on_joint_state(state.q.tolist(), self._now_s())
+            self._controller.on_joint_state(state.q.tolist(), self._now_s(), state.stamp_s)
 
     def _send(self, trajectory: PlannedTrajectory | None) -> None:
         if trajectory is None or self._backend is None:
@@ -205,6 +239,21 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         reason = self._controller.interlock.reason
         if reason:
             self.get_logger().error(f'stopped: {reason}')
+        self._publish_state()
+
+    def _tell(self) -> None:
+        if self._told == self._counts.windows:
+            self._publish_state()
+        self._told = self._counts.windows
+
+    def _publish_state(self) -> None:
+        """Publish the state of now, with the figures of the latest window."""
+        controller, message = self._controller, self._message
+        message.slipping = message.count_slipping = message.flow_slipping = False
+        message.state, message.enabled = int(controller.interlock.state), controller.enabled
+        message.advance, message.total_advance = 0.0, controller.total_advance
+        message.reason = controller.reason(self._now_s())
+        self._slip.publish(message)
 
     def _publish(self, step: SlipStep) -> None:
         # One message for all: a thousand new ones a second would cost more than the detectors.
@@ -223,8 +272,10 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             return 'slip control disabled'
         now_s, settling_s = self._now_s(), self._settings.settling_time
         state = self._backend.state() if self._backend is not None else None
-        if state is None or state.commanded is not None:
-            commanded = None if state is None else state.commanded
+        commanded = None if state is None else state.commanded
+        if commanded is None and self._controller.following is not None:
+            commanded = self._controller.following.commanded(now_s)
+        if state is None or commanded is not None:
             self._controller.enable(now_s, commanded=commanded)
         elif not self._controller.enabled:
             self._controller.enable(now_s, settling_s=settling_s)

@@ -34,8 +34,9 @@ def window(
     *,
     guided: bool = True,
     complete: bool = True,
+    light: bool = False,
 ) -> SlipWindow:
-    return SlipWindow(1000 * (index + 1), count, *flow, 0.0, guided, complete)
+    return SlipWindow(1000 * (index + 1), count, *flow, 0.0, guided, complete, light)
 
 
 def quiet_windows(number: int, seed: int = 0) -> list[SlipWindow]:
@@ -59,6 +60,7 @@ class FakePlanner:
         self.error: Exception | None = None
         self.moves = False
         self.max_advance = 0.0
+        self.path = None
 
     def reset(self, q: Any, normal: Any = None, max_advance: float = 0.02) -> None:
         self.resets.append((tuple(q), tuple(normal)))

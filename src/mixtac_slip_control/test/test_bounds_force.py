@@ -71,7 +71,9 @@ def peak_force(
         # What is sent becomes a command after its lead, which the planner's own times hold.
         forces.append(contact.follow(PLANNER.advance_at(now - 1e-3) if controller.enabled else 0.0))
         controller.on_heartbeat(now)
-        controller.on_joint_state(READY.tolist(), now)
+        path, at = PLANNER.path, contact.place if controller.enabled else 0.0
+        q = READY if path is None else path.derivatives(at)[0]
+        controller.on_joint_state(q.tolist(), now)
         if ms >= delay_ms and ms % 2 == 0:
             force = forces[ms - delay_ms] + float(rng.normal(0.0, 0.03))
             controller.on_force(force, 1000 * (ms + 1 - delay_ms), now)

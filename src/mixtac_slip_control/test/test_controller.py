@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import TYPE_CHECKING
 
@@ -14,11 +15,11 @@ from mixtac_events.arrays import Events
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.planner import AdvancePlanner
-from mixtac_slip_control.controller import ERROR, OK, WARN, FeedCounts, SlipController, node_status
+from mixtac_slip_control.controller import SlipController
 from mixtac_slip_control.errors import ArmError, SlipControlError
 from mixtac_slip_control.safety import HEARTBEAT, InterlockState
 
-from .slip_windows import FakePlanner, parameters
+from .slip_windows import FakePlanner, parameters, window
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -123,7 +124,7 @@ def test_it_cannot_be_enabled_without_a_heartbeat() -> None:
         rig.ms += 100
         rig.controller.on_force(0.5, 1000 * rig.ms, rig.now)
         rig.controller.on_joint_state(READY, rig.now)
-        rig.controller.watch.on_window(30, complete=True, now_s=rig.now)
+        rig.controller.watch.on_window(window(0), rig.now)
     with pytest.raises(SlipControlError, match=HEARTBEAT):
         rig.controller.enable(rig.now)
     assert rig.planner.resets == []
@@ -294,10 +295,14 @@ def test_the_normal_may_follow_from_the_joints() -> None:
 
 def test_it_starts_from_commanded_positions_where_they_are_known() -> None:
     rig = Rig(max_total=5e-4).learned()
-    commanded = np.arange(7) / 10.0
+    commanded = np.array(READY) + 1e-3
     rig.controller.enable(rig.now, commanded=commanded)
     assert rig.planner.resets[0][0] == tuple(commanded)
     assert rig.planner.max_advance == 5e-4
+    rig.controller.disable()
+    with pytest.raises(SlipControlError):
+        rig.controller.enable(rig.now, commanded=commanded + 0.2)
+    assert not rig.controller.enabled
 
 
 def test_enabling_waits_until_the_arm_rests() -> None:
@@ -366,15 +371,49 @@ def test_only_gains_change_while_it_is_enabled() -> None:
     rig.controller.configure(chosen(max_total=1e-4))
 
 
-def test_the_status_says_what_is_missing() -> None:
-    controller, counts = SlipController(chosen()), FeedCounts()
-    level, message, values = node_status(controller, counts, None, 1.0)
-    assert level == WARN
-    assert message
-    assert values['force age [s]'] == 'never'
-    counts.problem = 'image of another size'
-    assert 'another size' in node_status(controller, counts, None, 1.0)[1]
-    controller.interlock.enable(None)
-    controller.interlock.stop('force is nan')
-    assert node_status(controller, counts, None, 1.0)[:2] == (ERROR, 'stopped: force is nan')
-    assert OK < WARN
+def moving_rig(**changes: float) -> Rig:
+    """Return a rig with the FR3's planner that has advanced."""
+    rig = Rig(**changes)
+    planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3())
+    rig.controller = SlipController(chosen(**changes), planner, (0.0, 1.0, 0.0))
+    return rig.enabled()
+
+
+def test_an_arm_that_was_moved_by_others_stops_and_is_left_alone() -> None:
+    rig = moving_rig()
+    rig.step()
+    rig.controller.on_joint_state((READY[0] + 0.2, *READY[1:]), rig.now)
+    assert rig.controller.interlock.state is InterlockState.STOPPED
+    # A braking trajectory would begin with a step back.
+    assert rig.controller.braking(rig.now) is None
+    rig.controller.reset(rig.now)
+    rig.controller.enable(rig.now)
+    assert rig.controller.enabled
+
+
+def test_an_arm_that_does_not_follow_stops() -> None:
+    rig = moving_rig(stiffest_contact=500.0)
+    for _ in range(60):
+        rig.step(800)
+        rig.controller.plan(rig.now)
+    assert rig.controller.interlock.state is InterlockState.STOPPED
+    assert 'does not follow' in rig.controller.interlock.reason
+
+
+def test_the_reason_of_a_state_is_that_of_its_stop_or_why_it_cannot_be_enabled() -> None:
+    rig = Rig()
+    assert 'learned' in rig.step().reason
+    rig.enabled()
+    assert rig.step().reason == ''
+    rig.controller.on_force(1.7, 1000 * rig.ms + 1, rig.now)
+    assert 'max_force' in rig.step().reason
+    assert SlipController(chosen()).reason(rig.now)
+
+
+def test_without_frames_the_flow_detector_is_not_enabled_and_stops() -> None:
+    rig = Rig()
+    rig.controller = SlipController(chosen(), rig.planner, (0.0, 0.0, -1.0))
+    rig.learned()
+    # The count needs none; the flow detector does.
+    rig.controller.configure(dataclasses.replace(chosen(), detector='flow'))
+    assert 'frames' in str(rig.controller.fault(rig.now))

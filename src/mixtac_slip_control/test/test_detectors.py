@@ -126,3 +126,16 @@ def test_the_chosen_detector_decides_and_sets_the_threshold_of_the_law() -> None
         assert both.update(window(1, 30, (0.5, 0.0)), 0.0)
         expected = both.count.expected if chosen == 'flow' else both.count.threshold
         assert both.law_threshold == expected
+
+
+@pytest.mark.parametrize('chosen', ['flow', 'count'])
+def test_a_change_of_light_is_no_slip_and_is_not_learned(chosen: str) -> None:
+    both = Detectors(parameters(detector=chosen, settle_time=0.0))
+    for each in quiet_windows(LEARNED):
+        both.update(each, 0.0)
+    before = both.count.background.median
+    for k in range(2000):
+        assert not both.update(window(k, 5000, (0.5, 0.0), light=True), 0.0)
+    assert both.count.background.median == before
+    assert both.update(window(2000, 5000, (0.5, 0.0)), 0.0)
+    assert not both.update(window(2001, 5000, (0.5, 0.0), light=True), 0.0)

@@ -199,3 +199,33 @@ def test_a_frame_of_another_size_than_the_events_is_refused() -> None:
 def test_images_without_room_for_a_gradient_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(SlipControlError):
         SlipFeatures(SlipControlParameters()).frame(np.zeros(shape, np.uint8), 0)
+
+
+@pytest.mark.parametrize('brighter', [True, False])
+def test_a_step_of_light_is_told_from_motion(brighter: bool) -> None:
+    """A lamp at the side, switched on or off: 15 % on one side of the picture, 3 % on the other."""
+    lamp = np.log(1.0 + np.linspace(0.15, 0.03, WIDTH)) * np.ones((HEIGHT, 1))
+    number = np.floor(lamp / CONTRAST + RNG.random(lamp.shape)).astype(int)
+    y, x = np.nonzero(number)
+    t = np.sort(RNG.integers(0, 1000, len(x)))
+    sign = np.full(len(x), brighter)
+    sign[RNG.random(len(x)) < 0.05] ^= True  # noise
+    order = RNG.permutation(len(x))
+    features = SlipFeatures(SlipControlParameters())
+    features.frame(np.round(REST).astype(np.uint16), 0)
+    events = Events(t, x[order].astype(np.uint16), y[order].astype(np.uint16), sign)
+    (window,) = features.push(events, 1000)
+    assert window.light
+    for angle in (0.0, 2.0, 4.0):
+        assert not seen(0.4 * np.cos(angle) * PATCH, 0.4 * np.sin(angle) * PATCH).light
+    assert not seen(0.4 * AWAY_X / 90.0 * PATCH, 0.4 * AWAY_Y / 90.0 * PATCH).light
+
+
+def test_a_pattern_with_edges_has_contrast_and_a_smooth_one_little() -> None:
+    features = SlipFeatures(SlipControlParameters())
+    assert np.isnan(features.contrast)
+    features.frame(np.round(REST).astype(np.uint16), 0)
+    sharp = features.contrast
+    wave = 20_000.0 * (1.0 + 0.35 * np.sin(COLUMNS / 20.0) * np.sin(ROWS / 20.0))
+    features.frame(np.round(wave).astype(np.uint16), 40_000)
+    assert features.contrast < SlipControlParameters().min_contrast < 0.5 * sharp

@@ -37,10 +37,23 @@ def test_the_node_that_it_starts_exists() -> None:
 
 
 def test_its_arguments_have_the_defaults_of_the_parameters() -> None:
-    arguments = {c.args[0].value: keywords(c) for c in calls('DeclareLaunchArgument')}
+    calls_by_name = [
+        c for c in calls('DeclareLaunchArgument') if isinstance(c.args[0], ast.Constant)
+    ]
+    arguments = {c.args[0].value: keywords(c) for c in calls_by_name}
     assert {'arm', 'arm_backend', 'detector'} == set(arguments)
     assert arguments['arm_backend']['default_value'] == ''  # that of the parameter file
     defaults = {spec.name: spec.default for spec in specs(SlipControlParameters)}
     for name in ('arm', 'detector'):
         assert arguments[name]['default_value'] == defaults[name]
     assert arguments['detector']['choices'] == list(DETECTORS)
+
+
+def test_its_other_arguments_are_parameters() -> None:
+    (names,) = (
+        ast.literal_eval(node.value)
+        for node in ast.walk(TREE)
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == 'PARAMETERS'
+    )
+    assert {'lead', 'joint_state_topic', 'normal_frame', 'max_force'} <= set(names)
+    assert set(names) <= {spec.name for spec in specs(SlipControlParameters)}

@@ -5,13 +5,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.parameters import SlipControlParameters
-from mixtac_slip_control.safety import Interlock, InterlockState, SafetyWatch
+from mixtac_slip_control.safety import LIGHT_WINDOWS, Interlock, InterlockState, SafetyWatch
+
+from .slip_windows import window
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,7 +25,8 @@ READY = (0.0, -0.8, 0.0, -2.3, 0.0, 1.6, 0.8)
 
 def heard(now_s: float = NOW) -> SafetyWatch:
     watch = SafetyWatch(PARAMETERS, lambda q: 'joint 1 is at its end' if q[0] > 2.0 else None)
-    watch.on_window(30, complete=True, now_s=now_s)
+    watch.on_window(window(0), now_s)
+    watch.on_frame(1000, 0.1, now_s)
     watch.on_force(0.5, 1000, now_s)
     watch.on_joint_state(READY, now_s)
     watch.on_heartbeat(now_s)
@@ -36,7 +39,9 @@ def test_with_everything_fresh_nothing_is_wrong() -> None:
 
 def refresh(watch: SafetyWatch, now_s: float, *, without: str) -> None:
     if without != 'events':
-        watch.on_window(30, complete=True, now_s=now_s)
+        watch.on_window(window(0), now_s)
+    if without != 'frames':
+        watch.on_frame(round(now_s * 1e6), 0.1, now_s)
     if without != 'force':
         watch.on_force(0.5, round(now_s * 1e6), now_s)
     if without != 'joint states':
@@ -47,7 +52,13 @@ def refresh(watch: SafetyWatch, now_s: float, *, without: str) -> None:
 
 @pytest.mark.parametrize(
     ('name', 'age'),
-    [('events', 0.02), ('force', 0.05), ('joint states', 0.05), ('heartbeat', 0.5)],
+    [
+        ('events', 0.02),
+        ('frames', 0.25),
+        ('force', 0.05),
+        ('joint states', 0.05),
+        ('heartbeat', 0.5),
+    ],
 )
 def test_each_input_is_watched_by_its_own_age(name: str, age: float) -> None:
     watch = heard()
@@ -57,7 +68,7 @@ def test_each_input_is_watched_by_its_own_age(name: str, age: float) -> None:
     assert name in str(watch.fault(NOW + 1.2 * age))
 
 
-@pytest.mark.parametrize('name', ['events', 'force', 'joint states', 'heartbeat'])
+@pytest.mark.parametrize('name', ['events', 'frames', 'force', 'joint states', 'heartbeat'])
 def test_an_input_never_heard_of_stops(name: str) -> None:
     watch = SafetyWatch(PARAMETERS)
     refresh(watch, NOW, without=name)
@@ -72,6 +83,19 @@ def test_a_force_that_is_valid_again_may_be_followed() -> None:
     assert watch.fault(NOW) is None
 
 
+def repeat(watch: SafetyWatch, times: int, **changes: Any) -> None:
+    for index in range(times):
+        watch.on_window(window(index, **changes), NOW)
+
+
+def lose(watch: SafetyWatch, force_n: float) -> None:
+    for ms in range(500):
+        refresh(watch, NOW + 1e-3 * ms, without='force')
+        watch.on_force(force_n, 2000 + ms, NOW + 1e-3 * ms)
+    refresh(watch, NOW, without='force')
+    watch.on_force(force_n, 1, NOW)
+
+
 TRIPS: dict[str, Callable[[SafetyWatch], None]] = {
     'force is nan': lambda w: w.on_force(math.nan, 2000, NOW),
     'force is inf': lambda w: w.on_force(math.inf, 2000, NOW),
@@ -79,8 +103,13 @@ TRIPS: dict[str, Callable[[SafetyWatch], None]] = {
     'joint 1 is at its end': lambda w: w.on_joint_state((2.5, *READY[1:]), NOW),
     'not valid: light changed': lambda w: w.on_quality('light changed'),
     'above max_force': lambda w: w.on_force(1.6, 2000, NOW),
-    'saturated': lambda w: [w.on_window(9000, complete=True, now_s=NOW) for _ in range(2)] and None,
-    'missing': lambda w: [w.on_window(30, complete=False, now_s=NOW) for _ in range(5)] and None,
+    'saturated': lambda w: repeat(w, 2, count=9000),
+    'missing': lambda w: repeat(w, 5, complete=False),
+    'frame is not of the time': lambda w: repeat(w, 5, guided=False),
+    'light': lambda w: repeat(w, LIGHT_WINDOWS, light=True),
+    'min_contrast': lambda w: w.on_frame(2000, 0.01, NOW),
+    'contact lost': lambda w: lose(w, 0.0),
+    'mean force of -3': lambda w: lose(w, -3.0),
 }
 
 
@@ -102,9 +131,38 @@ def test_what_was_wrong_is_over_with_the_next_good_value() -> None:
 
 def test_single_full_or_lost_windows_do_not_stop() -> None:
     watch = heard()
-    watch.on_window(9000, complete=False, now_s=NOW)
-    watch.on_window(30, complete=True, now_s=NOW)
-    watch.on_window(9000, complete=True, now_s=NOW)
+    watch.on_window(window(0, 9000, complete=False, guided=False), NOW)
+    watch.on_window(window(1), NOW)
+    watch.on_window(window(2, 9000), NOW)
+    assert watch.fault(NOW) is None
+
+
+def test_by_counts_no_frames_are_needed() -> None:
+    watch = SafetyWatch(SlipControlParameters(detector='count'))
+    refresh(watch, NOW, without='frames')
+    repeat(watch, 9, guided=False)
+    assert watch.fault(NOW) is None
+
+
+def test_a_frame_that_is_repeated_grows_old() -> None:
+    watch = heard()
+    watch.on_frame(1000, 0.1, NOW + 0.3)
+    refresh(watch, NOW + 0.3, without='frames')
+    assert 'frames' in str(watch.fault(NOW + 0.3))
+
+
+def test_joint_states_are_as_old_as_their_stamps() -> None:
+    watch = heard()
+    for stamp_s in (NOW - 10.0, NOW + 10.0):
+        watch.on_joint_state(READY, stamp_s)
+        assert 'joint states' in str(watch.fault(NOW))
+
+
+def test_one_low_force_and_light_now_and_then_do_not_stop() -> None:
+    watch = heard()
+    watch.on_force(-0.5, 3000, NOW + 1e-3)
+    for index in range(4 * LIGHT_WINDOWS):
+        watch.on_window(window(index, light=index % 2 == 0), NOW)
     assert watch.fault(NOW) is None
 
 

@@ -99,6 +99,7 @@ class Peer:
 
         self.graph, self.executor = graph, graph.executor
         self.states: dict[int, Any] = {}
+        self.heard: list[Any] = []
         self._types = (EventPacket, WrenchStamped, JointState, Empty)
         make = graph.node.create_publisher
         self._events = make(EventPacket, '/mixtac/events', QOS_EVENTS)
@@ -194,6 +195,7 @@ class Peer:
         self._heartbeat.publish(empty())
 
     def _on_slip(self, message: Any) -> None:
+        self.heard.append(message)
         stamp = message.header.stamp
         self.states[stamp.sec * 1_000_000 + stamp.nanosec // 1000] = message
 
@@ -270,6 +272,12 @@ def test_a_backend_of_another_package_drives_the_arm_and_its_fault_stops(
     peer.graph.spin_until(lambda: peer.send(quiet(20))[-1].state == states[-1].STOPPED)
     assert 'broken' in peer.enable(wanted=True).message
     assert peer.trajectories == []
+
+    # No more events: the state goes on to be told, with why.
+    peer.heard.clear()
+    peer.graph.spin_until(lambda: len(peer.heard) > 2)
+    assert {m.state for m in peer.heard} == {states[-1].STOPPED}
+    assert all('broken' in m.reason for m in peer.heard)
 
 
 def check_trajectory(message: Any) -> None:

@@ -280,7 +280,7 @@ class ClosedLoop:
         while self._frames and self._frames[0].frame_end_us + 1e6 * FRAME_DELAY_S <= now_us:
             frame = self._frames.pop(0)
             middle = (frame.exposure_start_us + frame.exposure_end_us) // 2
-            controller.features.frame(frame.intensity, middle)
+            controller.on_frame(frame.intensity, middle, now_s)
 
     def _send_events(self, block: GraspBlock) -> None:
         """Pass the events to the controller and send its trajectories."""

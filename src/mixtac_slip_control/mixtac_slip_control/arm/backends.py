@@ -14,11 +14,14 @@ from importlib.metadata import entry_points
 from typing import Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.trajectory import ArmState, PlannedTrajectory
 from mixtac_slip_control.errors import BackendError
 from mixtac_slip_control.parameters import SlipControlParameters
+
+Floats = NDArray[np.float64]
 
 GROUP: Final = 'mixtac.arm_backends'
 """Entry point group of arm backends from other packages."""
@@ -61,25 +64,35 @@ class TrajectoryBackend:
         self._publish = publish
         self._state: ArmState | None = None
 
+    def ordered(self, names: Sequence[str], positions: Sequence[float]) -> Floats | None:
+        """Return the joint positions of a message in the arm's order, None if one is missing.
+
+        Args:
+            names: Names of the joints, among them those of the arm.
+            positions: Their positions [rad].
+        """
+        found = dict(zip(names, positions, strict=False))
+        if not found.keys() >= set(self._names):
+            return None
+        return np.array([found[name] for name in self._names], np.float64)
+
     def on_joint_state(
-        self, names: Sequence[str], positions: Sequence[float], now_s: float
+        self, names: Sequence[str], positions: Sequence[float], stamp_s: float
     ) -> bool:
         """Take the joint positions of a `JointState`, in any order.
 
         Args:
             names: Names of the joints, among them those of the arm.
             positions: Their positions [rad].
-            now_s: Time of arrival [s].
+            stamp_s: Time of the measurement, on the clock of trajectories [s].
 
         Returns:
             Whether all joints of the arm were among them.
         """
-        found = dict(zip(names, positions, strict=False))
-        if not found.keys() >= set(self._names):
-            return False
-        q = np.array([found[name] for name in self._names], np.float64)
-        self._state = ArmState(now_s, q, np.zeros_like(q))
-        return True
+        q = self.ordered(names, positions)
+        if q is not None:
+            self._state = ArmState(stamp_s, q, np.zeros_like(q))
+        return q is not None
 
     def state(self) -> ArmState | None:
         """Return the latest state, without velocities, or None before the first."""

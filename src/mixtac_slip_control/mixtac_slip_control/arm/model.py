@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import BoxWorkspace, JointLimits, StateChecks
-from mixtac_slip_control.arm.planner import AdvancePlanner
+from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.parameters import SlipControlParameters
 
@@ -82,7 +82,14 @@ def make_arm(parameters: SlipControlParameters) -> ArmParts | None:
             f'workspace {parameters.workspace!r}: give six numbers, the limits along x, y and z [m]'
         ) from error
     arm, limits = _model(parameters)
-    planner = AdvancePlanner(arm, limits)
+    stream = StreamSettings(
+        lead_s=parameters.lead,
+        overlap_s=3.0 * parameters.controller_period,
+        interval_s=parameters.interval,
+        share=parameters.limit_share,
+        max_speed=parameters.max_speed,
+    )
+    planner = AdvancePlanner(arm, limits, stream)
     in_tool = parameters.normal_frame == 'tool'
     checks = StateChecks(arm, limits, BoxWorkspace((x0, y0, z0), (x1, y1, z1)))
     parts = ArmParts(arm, limits, planner, checks, in_tool, direction / length)
