@@ -98,6 +98,10 @@ def up(
     autostart: Annotated[
         bool, typer.Option(help='Configure and activate the force estimator.')
     ] = True,
+    model: Annotated[
+        str,
+        typer.Option(help='Weight file or name of a model; by default that of the parameter file.'),
+    ] = '',
     play: Annotated[bool, typer.Option(help='Virtual sensor: play its scenario in a loop.')] = True,
     view: Annotated[
         bool, typer.Option(help='Show the sensor in the browser (needs `make view`).')
@@ -112,11 +116,13 @@ def up(
     from mixtac_driver.source import source_kind  # imports numba, which --help need not wait for
 
     source_kind(device)  # refuses an unknown one before anything starts
+    estimator = _with_model(model) if model else None
     if view:
         require_rerun()
     play = play and is_virtual(device)
     nodes = sensor_graph(
         device,
+        estimator=estimator,
         virtual_sensor={'loop': True} if play else None,
         single_process=single_process,
         view=view,
@@ -129,6 +135,19 @@ def up(
             _activate(namespace, nodes, processes, play=play)
             Console().print(f'sensor active in namespace /{namespace}; press Ctrl-C to stop')
         run_until(processes, seconds)
+
+
+def _with_model(name: str) -> dict[str, object]:
+    """Return the estimator's parameters with a model.
+
+    Raises:
+        ModelError: It is missing or damaged.
+    """
+    from mixtac_fger.weights import find_model, read_model
+
+    path = find_model(name).resolve()
+    read_model(path)  # refused before anything starts
+    return {'model': str(path)}
 
 
 def _activate(

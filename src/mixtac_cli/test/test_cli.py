@@ -78,6 +78,13 @@ def test_a_missing_model_is_named(ros_domain: dict[str, str], tmp_path: Path):
     assert_one_clear_line(result, 'fger', 'nowhere.safetensors')
 
 
+def test_up_refuses_a_missing_model_before_anything_starts(
+    ros_domain: dict[str, str], tmp_path: Path
+):
+    options = ('--device', 'virtual', '--model', 'nowhere.safetensors')
+    assert_one_clear_line(mixtac(ros_domain, 'up', *options, cwd=tmp_path), 'nowhere.safetensors')
+
+
 def test_evaluating_a_missing_model_is_one_line(ros_domain: dict[str, str], tmp_path: Path):
     result = mixtac(ros_domain, 'evaluate', '--model', 'nowhere.safetensors', cwd=tmp_path)
     assert_one_clear_line(result, 'nowhere.safetensors')

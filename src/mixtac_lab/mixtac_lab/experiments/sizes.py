@@ -26,19 +26,50 @@ FGER, FRAMES, EVENTS, FUSION = 'fger', 'frames', 'events', 'fusion'
 CONSTANT, BOUND = 'constant', 'all_but_stiffness'
 UNTRAINED = frozenset({CONSTANT, BOUND})
 """Rows that need no training: the best constant, and `StiffnessBound`."""
-OURS_MANY = 'ours_many_sensors'
-ROWS = (CONSTANT, FRAMES, EVENTS, FUSION, FGER, OURS, OURS_MANY, BOUND)
-"""Models of the table, in order."""
-CHOICES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    'without_reference': ({'frame_channels': ('frame',)}, {}),
-    'without_frame_flow': ({'frame_channels': ('difference',)}, {}),
-    'counts_for_flow': ({'gradient_flow': False}, {}),
-    'correction_at_arrival': ({'correction_point': 'arrival'}, {}),
-    'without_shortcut': ({'event_shortcut': False}, {}),
-    'without_blows': ({}, {'blow_every': 0, 'force_weight': 0.0}),
+PAPER, OTHER_DAYS = 'paper', 'other_days'
+PROTOCOLS = (PAPER, OTHER_DAYS)
+"""One session of one sensor, its trials split 8:2 at random, as in the paper; or trained on some
+days of a sensor and tested on others."""
+OURS_MANY, FGER_REFERENCE, FGER_AS_STATED = 'ours_many_sensors', 'fger_reference', 'fger_as_stated'
+Changes = dict[str, tuple[str, dict[str, Any], dict[str, Any]]]
+"""By name: a model, and the differences in its network and in its training."""
+PAPER_CHOICES: Changes = {
+    FGER_REFERENCE: (FGER, {'light': 'reference'}, {}),
+    'fger_periodic': (FGER, {'correction': 'periodic'}, {}),
+    'fger_batch_norm': (FGER, {'norm': 'batch'}, {}),
+    'fger_intensity': (FGER, {'light': 'intensity'}, {}),
+    FGER_AS_STATED: (
+        FGER,
+        {'light': 'intensity', 'norm': 'batch'},
+        {
+            'frame_epochs': 0,
+            'recurrent_epochs': 0,
+            'joint_epochs': 50,
+            'joint_rate': 1e-4,
+            'schedule': 'constant',
+            # Of the 28 trials of a session side by side, nearly 128 cycles.
+            'cycles': 4,
+            'force_weight': 0.0,
+            'patience': 0,
+        },
+    ),
 }
-"""Our network with one design choice undone: differences in the network and in its training."""
-ALL_ROWS = (*ROWS, *CHOICES)
+"""The paper's network with one choice undone or added, and with nothing but the paper's text."""
+CHOICES: Changes = {
+    'without_reference': (OURS, {'frame_channels': ('frame',)}, {}),
+    'without_frame_flow': (OURS, {'frame_channels': ('difference',)}, {}),
+    'counts_for_flow': (OURS, {'gradient_flow': False}, {}),
+    'correction_at_arrival': (OURS, {'correction_point': 'arrival'}, {}),
+    'without_shortcut': (OURS, {'event_shortcut': False}, {}),
+    'without_blows': (OURS, {}, {'blow_every': 0, 'force_weight': 0.0}),
+}
+"""Our network with one design choice undone."""
+ROWS = (
+    *(CONSTANT, FRAMES, EVENTS, FUSION, FGER, FGER_REFERENCE, OURS, 'without_reference'),
+    *(OURS_MANY, BOUND),
+)
+"""Models of the table, in order."""
+ALL_ROWS = tuple(dict.fromkeys((*ROWS, *PAPER_CHOICES, *CHOICES)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +87,8 @@ class Sizes:
         our_training: Training settings of our network.
         many_training: Differences for the model that is trained on many sensors.
         sensors: Sensors of that model, one trial each.
-        unseen: Test sensors that no training uses.
+        unseen: Test sensors that no training uses; 0 for none, and no mismatches either.
+        session: Number and length [s] of the trials of the protocol `paper`, by profile.
         tones_hz: Vibration frequencies [Hz].
         fast_tones_hz: Vibration frequencies above those of the paper [Hz].
         grasps: Number of slip trials by object.
@@ -74,6 +106,7 @@ class Sizes:
     many_training: dict[str, Any] = field(default_factory=dict)
     sensors: int = 0
     unseen: int = 0
+    session: dict[str, tuple[int, float]] = field(default_factory=dict)
     tones_hz: tuple[float, ...] = ()
     fast_tones_hz: tuple[float, ...] = ()
     grasps: dict[str, int] = field(default_factory=dict)
@@ -105,14 +138,14 @@ def run_config(sizes: Sizes, model: str, seed: int, data: DataConfig) -> RunConf
         seed: Seed of initial weights and order.
         data: Training trials.
     """
-    ours = model in {OURS, OURS_MANY, *CHOICES} | UNTRAINED
-    training = sizes.our_training if ours else sizes.paper_training
+    base = OURS if model in {OURS_MANY} | UNTRAINED else model
+    base, network, changed = (PAPER_CHOICES | CHOICES).get(model, (base, {}, {}))
+    training = sizes.our_training if base == OURS else sizes.paper_training
     if model == OURS_MANY:
         training = training | sizes.many_training
-    network, changed = CHOICES.get(model, ({} if ours else sizes.paper_network, {}))
     return RunConfig(
-        model=OURS if ours else model,
-        network=network,
+        model=base,
+        network=network if base == OURS else sizes.paper_network | network,
         training=training | changed | {'seed': seed},
         data=data,
     )

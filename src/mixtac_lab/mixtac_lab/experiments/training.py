@@ -44,7 +44,7 @@ from mixtac_learning.train.run import train_model, training_sources
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_learning.trials.store import Recipe, prepare
+from mixtac_learning.trials.store import CachedSource, Recipe, prepare
 from mixtac_learning.trials.trial import TrialSource
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.world.training_trials import TrialSpec, simulator_digest, training_plan
@@ -283,7 +283,11 @@ def _prepare(context: Context, configs: Iterable[RunConfig]) -> None:
         recipe = _recipe(config)
         key = json.dumps(recipe.fingerprint(), sort_keys=True)
         sources = recipes.setdefault(key, (recipe, {}))[1]
-        sources |= {source.name: source for source in training_sources(config.data)}
+        for source in training_sources(config.data):
+            # Each network reads the trial anew, and simulating takes longer than reading.
+            simulated = isinstance(source, SimulatedSource)
+            kept = CachedSource(source, context.folder / 'trials') if simulated else source
+            sources[source.name] = kept
     for recipe, sources in recipes.values():
         bar = context.progress.add_task('preparing samples', total=len(sources))
         folder = _samples(context.store.folder)

@@ -19,7 +19,7 @@ from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import Model
 from mixtac_learning.judge.metrics import CalibrationError, fit_scale
 from mixtac_learning.paper.networks import PAPER_ARCHITECTURE, PaperNetwork, paper_network_of
-from mixtac_learning.paper.samples import FULL_SCALE, make_paper_sample
+from mixtac_learning.paper.samples import FULL_SCALE, SETTLE_FRAMES, make_paper_sample
 from mixtac_learning.paper.segments import run_samples
 from mixtac_learning.trials.changes import Losses
 from mixtac_learning.trials.trial import (
@@ -152,10 +152,6 @@ def stream(
     return _estimate(
         trial, times, table[:, 1], table[:, 2], deviations, corrected, reasons, table[:, 6:]
     )
-
-
-SETTLE_FRAMES = 5
-"""Frames before the first window that is judged: those of FGER-Net's reference."""
 
 
 def trial_estimator(model: Model) -> TrialEstimator:

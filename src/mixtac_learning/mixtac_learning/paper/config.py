@@ -13,7 +13,12 @@ from mixtac_fger.config import ConfigError, from_mapping, to_mapping
 MODELS = ('fger', 'frames', 'events', 'fusion')
 """FGER-Net; frames only; events only; feature level deep fusion."""
 CORRECTIONS = ('continuous', 'periodic')
-"""When inference corrects: in every window by the latest frame, or once when a frame arrives."""
+"""What is given out: every window corrected by the latest frame, or only where one arrives."""
+LIGHTS = ('intensity', 'relative', 'reference')
+"""What the frame network sees: intensities; their logarithm less its mean over the frame, which
+takes out lamp and exposure; or that less the same of the trial's first frames, without contact."""
+NORMS = ('group', 'batch')
+"""Normalisation of the frame network: by each frame's own statistics, or by those of training."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,10 @@ class PaperConfig:
         increment_size: Hidden width of MLP_df.
         correction_size: Hidden width of MLP_corr, and of the regression heads of the baselines.
         sparse_channels: Channels of the convolutions on event frames (`fusion`).
-        correction: When inference corrects; training corrects once per cycle.
+        correction: One of `CORRECTIONS`; the estimate that is carried on is corrected once per
+            cycle either way.
+        light: One of `LIGHTS`.
+        norm: One of `NORMS`.
     """
 
     model: str = 'fger'
@@ -57,6 +65,8 @@ class PaperConfig:
     correction_size: int = 128
     sparse_channels: tuple[int, ...] = (16, 32, 64)
     correction: str = 'continuous'
+    light: str = 'relative'
+    norm: str = 'group'
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -64,7 +74,12 @@ class PaperConfig:
         Raises:
             ConfigError: A value is impossible.
         """
-        for name, known in (('model', MODELS), ('correction', CORRECTIONS)):
+        for name, known in (
+            ('model', MODELS),
+            ('correction', CORRECTIONS),
+            ('light', LIGHTS),
+            ('norm', NORMS),
+        ):
             if getattr(self, name) not in known:
                 raise ConfigError(
                     f'PaperConfig.{name} = {getattr(self, name)!r}: choose one of {known}'

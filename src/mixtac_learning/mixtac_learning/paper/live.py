@@ -29,7 +29,13 @@ from mixtac_learning.paper.networks import (
     operations_per_cycle,
     paper_network_of,
 )
-from mixtac_learning.paper.samples import FULL_SCALE, event_counts, packet_points
+from mixtac_learning.paper.samples import (
+    FULL_SCALE,
+    SETTLE_FRAMES,
+    event_counts,
+    packet_points,
+    rest_of,
+)
 
 LEFT_ALIGNED = 64
 """Value of the converter's lowest bit in a left-aligned image of 16 bits."""
@@ -38,8 +44,9 @@ LEFT_ALIGNED = 64
 class PaperEstimator:
     """One of the paper's networks with its state; see `mixtac_fger.estimator.Estimator`.
 
-    There is no no-contact reference. The frames-only force of FGER-Net is its correction of no
-    force; that of the network without frames is 0.
+    There is no no-contact reference that could be renewed: a network that reads frames against one
+    takes the first `SETTLE_FRAMES` that it is given. The frames-only force of FGER-Net is its
+    correction of no force; that of the network without frames is 0.
 
     Args:
         model: Weights are copied.
@@ -60,6 +67,7 @@ class PaperEstimator:
         self.width, self.height, self.window_us = config.width, config.height, config.window_us
         self.parameters = count_parameters(self._network)
         self._frame: EncodedFrame | None = None
+        self._rest: list[NDArray[np.float16]] = []
         self._counts = self._no_counts()
         self._state: PaperState
         self.clear()
@@ -87,15 +95,19 @@ class PaperEstimator:
         bin_mean(image, config.scale, mean)
         full = 255.0 if image.dtype == np.uint8 else FULL_SCALE * LEFT_ALIGNED
         # As samples on disk are rounded.
-        frame = torch.from_numpy((mean / full).astype(np.float16).astype(np.float32))[None, None]
-        frame = frame.to(self._device)
+        rounded = (mean / full).astype(np.float16)
+        seen = rounded.astype(np.float32)
+        if config.light == 'reference':
+            if len(self._rest) < SETTLE_FRAMES:
+                self._rest.append(rounded)
+            seen /= rest_of(np.stack(self._rest))
+        frame = torch.from_numpy(seen)[None, None].to(self._device)
         content, force = None, 0.0
         if isinstance(network, FgerPaper):
             content = network.frame(frame)
-            nothing = torch.zeros(1, 1, device=self._device)
-            force = float(network.correction(torch.cat([nothing, content], 1))[0, 0])
+            force = float(network.corrected(torch.zeros(1, device=self._device), content)[0])
         elif isinstance(network, FramesOnly):
-            content = network.head(network.frame(frame))[:, 0]
+            content = network.frame_force(frame, frame)
             force = float(content[0])
         elif isinstance(network, FeatureFusion):
             content = network.frame(frame)

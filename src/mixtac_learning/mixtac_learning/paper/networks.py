@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -25,14 +26,13 @@ class SegmentBatch:
     Attributes:
         points: Events of all windows, [E, 4]; see `PointEncoder`.
         packet: Window of each event, t * B + b, int64 [E].
-        frames: Intensities of the frames, [N, 1, rows, columns].
+        frames: The frames, [N, 1, rows, columns], see `FrameBackbone`; or f_frame, [N, channels],
+            for FGER-Net where it is known already.
         event_frames: ln(1 + count) of ON and OFF events between each frame and the one before, [N,
             2, rows, columns]; empty unless the model reads them.
         slots: Frame that arrives in each window, -1 for none, int64 [T, B].
         before: Frame that is the latest before the first window, -1 for none, int64 [B].
         force: Label at the end of each window [N], [T, B].
-        frame_force: Mean label over each exposure [N], [N].
-        start: Label before the first window [N], [B].
     """
 
     points: Tensor
@@ -42,8 +42,6 @@ class SegmentBatch:
     slots: Tensor
     before: Tensor
     force: Tensor
-    frame_force: Tensor
-    start: Tensor
 
     def to(self, device: torch.device) -> SegmentBatch:
         """Return the batch on a device."""
@@ -72,24 +70,71 @@ POINT_SIZE = 4
 """Numbers per event: x, y, time in the packet, polarity; each within -1 .. 1."""
 
 
+class Scale(nn.Module):
+    """Brings values to zero mean and unit spread by constants that belong to the weights.
+
+    The average over an image hardly moves: a feature varies by some thousandths of its mean over
+    all forces. Without this, what follows takes tens of epochs to find what varies.
+
+    Args:
+        size: Number of channels.
+    """
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.mean: Tensor
+        self.deviation: Tensor
+        self.register_buffer('mean', torch.zeros(size))
+        self.register_buffer('deviation', torch.ones(size))
+
+    def fit(self, values: Tensor) -> None:
+        """Set the constants to those of values [n, size]; channels that are constant stay."""
+        self.mean.copy_(values.mean(0))
+        deviation = values.std(0)
+        varies = deviation > SAME * self.mean.abs() + SAME
+        self.deviation.copy_(torch.where(varies, deviation, torch.ones_like(deviation)))
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Return values [..., size] scaled."""
+        return (values.float() - self.mean) / self.deviation
+
+
+SAME = 1e-6
+"""Relative spread below which a channel is constant."""
+_GROUPS = 8
+"""Groups of channels that are normalised together."""
+
+
+def _norm(config: PaperConfig) -> nn.Module:
+    """Return a normalisation of the frame network's maps; both kinds have as many parameters."""
+    if config.norm == 'batch':
+        return nn.BatchNorm2d(config.channels)
+    return nn.GroupNorm(math.gcd(_GROUPS, config.channels), config.channels)
+
+
 class ResidualBlock(nn.Module):
     """Two 3 x 3 convolutions with a bypass (He et al. 2016).
 
     Args:
-        channels: Channels of input and output.
+        config: Shapes.
     """
 
-    def __init__(self, channels: int) -> None:
+    def __init__(self, config: PaperConfig) -> None:
         super().__init__()
+        channels = config.channels
         self.first = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
-        self.first_norm = nn.BatchNorm2d(channels)
+        self.first_norm = _norm(config)
         self.second = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
-        self.second_norm = nn.BatchNorm2d(channels)
+        self.second_norm = _norm(config)
 
     def forward(self, maps: Tensor) -> Tensor:
         """Return maps of the same shape, [N, channels, rows, columns]."""
         inner = torch.relu(self.first_norm(self.first(maps)))
         return torch.relu(maps + self.second_norm(self.second(inner)))
+
+
+DARK = 1e-3
+"""Smallest intensity whose logarithm is taken; the converter's lowest bit."""
 
 
 class FrameBackbone(nn.Module):
@@ -101,23 +146,33 @@ class FrameBackbone(nn.Module):
 
     def __init__(self, config: PaperConfig) -> None:
         super().__init__()
-        self.mean: Tensor
-        self.deviation: Tensor
-        self.register_buffer('mean', torch.zeros(1))
-        self.register_buffer('deviation', torch.ones(1))
+        self._relative = config.light != 'intensity'
         channels = config.channels
+        self.input_scale, self.scale = Scale(1), Scale(channels)
         self.stem = nn.Sequential(
             nn.Conv2d(1, channels, 7, stride=2, padding=3, bias=False),
-            nn.BatchNorm2d(channels),
+            _norm(config),
             nn.ReLU(),
             nn.MaxPool2d(3, stride=2, padding=1),
         )
-        self.stage = nn.Sequential(*(ResidualBlock(channels) for _ in range(config.blocks)))
+        self.stage = nn.Sequential(*(ResidualBlock(config) for _ in range(config.blocks)))
+
+    def seen(self, frames: Tensor) -> Tensor:
+        """Return the frames as the network sees them, before they are scaled.
+
+        Args:
+            frames: Intensities of 0 to 1, or their ratio to the reference, [N, 1, rows, columns].
+        """
+        if not self._relative:
+            return frames
+        logs = torch.log(frames.clamp(min=DARK))
+        return logs - logs.mean((2, 3), keepdim=True)
 
     def forward(self, frames: Tensor) -> Tensor:
-        """Return f_frame [N, channels] of intensities [N, 1, rows, columns]."""
-        maps = self.stage(self.stem((frames - self.mean) / self.deviation))
-        return torch.Tensor(maps.mean((2, 3)))
+        """Return f_frame [N, channels] of frames as `seen` takes them."""
+        inputs = self.input_scale(self.seen(frames.float()))
+        maps = self.stage(self.stem(inputs.contiguous(memory_format=torch.channels_last)))
+        return torch.Tensor(self.scale(maps.float().mean((2, 3))))
 
 
 class PointEncoder(nn.Module):
@@ -136,9 +191,10 @@ class PointEncoder(nn.Module):
             width = size
         self.layers = nn.Sequential(*layers)
         self.size = width
+        self.scale = Scale(width)
 
     def forward(self, points: Tensor, packet: Tensor, packets: int) -> Tensor:
-        """Return f_e [packets, size]; zeros for an empty packet.
+        """Return f_e [packets, size]; an empty packet has the maximum zero, scaled.
 
         Args:
             points: All events of all packets, [E, 4].
@@ -150,7 +206,7 @@ class PointEncoder(nn.Module):
         # After a rectifier nothing is below zero, so that zeros leave the maximum as it is.
         index = packet[:, None].expand(-1, self.size)
         pooled = empty.scatter_reduce(0, index, features, 'amax', include_self=True)
-        return torch.Tensor(pooled)
+        return torch.Tensor(self.scale(pooled))
 
 
 class SparseBlock(nn.Module):
@@ -202,6 +258,7 @@ class SparseBackbone(nn.Module):
     def __init__(self, inputs: int, channels: tuple[int, ...]) -> None:
         super().__init__()
         widths = (inputs, *channels)
+        self.scale = Scale(channels[-1])
         self.blocks = nn.ModuleList(SparseBlock(a, b) for a, b in pairwise(widths))
 
     def forward(self, event_frames: Tensor) -> Tensor:
@@ -210,7 +267,7 @@ class SparseBackbone(nn.Module):
         for block in self.blocks:
             maps, mask = block(maps, mask)
         count = mask.sum((2, 3)).clamp(min=1)
-        return torch.Tensor(maps.sum((2, 3)) / count)
+        return torch.Tensor(self.scale(maps.sum((2, 3)) / count))
 
 
 class EventRecurrence(nn.Module):
@@ -269,10 +326,11 @@ class EventsOnly(RecurrentModel):
 
     def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
         """Return the force [N] at the end of each window, [T, B], and the state after the last."""
-        forces = []
-        for features in self.recurrence.features(batch):
-            state = self.recurrence.step(features, state)
-            forces.append(state.force)
+        events, forces = self.recurrence.features(batch), []
+        with torch.autocast(events.device.type, enabled=False):
+            for features in events:
+                state = self.recurrence.step(features, state)
+                forces.append(state.force)
         return torch.stack(forces), state
 
 
@@ -280,9 +338,9 @@ class FgerPaper(RecurrentModel):
     """FGER-Net.
 
     The estimate that is carried on is corrected once per cycle, by the frame whose arrival ends
-    it. In inference `PaperConfig.correction` applies to what is given out: with `continuous` every
-    window's estimate is corrected by the latest frame. That correction is not carried on: fed back
-    500 times a second it is unstable, as training has seen it 25 times a second.
+    it. `PaperConfig.correction` applies to what is given out, in training as in use: with
+    `continuous` every window's estimate is corrected by the latest frame. That correction is not
+    carried on: fed back 500 times a second it is unstable.
 
     Args:
         config: Shapes.
@@ -297,16 +355,17 @@ class FgerPaper(RecurrentModel):
 
     def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
         """Return the force [N] at the end of each window, [T, B], and the state after the last."""
-        frames = self.frame(batch.frames)
+        known = batch.frames.dim() == 2
+        frames = batch.frames if known else self.frame(batch.frames)
+        events = self.recurrence.features(batch)
         if len(frames):
             state = _see(state, frames, batch.before)
         arrivals = (batch.slots >= 0).any(1).tolist()
         forces = []
-        for features, slots, arrives in zip(
-            self.recurrence.features(batch), batch.slots, arrivals, strict=True
-        ):
-            given, state = self.window(features, frames, slots, state, arrives=arrives)
-            forces.append(given)
+        with torch.autocast(frames.device.type, enabled=False):  # sums of small increments
+            for features, slots, arrives in zip(events, batch.slots, arrivals, strict=True):
+                given, state = self.window(features, frames, slots, state, arrives=arrives)
+                forces.append(given)
         return torch.stack(forces), state
 
     def window(
@@ -331,16 +390,17 @@ class FgerPaper(RecurrentModel):
         fresh = slots >= 0
         if arrives:
             state = _see(state, frames, slots)
-            force = torch.where(fresh, state.force + self._correct(state), state.force)
+            force = torch.where(fresh, self.corrected(state.force, state.feature), state.force)
             state = state._replace(force=force)
         given = state.force
-        if not self.training and self.config.correction == 'continuous':
-            given = torch.where(state.seen & ~fresh, given + self._correct(state), given)
+        if self.config.correction == 'continuous':
+            corrected = self.corrected(given, state.feature)
+            given = torch.where(state.seen & ~fresh, corrected, given)
         return given, state
 
-    def _correct(self, state: PaperState) -> Tensor:
-        fusion = torch.cat([state.force[:, None], state.feature], 1)
-        return torch.Tensor(self.correction(fusion)[:, 0])
+    def corrected(self, force: Tensor, feature: Tensor) -> Tensor:
+        """Return forces [N] corrected by frames of features [N, channels] [N]."""
+        return force + torch.Tensor(self.correction(torch.cat([force[:, None], feature], 1))[:, 0])
 
 
 def _see(state: PaperState, frames: Tensor, slots: Tensor) -> PaperState:
@@ -359,6 +419,9 @@ class FrameModel(nn.Module):
     def __init__(self, config: PaperConfig) -> None:
         super().__init__()
         self.config = config
+        self.frame = FrameBackbone(config)
+        more = config.sparse_channels[-1] if config.model == 'fusion' else 0
+        self.head = perceptron(config.channels + more, config.correction_size)
 
     def initial_state(self, sequences: int) -> PaperState:
         """Return the state before the first frame: no force."""
@@ -367,13 +430,19 @@ class FrameModel(nn.Module):
         seen = torch.zeros(sequences, dtype=torch.bool, device=device)
         return PaperState(none, none, torch.zeros(sequences, device=device), none, seen)
 
-    def frame_force(self, batch: SegmentBatch) -> Tensor:
-        """Return the force [N] of each frame, [N]."""
+    def features(self, frames: Tensor, event_frames: Tensor) -> Tensor:
+        """Return what the head reads of each frame, [N, size]; inputs as in `SegmentBatch`."""
         raise NotImplementedError
+
+    def frame_force(self, frames: Tensor, event_frames: Tensor) -> Tensor:
+        """Return the force [N] of each frame, [N]; inputs as in `SegmentBatch`."""
+        return torch.Tensor(self.head(self.features(frames, event_frames))[:, 0])
 
     def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
         """Return the force [N] at the end of each window, [T, B], and the state after the last."""
-        own = self.frame_force(batch) if len(batch.frames) else batch.force.new_zeros(1)
+        own = batch.force.new_zeros(1)
+        if len(batch.frames):
+            own = self.frame_force(batch.frames, batch.event_frames)
         known = torch.where(batch.before >= 0, own[batch.before.clamp(min=0)], state.force)
         forces = []
         for slots in batch.slots:
@@ -383,20 +452,11 @@ class FrameModel(nn.Module):
 
 
 class FramesOnly(FrameModel):
-    """The frame feature fed directly into a regression head.
+    """The frame feature fed directly into a regression head."""
 
-    Args:
-        config: Shapes.
-    """
-
-    def __init__(self, config: PaperConfig) -> None:
-        super().__init__(config)
-        self.frame = FrameBackbone(config)
-        self.head = perceptron(config.channels, config.correction_size)
-
-    def frame_force(self, batch: SegmentBatch) -> Tensor:
-        """Return the force [N] of each frame, [N]."""
-        return torch.Tensor(self.head(self.frame(batch.frames))[:, 0])
+    def features(self, frames: Tensor, event_frames: Tensor) -> Tensor:  # noqa: ARG002
+        """Return the frame feature; the events are not used."""
+        return torch.Tensor(self.frame(frames))
 
 
 class FeatureFusion(FrameModel):
@@ -408,15 +468,11 @@ class FeatureFusion(FrameModel):
 
     def __init__(self, config: PaperConfig) -> None:
         super().__init__(config)
-        self.frame = FrameBackbone(config)
         self.events = SparseBackbone(2, config.sparse_channels)
-        inputs = config.channels + config.sparse_channels[-1]
-        self.head = perceptron(inputs, config.correction_size)
 
-    def frame_force(self, batch: SegmentBatch) -> Tensor:
-        """Return the force [N] of each frame, [N]."""
-        features = [self.frame(batch.frames), self.events(batch.event_frames)]
-        return torch.Tensor(self.head(torch.cat(features, 1))[:, 0])
+    def features(self, frames: Tensor, event_frames: Tensor) -> Tensor:
+        """Return the features of frames and events side by side."""
+        return torch.cat([self.frame(frames), self.events(event_frames)], 1)
 
 
 PaperNetwork = FgerPaper | EventsOnly | FrameModel
@@ -436,7 +492,7 @@ def build(config: PaperConfig) -> PaperNetwork:
 
 
 PAPER_ARCHITECTURE = 'fger_paper'
-PAPER_VERSION = 1
+PAPER_VERSION = 2
 _REMEDY = 'train one with "mixtac train fger_paper"'
 
 
@@ -482,8 +538,6 @@ def one_cycle(config: PaperConfig) -> SegmentBatch:
         slots=slots,
         before=torch.tensor([-1]),
         force=torch.zeros(windows, 1),
-        frame_force=torch.zeros(1),
-        start=torch.zeros(1),
     )
 
 

@@ -83,6 +83,9 @@ _SEEN = ('width', 'height', 'scale', 'window_us', 'events_per_packet')
 """Fields of the configuration that change what a sample holds."""
 FULL_SCALE = 1023.0
 """Largest value of the camera's converter [DN]."""
+SETTLE_FRAMES = 5
+"""Frames at the beginning of a trial, without contact, that are the reference where one is used;
+windows are judged after them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +113,16 @@ class PaperSample:
     force: NDArray[np.float32]
     frame_force: NDArray[np.float32]
     origin: dict[str, Any]
+
+    def seen(self, frames: NDArray[np.int64], light: str) -> NDArray[np.float32]:
+        """Return frames as `FrameBackbone.seen` takes them, [n, rows, columns].
+
+        Args:
+            frames: Their numbers, int64 [n].
+            light: One of `mixtac_learning.paper.config.LIGHTS`.
+        """
+        chosen = self.frames[frames].astype(np.float32)
+        return chosen / rest_of(self.frames) if light == 'reference' else chosen
 
 
 _ARRAYS = PaperSample.__slots__[:-1]
@@ -192,6 +205,12 @@ def make_paper_sample(
         frame_force=label.mean(trial.exposure_start_us, trial.exposure_end_us),
         origin=trial.origin,
     )
+
+
+def rest_of(frames: NDArray[np.float16]) -> NDArray[np.float32]:
+    """Return the reference of the first frames of a trial, above zero, [rows, columns]."""
+    rest = np.mean(frames[:SETTLE_FRAMES], axis=0, dtype=np.float32)
+    return np.maximum(rest, np.float32(1.0 / FULL_SCALE))
 
 
 def _reduced(config: PaperConfig, frames: NDArray[np.uint16]) -> NDArray[np.float16]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Batches of equally long stretches of samples, and inference over whole trials."""
+"""Batches of single frames and of equally long stretches, and inference over whole trials."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import PaperNetwork, SegmentBatch
 from mixtac_learning.paper.samples import PaperSample
 
@@ -29,43 +30,24 @@ class Segment(NamedTuple):
     stop: int
 
 
-def cut_segments(
-    samples: Sequence[PaperSample], windows: int, shift: int, trials: Sequence[int] | None = None
-) -> list[Segment]:
-    """Cut samples into stretches of equal length; shorter remainders are dropped.
-
-    Args:
-        samples: Samples.
-        windows: Length of a stretch.
-        shift: Windows before the first stretch of each sample, so that borders differ from epoch to
-            epoch.
-        trials: Which samples; None for all.
-    """
-    chosen = range(len(samples)) if trials is None else trials
-    return [
-        Segment(trial, start, start + windows)
-        for trial in chosen
-        for start in range(
-            shift if len(samples[trial].force) - shift >= windows else 0,
-            len(samples[trial].force) - windows + 1,
-            windows,
-        )
-    ]
-
-
 def assemble(
-    samples: Sequence[PaperSample], segments: Sequence[Segment], model: str
+    samples: Sequence[PaperSample],
+    segments: Sequence[Segment],
+    config: PaperConfig,
+    features: Sequence[NDArray[np.float32]] = (),
 ) -> SegmentBatch:
     """Put stretches of equal length side by side.
 
     Args:
         samples: Samples.
         segments: Stretches.
-        model: One of `mixtac_learning.paper.config.MODELS`; what it does not read stays empty. The
-            label of a frame is the mean force of its exposure, or for `fusion` the force when it
-            arrives, up to which that network has seen events.
+        config: Of the network; what it does not read stays empty.
+        features: f_frame of all frames of each sample where it is known, [frames, channels].
     """
-    columns = [_Column(samples[s.trial], s, model) for s in segments]
+    columns = [
+        _Column(samples[s.trial], s, config, features[s.trial] if features else None)
+        for s in segments
+    ]
     shift = np.cumsum([0, *(len(c.frames) for c in columns[:-1])])
     slots = np.stack([_shifted(c.slots, k) for c, k in zip(columns, shift, strict=True)], 1)
     before = np.array([_shifted(c.before, k) for c, k in zip(columns, shift, strict=True)])
@@ -73,27 +55,30 @@ def assemble(
     return SegmentBatch(
         points=_tensor(np.concatenate([c.points for c in columns]), np.float32),
         packet=torch.from_numpy(packet),
-        frames=_tensor(np.concatenate([c.frames for c in columns])[:, None], np.float32),
+        frames=_tensor(np.concatenate([c.frames for c in columns]), np.float32),
         event_frames=_tensor(np.concatenate([c.event_frames for c in columns]), np.float32),
         slots=torch.from_numpy(slots),
         before=torch.from_numpy(before),
         force=_tensor(np.stack([c.force for c in columns], 1), np.float32),
-        frame_force=_tensor(np.concatenate([c.frame_force for c in columns]), np.float32),
-        start=_tensor(np.array([c.start for c in columns]), np.float32),
     )
 
 
 class _Column:
     """One stretch, with frames counted from its own first."""
 
-    def __init__(self, sample: PaperSample, segment: Segment, model: str) -> None:
+    def __init__(
+        self,
+        sample: PaperSample,
+        segment: Segment,
+        config: PaperConfig,
+        features: NDArray[np.float32] | None,
+    ) -> None:
         rows = slice(segment.start, segment.stop)
         slots = np.array(sample.slots[rows])
         self.force = np.array(sample.force[rows])
-        self.start = sample.force[segment.start - 1] if segment.start else sample.force[0]
         earlier = np.flatnonzero(sample.slots[: segment.start] >= 0)
         latest = int(sample.slots[earlier[-1]]) if len(earlier) else -1
-        if model == 'events':
+        if config.model == 'events':
             used = np.zeros(0, np.int64)
             self.slots, self.before = np.full_like(slots, -1), np.int64(-1)
         else:
@@ -101,16 +86,12 @@ class _Column:
             used = used[used >= 0]
             self.slots = np.where(slots >= 0, np.searchsorted(used, slots), -1)
             self.before = np.int64(np.searchsorted(used, latest) if latest >= 0 else -1)
-        self.frames = sample.frames[used]
-        shown = used if model == 'fusion' else used[:0]
+        self.frames = (
+            sample.seen(used, config.light)[:, None] if features is None else features[used]
+        )
+        shown = used if config.model == 'fusion' else used[:0]
         self.event_frames = np.log1p(sample.counts[shown].astype(np.float32))
-        self.frame_force = np.array(sample.frame_force[used])
-        if model == 'fusion':
-            # Its label is the force when the frame arrives, not that of the exposure.
-            arrivals = np.flatnonzero(sample.slots >= 0)
-            place = np.searchsorted(sample.slots[arrivals], used)
-            self.frame_force = np.array(sample.force[arrivals[place]])
-        self.points, self.packet = _points(sample, segment, model)
+        self.points, self.packet = _points(sample, segment, config.model)
 
 
 def _points(
@@ -129,6 +110,56 @@ def _shifted(slots: NDArray[np.int64] | np.int64, shift: int) -> NDArray[np.int6
 
 def _tensor(array: NDArray[np.generic], kind: type[np.float32]) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(array, dtype=kind))
+
+
+class FrameBatch(NamedTuple):
+    """Single frames of any trials.
+
+    Attributes:
+        frames: [N, 1, rows, columns], as in `SegmentBatch`.
+        event_frames: [N, 2, rows, columns], as in `SegmentBatch`.
+        force: What each is to tell [N], [N].
+    """
+
+    frames: torch.Tensor
+    event_frames: torch.Tensor
+    force: torch.Tensor
+
+
+def arrivals(samples: Sequence[PaperSample], trials: Sequence[int]) -> NDArray[np.int64]:
+    """Return trial and window of every frame that arrives in one of these trials, int64 [N, 2]."""
+    found = [np.flatnonzero(samples[trial].slots >= 0) for trial in trials]
+    return np.stack([np.repeat(trials, [len(each) for each in found]), np.concatenate(found)], 1)
+
+
+def frame_batch(
+    samples: Sequence[PaperSample], chosen: NDArray[np.int64], config: PaperConfig
+) -> FrameBatch:
+    """Return single frames, sorted by trial.
+
+    The label of a frame is the mean force of its exposure for `frames`, whose estimate is that of
+    the frame. It is the force when the frame arrives for the others, which know the events up to
+    then.
+
+    Args:
+        samples: Samples.
+        chosen: Rows of `arrivals`, int64 [N, 2].
+        config: Of the network.
+    """
+    frames, event_frames, force = [], [], []
+    for trial in np.unique(chosen[:, 0]):
+        sample, windows = samples[trial], np.sort(chosen[chosen[:, 0] == trial, 1])
+        used = sample.slots[windows]
+        frames.append(sample.seen(used, config.light))
+        shown = used if config.model == 'fusion' else used[:0]
+        event_frames.append(np.log1p(sample.counts[shown].astype(np.float32)))
+        known = sample.frame_force[used] if config.model == 'frames' else sample.force[windows]
+        force.append(known)
+    return FrameBatch(
+        _tensor(np.concatenate(frames)[:, None], np.float32),
+        _tensor(np.concatenate(event_frames), np.float32),
+        _tensor(np.concatenate(force), np.float32),
+    )
 
 
 STRETCH_WINDOWS = 250
@@ -154,7 +185,7 @@ def run_samples(
         parts = []
         for start in range(0, len(sample.force), STRETCH_WINDOWS):
             stop = min(start + STRETCH_WINDOWS, len(sample.force))
-            batch = assemble([sample], [Segment(0, start, stop)], network.config.model)
+            batch = assemble([sample], [Segment(0, start, stop)], network.config)
             force, state = network(batch.to(device), state)
             parts.append(force[:, 0].cpu().numpy())
         yield np.concatenate(parts)

@@ -85,6 +85,9 @@ class SimulatedData:
         seconds: Length of each.
         profiles: Force profiles, in turn; empty for those of `mixtac_sim.world.training_trials`.
         seed: Another seed gives other sensors and days.
+        session: Trials of one session of one sensor instead of those above: number and length [s]
+            by profile, of which `mixtac_sim.world.training_trials.session_plan` keeps a fifth for
+            testing.
     """
 
     preset: str = TRAINING_PRESET
@@ -93,6 +96,7 @@ class SimulatedData:
     seconds: float = 8.0
     profiles: tuple[str, ...] = ()
     seed: int = 0
+    session: dict[str, tuple[int, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -176,7 +176,7 @@ GRADIENT_NORM = 1.0
 
 @dataclass(slots=True, eq=False)
 class TrainingLoop:
-    """Runs stages, one after the other; in bfloat16 where that is safe, on a GPU only.
+    """Runs stages, one after the other; on a GPU in bfloat16 where that is safe.
 
     Attributes:
         module: Everything that is trained: what a checkpoint holds.
@@ -189,6 +189,7 @@ class TrainingLoop:
         fingerprint: Identifies the run; a checkpoint of another run is refused.
         report: Called after each epoch.
         processes: Processes that share the training.
+        mixed: In bfloat16 on a CPU as well.
         progress: Progress of the run.
     """
 
@@ -202,6 +203,7 @@ class TrainingLoop:
     fingerprint: str = ''
     report: Report = lambda *_: None
     processes: Processes = field(default_factory=Processes)
+    mixed: bool = False
     progress: Progress = field(default_factory=Progress)
 
     def run(self, stages: Sequence[Stage]) -> None:
@@ -292,7 +294,7 @@ class TrainingLoop:
             factor = schedule_factor(self.schedule, part)
             for group in optimiser.param_groups:
                 group['lr'] = stage.rate * factor
-            with torch.autocast(device, torch.bfloat16, enabled=device == 'cuda'):
+            with torch.autocast(device, torch.bfloat16, enabled=self.mixed or device == 'cuda'):
                 loss = next(losses, None)
             if loss is None:
                 break

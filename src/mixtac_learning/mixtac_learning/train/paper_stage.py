@@ -1,141 +1,352 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Training of the paper's networks."""
+"""Training of the paper's networks, in the same stages as ours: frames, recurrent path, both.
+
+The paper fixes layers, epochs, batch and rate. How a sequence begins, how long it is and how the
+frame network learns is open: here the frame network learns from single frames first, and the
+recurrent path then runs through whole trials from their beginning, without any true force.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import (
     CYCLE_US,
-    FrameBackbone,
+    EventsOnly,
+    FeatureFusion,
+    FgerPaper,
     FrameModel,
     PaperNetwork,
+    PaperState,
     SegmentBatch,
     build,
 )
 from mixtac_learning.paper.samples import PaperSample
-from mixtac_learning.paper.segments import assemble, cut_segments, run_samples
+from mixtac_learning.paper.segments import (
+    Segment,
+    arrivals,
+    assemble,
+    frame_batch,
+    run_samples,
+)
 from mixtac_learning.train.loop import Stage, TrainingError, TrainingLoop
 from mixtac_learning.train.parallel import Processes
 
 
 @dataclass(frozen=True, slots=True)
 class PaperTraining:
-    """The paper's protocol: 50 epochs, batches of 128, AdamW at 1e-4 (section III-C).
+    """Settings of the training of one of the paper's networks.
 
-    The paper does not state what a batch holds, how long its sequences are, or how the estimate
-    before a stretch is known. Here a batch holds 128 cycles (frame intervals), as stretches of
-    `cycles` for the recurrent networks, that start at the true force plus an error, which the
-    correction learns to remove. Networks without frames start at the true force.
+    The paper's text alone (50 epochs, batches of 128, AdamW at 1e-4; section III-C) is
+    `frame_epochs=0, recurrent_epochs=0, joint_epochs=50, joint_rate=1e-4, schedule='constant'`.
 
     Attributes:
-        seed: Random seed for weights and order.
-        epochs: Passes over all trials.
-        batch: Cycles per update.
-        rate: Learning rate of AdamW, constant.
+        seed: Random seed for weights, order and mirroring.
+        frame_epochs: Epochs on single frames of the head, or of the correction, which learns to
+            remove errors of the estimate of up to some `start_error_n`; features do not learn.
+        recurrent_epochs: Epochs of the recurrent path on the same features of frames.
+        joint_epochs: Epochs of the whole network; on single frames where there is no recurrence.
+            Its rate is small: features vary by some thousandths, and any step moves them by more.
+        frame_batch: Frames per update.
+        cycles: Frame intervals per update of the recurrent path: gradients do not reach further,
+            the state does.
+        group_trials: Trials side by side in an update of the recurrent path.
+        frame_rate: Largest learning rate of the frame stage.
+        recurrent_rate: Largest learning rate of the recurrent stage.
+        joint_rate: Largest learning rate of the joint stage.
+        schedule: Of the learning rates; see `mixtac_learning.train.loop.schedule_factor`.
         weight_decay: AdamW's default.
-        cycles: Length of a stretch of the recurrent networks [cycles].
-        start_error_n: Standard deviation of the error of the estimate before a stretch [N].
+        start_error_n: Scale of the errors of the estimate in the frame stage [N].
         loss_knee_n: Errors above count linearly, below quadratically [N].
-        patience: Epochs without a better validation error before it ends; 0 for never.
-        checked: Part of the training trials that is held out for validation, so that the test
-            trials play no role.
+        force_weight: Additional weight of an error per newton of force [1/N].
+        mirror: Show mirror images too.
+        mixed: In bfloat16 on a CPU as well, which is faster where the processor knows it.
+        patience: Epochs without a better validation error before a stage ends; the best weights
+            are kept unless it is 0, for never.
     """
 
     seed: int = 0
-    epochs: int = 50
-    batch: int = 128
-    rate: float = 1e-4
+    frame_epochs: int = 40
+    recurrent_epochs: int = 12
+    joint_epochs: int = 4
+    frame_batch: int = 64
+    cycles: int = 5
+    group_trials: int = 64
+    frame_rate: float = 3e-3
+    recurrent_rate: float = 1e-3
+    joint_rate: float = 1e-5
+    schedule: str = 'cosine'
     weight_decay: float = 1e-2
-    cycles: int = 4
-    start_error_n: float = 0.1
+    start_error_n: float = 0.5
     loss_knee_n: float = 0.05
-    patience: int = 0
-    checked: float = 0.1
+    force_weight: float = 1.0
+    mirror: bool = False
+    mixed: bool = True
+    patience: int = 50
 
 
 @dataclass(eq=False)
 class PaperStage(Stage):
-    """The only stage of the training of one network.
+    """What the stages of one network share.
 
     Attributes:
+        name: `frames`, `recurrent` or `joint`.
+        epochs: Epochs.
+        rate: Largest learning rate.
         network: The network.
         samples: Trials to train on; of these, `own` are this process's.
-        settings: The protocol.
+        settings: The recipe.
         processes: Processes that share the training.
         own: Indices of this process's trials.
         checked: Trials to validate on.
     """
 
+    name: str
+    epochs: int
+    rate: float
     network: PaperNetwork
     samples: Sequence[PaperSample]
     settings: PaperTraining
     processes: Processes
     own: Sequence[int]
     checked: Sequence[PaperSample] = ()
+    _kept: dict[Any, Any] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        """Take epochs, rate, and the size of stretches and updates from the settings."""
-        self.name = 'paper'
-        self.epochs, self.rate = self.settings.epochs, self.settings.rate
-        # A stretch of one cycle is enough for the networks without a memory.
-        cycles = 1 if isinstance(self.network, FrameModel) else self.settings.cycles
-        self._windows = cycles * (CYCLE_US // self.network.config.window_us)
-        self._segments = max(self.settings.batch // cycles, 1)
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return next(self.network.parameters()).device
+
+    @property
+    def frozen(self) -> tuple[str, ...]:
+        """Names of the parts of the network that do not learn in this stage."""
+        parts = {'frames': ('frame', 'events', 'recurrence'), 'recurrent': ('frame',)}
+        return parts.get(self.name, ())
 
     def parameters(self) -> list[nn.Parameter]:
-        """Return all weights."""
-        return list(self.network.parameters())
-
-    def updates(self) -> int:
-        """Return the number of updates per epoch, the same in all processes."""
-        usual = len(cut_segments(self.samples, self._windows, 0, self.own)) // self._segments
-        return max(self.processes.smallest(usual), 1)
-
-    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
-        """Yield the losses of one epoch, stretches in random order."""
-        count = self.updates()
-        shift = int(torch.randint(self._windows, (1,), generator=random))
-        segments = cut_segments(self.samples, self._windows, shift, self.own)
-        order = torch.randperm(len(segments), generator=random).tolist()
-        size = self._segments
-        # A shift can cost a stretch; the first ones of the order stand in for it.
-        order += order[: max(count * size - len(order), 0)]
-        device = next(self.network.parameters()).device
-        for update in range(count):
-            chosen = [segments[i] for i in order[update * size : (update + 1) * size]]
-            batch = assemble(self.samples, chosen, self.network.config.model).to(device)
-            yield self._loss(batch, random)
+        """Freeze some parts of the network and return the weights of the others."""
+        for name, part in self.network.named_children():
+            part.requires_grad_(name not in self.frozen)
+        return [each for each in self.network.parameters() if each.requires_grad]
 
     def validate(self) -> float | None:
         """Return the mean absolute error on the trials to validate on [N]."""
         if not self.checked:
             return None
         total, count = 0.0, 0
-        for sample, force in zip(
-            self.checked, run_samples(self.network, self.checked), strict=True
-        ):
+        runs = run_samples(self.network, self.checked)
+        for sample, force in zip(self.checked, runs, strict=True):
             total, count = total + float(abs(force - sample.force).sum()), count + len(force)
         return total / count
 
-    def _loss(self, batch: SegmentBatch, random: torch.Generator) -> Tensor:
-        knee = self.settings.loss_knee_n
+    def flips(self, random: torch.Generator) -> list[int]:
+        """Return the axes of images that are mirrored this time."""
+        if not self.settings.mirror:
+            return []
+        return [axis for axis in (-2, -1) if torch.rand(1, generator=random) < 0.5]
+
+    def loss(self, force: Tensor, known: Tensor) -> Tensor:
+        """Return the weighted loss of forces of any shape."""
+        errors = smooth_l1_loss(force, known, beta=self.settings.loss_knee_n, reduction='none')
+        weights = 1.0 + self.settings.force_weight * known.abs()
+        return (weights * errors).sum() / weights.sum()
+
+
+class FrameStage(PaperStage):
+    """Single frames in random order; features that do not learn are computed once."""
+
+    def updates(self) -> int:
+        """Return the number of updates per epoch, the same in all processes."""
+        frames = len(arrivals(self.samples, self.own))
+        return self.processes.smallest(max(frames // self.settings.frame_batch, 1))
+
+    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
+        """Yield the losses of one epoch."""
+        found = arrivals(self.samples, self.own)
+        flips = self.flips(random)
+        features = labels = None
+        if self.frozen:
+            features, labels = self._encoded(self.samples, found, flips)
+        order = torch.randperm(len(found), generator=random)
+        size = self.settings.frame_batch
+        for update in range(self.updates()):
+            chosen = order[update * size : (update + 1) * size]
+            if features is None or labels is None:
+                seen, known = self._features(self.samples, found[chosen.numpy()], flips)
+            else:
+                seen, known = features[chosen], labels[chosen]
+            drawn = torch.randn(len(known), generator=random)
+            drawn *= self.settings.start_error_n * torch.rand(len(known), generator=random)
+            yield self.loss(self._force(seen, known + drawn.to(known)), known)
+
+    def validate(self) -> float | None:
+        """Return the mean absolute error at the frames of the trials to validate on [N]."""
+        if not self.checked:
+            return None
+        found = arrivals(self.checked, range(len(self.checked)))
+        features, known = self._encoded(self.checked, found, [])
+        return float((self._force(features, torch.zeros_like(known)) - known).abs().mean())
+
+    def _force(self, features: Tensor, before: Tensor) -> Tensor:
+        """Return the force of each frame, which corrects an estimate where the network does."""
         if isinstance(self.network, FrameModel):
-            known = batch.frame_force
-            return smooth_l1_loss(self.network.frame_force(batch), known, beta=knee)
-        state = self.network.initial_state(len(batch.start))
-        error = torch.randn(len(batch.start), generator=random).to(batch.start)
-        spread = 0.0 if self.network.config.model == 'events' else self.settings.start_error_n
-        force, _ = self.network(batch, state._replace(force=batch.start + spread * error))
-        return smooth_l1_loss(force, batch.force, beta=knee)
+            return torch.Tensor(self.network.head(features)[:, 0])
+        if isinstance(self.network, FgerPaper):
+            return self.network.corrected(before, features)
+        raise TrainingError('a network without frames has no frame stage')
+
+    def _features(
+        self, samples: Sequence[PaperSample], chosen: NDArray[np.int64], flips: list[int]
+    ) -> tuple[Tensor, Tensor]:
+        """Return features and labels of frames, sorted by trial."""
+        batch = frame_batch(samples, chosen, self.network.config)
+        frames, event_frames, known = (part.to(self.device) for part in batch)
+        if isinstance(self.network, FgerPaper):
+            return self.network.frame(frames.flip(flips)), known
+        if isinstance(self.network, FrameModel):
+            return self.network.features(frames.flip(flips), event_frames.flip(flips)), known
+        raise TrainingError('a network without frames has no frame stage')
+
+    @torch.no_grad()
+    def _encoded(
+        self, samples: Sequence[PaperSample], found: NDArray[np.int64], flips: list[int]
+    ) -> tuple[Tensor, Tensor]:
+        """Return features and labels of all frames; kept while the features do not learn."""
+        key = (len(found), samples is self.checked, tuple(flips))
+        if key not in self._kept:
+            # In full precision: features vary by no more than bfloat16 resolves.
+            with torch.autocast(self.device.type, enabled=False):
+                parts = [
+                    self._features(samples, found[first : first + _ENCODED], flips)
+                    for first in range(0, len(found), _ENCODED)
+                ]
+            both = torch.cat([each for each, _ in parts]), torch.cat([each for _, each in parts])
+            if not self.frozen:
+                return both
+            self._kept[key] = both
+        found_before: tuple[Tensor, Tensor] = self._kept[key]
+        return found_before
+
+
+_ENCODED = 256
+_SMALL = 0.1
+"""Factor of the weights that end in an increment before the recurrent stage."""
+
+
+class RecurrentStage(PaperStage):
+    """Truncated back-propagation through whole trials side by side, the state carried along."""
+
+    def begin(self) -> None:
+        """Begin with small increments beside a frame network that works."""
+        if self.frozen and not isinstance(self.network, FrameModel):
+            last = self.network.recurrence.increment.get_submodule('2')
+            with torch.no_grad():
+                last.get_parameter('weight').mul_(_SMALL)
+                last.get_parameter('bias').zero_()
+
+    def updates(self) -> int:
+        """Return the usual number of updates per epoch, the same in all processes."""
+        steps = [-(-len(self.samples[group[0]].force) // self._windows) for group in self._groups()]
+        return self.processes.smallest(sum(steps))
+
+    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
+        """Yield the losses of one epoch, group by group in random order."""
+        groups, left = self._groups(), self.updates()
+        config = self.network.config
+        for number in torch.randperm(len(groups), generator=random).tolist():
+            group, flips = groups[number], self.flips(random)
+            features = self._features(tuple(flips))
+            state = self.network.initial_state(len(group))
+            start, longest = 0, len(self.samples[group[0]].force)
+            # The first stretch has any length, so that borders differ from epoch to epoch.
+            stop = int(torch.randint(1, self._windows + 1, (1,), generator=random))
+            while start < longest and left:
+                stop = min(stop, longest)
+                # Trials that have ended leave; the longest come first.
+                active = [trial for trial in group if len(self.samples[trial].force) >= stop]
+                segments = [Segment(trial, start, stop) for trial in active]
+                batch = assemble(self.samples, segments, config, features)
+                kept = PaperState(*(part[: len(active)] for part in state))
+                force, state = self.network(mirrored(batch, flips).to(self.device), kept)
+                state = PaperState(*(part.detach() for part in state))
+                yield self.loss(force, batch.force.to(self.device))
+                start, stop, left = stop, stop + self._windows, left - 1
+
+    def _features(self, flips: tuple[int, ...]) -> list[NDArray[np.float32]]:
+        """Return f_frame of all frames by trial, where the frame network does not learn."""
+        if not isinstance(self.network, FgerPaper) or not self.frozen:
+            return []
+        if flips not in self._kept:
+            self._kept[flips] = [self._encode(sample, flips) for sample in self.samples]
+        found: list[NDArray[np.float32]] = self._kept[flips]
+        return found
+
+    @torch.no_grad()
+    def _encode(self, sample: PaperSample, flips: tuple[int, ...]) -> NDArray[np.float32]:
+        seen = sample.seen(np.arange(len(sample.frames)), self.network.config.light)
+        frames = torch.from_numpy(seen)[:, None].flip(flips).to(self.device)
+        with torch.autocast(self.device.type, enabled=False):
+            parts = [
+                self.network.get_submodule('frame')(part) for part in torch.split(frames, _ENCODED)
+            ]
+        return np.asarray(torch.cat(parts).cpu().numpy(), np.float32)
+
+    @property
+    def _windows(self) -> int:
+        return self.settings.cycles * (CYCLE_US // self.network.config.window_us)
+
+    def _groups(self) -> list[list[int]]:
+        """Return trials that run side by side, the longest first."""
+        order = sorted(self.own, key=lambda trial: -len(self.samples[trial].force))
+        size = self.settings.group_trials
+        return [order[first : first + size] for first in range(0, len(order), size)]
+
+
+def mirrored(batch: SegmentBatch, axes: Sequence[int]) -> SegmentBatch:
+    """Return a batch as a sensor mirrored along axes of the image, -2 or -1, would give it."""
+    if not axes:
+        return batch
+    signs = [-1.0 if -1 in axes else 1.0, -1.0 if -2 in axes else 1.0, 1.0, 1.0]
+    return replace(
+        batch,
+        points=batch.points * torch.tensor(signs),
+        # Features that are known are those of the mirrored frames already.
+        frames=batch.frames.flip(list(axes)) if batch.frames.dim() > 2 else batch.frames,
+        event_frames=batch.event_frames.flip(list(axes)),
+    )
+
+
+@torch.no_grad()
+def fit_scales(network: PaperNetwork, samples: Sequence[PaperSample]) -> None:
+    """Set the scales of fresh weights to the mean and spread over some windows of the trials."""
+    config = network.config
+    found = arrivals(samples, range(len(samples)))
+    chosen = found[:: -(-len(found) // _FITTED)]
+    if not isinstance(network, EventsOnly):
+        frames, event_frames, _ = frame_batch(samples, chosen, config)
+        seen = network.frame.seen(frames)
+        network.frame.input_scale.fit(seen.reshape(-1, 1))
+        network.frame.scale.fit(network.frame(frames))
+        if isinstance(network, FeatureFusion):
+            network.events.scale.fit(network.events(event_frames))
+    if not isinstance(network, FrameModel):
+        segments = [Segment(trial, window, window + 1) for trial, window in chosen.tolist()]
+        batch = assemble(samples, segments, replace(config, model='events'))
+        network.recurrence.encoder.scale.fit(network.recurrence.features(batch)[0])
+
+
+_FITTED = 512
+"""Frames or windows that scales are fitted to."""
 
 
 def train_paper(
@@ -150,11 +361,11 @@ def train_paper(
 ) -> tuple[PaperNetwork, list[dict[str, Any]]]:
     """Train one network and return it, on the CPU in evaluation mode, and the curves.
 
-    The mean and spread of the frame network's input are set to those of the training trials.
+    The scales of inputs and features are set to those of the training trials (`fit_scales`).
 
     Args:
         config: Shapes.
-        settings: The protocol.
+        settings: The recipe.
         samples: Trials to train on.
         checked: Trials to validate on.
         device: Device to compute on.
@@ -166,11 +377,7 @@ def train_paper(
     """
     torch.manual_seed(settings.seed)
     network = build(config)
-    backbone = getattr(network, 'frame', None)
-    if isinstance(backbone, FrameBackbone):
-        frames = torch.cat([torch.from_numpy(each.frames[::10].astype('f4')) for each in samples])
-        backbone.mean.fill_(frames.mean())
-        backbone.deviation.fill_(frames.std().clamp(min=1e-3))
+    fit_scales(network, samples)
     network.to(device)
     own = processes.share(range(len(samples)))
     if not own:
@@ -179,9 +386,27 @@ def train_paper(
         network,
         seed=settings.seed,
         weight_decay=settings.weight_decay,
-        schedule='constant',
+        schedule=settings.schedule,
         patience=settings.patience,
         processes=processes,
+        mixed=settings.mixed,
     )
-    loop.run([PaperStage(network, samples, settings, processes, own, checked)])
+    kinds: dict[str, type[PaperStage]] = {'frames': FrameStage}
+    if not isinstance(network, FrameModel):
+        kinds = {'recurrent': RecurrentStage, 'joint': RecurrentStage}
+        kinds = ({'frames': FrameStage} if isinstance(network, FgerPaper) else {}) | kinds
+    else:
+        kinds |= {'joint': FrameStage}
+    plan = {
+        'frames': (settings.frame_epochs, settings.frame_rate),
+        'recurrent': (settings.recurrent_epochs, settings.recurrent_rate),
+        'joint': (settings.joint_epochs, settings.joint_rate),
+    }
+    loop.run(
+        [
+            kind(name, *plan[name], network, samples, settings, processes, own, checked)
+            for name, kind in kinds.items()
+            if plan[name][0]
+        ]
+    )
     return network.cpu().eval(), loop.progress.curves

@@ -48,6 +48,7 @@ from mixtac_node.files import write_json
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.training_trials import (
     TRAINING_PROFILES,
+    session_plan,
     training_plan,
     unseen_devices,
 )
@@ -87,6 +88,8 @@ def training_sources(data: DataConfig) -> list[TrialSource]:
             wanted.preset,
             wanted.profiles or TRAINING_PROFILES,
         )
+        if wanted.session:
+            plan = session_plan(wanted.session, wanted.seed, wanted.preset)[0]
         found += [SimulatedSource(spec) for spec in plan]
     for folder in data.bags:
         bags = bag_sources(Path(folder).expanduser(), data.reference)
@@ -237,7 +240,7 @@ def train_model(
         DatasetError: No trial can be used.
         TrainingError: The folder is another run's, or training fails.
     """
-    started = time.monotonic()
+    started, busy = time.monotonic(), time.process_time()
     together = processes or Processes()
     device = chosen_device(config.device)
 
@@ -283,6 +286,7 @@ def train_model(
         with_card = partial(paper_model_of, paper_network)
     training = provenance(config, data, asdict(settings)) | {
         'minutes': round((time.monotonic() - started) / 60, 1),
+        'core_minutes': round((time.process_time() - busy) / 60, 2),
         'processes': together.world,
     }
     if folder is not None and together.leads:

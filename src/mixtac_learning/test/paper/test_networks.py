@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from mixtac_learning.paper.config import MODELS, PaperConfig
+from mixtac_learning.network import count_parameters
+from mixtac_learning.paper.config import MODELS, NORMS, PaperConfig
 from mixtac_learning.paper.networks import (
     PointEncoder,
     SegmentBatch,
@@ -49,8 +50,6 @@ def batch() -> SegmentBatch:
         slots=slots,
         before=torch.tensor([-1, 3, -1]),
         force=torch.rand(WINDOWS, SEQUENCES),
-        frame_force=torch.rand(4),
-        start=torch.zeros(SEQUENCES),
     )
 
 
@@ -107,15 +106,22 @@ def test_fger_net_is_algorithm_1(batch, correction):
             assert force[:, column].tolist() == pytest.approx(wanted, abs=1e-5)
 
 
-def test_training_corrects_once_per_cycle(batch):
+@pytest.mark.parametrize('light', ['relative', 'reference'])
+def test_another_lamp_and_exposure_change_nothing(light):
     torch.manual_seed(0)
-    network = build(SMALL)
-    for module in network.modules():
-        if isinstance(module, torch.nn.BatchNorm2d):
-            module.eval()
-    force, _ = network(batch, network.initial_state(SEQUENCES))
-    wanted = algorithm_1(network, batch, 0, continuous=False)
-    assert force[:, 0].tolist() == pytest.approx(wanted, abs=1e-5)
+    network = build(replace(SMALL, model='frames', light=light)).train()
+    frames = 0.1 + 0.4 * torch.rand(2, 1, 24, 32)
+    with torch.no_grad():
+        dim, bright = (network.frame_force(part * frames, frames) for part in (0.5, 2.0))
+        alone = network.frame_force(frames[:1], frames)
+    assert torch.allclose(dim, bright, atol=1e-5)
+    # Nor does what else is in the batch.
+    assert torch.allclose(2 * alone, 2 * network.frame_force(frames, frames)[:1], atol=1e-5)
+
+
+def test_both_normalisations_have_the_stated_size():
+    sizes = {count_parameters(build(PaperConfig(norm=norm))) for norm in NORMS}
+    assert len(sizes) == 1
 
 
 def test_events_only_never_sees_a_frame(batch):
@@ -139,7 +145,7 @@ def test_frame_models_hold_their_force(batch, model):
     torch.manual_seed(0)
     network = build(replace(SMALL, model=model)).eval()
     with torch.no_grad():
-        own = network.frame_force(batch)
+        own = network.frame_force(batch.frames, batch.event_frames)
         force, state = network(batch, network.initial_state(SEQUENCES))
     assert force[:, 0].tolist() == [0, 0, *[own[0].item()] * 4, *[own[1].item()] * 3]
     assert force[:, 1].tolist() == [*[own[3].item()] * 5, *[own[2].item()] * 4]

@@ -18,7 +18,7 @@ from mixtac_sim.optics.beads import SHEAR_MM, SlidingBeads
 from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.world.camera import Camera
-from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device
+from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device, draw_flicker
 from mixtac_sim.world.effects import EASY, Preset
 from mixtac_sim.world.profiles import CommandSource
 
@@ -122,6 +122,8 @@ class TactileSensor:
         aps: Settings of the frames.
         pixels: Settings of the DVS pixels of a nominal chip.
         preset: Difficulty of the sensor.
+        session: Seed of the day, which trials of one session share: mount, lamp, contact point,
+            temperature of the gel; None for a day of its own.
 
     Attributes:
         device: The sensor's constants.
@@ -136,8 +138,10 @@ class TactileSensor:
         pixels: PixelSettings | None = None,
         *,
         preset: Preset = EASY,
+        session: int | None = None,
     ) -> None:
-        conditions, slip = draw_conditions(trial_seed, preset), preset.contact
+        day = trial_seed if session is None else session
+        conditions, slip = draw_conditions(day, preset), preset.contact
         device = draw_device(device_seed, preset).on_day(conditions)
         layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
         tools = profile.indenters
@@ -164,7 +168,16 @@ class TactileSensor:
             conditions.contact_mm,
         )
         rest = self._beads.place(0, 0.0, (0.0, 0.0))
-        self._camera = Camera(device, conditions, preset, trial_seed, rest, aps=aps, pixels=pixels)
+        self._camera = Camera(
+            device,
+            conditions,
+            preset,
+            trial_seed,
+            rest,
+            aps=aps,
+            pixels=pixels,
+            flicker=draw_flicker(day, preset.light),
+        )
         self._block = 0
         self._late = NOTHING
 

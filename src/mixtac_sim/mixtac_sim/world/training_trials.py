@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from mixtac_sim.world.trial import Trial
 
@@ -51,6 +53,7 @@ class TrialSpec:
         seconds: Length.
         preset: Difficulty preset of the sensor (`mixtac_sim.world.effects`).
         without: Effect of the preset that is switched off; empty for none.
+        session: Seed of the day that several trials share; None for a day of its own.
     """
 
     device_seed: int
@@ -59,12 +62,14 @@ class TrialSpec:
     seconds: float
     preset: str = TRAINING_PRESET
     without: str = ''
+    session: int | None = None
 
     @property
     def name(self) -> str:
         """File name for data of the trial."""
         seeds = f'd{self.device_seed}_t{self.trial_seed}'
         kind = self.preset if not self.without else f'{self.preset}-{self.without}'
+        kind += '' if self.session is None else f'_s{self.session}'
         return f'{self.profile}_{seeds}_{self.seconds:g}s_{kind}'
 
 
@@ -109,6 +114,42 @@ def training_plan(
     ]
 
 
+SESSION_TESTED = 0.2
+"""Part of the trials of a session that is tested on: 8:2 by trial, as in the paper."""
+
+
+def session_plan(
+    trials: dict[str, tuple[int, float]], seed: int, preset: str = TRAINING_PRESET
+) -> tuple[list[TrialSpec], list[TrialSpec]]:
+    """Return the trials of one session of one sensor, split at random: to train on, to test on.
+
+    Args:
+        trials: Number and length [s] of the trials by profile; each is split by itself, and one
+            trial at least is tested on.
+        seed: Another seed gives another sensor, another day and another split.
+        preset: Difficulty preset of the sensor.
+    """
+    first = 1000 * (seed % 100)
+    rng = np.random.default_rng(seed)
+    trained: list[TrialSpec] = []
+    tested: list[TrialSpec] = []
+    for column, (profile, (count, seconds)) in enumerate(trials.items()):
+        # Beyond those of `training_plan`, which begins at the same seed.
+        number = TRAINING_TRIALS + first + 500 + 100 * column
+        specs = [
+            replace(
+                _spec(TRAINING_DEVICES + first, number + k, profile, seconds, preset),
+                session=TRAINING_TRIALS + first,
+            )
+            for k in range(count)
+        ]
+        order = rng.permutation(count)
+        held = max(round(SESSION_TESTED * count), 1)
+        tested += [specs[k] for k in sorted(order[:held])]
+        trained += [specs[k] for k in sorted(order[held:])]
+    return trained, tested
+
+
 def evaluation_plan(
     devices: list[int],
     seconds: float,
@@ -148,7 +189,9 @@ def simulate(spec: TrialSpec) -> Trial:
     if spec.without:
         chosen = chosen.without(spec.without)
     seeds = (spec.device_seed, spec.trial_seed)
-    return simulate_trial(*seeds, spec.profile, spec.seconds, sync=True, preset=chosen)
+    return simulate_trial(
+        *seeds, spec.profile, spec.seconds, sync=True, preset=chosen, session=spec.session
+    )
 
 
 def stiffness(spec: TrialSpec, *, known_sensor: bool = False) -> float:
@@ -165,7 +208,9 @@ def stiffness(spec: TrialSpec, *, known_sensor: bool = False) -> float:
     from mixtac_sim.world.effects import preset
 
     chosen = preset(spec.preset)
-    day = draw_conditions(spec.trial_seed, chosen).stiffness
+    day = draw_conditions(
+        spec.trial_seed if spec.session is None else spec.session, chosen
+    ).stiffness
     if known_sensor:
         return day
     alike = replace(chosen, gel=replace(chosen.gel, modulus_log_sd=0.0))

@@ -68,6 +68,7 @@ def simulate_trial(
     *,
     sync: bool | None = None,
     preset: Preset = EASY,
+    session: int | None = None,
 ) -> Trial:
     """Return a simulated trial; equal arguments give equal trials.
 
@@ -78,12 +79,13 @@ def simulate_trial(
         duration_s: Length [s].
         sync: Synchronising impulses, as in ``make_profile``.
         preset: Difficulty of the sensor.
+        session: Seed of the day that several trials share; None for a day of its own.
 
     Raises:
         SimulationError: Unknown profile or a duration that is too short for it.
     """
     profile = make_profile(profile_name, trial_seed, duration_s, sync=sync, preset=preset)
-    sensor = TactileSensor(device_seed, trial_seed, profile, preset=preset)
+    sensor = TactileSensor(device_seed, trial_seed, profile, preset=preset, session=session)
     output = sensor.advance(round(1e6 * duration_s))
     reference = ReferenceSensor(trial_seed, preset)
     samples = reference.process(output.wrench_us, output.wrench)

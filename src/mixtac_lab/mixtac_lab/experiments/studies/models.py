@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of all models, trained with several seeds and evaluated on the same trials.
 
+By the protocol `paper` these are the trials of one session, split at random; by `other_days` the
+tests are other days of the sensor, other sensors, and trials made worse on purpose.
+
 Two bounds that need no training are added to the networks: the best constant, and a model that
 knows everything except the stiffness of the gel, which no camera can see. `adaptation` shows what
 adaptation gains on simulated sensors that no training has used.
@@ -38,9 +41,15 @@ from mixtac_lab.experiments.sizes import (
     CHOICES,
     CONSTANT,
     DYNAMIC,
+    HOLD,
+    IMPACT,
+    OTHER_DAYS,
     OURS_MANY,
+    PAPER,
     PRESET,
+    PROTOCOLS,
     ROWS,
+    STATIC,
     TABLE_FULL,
     TABLE_SIZES,
     UNTRAINED,
@@ -73,13 +82,14 @@ from mixtac_learning.trials.trial import TrialArrays, TrialSource
 from mixtac_node.files import write_text
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.profiles import WEIGHTS_G
-from mixtac_sim.world.training_trials import TrialSpec
+from mixtac_sim.world.training_trials import TrialSpec, session_plan
 
 FIRST_TRIAL = 800_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
 FIRST_DEVICE = 810_000
 """First seed of the sensors that no training uses."""
 UNSEEN, UNSEEN_GAIN = 'unseen_gel', 'unseen_gel_one_gain'
+TRAINING, COST = 'training', 'core_minutes'
 FIGURES = (
     'mae',
     'rmse',
@@ -90,6 +100,7 @@ FIGURES = (
     'rolling_worst_mae',
     'coverage_68',
     'coverage_95',
+    COST,
 )
 _FIELDS = tuple(field.name for field in fields(TrialSpec))
 
@@ -112,22 +123,26 @@ class StiffnessBound:
         return known_force(trial).scaled(1.0 / factor)
 
 
-def table_data(sizes: Sizes, model: str) -> DataConfig:
+def table_data(sizes: Sizes, model: str, protocol: str = OTHER_DAYS) -> DataConfig:
     """Return the training trials of a model; they are the same for every seed.
 
-    Our network keeps trials for calibrating its uncertainty: every seventh of one sensor's trials,
-    every ninth of many sensors'. Profiles take turns of eight, so all kinds of trials are kept.
+    All models keep the same trials to choose weights by, ours to calibrate its uncertainty as
+    well: every seventh of one sensor's trials, every ninth of many sensors'. Profiles take turns
+    of eight, so all kinds of trials are kept.
     """
     many = model == OURS_MANY
     count = sizes.sensors if many else sizes.trials
     data = SimulatedData(PRESET, count if many else 1, count, sizes.seconds, sizes.mix)
-    ours = run_config(sizes, model, 0, DataConfig(simulated=data)).model == OURS
-    checked = (1 / 9 if many else 1 / 7) if ours else 0.0
-    return DataConfig(simulated=data, checked=checked)
+    if protocol == PAPER:
+        data = replace(data, session=sizes.session)
+    return DataConfig(simulated=data, checked=1 / 9 if many else 1 / 7)
 
 
-def test_specs(sizes: Sizes, device: int) -> list[TrialSpec]:
-    """Return the test trials on the training sensor: other days, whole trials."""
+def test_specs(sizes: Sizes, device: int, protocol: str) -> list[TrialSpec]:
+    """Return the test trials on the training sensor: of the same session, or other days."""
+    if protocol == PAPER:
+        data = table_data(sizes, OURS, protocol).simulated
+        return [] if data is None else session_plan(data.session, data.seed, data.preset)[1]
     return [
         TrialSpec(device, FIRST_TRIAL + 100 * row + column, profile, seconds, PRESET)
         for column, (profile, (count, seconds)) in enumerate(sizes.tests.items())
@@ -145,32 +160,39 @@ def unseen_specs(sizes: Sizes) -> tuple[list[TrialSpec], list[TrialSpec]]:
     )
 
 
-def model_figures(base: Path, sizes: Sizes, model: str, weights: str) -> dict[str, Any]:
+def model_figures(
+    base: Path, sizes: Sizes, model: str, protocol: str, weights: str
+) -> dict[str, Any]:
     """Return the figures of a model in every column of the table; a piece of work.
 
     Args:
         base: Path of the result; test trials are stored beside its folder for the next model.
         sizes: Numbers and lengths of the trials.
         model: One of `ALL_ROWS`.
+        protocol: One of `PROTOCOLS`; foreign sensors and mismatches belong to `OTHER_DAYS`.
         weights: Stem of the weight file in the folder of the result; empty without training.
     """
     torch.set_num_threads(1)
-    trials = base.parent.parent / 'trials'
+    trials, cost = base.parent.parent / 'trials', {}
 
     def cached(specs: Iterable[TrialSpec]) -> list[TrialSource]:
         return [CachedSource(SimulatedSource(spec), trials) for spec in specs]
 
-    sources = training_sources(table_data(sizes, model))
+    sources = training_sources(table_data(sizes, model, protocol))
     if model == CONSTANT:
         forces = np.concatenate([source.load().label().force for source in sources])
         estimator: TrialEstimator = constant_estimator(float(np.median(forces)))
     elif model == BOUND:
         estimator = StiffnessBound(frozenset(s.origin['device_seed'] for s in sources))
     else:
-        estimator = trial_estimator(read_model(base.with_name(f'{weights}.safetensors')))
+        trained = read_model(base.with_name(f'{weights}.safetensors'))
+        estimator = trial_estimator(trained)
+        cost = {COST: trained.card.training[COST]}
     (first, *_) = training_sources(table_data(sizes, OURS))
-    seen = cached(test_specs(sizes, first.origin['device_seed']))
-    figures = by_profile(judge_sources(estimator, seen).estimates)
+    seen = cached(test_specs(sizes, first.origin['device_seed'], protocol))
+    figures = by_profile(judge_sources(estimator, seen).estimates) | {TRAINING: cost}
+    if protocol == PAPER or not sizes.unseen:
+        return figures
     tests, presses = map(cached, unseen_specs(sizes))
     unseen = judge_sources(estimator, tests).estimates
     figures[UNSEEN] = summarise(unseen)
@@ -205,9 +227,37 @@ def aggregate(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any
     return table
 
 
+def rows_of(table: Mapping[str, Any], protocol: str) -> list[dict[str, Any]]:
+    """Return a row per model: its MAE by kind of trial.
+
+    Args:
+        table: From `aggregate`.
+        protocol: One of `PROTOCOLS`.
+
+    Returns:
+        `model`, `protocol`, `core_minutes` of its training, and `dynamic`, `static`, `hold` and
+        `impact`, each with `mae`, its standard deviation `sd` over the seeds (None of one seed) and
+        `seeds`.
+    """
+    names = {DYNAMIC: 'dynamic', STATIC: 'static', HOLD: 'hold', IMPACT: 'impact'}
+    rows = []
+    for model, columns in table.items():
+        row: dict[str, Any] = {'model': model, 'protocol': protocol}
+        if columns.get(TRAINING):
+            row[COST] = columns[TRAINING][COST]['mean']
+        for profile, name in names.items():
+            found = columns.get(profile, {}).get('mae')
+            if found is not None:
+                sd = found['spread'] if found['seeds'] > 1 else None
+                row[name] = {'mae': found['mean'], 'sd': sd, 'seeds': found['seeds']}
+        rows.append(row)
+    return rows
+
+
 def cells(table: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return the MAE as text by column of the table, one value per model."""
     columns = dict.fromkeys(column for row in table.values() for column in row)
+    columns.pop(TRAINING, None)
     return {
         column.replace('_', ' '): [_cell(row.get(column, {}).get('mae')) for row in table.values()]
         for column in columns
@@ -239,6 +289,10 @@ def models(
         str,
         typer.Option(help='full or reduced (CPU, hours), native (GPU) or quick (minutes).'),
     ] = 'full',
+    protocol: Annotated[
+        OptionalStrings,
+        typer.Option(help='paper: one session split 8:2; other_days; by default both.'),
+    ] = None,
     choices: Annotated[
         bool,
         typer.Option('--choices', help='Our network, and variants with one design choice undone.'),
@@ -256,8 +310,10 @@ def models(
     if quick:
         size, seeds = 'quick', 1
     chosen = list(model or ((OURS, *CHOICES) if choices else ROWS))
+    protocols = [name for name in PROTOCOLS if name in (protocol or PROTOCOLS)]
     for name, known, kind in (
         *((each, ALL_ROWS, 'model') for each in chosen),
+        *((each, PROTOCOLS, 'protocol') for each in protocol or ()),
         (size, TABLE_SIZES, 'size'),
     ):
         if name not in known:
@@ -265,22 +321,30 @@ def models(
     console = Console()
     with Progress(console=console, transient=True) as progress:
         context = Context(TABLE_SIZES[size], out, seeds, jobs, None, progress)
-        found = train_and_test(context, [name for name in ALL_ROWS if name in chosen])
-    table = aggregate(found)
-    headings = ('tested on', *(name.replace('_', ' ') for name in table))
-    rows = [(column, *row) for column, row in cells(table).items()]
-    title = f'MAE [N], simulated, {PRESET}, {size}, {seeds} seeds'
-    console.print(make_table(title, headings, rows))
-    file = f'table_{size}_choices.md' if choices else f'table_{size}.md'
-    write_text(out / file, as_markdown(table))
-    save_result(json, {'size': size, 'seeds': seeds, 'simulated': True, 'table': table})
+        names = [name for name in ALL_ROWS if name in chosen]
+        tables = {each: aggregate(train_and_test(context, names, each)) for each in protocols}
+    rows: list[dict[str, Any]] = []
+    for each, table in tables.items():
+        headings = ('tested on', *(name.replace('_', ' ') for name in table))
+        lines = [(column, *row) for column, row in cells(table).items()]
+        title = f'MAE [N], {each}, simulated, {PRESET}, {size}, {seeds} seeds'
+        console.print(make_table(title, headings, lines))
+        file = f'table_{size}_{each}_choices.md' if choices else f'table_{size}_{each}.md'
+        write_text(out / file, as_markdown(table))
+        rows += rows_of(table, each)
+    result = {'size': size, 'seeds': seeds, 'simulated': True, 'rows': rows, 'tables': tables}
+    save_result(json, result | {'table': tables.get(OTHER_DAYS, {})})
 
 
-def train_and_test(context: Context, chosen: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
+def train_and_test(
+    context: Context, chosen: Sequence[str], protocol: str
+) -> dict[str, list[dict[str, Any]]]:
     """Return the figures of models, one dictionary per seed; of a model without training one."""
     sizes = context.sizes
+    if protocol == PAPER:
+        chosen = [name for name in chosen if name != OURS_MANY]
     configs = {
-        (name, seed): run_config(sizes, name, seed, table_data(sizes, name))
+        (name, seed): run_config(sizes, name, seed, table_data(sizes, name, protocol))
         for seed in range(context.seeds)
         for name in chosen
         if name not in UNTRAINED
@@ -288,9 +352,9 @@ def train_and_test(context: Context, chosen: Sequence[str]) -> dict[str, list[di
     weights = train(context, configs) | {(name, 0): '' for name in chosen if name in UNTRAINED}
     pieces = [
         Piece(
-            f'table_{sizes.name}_{name}_s{seed}',
+            f'table_{sizes.name}_{protocol}_{name}_s{seed}',
             model_figures,
-            (sizes, name, stem),
+            (sizes, name, protocol, stem),
             learning_version(),
         )
         for (name, seed), stem in weights.items()

@@ -9,7 +9,9 @@ import pytest
 
 from mixtac_lab.experiments.sizes import (
     ALL_ROWS,
+    OTHER_DAYS,
     OURS_MANY,
+    PAPER,
     TABLE_FULL,
     TABLE_SIZES,
     run_config,
@@ -19,6 +21,7 @@ from mixtac_lab.experiments.studies.models import (
     aggregate,
     as_markdown,
     calibrate_by_weights,
+    rows_of,
     spoiled_weights,
     table_data,
     test_specs,
@@ -46,10 +49,32 @@ def test_mean_and_spread_over_seeds():
     assert aggregate({'fger': runs[:1]})['fger']['dynamic']['mae']['spread'] == 0.0
 
 
+def test_a_row_has_the_error_of_each_kind_of_trial():
+    runs = [{'dynamic': {'mae': mae}, 'long_term': {'mae': 2 * mae}} for mae in (0.1, 0.3)]
+    (row,) = rows_of(aggregate({'fger': runs}), 'paper')
+    assert (row['model'], row['protocol']) == ('fger', 'paper')
+    assert row['dynamic'] == {'mae': 0.2, 'sd': pytest.approx(0.1414, abs=1e-4), 'seeds': 2}
+    assert row['hold']['mae'] == 0.4
+    assert 'static' not in row
+    (single,) = rows_of(aggregate({'fger': runs[:1]}), 'paper')
+    assert single['dynamic'] == {'mae': 0.1, 'sd': None, 'seeds': 1}
+
+
+@pytest.mark.parametrize('size', TABLE_SIZES)
+def test_the_papers_protocol_stays_in_one_session(size):
+    sizes = TABLE_SIZES[size]
+    trained = [source.spec for source in training_sources(table_data(sizes, 'fger', PAPER))]
+    tested = test_specs(sizes, trained[0].device_seed, PAPER)
+    assert len({(spec.device_seed, spec.session) for spec in [*trained, *tested]}) == 1
+    assert not {spec.trial_seed for spec in trained} & {spec.trial_seed for spec in tested}
+    assert {spec.profile for spec in tested} == {'dynamic', 'static', 'long_term', 'impact'}
+    assert table_data(sizes, 'ours', PAPER) == table_data(sizes, 'fger', PAPER)
+
+
 @pytest.mark.parametrize('model', ALL_ROWS)
 def test_no_test_trial_is_trained_on(model):
     trained = [source.spec for source in training_sources(table_data(TABLE_FULL, model))]
-    seen = test_specs(TABLE_FULL, trained[0].device_seed)
+    seen = test_specs(TABLE_FULL, trained[0].device_seed, OTHER_DAYS)
     unseen, presses = unseen_specs(TABLE_FULL)
     assert {s.device_seed for s in seen} <= {s.device_seed for s in trained}
     assert not {s.trial_seed for s in trained} & {s.trial_seed for s in [*seen, *unseen, *presses]}

@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The stages of the paper's networks: what learns, on what, and mirror images."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from mixtac_learning.paper.config import PaperConfig
+from mixtac_learning.paper.networks import PaperNetwork, build
+from mixtac_learning.paper.samples import PaperSample, make_paper_sample
+from mixtac_learning.paper.segments import Segment, assemble
+from mixtac_learning.train.paper_stage import (
+    FrameStage,
+    PaperStage,
+    PaperTraining,
+    RecurrentStage,
+    fit_scales,
+    mirrored,
+)
+from mixtac_learning.train.parallel import Processes
+
+SMALL = {'scale': 16, 'events_per_packet': 16, 'channels': 8, 'blocks': 1, 'lstm_size': 8}
+
+
+def config(model: str, **changes) -> PaperConfig:
+    return PaperConfig.from_dict({'model': model} | SMALL | changes)
+
+
+@pytest.fixture(scope='module')
+def samples(trial) -> list[PaperSample]:
+    return [make_paper_sample(config('fusion'), trial) for _ in range(2)]
+
+
+def stage(kind: type[PaperStage], name: str, network: PaperNetwork, samples, **training):
+    settings = PaperTraining(**training)
+    return kind(name, 1, 1e-3, network, samples, settings, Processes(), range(len(samples)))
+
+
+@pytest.mark.parametrize(
+    ('kind', 'name', 'learning'),
+    [
+        (FrameStage, 'frames', {'correction'}),
+        (RecurrentStage, 'recurrent', {'recurrence', 'correction'}),
+        (RecurrentStage, 'joint', {'frame', 'recurrence', 'correction'}),
+    ],
+)
+def test_each_stage_trains_its_part(samples, kind, name, learning):
+    network = build(config('fger'))
+    chosen = stage(kind, name, network, samples, cycles=5)
+    optimised = {id(each) for each in chosen.parameters()}
+    for loss in chosen.losses(torch.Generator().manual_seed(0)):
+        loss.backward()
+    found = {
+        name.partition('.')[0]
+        for name, each in network.named_parameters()
+        if each.grad is not None and id(each) in optimised
+    }
+    assert found == learning
+
+
+def test_the_state_is_carried_through_whole_trials(samples):
+    network = build(config('events')).eval()
+    seen = []
+    network.register_forward_pre_hook(lambda _module, inputs: seen.append(inputs[1].force.clone()))
+    network.register_forward_hook(lambda _module, _inputs, out: seen.append(out[1].force.detach()))
+    chosen = stage(RecurrentStage, 'joint', network, samples, cycles=2)
+    losses = list(chosen.losses(torch.Generator().manual_seed(0)))
+    assert len(losses) == chosen.updates() == len(seen) // 2
+    assert not seen[0].any()
+    for before, after in zip(seen[1:-1:2], seen[2::2], strict=True):
+        assert torch.equal(before, after)
+
+
+def test_scales_make_features_vary(samples):
+    network = build(config('fger'))
+    fit_scales(network, samples)
+    (start, stop) = 0, len(samples[0].force)
+    batch = assemble(samples, [Segment(0, start, stop)], network.config)
+    with torch.no_grad():
+        features = network.frame(batch.frames)
+        events = network.recurrence.features(batch)
+    # Some channels may be constant: dead after the rectifier.
+    for values in (features, events.flatten(0, 1)):
+        spread = values.std(0)
+        assert ((spread > 0.5) & (spread < 2.0)).sum() > 0.5 * len(spread)
+
+
+def test_a_mirrored_batch_is_that_of_a_mirrored_sensor(samples):
+    batch = assemble(samples, [Segment(0, 0, 200)], config('fusion'))
+    other = mirrored(batch, [-1])
+    assert torch.equal(other.frames[..., 0], batch.frames[..., -1])
+    assert torch.equal(other.event_frames[..., 0], batch.event_frames[..., -1])
+    assert mirrored(batch, []) is batch
+    packets = assemble(samples, [Segment(0, 0, 200)], config('events'))
+    points = mirrored(packets, [-2]).points
+    np.testing.assert_array_equal(points[:, 1], -packets.points[:, 1])
+    np.testing.assert_array_equal(points[:, [0, 2, 3]], packets.points[:, [0, 2, 3]])
