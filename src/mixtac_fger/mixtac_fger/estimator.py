@@ -21,6 +21,8 @@ from mixtac_fger.config import ModelError
 from mixtac_fger.validity import Reason
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -50,7 +52,8 @@ class EncodedFrame:
         contrast: Coarse log contrast, float32 [rows, columns]; None of an architecture that does
             not compute it, whose frames are not compared with the events.
         picture: What it has in common with the reference; None without one.
-        touch: Displacement of the beads and contact; None unless asked for.
+        touch: Returns displacement of the beads and contact, which takes longer than the force:
+            called where frames are encoded, before the next. None unless asked for.
     """
 
     mid_us: int
@@ -59,7 +62,7 @@ class EncodedFrame:
     content: Any
     contrast: NDArray[np.float32] | None = None
     picture: PictureFigures | None = None
-    touch: Touch | None = None
+    touch: Callable[[], Touch] | None = None
 
 
 class Estimator(Protocol):

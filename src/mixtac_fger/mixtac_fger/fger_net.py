@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -256,7 +257,8 @@ class FgerEstimator:
             shear = None if self._shear is None else self._shear.measure(inputs, float(force))
             content = _Content(feature, guide, shear)
             coarse = contrast.coarse
-            touch = None if self._touch is None else self._touch.measure(reference, coarse)
+            meter = self._touch
+            touch = None if meter is None else partial(meter.measure, reference, coarse)
             return EncodedFrame(mid_us, float(force), number, content, coarse, picture, touch)
 
     def correct(self, frame: EncodedFrame, lag: int) -> None:

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mixtac_fger.comparisons import PictureFigures
+    from mixtac_fger.contact_tracking import Touch
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
 
 
@@ -148,6 +149,7 @@ class FrameWorker:
     Attributes:
         refused: Frames of a size that the model does not read.
         problem: Why the latest of these was refused.
+        felt: Centre of the exposure [us] and contact of the latest frame whose contact is known.
 
     Args:
         estimator: Its `encode` is called in the thread.
@@ -161,6 +163,7 @@ class FrameWorker:
         self._replaced = self._unfetched = 0
         self.refused = 0
         self.problem = ''
+        self.felt: tuple[int, Touch] | None = None
         self._closed = False
         self._thread.start()
 
@@ -212,7 +215,9 @@ class FrameWorker:
                 self.problem = str(error)
             else:
                 if encoded is not None:
+                    # The force waits for nothing.
                     self._hand_out(encoded)
+                    self.felt = _feel(encoded) or self.felt
             self._inbox.task_done()
 
     def _hand_out(self, frame: EncodedFrame) -> None:
@@ -221,6 +226,10 @@ class FrameWorker:
                 self._outbox.popleft()
                 self._unfetched += 1
         self._outbox.append(frame)
+
+
+def _feel(frame: EncodedFrame) -> tuple[int, Touch] | None:
+    return None if frame.touch is None else (frame.mid_us, frame.touch())
 
 
 def _seen(image: Image | Callable[[], Image]) -> Image:
@@ -303,6 +312,7 @@ class ForceEstimator:
         self._time = StreamTime()
         self._encoded: deque[EncodedFrame] = deque()
         self._frame: EncodedFrame | None = None
+        self._felt: tuple[int, Touch] | None = None
         self._recent: deque[float] = deque(maxlen=TARE_WINDOWS)
         self._validity = Validity(estimator.window_us, estimator.width)
         self._reason_now = Reason.TRUSTED
@@ -356,6 +366,7 @@ class ForceEstimator:
         encoded = self._estimator.encode(_seen(image), mid_us)
         if encoded is not None:
             self._keep([encoded])
+            self._felt = _feel(encoded)
 
     def drain(self) -> None:
         """Wait until all frames pushed so far are encoded; for runs that must be repeatable."""
@@ -522,6 +533,11 @@ class ForceEstimator:
             self._apply(self._encoded.popleft(), end_us)
         if self._frame is None:
             return None
+        felt = self._felt if self._worker is None else self._worker.felt
+        if self.contact is not None and felt is not None:
+            mid_us, touch = felt
+            if self.contact.frame_us != mid_us == self._frame.mid_us:
+                self.contact.frame(mid_us, touch)
         raw, spread = self._estimator.step(events, end_us)
         force = self.force_scale * raw
         deviation = None if spread is None else self.force_scale * spread
@@ -610,8 +626,6 @@ class ForceEstimator:
             self._check(frame, then)
             self._estimator.correct(frame, lag)
         self._frame = frame
-        if self.contact is not None and frame.touch is not None:
-            self.contact.frame(frame.mid_us, frame.touch)
         self._saturated = False
         self._count.frames += 1
         if self.tare_on_release and self._zero.due:
