@@ -22,8 +22,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import queue
-import threading
 from collections import deque
 from dataclasses import asdict
 from enum import Enum
@@ -37,7 +35,8 @@ from mixtac_events.windows import WindowSlicer
 from mixtac_fger import comparisons
 from mixtac_fger.contact_tracking import ContactSettings, contact_tracker
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, known_shear
-from mixtac_fger.features import ImageError, correction_lag
+from mixtac_fger.features import correction_lag
+from mixtac_fger.frame_worker import FrameWorker, feel, seen
 from mixtac_fger.reference import Reference, TareError, ZeroWatch
 from mixtac_fger.validity import (
     CONTACT,
@@ -48,8 +47,6 @@ from mixtac_fger.validity import (
     Release,
     Validity,
 )
-from mixtac_node.images import ImageConversionError
-from mixtac_node.process import lower_priority
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -135,105 +132,6 @@ class StreamTime:
         # Nothing is known about the time before the first event.
         self._hole_us = (first_us - JUMP_US, first_us)
         return Arrival.STARTS
-
-
-UNFETCHED_FRAMES = 4
-"""Encoded frames that wait to be fetched; beyond that the oldest are dropped."""
-NICENESS = 5
-"""Niceness of the frame thread, so that the 500 Hz step wins on a busy CPU."""
-
-
-class FrameWorker:
-    """Encodes the latest frame in the background; at most one waits, newer ones replace it.
-
-    Attributes:
-        refused: Frames of a size that the model does not read.
-        problem: Why the latest of these was refused.
-        felt: Centre of the exposure [us] and contact of the latest frame whose contact is known.
-
-    Args:
-        estimator: Its `encode` is called in the thread.
-    """
-
-    def __init__(self, estimator: Estimator) -> None:
-        self._estimator = estimator
-        self._inbox: queue.Queue[tuple[Image | Callable[[], Image], int] | None] = queue.Queue()
-        self._outbox: deque[EncodedFrame] = deque()
-        self._thread = threading.Thread(target=self._run, name='fger_frames', daemon=True)
-        self._replaced = self._unfetched = 0
-        self.refused = 0
-        self.problem = ''
-        self.felt: tuple[int, Touch] | None = None
-        self._closed = False
-        self._thread.start()
-
-    @property
-    def alive(self) -> bool:
-        """Whether the thread runs, or was ended on purpose."""
-        return self._closed or self._thread.is_alive()
-
-    @property
-    def dropped(self) -> int:
-        """Frames replaced by a newer one before they were encoded or fetched."""
-        return self._replaced + self._unfetched
-
-    def push(self, image: Image | Callable[[], Image], mid_us: int) -> None:
-        """Take a frame, see `ForceEstimator.push_frame`."""
-        with contextlib.suppress(queue.Empty):
-            while self._inbox.get_nowait() is not None:
-                self._inbox.task_done()
-                self._replaced += 1
-        self._inbox.put((image, mid_us))
-
-    def results(self) -> list[EncodedFrame]:
-        """Return the frames encoded since the last call, oldest first."""
-        found = []
-        # The thread may take one away in between, when too many wait.
-        with contextlib.suppress(IndexError):
-            while self._outbox:
-                found.append(self._outbox.popleft())
-        return found
-
-    def wait(self) -> None:
-        """Wait until every frame pushed so far is encoded or the thread has ended."""
-        while self._inbox.unfinished_tasks and self._thread.is_alive():
-            self._thread.join(timeout=0.001)
-
-    def close(self) -> None:
-        """End the thread."""
-        self._closed = True
-        self._inbox.put(None)
-        self._thread.join(timeout=5.0)
-
-    def _run(self) -> None:
-        lower_priority(NICENESS)
-        while (job := self._inbox.get()) is not None:
-            try:
-                encoded = self._estimator.encode(_seen(job[0]), job[1])
-            except (ImageError, ImageConversionError) as error:
-                self.refused += 1
-                self.problem = str(error)
-            else:
-                if encoded is not None:
-                    # The force waits for nothing.
-                    self._hand_out(encoded)
-                    self.felt = _feel(encoded) or self.felt
-            self._inbox.task_done()
-
-    def _hand_out(self, frame: EncodedFrame) -> None:
-        with contextlib.suppress(IndexError):
-            while len(self._outbox) >= UNFETCHED_FRAMES:
-                self._outbox.popleft()
-                self._unfetched += 1
-        self._outbox.append(frame)
-
-
-def _feel(frame: EncodedFrame) -> tuple[int, Touch] | None:
-    return None if frame.touch is None else (frame.mid_us, frame.touch())
-
-
-def _seen(image: Image | Callable[[], Image]) -> Image:
-    return image() if callable(image) else image
 
 
 TARE_WINDOWS = 100
@@ -363,10 +261,10 @@ class ForceEstimator:
         if self._worker is not None:
             self._worker.push(image, mid_us)
             return
-        encoded = self._estimator.encode(_seen(image), mid_us)
+        encoded = self._estimator.encode(seen(image), mid_us)
         if encoded is not None:
             self._keep([encoded])
-            self._felt = _feel(encoded)
+            self._felt = feel(encoded)
 
     def drain(self) -> None:
         """Wait until all frames pushed so far are encoded; for runs that must be repeatable."""
