@@ -46,6 +46,7 @@ BENCHMARKS = {
     'soak': f'{PACKAGE}.bench.soak:soak',
     'starts': f'{PACKAGE}.bench.starts:starts',
     'limits': f'{PACKAGE}.bench.limits:limits',
+    'interlock': f'{PACKAGE}.bench.interlock:interlock',
     'realism': f'{PACKAGE}.bench.realism:realism',
 }
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -31,6 +32,17 @@ def check_namespace(value: str) -> str:
             f'{value[:_LONGEST]!r} is no ROS namespace: use letters, digits, _ and /'
         )
     return value
+
+
+def one_of(*names: str) -> Callable[[str], str]:
+    """Return a callback that takes one of some words only, in lower case."""
+
+    def check(value: str) -> str:
+        if value.lower() not in names:
+            raise typer.BadParameter(f'{value[:_LONGEST]!r}: choose one of {", ".join(names)}')
+        return value
+
+    return check
 
 
 _LONGEST = 200

@@ -10,6 +10,7 @@ response to a disturbance depend on the speed of the host.
 
 from __future__ import annotations
 
+import importlib.util
 import tempfile
 import time
 from collections.abc import Sequence
@@ -20,8 +21,9 @@ import typer
 from rich.console import Console
 
 from mixtac_cli.monitor_node import Monitor
-from mixtac_cli.options import Namespace, OptionalPath, ParamsFile, Preset, RunTime
+from mixtac_cli.options import Namespace, OptionalPath, ParamsFile, RunTime, one_of
 from mixtac_cli.view.server import require_rerun
+from mixtac_node.files import writable
 from mixtac_node.graph import (
     NodeSpec,
     is_virtual,
@@ -74,12 +76,6 @@ def run_until(processes: ProcessGroup, seconds: float) -> None:
         processes.check()
 
 
-def _check_level(value: str) -> str:
-    if value.lower() not in LEVELS:
-        raise typer.BadParameter(f'{value[:40]!r}: choose one of {", ".join(LEVELS)}')
-    return value
-
-
 LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
 
 
@@ -91,7 +87,7 @@ def up(
     namespace: Namespace = DEFAULT_NAMESPACE,
     params_file: ParamsFile = None,
     log_level: Annotated[
-        str, typer.Option(help='debug, info, warn, error or fatal.', callback=_check_level)
+        str, typer.Option(help='debug, info, warn, error or fatal.', callback=one_of(*LEVELS))
     ] = 'info',
     seconds: RunTime = 0,
     record: Annotated[OptionalPath, typer.Option(help='Record to this new bag folder.')] = None,
@@ -162,26 +158,61 @@ def _activate(
             monitor.trigger('virtual_sensor/play', processes.check)
 
 
+def _check_plant(value: str) -> str:
+    one_of('lag', 'mujoco')(value)
+    if value == 'mujoco' and importlib.util.find_spec('mujoco') is None:
+        raise typer.BadParameter(
+            'MuJoCo is not installed: python3 tools/setup.py --with mujoco, or choose lag'
+        )
+    return value
+
+
 def slip(
-    object_name: Annotated[str, typer.Option('--object', help='box, cup or ball.')] = 'box',
+    object_name: Annotated[
+        str,
+        typer.Option('--object', help='box, cup or ball.', callback=one_of('box', 'cup', 'ball')),
+    ] = 'box',
     disturb: Annotated[
-        float, typer.Option('--disturb', help='Speed of each impact (mm/s); 0 for none.')
+        float,
+        typer.Option(
+            '--disturb', min=0.0, max=500.0, help='Speed of each impact (mm/s); 0 for none.'
+        ),
     ] = 50.0,
-    every: Annotated[float, typer.Option(help='Time between impacts (s).')] = 8.0,
+    every: Annotated[
+        float, typer.Option(min=0.0, max=3600.0, help='Time between impacts (s).')
+    ] = 8.0,
     margin: Annotated[
-        float, typer.Option(help='Grasp force relative to the smallest that holds the object.')
+        float,
+        typer.Option(
+            min=1.0,
+            max=5.0,
+            help='Grasp force relative to the smallest that holds the object.',
+        ),
     ] = 1.05,
-    preset: Preset = 'paper_like',
-    seed: Annotated[int, typer.Option(help='Random seed for sensor, trial and object.')] = 1,
+    preset: Annotated[
+        str,
+        typer.Option(
+            help='Difficulty of the simulated sensor: easy, paper_like or hard.',
+            callback=one_of('easy', 'paper_like', 'hard'),
+        ),
+    ] = 'paper_like',
+    seed: Annotated[int, typer.Option(min=0, help='Random seed for sensor, trial and object.')] = 1,
     plant: Annotated[
-        str, typer.Option(help='Arm model: lag, or mujoco (requirements/mujoco.txt).')
+        str,
+        typer.Option(
+            help='Arm model: lag, or mujoco (requirements/mujoco.txt).', callback=_check_plant
+        ),
     ] = 'lag',
     seconds: RunTime = 0.0,
+    figure: Annotated[
+        Path,
+        typer.Option(help='Picture of the impacts, written at the end.', callback=writable),
+    ] = Path('slip.png'),
 ) -> None:
     """Hold a simulated object against disturbances with the real driver and slip control."""
     simulated = {'use_sim_time': True}
     with tempfile.TemporaryDirectory(prefix='mixtac-') as folder, ProcessGroup() as processes:
-        socket = str(Path(folder) / 'usb.sock')
+        socket = Path(folder) / 'usb.sock'
         grasp = {
             'object': object_name,
             'knock': disturb,
@@ -189,25 +220,34 @@ def slip(
             'preset': preset,
             'device_seed': seed,
             'seed': seed,
-            'socket': socket,
+            'socket': str(socket),
             'publish_clock': True,
         }
         normal = {'normal_frame': 'base', 'normal_y': 1.0, 'normal_z': 0.0}
         arm = {'plant': plant, **simulated}
-        supervisor = {'knock_every': every if disturb > 0.0 else 0.0, **simulated}
+        supervisor = {
+            'knock_every': every if disturb > 0.0 else 0.0,
+            'figure': str(figure.absolute()),
+            **simulated,
+        }
         nodes = [
             NodeSpec('mixtac_sim', 'virtual_grasp_node', 'virtual_grasp', overrides=grasp),
-            NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=arm),
-            *(node for node in sensor_graph(f'virtual:{socket}') if node.name == 'driver'),
             slip_control({'arm': 'fr3', **normal, **simulated}),
+            NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=arm),
             NodeSpec('mixtac_cli', 'supervisor_node', 'supervisor', overrides=supervisor),
         ]
+        driver = [each for each in sensor_graph(f'virtual:{socket}') if each.name == 'driver']
         start_nodes(processes, nodes)
         try:
+            # The driver would report that no camera is there.
+            while not socket.exists():
+                run_until(processes, POLL_S)
+            start_nodes(processes, driver)
             run_until(processes, seconds)
         finally:
             for name in SLIP_STOP_ORDER:
-                processes.stop(name)
+                if processes.has(name):
+                    processes.stop(name)
 
 
 def view(

@@ -129,3 +129,30 @@ def test_no_command_ends_in_a_traceback(commands, inputs, tmp_path, monkeypatch,
             assert 'Traceback' not in errors, line
             count += 1
     assert count > 300
+
+
+@pytest.mark.parametrize(
+    ('option', 'value'),
+    [
+        ('--object', 'cat'),
+        ('--plant', 'foo'),
+        ('--preset', 'xyz'),
+        ('--margin', '0.5'),
+        ('--disturb', '-5'),
+        ('--every', '-1'),
+        ('--seed', '-1'),
+    ],
+)
+def test_wrong_options_of_the_simulated_grasp_are_named_before_anything_starts(
+    option: str, value: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def start(*_: object) -> None:
+        raise AssertionError('something starts')
+
+    monkeypatch.setattr('mixtac_node.process.ProcessGroup.start', start)
+    try:
+        status = main(['up', 'slip', option, value])
+    except SystemExit as leave:
+        status = leave.code
+    assert status == 2
+    assert option in capsys.readouterr().err

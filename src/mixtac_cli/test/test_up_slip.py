@@ -50,6 +50,7 @@ class Witness:
 
         self.log = log
         options = ['--preset', 'easy', '--every', '2.0', '--disturb', '50.0']
+        options += ['--figure', str(log.with_suffix('.png'))]
         with log.open('w') as stream:
             self.process = subprocess.Popen(
                 [sys.executable, '-m', 'mixtac_cli', 'up', 'slip', *options],
@@ -129,7 +130,7 @@ CONTRACT = {
 
 
 def test_an_impact_is_detected_and_the_object_held_and_everything_ends(witness: Witness) -> None:
-    witness.wait(lambda: 'impact' in witness.words())
+    witness.wait(lambda: 'the arm advanced' in witness.words())
     assert 'impact detected' in witness.words(), witness.words()
     witness.wait(lambda: witness.slipped_while_enabled)
     assert witness.slipped_while_enabled
@@ -151,3 +152,5 @@ def test_an_impact_is_detected_and_the_object_held_and_everything_ends(witness: 
     gone, left = psutil.wait_procs(children, timeout=30.0)
     assert len(gone) == 5, left
     assert 'Traceback' not in witness.words()
+    assert 'impacts held' in witness.words()
+    assert witness.log.with_suffix('.png').stat().st_size > 1000

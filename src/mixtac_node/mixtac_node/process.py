@@ -223,8 +223,15 @@ class ProcessGroup:
             code = member.process.poll()
             if code is not None:
                 member.reader.join(1.0)
+                if code < 0:
+                    # What it logged before has nothing to do with it.
+                    raise GraphError(f'{name} was ended by {signal.Signals(-code).name}')
                 reason = f': {member.last_error}' if member.last_error else ''
                 raise GraphError(f'{name} ended with status {code}{reason}')
+
+    def has(self, name: str) -> bool:
+        """Return whether a process was started under a name and not stopped."""
+        return name in self._members
 
     def pid(self, name: str) -> int:
         """Return the id of a process."""

@@ -60,6 +60,19 @@ def test_a_dead_process_is_named_with_its_last_words(tmp_path: Path):
     assert str(caught.value).endswith('no camera')
 
 
+def test_a_killed_process_is_not_blamed_on_an_older_error(tmp_path: Path):
+    script = "print('error: no camera', flush=True); import time; time.sleep(60)"
+    with ProcessGroup(tmp_path) as group:
+        group.start('driver', [sys.executable, '-c', script])
+        wait_until(lambda: group.last_error('driver') != '')
+        os.kill(group.pid('driver'), signal.SIGKILL)
+        wait_until(lambda: died(group))
+        with pytest.raises(GraphError) as caught:
+            group.check()
+    assert 'SIGKILL' in str(caught.value)
+    assert 'no camera' not in str(caught.value)
+
+
 def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr('mixtac_node.process.STOP_GRACE_S', 0.5)
     script = (

@@ -13,6 +13,7 @@ it sooner.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
@@ -28,7 +29,7 @@ from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.features import SlipFeatures, SlipWindow
 from mixtac_slip_control.law import Advance
 from mixtac_slip_control.parameters import ADJUSTABLE_WHILE_ENABLED, SlipControlParameters
-from mixtac_slip_control.safety import Interlock, InterlockState, SafetyWatch
+from mixtac_slip_control.safety import JOINTS, Interlock, InterlockState, SafetyWatch
 
 Normal = Sequence[float] | Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -108,6 +109,7 @@ class SlipController:
         self._normal_source = normal
         self._normal = np.zeros(3)
         self._settling = (0.0, 0.0)
+        self._latest_s = -math.inf
 
     @property
     def enabled(self) -> bool:
@@ -263,8 +265,11 @@ class SlipController:
         return (self._reason_not_to_enable(now_s) or '') if self.has_arm else 'no arm'
 
     def tick(self, now_s: float) -> str | None:
-        """Stop if there is a fault; return it, enabled or not."""
+        """Stop if there is a fault or the clock went back; return why, enabled or not."""
         fault = self.fault(now_s)
+        if now_s < self._latest_s:
+            fault = f'the clock of the host went back by {1e3 * (self._latest_s - now_s):.1f} ms'
+        self._latest_s = now_s
         if fault is not None:
             self.interlock.stop(fault)
         return fault
@@ -365,9 +370,11 @@ class SlipController:
         # A trajectory from the measured positions would cut a motion that has not ended.
         if start <= now_s < end or (self._planner is not None and self._planner.moving(now_s)):
             return 'the arm still comes to rest from the last motion: try again in a moment'
-        if self.following is not None and (reason := self.following.reason_not_to_enable(now_s)):
-            return reason
-        return self.watch.fault(now_s)
+        fault = self.watch.fault(now_s)
+        if fault is None and self.following is not None:
+            measured_s = now_s - self.watch.age(JOINTS, now_s)
+            fault = self.following.reason_not_to_enable(measured_s, now_s)
+        return fault
 
     def _may_move(self, now_s: float) -> bool:
         return self.enabled and now_s >= self._settling[1] and self.tick(now_s) is None

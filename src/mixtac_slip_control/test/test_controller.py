@@ -417,3 +417,14 @@ def test_without_frames_the_flow_detector_is_not_enabled_and_stops() -> None:
     # The count needs none; the flow detector does.
     rig.controller.configure(dataclasses.replace(chosen(), detector='flow'))
     assert 'frames' in str(rig.controller.fault(rig.now))
+
+
+def test_a_clock_that_goes_back_at_all_stops() -> None:
+    rig = Rig().enabled()
+    rig.controller.tick(rig.now - 1e-4)
+    assert rig.controller.interlock.state is InterlockState.STOPPED
+    rig.controller.reset(rig.now)
+    rig.step()
+    rig.controller.enable(rig.now)
+    rig.step()
+    assert rig.controller.enabled

@@ -20,6 +20,7 @@ from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import OBJECTS, GraspSetup
 from mixtac_sim.grasp.skin import SETTLE_S, Patches, Press, Skin, SkinCamera, slide
 from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.contact import ContactPath
 from mixtac_sim.mechanics.elastomer import Layer, force_law
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.random_streams import stream
@@ -241,10 +242,23 @@ class Grasp:
             advance_mm: Place of the fingertip at the end of each step of 125 us, towards the
                 object from where the grasp began [n] [mm].
         """
-        count = len(advance_mm)
-        first_us = round(1e6 * self._body[0])
-        contact = self._press.move(advance_mm)
+        return self._go_on(self._press.move(advance_mm))
+
+    def grip_anew(self, force_n: Floats, place_mm: float) -> GraspBlock:
+        """Advance by one block in which a hand holds the object where it was held.
+
+        Args:
+            force_n: Normal force over each step of 125 us [n] [N].
+            place_mm: Place of the fingertip at the end, where it goes on [mm].
+        """
+        self.put_back()
+        return self._go_on(self._press.press_anew(force_n, place_mm))
+
+    def _go_on(self, contact: ContactPath) -> GraspBlock:
+        """Move the object by what the contact allows, and look at the skin."""
         normal = contact.force_n
+        count = len(normal)
+        first_us = round(1e6 * self._body[0])
         path, patches = np.empty((count, 3)), np.empty((count, len(self._skin.shear_mm)))
         advance_object(self._body, self._fixed, self._skin.patches(), normal, path, patches)
         events, frames = Events.empty(), list[ApsFrame]()

@@ -139,6 +139,10 @@ class PacedClock(SimulationClock):
 
 LOST_MM = 50.0
 """Fall after which the object is put back [mm]."""
+GRIP_BLOCKS = 375
+"""Blocks in which a hand holds the object and the grasp comes back to its force: 1.5 s."""
+RAMP_BLOCKS = 75
+"""Blocks of these in which the force changes: 0.3 s."""
 
 
 class LiveGrasp:
@@ -166,6 +170,7 @@ class LiveGrasp:
         self._wanted_mm = self._place_mm = 0.0
         self._strike_mm_s = 0.0
         self._back = False
+        self._gripping, self._from_n = 0, self.grasp_n
         self._block = 0
         self._frames: list[ApsFrame] = []
         self.object_mm = 0.0
@@ -181,7 +186,7 @@ class LiveGrasp:
             self._strike_mm_s = speed_mm_s
 
     def put_back(self) -> None:
-        """Put the object back with the next block."""
+        """Put the object back from the next block on, held by hand until it is gripped anew."""
         with self._lock:
             self._back = True
 
@@ -213,12 +218,19 @@ class LiveGrasp:
             wanted, strike, back = self._wanted_mm, self._strike_mm_s, self._back
             self._strike_mm_s, self._back = 0.0, False
         if back or self.object_mm > LOST_MM:
-            self._grasp.put_back()
+            self._gripping = GRIP_BLOCKS
         if strike > 0.0:
             self._grasp.strike(strike)
         way = np.linspace(self._place_mm, wanted, BLOCK_STEPS + 1)[1:]
         self._place_mm = wanted
-        block = self._grasp.advance(way)
+        if self._gripping > 0:
+            self._gripping -= 1
+            left = max(self._gripping - (GRIP_BLOCKS - RAMP_BLOCKS), 0) / RAMP_BLOCKS
+            force = self.grasp_n + left * (self._from_n - self.grasp_n)
+            block = self._grasp.grip_anew(np.full(BLOCK_STEPS, force), wanted)
+        else:
+            block = self._grasp.advance(way)
+            self._from_n = float(block.normal_n[-1])
         self.object_mm = float(block.object_mm[-1])
         # The object drags the skin down.
         wrench = np.zeros((BLOCK_STEPS, 6))

@@ -319,6 +319,15 @@ class Press:
         """Press with given forces [n] [N] on the grid; return the contact."""
         return self._run(Mode.FORCE, force_n)
 
+    def press_anew(self, force_n: Floats, place_mm: float) -> ContactPath:
+        """Press with given forces [n] [N]; the last is that of a place [mm] of the fingertip.
+
+        As after another grasp: the wall has come to where the force is the wanted one.
+        """
+        path = self.hold(force_n)
+        self._start_mm = float(path.position_mm[-1]) - place_mm
+        return path
+
     def _run(self, mode: Mode, targets: Floats) -> ContactPath:
         count = len(targets)
         return self._contact.advance(

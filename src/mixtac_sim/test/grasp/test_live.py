@@ -40,6 +40,22 @@ def test_holds_until_it_is_struck_and_can_be_put_back(grasp: LiveGrasp) -> None:
     assert abs(grasp.object_mm) < 0.05
 
 
+def test_what_is_put_back_is_held_again_with_the_force_of_the_grasp(grasp: LiveGrasp) -> None:
+    grasp.advance(20_000)
+    grasp.strike(60.0)
+    grasp.move(0.3)
+    grasp.advance(200_000)
+    # The fingertip jumps back at once, as where the arm's place is counted anew.
+    grasp.put_back()
+    grasp.move(0.0)
+    force = []
+    for until_us in range(204_000, 2_600_000, 4_000):
+        force.append(grasp.advance(until_us).truth['fz'][-1])
+        assert abs(grasp.object_mm) < 0.05
+    assert force[-1] == pytest.approx(grasp.grasp_n, rel=0.02)
+    assert min(force) > 0.95 * grasp.grasp_n
+
+
 def test_the_fingertip_catches_what_it_presses(grasp: LiveGrasp) -> None:
     grasp.advance(20_000)
     before = grasp.advance(24_000).truth['fz'][-1]

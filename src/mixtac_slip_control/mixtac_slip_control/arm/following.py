@@ -68,7 +68,7 @@ class FollowingWatch:
         self._sag: Floats | None = None
         self._commanded: Floats | None = None
         self._commanded_s = -math.inf
-        self._rests = True
+        self._moved_s = -math.inf
         self._ages: list[float] = []
 
     @property
@@ -135,7 +135,8 @@ class FollowingWatch:
         """
         self._ages = [*self._ages[1 - 2 * FEWEST :], now_s - stamp_s]
         before = self._commanded
-        self._rests = before is None or bool(np.abs(q - before).max() <= REST_RAD)
+        if before is not None and np.abs(q - before).max() > REST_RAD:
+            self._moved_s = stamp_s
         self._commanded, self._commanded_s = q, stamp_s
         path = self._planner.path
         if self.lost or path is None or stamp_s < self._from_s:
@@ -155,11 +156,17 @@ class FollowingWatch:
         fresh = abs(now_s - self._commanded_s) <= self._parameters.max_joint_age
         return self._commanded if fresh else None
 
-    def reason_not_to_enable(self, now_s: float) -> str | None:
-        """Return why the controller is not ready for a plan, or None."""
-        if self.commanded(now_s) is not None and not self._rests:
-            return 'the controller moves the arm: wait until it rests'
+    def reason_not_to_enable(self, measured_s: float, now_s: float) -> str | None:
+        """Return why the controller is not ready for a plan, or None.
+
+        Args:
+            measured_s: Time of the latest joint positions [s].
+            now_s: Now [s].
+        """
         p = self._parameters
+        # The sag is what the arm is away from its command, once it has followed.
+        if measured_s < self._moved_s + LAGS * p.arm_lag + STAMP_S:
+            return 'the controller moves the arm, or has just done so: try again in a moment'
         if p.lead >= UNWATCHED_LEAD_S:
             return None
         if unwatched := self._unwatched(now_s):

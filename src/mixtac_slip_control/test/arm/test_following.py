@@ -125,24 +125,28 @@ def test_a_plan_that_comes_later_than_its_lead_is_found(release: Release) -> Non
 def test_a_short_lead_needs_a_controller_that_says_what_it_commands_soon_enough() -> None:
     chain = Chain(lead=3e-3, transport_s=5e-4)
     assert math.isnan(chain.watch.transport_s)
-    assert 'controller' in str(chain.watch.reason_not_to_enable(chain.now_s))
+    assert 'controller' in str(chain.watch.reason_not_to_enable(chain.now_s, chain.now_s))
     for _ in range(120):
         chain.step(0.0)
     assert chain.watch.transport_s == pytest.approx(5e-4)
-    assert chain.watch.reason_not_to_enable(chain.now_s) is None
+    assert chain.watch.reason_not_to_enable(chain.now_s, chain.now_s) is None
     chain.watch.start(chain.now_s, chain.measured, READY)
     assert chain.knock() == ''
     assert chain.watch.fault(chain.now_s) is None
     assert 'controller' in str(chain.watch.fault(chain.now_s + 0.1))
     for _ in range(10):
         chain.step(9e-4, age_s=2e-3)
-    assert 'transport' in str(chain.watch.reason_not_to_enable(chain.now_s))
+    assert 'transport' in str(chain.watch.reason_not_to_enable(chain.now_s, chain.now_s))
 
 
 def test_a_controller_that_moves_cannot_be_taken_over() -> None:
     chain = Chain()
     chain.watch.on_commanded(READY, START_S, START_S)
-    assert chain.watch.reason_not_to_enable(START_S) is None
-    chain.watch.on_commanded(READY + 1e-4, START_S + 1e-3, START_S + 1e-3)
-    assert chain.watch.reason_not_to_enable(START_S + 1e-3) is not None
+    assert chain.watch.reason_not_to_enable(START_S, START_S) is None
+    later_s = START_S + 1e-3
+    chain.watch.on_commanded(READY + 1e-4, later_s, later_s)
+    assert chain.watch.reason_not_to_enable(later_s, later_s) is not None
+    # What was measured soon after it moved does not show yet where the arm comes to rest.
+    assert chain.watch.reason_not_to_enable(later_s + 0.01, later_s + 0.1) is not None
+    assert chain.watch.reason_not_to_enable(later_s + 0.1, later_s + 0.1) is None
     assert chain.watch.commanded(START_S + 1.0) is None
