@@ -36,7 +36,8 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'arm',
         default_value='none',
-        description='Arm to move: none (report slip only), fr3, or the path of a URDF file',
+        description='Arm to move: none (report slip only), fr3, libfranka (an FR3 without '
+        'ros2_control), or the path of a URDF file',
     ),
     DeclareLaunchArgument(
         'arm_backend',

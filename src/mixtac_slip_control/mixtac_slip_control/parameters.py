@@ -16,6 +16,8 @@ from mixtac_node.parameters import ParameterError, fixed, parameter, specs
 
 DETECTORS: Final = ('flow', 'count')
 """Names of the detectors; the first is the default."""
+LIBFRANKA: Final = 'libfranka'
+"""Backend that drives an FR3 without ros2_control."""
 FEWEST_LEARNED: Final = 50
 """Fewest windows from which the background is learned: its tail is the highest tenth of them."""
 FEWEST_FOLLOWED: Final = 100
@@ -35,7 +37,8 @@ class SlipControlParameters:
 
     Attributes:
         arm: Arm that is moved: `none` only reports slip, `fr3` is the shipped model of the Franka
-            Research 3, anything else is the path of a URDF file.
+            Research 3, `libfranka` is the same, driven by the backend of that name; anything else
+            is the path of a URDF file.
         arm_backend: What drives the arm: `trajectory` publishes to a joint_trajectory_controller;
             `libfranka` (experimental) drives an FR3 through pylibfranka without ros2_control; other
             names are entry points of the group `mixtac.arm_backends`.
@@ -244,11 +247,25 @@ class SlipControlParameters:
                 f'parameter lead = {self.lead:g} s: give at least two of controller_period = '
                 f'{self.controller_period:g} s'
             )
+        if self.arm == LIBFRANKA and self.arm_backend not in {'trajectory', LIBFRANKA}:
+            raise ParameterError(
+                f'parameter arm_backend = {self.arm_backend!r}: leave it out where arm is libfranka'
+            )
         if 0.0 < self.contact_reach < LEAST_REACH_PX:
             raise ParameterError(
                 f'parameter contact_reach = {self.contact_reach:g} px: give at least '
                 f'{LEAST_REACH_PX:g} px, or 0 to follow the size of the image'
             )
+
+    @property
+    def model(self) -> str:
+        """Model of the arm: `none`, `fr3` or the path of a URDF file."""
+        return 'fr3' if self.arm == LIBFRANKA else self.arm
+
+    @property
+    def backend(self) -> str:
+        """Name of what drives the arm."""
+        return LIBFRANKA if self.arm == LIBFRANKA else self.arm_backend
 
     @property
     def normal(self) -> tuple[float, float, float]:

@@ -94,10 +94,10 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
 
     def _open_backend(self, arm: ArmParts) -> ArmBackend:
         p = self._settings
-        if p.arm_backend != TRAJECTORY:
+        if p.backend != TRAJECTORY:
             if self.get_parameter('use_sim_time').value:
                 raise BackendError(
-                    f'arm_backend {p.arm_backend} runs on the clock of the host',
+                    f'the arm backend {p.backend} runs on the clock of the host',
                     remedy='set use_sim_time to false',
                 )
             return open_backend(p, arm.arm)
@@ -218,7 +218,10 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             return
         if state is not None and state.stamp_s != self._arm_stamp_s:
             self._arm_stamp_s = state.stamp_s
-            self._controller.on_joint_state(state.q.tolist(), self._now_s(), state.stamp_s)
+            now_s = self._now_s()
+            if state.commanded is not None and self._controller.following is not None:
+                self._controller.following.on_report(state.commanded, state.stamp_s, now_s)
+            self._controller.on_joint_state(state.q.tolist(), now_s, state.stamp_s)
 
     def _send(self, trajectory: PlannedTrajectory | None) -> None:
         if trajectory is None or self._backend is None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.trajectory import ArmState, PlannedTrajectory
 from mixtac_slip_control.errors import BackendError
-from mixtac_slip_control.parameters import SlipControlParameters
+from mixtac_slip_control.parameters import LIBFRANKA, SlipControlParameters
 
 Floats = NDArray[np.float64]
 
@@ -27,7 +27,6 @@ GROUP: Final = 'mixtac.arm_backends'
 """Entry point group of arm backends from other packages."""
 TRAJECTORY: Final = 'trajectory'
 """The backend that publishes trajectories; the node makes it, because it owns the publisher."""
-LIBFRANKA: Final = 'libfranka'
 
 
 class ArmBackend(Protocol):
@@ -110,13 +109,13 @@ def open_backend(parameters: SlipControlParameters, arm: SerialArm) -> ArmBacken
     """Return the backend that the parameters name, connected to its arm.
 
     Args:
-        parameters: `arm_backend`, and what that backend needs.
+        parameters: `backend`, and what that backend needs.
         arm: The arm.
 
     Raises:
         BackendError: No such backend, or the arm does not answer or is not ready.
     """
-    name = parameters.arm_backend
+    name = parameters.backend
     if name == LIBFRANKA:
         from mixtac_slip_control.arm.libfranka import open_libfranka
 

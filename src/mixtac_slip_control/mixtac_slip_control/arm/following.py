@@ -125,8 +125,8 @@ class FollowingWatch:
                 f'by {off:.4f} rad ({p.max_displacement:g} rad allowed)'
             )
 
-    def on_commanded(self, q: Floats, stamp_s: float, now_s: float) -> None:
-        """Compare commanded joint positions (n,) [rad] with the plan.
+    def on_report(self, q: Floats, stamp_s: float, now_s: float) -> None:
+        """Take commanded joint positions (n,) [rad] of a backend that tells late plans itself.
 
         Args:
             q: What the controller commands.
@@ -138,6 +138,10 @@ class FollowingWatch:
         if before is not None and np.abs(q - before).max() > REST_RAD:
             self._moved_s = stamp_s
         self._commanded, self._commanded_s = q, stamp_s
+
+    def on_commanded(self, q: Floats, stamp_s: float, now_s: float) -> None:
+        """Take commanded joint positions (n,) [rad] as `on_report`, and hold them to the plan."""
+        self.on_report(q, stamp_s, now_s)
         path = self._planner.path
         if self.lost or path is None or stamp_s < self._from_s:
             return

@@ -69,7 +69,7 @@ def make_arm(parameters: SlipControlParameters) -> ArmParts | None:
     Raises:
         SlipControlError: A file that cannot be read or holds no usable arm, or no normal.
     """
-    if parameters.arm == 'none':
+    if parameters.model == 'none':
         return None
     direction = np.array(parameters.normal)
     length = float(np.linalg.norm(direction))
@@ -98,7 +98,7 @@ def make_arm(parameters: SlipControlParameters) -> ArmParts | None:
 
 
 def _model(parameters: SlipControlParameters) -> tuple[SerialArm, JointLimits]:
-    if parameters.arm == 'fr3':
+    if parameters.model == 'fr3':
         return SerialArm.fr3(), JointLimits.fr3()
     try:
         text = Path(parameters.arm).read_text()

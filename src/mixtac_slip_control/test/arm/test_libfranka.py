@@ -24,6 +24,7 @@ from mixtac_slip_control.arm.libfranka import LibfrankaBackend
 from mixtac_slip_control.arm.limits import JointLimits
 from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
 from mixtac_slip_control.errors import BackendError
+from mixtac_slip_control.parameters import SlipControlParameters
 
 HERE = Path(__file__).resolve().parent
 VENV = HERE.parents[3] / '.venv-franka' / 'bin' / 'python'
@@ -31,6 +32,8 @@ PYTHON = os.environ.get('MIXTAC_FRANKA_PYTHON', str(VENV))
 ADDRESS, PORT = '127.0.0.1', 1337
 X = np.array([1.0, 0.0, 0.0])
 RUN_S = 5.0
+CYCLES_S = 2e-3
+"""Part of a lead that the control loop needs; the rest is for the host."""
 STALL_S = 0.03
 """The host woke a waiting thread so much too late: enough, several times in a row, for the control
 unit to miss its client."""
@@ -105,11 +108,10 @@ def resting(backend):
     pytest.fail('the arm does not come to rest')
 
 
-def disturbed_run(backend, words):
+def disturbed_run(backend, words, lead_s):
     """Stream random advances for a while; return how many, and how far the arm went [m]."""
-    # The lead covers a machine that is busy with other tests: this is not about latency.
     arm = SerialArm.fr3()
-    planner = AdvancePlanner(arm, JointLimits.fr3(), StreamSettings(lead_s=0.2))
+    planner = AdvancePlanner(arm, JointLimits.fr3(), StreamSettings(lead_s=lead_s))
     state = backend.state()
     planner.reset(state.commanded, X)
     place = arm.pose(state.commanded)[0, 3]
@@ -127,7 +129,7 @@ def disturbed_run(backend, words):
             farthest = max(farthest, arm.pose(backend.state().q)[0, 3] - place)
         except BackendError as error:
             # A simulation that catches up after a stall runs ahead of the host's clock.
-            if 'arrived after' not in str(error):
+            if 'too late' not in str(error):
                 raise
             late += 1
             planner.reset(resting(backend), X)
@@ -143,12 +145,13 @@ def disturbed_run(backend, words):
     return sent, late, farthest
 
 
-def test_a_disturbed_run_has_no_reflex_discontinuity_or_communication_error(control_unit):
+@pytest.mark.parametrize('lead_s', [SlipControlParameters().lead, 3e-3])
+def test_a_disturbed_run_has_no_reflex_discontinuity_or_communication_error(control_unit, lead_s):
     with HostWatch() as host:
         backend = None
         try:
             backend = LibfrankaBackend(ADDRESS, PYTHON)
-            sent, late, farthest = disturbed_run(backend, control_unit)
+            sent, late, farthest = disturbed_run(backend, control_unit, lead_s)
         except (BackendError, AssertionError) as error:
             if max(host.late_s) < STALL_S:
                 raise
@@ -157,6 +160,9 @@ def test_a_disturbed_run_has_no_reflex_discontinuity_or_communication_error(cont
             if backend is not None:
                 backend.stop()
     print(f'{sent} trajectories, {late} late, {1e3 * farthest:.2f} mm at most; {host.words()}')
+    if max(host.late_s) >= lead_s - CYCLES_S:
+        pytest.skip(f'no verdict on a lead of {1e3 * lead_s:g} ms, {host.words()}')
+    assert late == 0
     assert sent > 50
     assert farthest > 3e-4
 

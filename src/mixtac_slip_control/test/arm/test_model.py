@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from mixtac_node.parameters import ParameterError
 from mixtac_slip_control.arm.kinematics import fr3_urdf
 from mixtac_slip_control.arm.model import make_arm
 from mixtac_slip_control.errors import SlipControlError
@@ -22,6 +23,24 @@ READY = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 
 
 def test_none_is_no_arm() -> None:
     assert make_arm(SlipControlParameters()) is None
+
+
+def test_libfranka_is_an_fr3_with_that_backend() -> None:
+    chosen = SlipControlParameters(arm='libfranka')
+    assert (chosen.model, chosen.backend) == ('fr3', 'libfranka')
+    assert SlipControlParameters(arm='fr3').backend == 'trajectory'
+    assert make_arm(chosen) is not None
+    with pytest.raises(ParameterError):
+        SlipControlParameters(arm='libfranka', arm_backend='my_arm')
+
+
+def test_the_planner_takes_its_settings_from_the_parameters() -> None:
+    parts = make_arm(SlipControlParameters(arm='fr3', lead=4e-3, interval=3e-3, max_speed=0.01))
+    assert parts is not None
+    settings = parts.planner.settings
+    assert (settings.lead_s, settings.interval_s, settings.max_speed) == (4e-3, 3e-3, 0.01)
+    with pytest.raises(ParameterError):
+        SlipControlParameters(lead=3e-3, controller_period=2e-3)
 
 
 def test_the_normal_turns_with_the_tool() -> None:
