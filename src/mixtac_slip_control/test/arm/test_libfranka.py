@@ -19,10 +19,8 @@ import numpy as np
 import pytest
 from fr3_mjcf import fr3_mjcf
 
-from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.libfranka import LibfrankaBackend
-from mixtac_slip_control.arm.limits import JointLimits
-from mixtac_slip_control.arm.planner import AdvancePlanner, StreamSettings
+from mixtac_slip_control.arm.model import make_arm
 from mixtac_slip_control.errors import BackendError
 from mixtac_slip_control.parameters import SlipControlParameters
 
@@ -110,8 +108,8 @@ def resting(backend):
 
 def disturbed_run(backend, words, lead_s):
     """Stream random advances for a while; return how many, and how far the arm went [m]."""
-    arm = SerialArm.fr3()
-    planner = AdvancePlanner(arm, JointLimits.fr3(), StreamSettings(lead_s=lead_s))
+    parts = make_arm(SlipControlParameters(arm='libfranka', lead=lead_s))
+    arm, planner = parts.arm, parts.planner
     state = backend.state()
     planner.reset(state.commanded, X)
     place = arm.pose(state.commanded)[0, 3]
@@ -150,17 +148,19 @@ def test_a_disturbed_run_has_no_reflex_discontinuity_or_communication_error(cont
     with HostWatch() as host:
         backend = None
         try:
+            make_arm(SlipControlParameters(arm='libfranka'))  # compiles, which takes its time
             backend = LibfrankaBackend(ADDRESS, PYTHON)
             sent, late, farthest = disturbed_run(backend, control_unit, lead_s)
         except (BackendError, AssertionError) as error:
-            if max(host.late_s) < STALL_S:
+            allowed_s = lead_s - CYCLES_S if 'too late' in str(error) else STALL_S
+            if max(host.late_s) < allowed_s:
                 raise
             pytest.skip(f'no verdict, {host.words()}: {error}')
         finally:
             if backend is not None:
                 backend.stop()
     print(f'{sent} trajectories, {late} late, {1e3 * farthest:.2f} mm at most; {host.words()}')
-    if max(host.late_s) >= lead_s - CYCLES_S:
+    if late and max(host.late_s) >= lead_s - CYCLES_S:
         pytest.skip(f'no verdict on a lead of {1e3 * lead_s:g} ms, {host.words()}')
     assert late == 0
     assert sent > 50
