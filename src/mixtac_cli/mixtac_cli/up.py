@@ -223,7 +223,13 @@ def slip(
             'socket': str(socket),
             'publish_clock': True,
         }
-        normal = {'normal_frame': 'base', 'normal_y': 1.0, 'normal_z': 0.0}
+        # The virtual arm does not report what it commands.
+        reach = {
+            'normal_frame': 'base',
+            'normal_y': 1.0,
+            'normal_z': 0.0,
+            'controller_state_topic': 'none',
+        }
         arm = {'plant': plant, **simulated}
         supervisor = {
             'knock_every': every if disturb > 0.0 else 0.0,
@@ -232,7 +238,7 @@ def slip(
         }
         nodes = [
             NodeSpec('mixtac_sim', 'virtual_grasp_node', 'virtual_grasp', overrides=grasp),
-            slip_control({'arm': 'fr3', **normal, **simulated}),
+            slip_control({'arm': 'fr3', **reach, **simulated}),
             NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=arm),
             NodeSpec('mixtac_cli', 'supervisor_node', 'supervisor', overrides=supervisor),
         ]

@@ -65,8 +65,9 @@ class SlipControlParameters:
             joint_trajectory_controller that interpolates from the desired state.
         joint_state_topic: Topic of the joint positions of the arm.
         controller_state_topic: Topic on which the controller reports what it commands
-            (`control_msgs/JointTrajectoryControllerState`); empty for none. With it slip control
-            starts from the commanded positions and stops when a trajectory came too late.
+            (`control_msgs/JointTrajectoryControllerState`): slip control starts from the commanded
+            positions, and stops when a trajectory came too late or another client moves the arm.
+            `none` does without, and sees neither before the arm is elsewhere.
         lead: Time from a trajectory to the first point that may differ from the one before. It must
             cover the worst transport to the controller and two of its periods. Less than 6 ms needs
             the controller state, and a measured transport that allows it.
@@ -247,6 +248,8 @@ class SlipControlParameters:
                 f'parameter lead = {self.lead:g} s: give at least two of controller_period = '
                 f'{self.controller_period:g} s'
             )
+        if not self.controller_state_topic:
+            raise ParameterError('parameter controller_state_topic is empty: give a topic, or none')
         if self.arm == LIBFRANKA and self.arm_backend not in {'trajectory', LIBFRANKA}:
             raise ParameterError(
                 f'parameter arm_backend = {self.arm_backend!r}: leave it out where arm is libfranka'

@@ -112,16 +112,21 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
                 self._brake()
 
         self.create_subscription(JointState, p.joint_state_topic, on_joints, QOS_SENSOR)
-        if p.controller_state_topic:
+        if p.controller_state_topic != 'none':
             self._listen_to_controller(backend, p.controller_state_topic)
         return backend
 
     def _listen_to_controller(self, backend: TrajectoryBackend, topic: str) -> None:
         """Read what the controller commands, where its messages are installed."""
+        if self._controller.following is not None:
+            self._controller.following.needs_commands = True
         try:
             messages = importlib.import_module('control_msgs.msg')
         except ImportError:
-            self.get_logger().info(f'control_msgs is not installed: {topic} is not read')
+            self.get_logger().warning(
+                f'control_msgs is not installed: {topic} cannot be read. Install it, or do without '
+                'by controller_state_topic none'
+            )
             return
 
         def on_state(state: Any) -> None:  # noqa: ANN401
@@ -200,8 +205,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._controller.on_heartbeat(self._now_s())
 
     def _watch(self) -> None:
-        now_s = self._now_s()
         self._read_arm()
+        now_s = self._now_s()
         self._controller.tick(now_s)
         # Without events nothing is planned; a target that waited for its turn still goes out.
         self._send(self._controller.plan(now_s))

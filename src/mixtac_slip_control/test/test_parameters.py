@@ -23,6 +23,7 @@ from mixtac_slip_control.parameters import SlipControlParameters
         {'max_force': 0.0},
         {'max_joint_age': math.nan},
         {'detector': 'both'},
+        {'controller_state_topic': ''},
         {'min_excess': -1.0},
         {'advance_events_per_mm': math.nan},
         {'release_ratio': 1.5},

@@ -60,6 +60,7 @@ class Arm:
 
 VALUES = {
     'arm': 'fr3',
+    'controller_state_topic': 'none',
     'detector': 'count',
     'learning_time': 0.2,
     'settling_time': 0.05,

@@ -97,6 +97,7 @@ def _nodes(device: str) -> dict[str, NodeSpec]:
     arm = {'trajectory_topic': TRAJECTORIES, 'joint_state_topic': JOINTS}
     control = {
         'arm': 'fr3',
+        'controller_state_topic': 'none',
         'normal_frame': 'base',
         'normal_y': 1.0,
         'normal_z': 0.0,

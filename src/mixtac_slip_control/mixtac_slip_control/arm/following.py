@@ -58,12 +58,15 @@ class FollowingWatch:
 
     Attributes:
         lost: Why the arm is not where the plan leads it; empty if it is. Kept until the next start.
+        needs_commands: Whether what the controller commands must be known; a lead below 6 ms does
+            in any case.
     """
 
     def __init__(self, parameters: SlipControlParameters, planner: AdvancePlanner) -> None:
         self._parameters = parameters
         self._planner = planner
         self.lost = ''
+        self.needs_commands = False
         self._from_s = math.inf
         self._sag: Floats | None = None
         self._commanded: Floats | None = None
@@ -171,10 +174,10 @@ class FollowingWatch:
         # The sag is what the arm is away from its command, once it has followed.
         if measured_s < self._moved_s + LAGS * p.arm_lag + STAMP_S:
             return 'the controller moves the arm, or has just done so: try again in a moment'
-        if p.lead >= UNWATCHED_LEAD_S:
-            return None
         if unwatched := self._unwatched(now_s):
             return unwatched
+        if p.lead >= UNWATCHED_LEAD_S:
+            return None
         transport_s = self.transport_s
         if not transport_s + 2.0 * p.controller_period <= p.lead:
             measured = 'not measured yet' if math.isnan(transport_s) else f'{1e3 * transport_s:.1f}'
@@ -188,18 +191,19 @@ class FollowingWatch:
         """Return why the plan must not go on, or None."""
         if self.lost:
             return self.lost
-        watched = self._from_s <= now_s and self._parameters.lead < UNWATCHED_LEAD_S
-        return self._unwatched(now_s) if watched else None
+        return self._unwatched(now_s)
 
     def _unwatched(self, now_s: float) -> str | None:
-        if self.commanded(now_s) is not None:
-            return None
         p = self._parameters
-        return (
-            f'lead = {1e3 * p.lead:g} ms needs the state of the controller, and none came on '
-            f'{p.controller_state_topic or "controller_state_topic, which is empty"} in the last '
-            f'{1e3 * p.max_joint_age:g} ms'
-        )
+        short = p.lead < UNWATCHED_LEAD_S
+        if not (short or self.needs_commands) or self.commanded(now_s) is not None:
+            return None
+        topic = p.controller_state_topic
+        where = f'on {topic} ' if topic != 'none' else ''
+        what = f'no state of the controller came {where}in the last {1e3 * p.max_joint_age:g} ms'
+        if short:
+            return f'{what}, which lead = {1e3 * p.lead:g} ms needs'
+        return f'{what}: install control_msgs, or set controller_state_topic to none'
 
     def _check_sag(self, sag: Floats) -> None:
         allowed, off = self._parameters.max_displacement, float(np.abs(sag).max())

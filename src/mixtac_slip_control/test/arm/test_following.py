@@ -150,3 +150,14 @@ def test_a_controller_that_moves_cannot_be_taken_over() -> None:
     assert chain.watch.reason_not_to_enable(later_s + 0.01, later_s + 0.1) is not None
     assert chain.watch.reason_not_to_enable(later_s + 0.1, later_s + 0.1) is None
     assert chain.watch.commanded(START_S + 1.0) is None
+
+
+def test_a_controller_that_is_to_be_known_must_report() -> None:
+    chain = Chain()
+    chain.watch.needs_commands = True
+    assert chain.watch.reason_not_to_enable(chain.now_s, chain.now_s) is not None
+    chain.step(0.0)
+    assert chain.watch.reason_not_to_enable(chain.now_s, chain.now_s) is None
+    chain.watch.start(chain.now_s, chain.measured, READY)
+    assert chain.watch.fault(chain.now_s) is None
+    assert chain.watch.fault(chain.now_s + 0.1) is not None
