@@ -377,7 +377,8 @@ class SlipController:
         return fault
 
     def _may_move(self, now_s: float) -> bool:
-        return self.enabled and now_s >= self._settling[1] and self.tick(now_s) is None
+        ready = self.following is not None and self.following.ready
+        return ready and self.enabled and now_s >= self._settling[1] and self.tick(now_s) is None
 
     def _step(self, window: SlipWindow, now_s: float) -> SlipStep:
         self.watch.on_window(window, now_s)

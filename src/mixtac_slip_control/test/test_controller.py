@@ -428,3 +428,17 @@ def test_a_clock_that_goes_back_at_all_stops() -> None:
     rig.controller.enable(rig.now)
     rig.step()
     assert rig.controller.enabled
+
+
+def test_nothing_moves_before_the_arm_was_seen_where_the_plan_begins() -> None:
+    rig = moving_rig()
+    rig.controller.disable()
+    rig.step()
+    rig.controller.enable(rig.now, settling_s=0.01)
+    for _ in range(9):
+        rig.step()
+    for _ in range(5):
+        # The joint states of after the settling are lost.
+        rig.controller.on_heartbeat(rig.now)
+        assert rig.step(800, inputs=False).advance == 0.0
+    assert rig.step(800).advance > 0.0

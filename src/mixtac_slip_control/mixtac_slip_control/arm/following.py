@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 LAGS: Final = 5.0
 """Lags after which the arm has followed its command to 1 %."""
-STAMP_S: Final = 0.01
+STAMP_S: Final = 0.02
 """By which the stamps of joint states and the lag of the arm may be off [s]."""
 INSTANTS: Final = 8
 """Times at which the plan is looked at."""
@@ -79,6 +79,11 @@ class FollowingWatch:
         """Age of the controller's messages at their arrival, 99 of 100 [s]; NaN if unknown."""
         enough = len(self._ages) >= FEWEST
         return float(np.quantile(self._ages, SHARE)) if enough else math.nan
+
+    @property
+    def ready(self) -> bool:
+        """Whether the arm was seen where the plan begins: before that nothing may move it."""
+        return self._sag is not None or self._planner.path is None
 
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other limits from now on."""
