@@ -190,11 +190,14 @@ STALE_GUIDE_US: Final = 500_000
 """A frame older than this is not used."""
 LIGHT_EVENTS: Final = 200
 """Fewest events of a window far from the contact that can tell a change of light."""
-LIGHT_SHARE: Final = 0.6
+LIGHT_SHARE: Final = 0.8
 """Share of one sign over the other from which these events come from light."""
-LIGHT_RATIO: Final = (0.6, 5.0)
+LIGHT_RATIO: Final = (0.3, 5.0)
 """Density of these events over that at the contact, between which they are everywhere: slip moves
 the skin around the contact and hardly any other."""
+
+LIGHT_HOLD_US: Final = 10_000
+"""Time after such a window in which events may still come from light: dark pixels are slow."""
 
 
 def is_light(signs: NDArray[np.int64], bins: NDArray[np.int64]) -> bool:
@@ -224,7 +227,7 @@ class SlipWindow:
         pressing: Motion away from the contact, at its reach, same unit.
         guided: Whether a recent frame was there to measure motion with; else the three above are 0.
         complete: False where packets of the window were lost.
-        light: Whether its events come from a change of light.
+        light: Whether its events may come from a change of light, in this window or just before.
     """
 
     end_us: int
@@ -257,7 +260,7 @@ class SlipFeatures:
         self._sums = np.zeros(MODES)
         self._nowhere = np.zeros((1, 1), np.uint8)
         self._signs = np.zeros((2, ZONES), np.int64)
-        self._lost_until_us = 0
+        self._lost_until_us = self._light_until_us = 0
 
     @property
     def contrast(self) -> float:
@@ -327,6 +330,10 @@ class SlipFeatures:
         zones = guide.zones if guide is not None and fresh else self._nowhere
         places = events.x, events.y, events.polarity
         window_sums(*places, fields, BIN, self._sums, zones, self._signs)
+        if guide is not None and fresh and is_light(self._signs, guide.bins):
+            self._light_until_us = end_us + LIGHT_HOLD_US
+        # A clock that starts anew must not leave it on.
+        lit = 0 <= self._light_until_us - end_us <= LIGHT_HOLD_US
         motion = -(guide.solver @ self._sums) if guide is not None and fresh else self._sums
         return SlipWindow(
             end_us=end_us,
@@ -336,5 +343,5 @@ class SlipFeatures:
             pressing=float(motion[2]),
             guided=fresh,
             complete=end_us - self.slicer.width_us >= self._lost_until_us,
-            light=guide is not None and fresh and is_light(self._signs, guide.bins),
+            light=lit,
         )

@@ -216,6 +216,10 @@ def test_a_step_of_light_is_told_from_motion(brighter: bool) -> None:
     events = Events(t, x[order].astype(np.uint16), y[order].astype(np.uint16), sign)
     (window,) = features.push(events, 1000)
     assert window.light
+    # Dark pixels follow some milliseconds later.
+    after = features.push(Events.empty(), 15_000)
+    assert after[3].light
+    assert not after[-1].light
     for angle in (0.0, 2.0, 4.0):
         assert not seen(0.4 * np.cos(angle) * PATCH, 0.4 * np.sin(angle) * PATCH).light
     assert not seen(0.4 * AWAY_X / 90.0 * PATCH, 0.4 * AWAY_Y / 90.0 * PATCH).light
