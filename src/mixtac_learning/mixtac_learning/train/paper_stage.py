@@ -10,6 +10,7 @@ recurrent path then runs through whole trials from their beginning, without any 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
+from torch.nn.modules.batchnorm import _BatchNorm
 
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import (
@@ -149,6 +151,18 @@ class PaperStage(Stage):
             total, count = total + float(abs(force - sample.force).sum()), count + len(force)
         return total / count
 
+    @contextmanager
+    def plainly(self) -> Iterator[None]:
+        """Compute features that do not learn as in use, and in full precision.
+
+        They vary by no more than bfloat16 resolves.
+        """
+        training = self.network.training
+        self.network.eval()
+        with torch.autocast(self.device.type, enabled=False):
+            yield
+        self.network.train(training)
+
     def flips(self, random: torch.Generator) -> list[int]:
         """Return the axes of images that are mirrored this time."""
         if not self.settings.mirror:
@@ -224,8 +238,7 @@ class FrameStage(PaperStage):
         """Return features and labels of all frames; kept while the features do not learn."""
         key = (len(found), samples is self.checked, tuple(flips))
         if key not in self._kept:
-            # In full precision: features vary by no more than bfloat16 resolves.
-            with torch.autocast(self.device.type, enabled=False):
+            with self.plainly():
                 parts = [
                     self._features(samples, found[first : first + _ENCODED], flips)
                     for first in range(0, len(found), _ENCODED)
@@ -295,7 +308,7 @@ class RecurrentStage(PaperStage):
     def _encode(self, sample: PaperSample, flips: tuple[int, ...]) -> NDArray[np.float32]:
         seen = sample.seen(np.arange(len(sample.frames)), self.network.config.light)
         frames = torch.from_numpy(seen)[:, None].flip(flips).to(self.device)
-        with torch.autocast(self.device.type, enabled=False):
+        with self.plainly():
             parts = [
                 self.network.get_submodule('frame')(part) for part in torch.split(frames, _ENCODED)
             ]
@@ -329,23 +342,27 @@ def mirrored(batch: SegmentBatch, axes: Sequence[int]) -> SegmentBatch:
 @torch.no_grad()
 def fit_scales(network: PaperNetwork, samples: Sequence[PaperSample]) -> None:
     """Set the scales of fresh weights to the mean and spread over some windows of the trials."""
-    config = network.config
+    config, device = network.config, next(network.parameters()).device
     found = arrivals(samples, range(len(samples)))
     chosen = found[:: -(-len(found) // _FITTED)]
+    norms = [each for each in network.modules() if isinstance(each, _BatchNorm)]
+    for norm in norms:
+        norm.momentum = 1.0  # the statistics of these frames
     if not isinstance(network, EventsOnly):
-        frames, event_frames, _ = frame_batch(samples, chosen, config)
-        seen = network.frame.seen(frames)
-        network.frame.input_scale.fit(seen.reshape(-1, 1))
+        frames, event_frames, _ = (part.to(device) for part in frame_batch(samples, chosen, config))
+        network.frame.input_scale.fit(network.frame.seen(frames).reshape(-1, 1))
         network.frame.scale.fit(network.frame(frames))
         if isinstance(network, FeatureFusion):
             network.events.scale.fit(network.events(event_frames))
     if not isinstance(network, FrameModel):
         segments = [Segment(trial, window, window + 1) for trial, window in chosen.tolist()]
-        batch = assemble(samples, segments, replace(config, model='events'))
+        batch = assemble(samples, segments, replace(config, model='events')).to(device)
         network.recurrence.encoder.scale.fit(network.recurrence.features(batch)[0])
+    for norm in norms:
+        norm.momentum = 0.1
 
 
-_FITTED = 512
+_FITTED = 256
 """Frames or windows that scales are fitted to."""
 
 
@@ -377,8 +394,8 @@ def train_paper(
     """
     torch.manual_seed(settings.seed)
     network = build(config)
-    fit_scales(network, samples)
     network.to(device)
+    fit_scales(network, samples)
     own = processes.share(range(len(samples)))
     if not own:
         raise TrainingError(f'{len(samples)} trials for {processes.world} processes')

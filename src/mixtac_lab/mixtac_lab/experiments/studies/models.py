@@ -180,7 +180,8 @@ def model_figures(
 
     sources = training_sources(table_data(sizes, model, protocol))
     if model == CONSTANT:
-        forces = np.concatenate([source.load().label().force for source in sources])
+        kept = [CachedSource(source, trials) for source in sources]
+        forces = np.concatenate([source.load().label().force for source in kept])
         estimator: TrialEstimator = constant_estimator(float(np.median(forces)))
     elif model == BOUND:
         estimator = StiffnessBound(frozenset(s.origin['device_seed'] for s in sources))
