@@ -35,7 +35,8 @@ class PictureFigures(NamedTuple):
         shading: Change of the mean of a tile against the median of all tiles, the largest [log
             units].
         unevenness: The same, the median of the tiles.
-        shift: Displacement of the median tile [bins].
+        shift: Displacement of the median tile, or of the median of the tiles along the border where
+            that is less: a pull on a wide contact moves more than half of the picture [bins].
         displacement: Displacement of the tile that moved most against the median tile [bins].
         outward: Mean component of the displacement away from where it is largest [bins].
     """
@@ -99,6 +100,19 @@ def _median(values: NDArray[np.float64]) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _border_median(values: NDArray[np.float64]) -> float:
+    """Return the (upper) median of the tiles along the border."""
+    border = np.empty(2 * (TILE_ROWS + TILE_COLUMNS) - 4)
+    found = 0
+    for index in range(values.shape[0]):
+        row, column = index // TILE_COLUMNS, index % TILE_COLUMNS
+        if row in (0, TILE_ROWS - 1) or column in (0, TILE_COLUMNS - 1):
+            border[found] = values[index]
+            found += 1
+    return _median(border)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True)
 def picture_figures(
     reference: F32, image: F32, flow: F32
 ) -> tuple[float, float, float, float, float, float, float, float]:
@@ -127,6 +141,7 @@ def picture_figures(
         change[index] = tile[3] - tile[6]
         u[index], v[index] = tile[8], tile[9]
     shift_x, shift_y = _median(u), _median(v)
+    shift = min(np.hypot(shift_x, shift_y), np.hypot(_border_median(u), _border_median(v)))
     u, v = u - shift_x, v - shift_y
     change = np.abs(change - _median(change))
     _sort(change)
@@ -147,7 +162,7 @@ def picture_figures(
         roughness,
         change[-1],
         change[count // 2],
-        np.hypot(shift_x, shift_y),
+        shift,
         np.sqrt(squared.max()),
         outward,
     )

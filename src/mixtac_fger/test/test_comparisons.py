@@ -1,0 +1,32 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The shift of a picture: of the whole, and not of a wide contact that is pulled."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixtac_fger.comparisons import PictureFigures, picture_figures
+
+SHAPE = (60, 80)
+
+
+def figures(flow_x: np.ndarray) -> PictureFigures:
+    picture = np.random.default_rng(0).normal(size=SHAPE).astype(np.float32)
+    flow = np.zeros((2, *SHAPE), np.float32)
+    flow[0] = flow_x
+    return PictureFigures(*picture_figures(picture, picture, flow))
+
+
+def test_a_camera_that_moved_shifts_everything() -> None:
+    assert figures(np.full(SHAPE, 0.4)).shift == pytest.approx(0.4)
+
+
+def test_a_wide_contact_that_is_pulled_is_no_shift() -> None:
+    pulled = np.zeros(SHAPE)
+    # More than half of the tiles, but those along the border are mostly still.
+    pulled[10:, 10:70] = 0.4
+    found = figures(pulled)
+    assert found.shift == 0.0
+    assert found.displacement == pytest.approx(0.4)
