@@ -29,6 +29,8 @@ LEAST_STIFFNESS: Final = 1.0
 """Least standard deviation of the stiffness [N/m]."""
 MOST_RATIO: Final = 20.0
 """Largest ratio of two forces: towards zero force, spheres have no stiffness."""
+LEAST_SHARE: Final = 0.9
+"""Share of the force at rest that is reckoned with at least, once the stiffness is known."""
 DRIFT: Final = 0.03
 """Random walk of the force at rest, as the gel relaxes [N/sqrt(s)]."""
 SIGMAS: Final = 3.0
@@ -68,6 +70,7 @@ class ContactStiffness:
         self.known = False
         self._stamp_us = 0
         self._advance = 0.0
+        self._least = (-math.inf, -math.inf, 0.0)
         self._assume(self._noise**2)
 
     def configure(self, parameters: SlipControlParameters) -> None:
@@ -101,6 +104,14 @@ class ContactStiffness:
         self._assume(max(variance, 0.0))
         return self.force
 
+    def settle(self) -> None:
+        """Keep what was found as the least: from now on the contact may turn out stiffer only.
+
+        A tactile sensor tells least of a fast press, which is how slip is answered: it would take
+        a contact for soft, and let the arm press on.
+        """
+        self._least = (LEAST_SHARE * self.force, self.stiffness, self._kk)
+
     def on_force(self, force_n: float, stamp_us: int, advance_m: tuple[float, float]) -> None:
         """Learn from a force and the advance that it belongs to.
 
@@ -131,8 +142,9 @@ class ContactStiffness:
         The smallest A >= 0 with f + s k A + z sqrt(var(f + k A)) = F, s the reserve times how much
         a round contact stiffens on the way; 0 if there is none.
         """
-        room = force_n - self.force
-        slope = RESERVE * stiffening(self.force, force_n) * max(self.stiffness, 0.0)
+        force = max(self.force, self._least[0])
+        room = force_n - force
+        slope = RESERVE * stiffening(force, force_n) * max(self.stiffness, 0.0)
         z2 = SIGMAS**2
         # (room - slope A)^2 = z^2 (ff + 2 A fk + A^2 kk), at slope A <= room.
         a = slope * slope - z2 * self._kk
@@ -147,6 +159,7 @@ class ContactStiffness:
 
     def _assume(self, variance: float) -> None:
         """Forget the stiffness: half the stiffest, its bound the stiffest."""
+        self._least = (-math.inf, -math.inf, 0.0)
         self.stiffness = 0.5 * self._stiffest
         self._ff, self._fk = variance, 0.0
         self._kk = (self.stiffness / SIGMAS) ** 2
@@ -161,7 +174,8 @@ class ContactStiffness:
         # Rounding must not make a variance negative.
         self._ff = max(self._ff - gain_f * gain_f / variance, LEAST_FORCE**2)
         self._fk -= gain_f * gain_k / variance
-        self._kk = max(self._kk - gain_k * gain_k / variance, LEAST_STIFFNESS**2)
+        self._kk = max(self._kk - gain_k * gain_k / variance, LEAST_STIFFNESS**2, self._least[2])
+        self.stiffness = max(self.stiffness, self._least[1])
 
 
 PRECISION: Final = 0.06
@@ -235,6 +249,14 @@ class StiffnessProbe:
         )
 
 
+GAIN_SIGMAS: Final = 1.5
+"""Standard deviations of the sensor's gain by which the upper bound of a force lies above it."""
+CERTAIN_SIGMAS: Final = 2.0
+"""Standard deviations below a measurement at which the force is sure to be as high."""
+MOST_SHARE: Final = 0.5
+"""Largest relative standard deviation that is believed of the gain."""
+SHARE_STEP: Final = 0.01
+"""Share of a new one that is taken over per force: 0.2 s."""
 GOAL_SHARE: Final = 0.9
 """Share of `max_force` up to which advances are planned."""
 SOFT_SHARE: Final = 0.95
@@ -256,6 +278,39 @@ class AdvanceBound:
         self._parameters = parameters
         self.stiffness = ContactStiffness(parameters)
         self.probe = StiffnessProbe(parameters)
+        self._share = 0.0
+
+    @property
+    def goal(self) -> float:
+        """Force up to which advances are planned, as the sensor measures it [N]."""
+        return GOAL_SHARE * self._parameters.max_force / (1.0 + GAIN_SIGMAS * self._share)
+
+    def upper(
+        self, force_n: float, deviation: float, advance_m: tuple[float, float], *, calm: bool
+    ) -> float:
+        """Return the upper bound of the normal force [N], by the sensor and by the advance.
+
+        Args:
+            force_n: What the sensor measures [N].
+            deviation: Its standard deviation [N]; 0 of a force that is only noisy.
+            advance_m: Least and most that the fingertip may have advanced at that time [m].
+            calm: Whether there was no slip for a while: then the deviation is that of the gains.
+        """
+        if not deviation > 0.0:
+            self._share = 0.0
+            return force_n
+        stiffness = self.stiffness
+        if calm and not self.probe.active and stiffness.present > 0.0:
+            share = min(deviation / max(stiffness.present, deviation), MOST_SHARE)
+            self._share += SHARE_STEP * (share - self._share)
+        x = 0.5 * (advance_m[0] + advance_m[1])
+        expected = stiffness.force + stiffness.stiffness * x
+        half = 0.5 * (advance_m[1] - advance_m[0]) * stiffness.bound
+        spread = math.hypot(self._share * expected, half) + math.sqrt(stiffness.force_variance(x))
+        weight = spread**2 / (spread**2 + deviation**2)
+        both = expected + weight * (force_n - expected)
+        high = both + GAIN_SIGMAS * math.sqrt(weight) * deviation
+        return max(high, force_n - CERTAIN_SIGMAS * deviation)
 
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other parameters from the next window on."""
@@ -271,7 +326,7 @@ class AdvanceBound:
         """
         p = self._parameters
         preload = self.stiffness.restart()
-        limit = self.stiffness.largest_advance(GOAL_SHARE * p.max_force)
+        limit = self.stiffness.largest_advance(self.goal)
         if limit <= 0.0:
             raise SlipControlError(
                 f'the force is {preload:.2f} N already and max_force {p.max_force:.2f} N',
@@ -288,10 +343,10 @@ class AdvanceBound:
 
         Args:
             reached: Advance commanded so far [m].
-            force_n: Latest normal force [N], None before the first.
+            force_n: Upper bound of the latest normal force [N], None before the first.
         """
         p = self._parameters
         if force_n is not None and force_n >= SOFT_SHARE * p.max_force:
             return reached
-        largest = self.stiffness.largest_advance(GOAL_SHARE * p.max_force)
+        largest = self.stiffness.largest_advance(self.goal)
         return max(min(largest, p.max_total), reached)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from mixtac_slip_control.arm.trajectory import PlannedTrajectory
 from mixtac_slip_control.detectors import Detectors
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.features import SlipFeatures, SlipWindow
+from mixtac_slip_control.grip import GripMargin
 from mixtac_slip_control.law import Advance
 from mixtac_slip_control.parameters import ADJUSTABLE_WHILE_ENABLED, SlipControlParameters
 from mixtac_slip_control.safety import JOINTS, Interlock, InterlockState, SafetyWatch
@@ -54,6 +56,14 @@ class SlipStep:
         advance: Wanted because of this window, along the contact normal [m].
         total_advance: Wanted since enabling [m].
         reason: Why it stopped, else why it cannot be enabled now; empty if it can or is.
+        slip_direction: Of the motion of the skin while it slips, from x to y of the contact frame
+            [rad]; 0 otherwise.
+        friction: Friction coefficient as the sensor measures it.
+        friction_deviation: Its standard deviation.
+        margin: Normal force over the smallest that holds; 0 where it is not known.
+        margin_deviation: Its standard deviation.
+        wanted_force: Normal force that the grasp needs for `grip_margin` [N]; 0 where it is not
+            known.
     """
 
     end_us: int
@@ -71,6 +81,16 @@ class SlipStep:
     advance: float
     total_advance: float
     reason: str
+    slip_direction: float
+    friction: float
+    friction_deviation: float
+    margin: float
+    margin_deviation: float
+    wanted_force: float
+
+
+CALM_US: Final = 200_000
+"""Time after a slip in which the sensor's force is not learned from [us]: five frames."""
 
 
 class SlipController:
@@ -89,6 +109,7 @@ class SlipController:
         following: Whether the arm is where the plan leads it; None without an arm.
         detectors: Both slip detectors.
         features: Cuts the event stream into windows.
+        grip: Friction and margin of the grasp.
     """
 
     def __init__(
@@ -103,8 +124,10 @@ class SlipController:
         self.watch = SafetyWatch(parameters, check_state)
         self.detectors = Detectors(parameters)
         self.features = SlipFeatures(parameters)
+        self.grip = GripMargin(parameters)
+        self._calm_us: int | None = None
         self._planner = planner
-        self._advance = None if planner is None else Advance(parameters, planner)
+        self._advance = None if planner is None else Advance(parameters, planner, self.grip)
         self.following = None if planner is None else FollowingWatch(parameters, planner)
         self._normal_source = normal
         self._normal = np.zeros(3)
@@ -165,11 +188,31 @@ class SlipController:
             self._advance.configure(parameters)
             self.following.configure(parameters)
 
-    def on_force(self, force_n: float, stamp_us: int, now_s: float) -> None:
-        """Take a normal force [N]; its stamp on the camera clock [us]."""
-        new = self.watch.on_force(force_n, stamp_us, now_s)
-        if new and self._advance is not None:
-            self._advance.on_force(force_n, stamp_us, now_s)
+    def on_force(
+        self,
+        force_n: float,
+        stamp_us: int,
+        now_s: float,
+        *,
+        deviation: float = 0.0,
+        pull_n: float | None = None,
+    ) -> None:
+        """Take what the sensor measures.
+
+        Args:
+            force_n: Normal force [N].
+            stamp_us: Its time, camera clock [us].
+            now_s: Host time [s].
+            deviation: Standard deviation of the force [N]; 0 of one that is only noisy.
+            pull_n: Sideways force [N]; None where it is not known.
+        """
+        if self.watch.on_force(force_n, stamp_us, now_s):
+            calm = self._calm_us is None or stamp_us > self._calm_us
+            if pull_n is not None and math.isfinite(pull_n):
+                self.grip.on_force(force_n, pull_n, stamp_us, still=calm and not self.probing)
+            if self._advance is not None:
+                given = force_n, stamp_us, now_s, deviation
+                self.watch.force = self._advance.on_force(*given, calm=calm)
         self.tick(now_s)
 
     def on_quality(self, untrusted: str, now_s: float) -> None:
@@ -357,6 +400,7 @@ class SlipController:
         if self.enabled:
             raise SlipControlError('slip control is enabled', remedy='disable it before taring')
         self.detectors.reset()
+        self.grip.start()
 
     def _reason_not_to_enable(self, now_s: float) -> str | None:
         if not self.detectors.learned:
@@ -387,7 +431,12 @@ class SlipController:
         if self._advance is not None:
             self._advance.on_window(window.end_us, now_s)
             motion = self._advance.commanded_motion(now_s)
+        before = detectors.slipping
         slipping = detectors.update(window, motion)
+        if slipping:
+            self._calm_us = window.end_us + CALM_US
+            if not before and not self.probing:
+                self.grip.on_slip(window.end_us)
         if self._advance is not None and self._may_move(now_s):
             wanted = self._advance.update(window.count, detectors, self.watch.force, now_s)
         return SlipStep(
@@ -406,4 +455,6 @@ class SlipController:
             advance=wanted,
             total_advance=self.total_advance,
             reason=self.reason(now_s),
+            slip_direction=math.atan2(-window.flow_y, window.flow_x) if slipping else 0.0,
+            **self.grip.figures(),
         )

@@ -22,6 +22,7 @@ from typing import Final
 from mixtac_slip_control.arm.planner import AdvancePlanner
 from mixtac_slip_control.bounds import AdvanceBound
 from mixtac_slip_control.detectors import Detectors
+from mixtac_slip_control.grip import GripMargin
 from mixtac_slip_control.parameters import SlipControlParameters
 
 
@@ -77,6 +78,10 @@ class AdvanceLaw:
         self.total = min(max(before + wanted, 0.0), max(limit, 0.0))
         return self.total - before
 
+    def aim(self, force: float) -> None:
+        """Keep another force between slips [N]."""
+        self._preload = force
+
     def add(self, advance: float) -> None:
         """Take over an advance [m] >= 0 made for another reason; it is held as if by slip."""
         self.total += max(advance, 0.0)
@@ -118,17 +123,21 @@ class Advance:
     Args:
         parameters: Of law and bound.
         planner: Knows the commanded advance.
+        grip: Knows the force that the grasp needs.
 
     Attributes:
         bound: How far the arm may advance.
         limit: Largest advance in the latest window [m].
     """
 
-    def __init__(self, parameters: SlipControlParameters, planner: AdvancePlanner) -> None:
+    def __init__(
+        self, parameters: SlipControlParameters, planner: AdvancePlanner, grip: GripMargin
+    ) -> None:
         self._planner = planner
         self._law = AdvanceLaw(parameters)
         self.bound = AdvanceBound(parameters)
-        self.limit = 0.0
+        self._grip = grip
+        self.limit = self._preload = 0.0
         self._window: tuple[int, float] | None = None
         self.configure(parameters)
 
@@ -149,22 +158,42 @@ class Advance:
         Raises:
             SlipControlError: The force leaves no room for an advance.
         """
-        preload, self.limit = self.bound.start()
-        self._law.reset(preload)
+        self._preload, self.limit = self.bound.start()
+        self._law.reset(self._preload)
 
     def on_window(self, end_us: int, now_s: float) -> None:
         """Record when a window that ends at `end_us` [us] of the camera clock arrived [s]."""
         self._window = (end_us, now_s)
 
-    def on_force(self, force_n: float, stamp_us: int, now_s: float) -> None:
-        """Learn from a force [N]; its stamp on the camera clock [us], received at `now_s` [s]."""
+    def on_force(
+        self,
+        force_n: float,
+        stamp_us: int,
+        now_s: float,
+        deviation: float = 0.0,
+        *,
+        calm: bool = True,
+    ) -> float:
+        """Learn from what the sensor measures; return the upper bound of the normal force [N].
+
+        Args:
+            force_n: Normal force [N].
+            stamp_us: Its time, camera clock [us].
+            now_s: Host time of its arrival [s].
+            deviation: Standard deviation of the force [N]; 0 of one that is only noisy.
+            calm: Whether there was no slip for a while.
+        """
         age = 0.0
         if self._window is not None:
             end_us, arrived_s = self._window
             age = now_s - arrived_s + 1e-6 * (end_us - stamp_us)
         at = now_s - min(max(age, 0.0), MAX_AGE_S)
         then = self._planner.advance_at(at), self._planner.advance_at(at - 2.0 * self._lag_s)
-        self.bound.stiffness.on_force(force_n, stamp_us, (min(then), max(then)))
+        reach = min(then), max(then)
+        # A tactile sensor tells little of a fast press, and frames need some time to correct it.
+        if calm or not deviation:
+            self.bound.stiffness.on_force(force_n, stamp_us, reach)
+        return self.bound.upper(force_n, deviation, reach, calm=calm)
 
     def commanded_motion(self, now_s: float) -> float:
         """Return how far the arm was commanded to move in the window that ends now [m]."""
@@ -187,8 +216,12 @@ class Advance:
         limit = self.bound.limit(self._planner.advance_at(now_s), force_n)
         if detectors.slipping and probe.active:
             self._law.add(probe.take_over())
+        probing = probe.active
         probe.update(stiffness.stiffness, stiffness.deviation, limit - self._law.total)
+        if probing and not probe.active:
+            stiffness.settle()
         force = None if probe.active else stiffness.present
+        self._law.aim(self._grip.wanted(self._preload))
         room = limit - probe.advance
         self._law.update(count, detectors.law_threshold, force, room, slipping=detectors.slipping)
         self.limit = max(limit, 0.0)

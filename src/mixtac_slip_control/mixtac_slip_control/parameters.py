@@ -128,6 +128,13 @@ class SlipControlParameters:
         preload_speed: Speed of the advance that keeps the preload (the force at enabling) as the
             gel relaxes; 0 does not keep it.
         force_band: Deviation of the force from the preload that is tolerated.
+        grip_margin: Normal force over the smallest that holds which the arm keeps, slowly; 1 keeps
+            the preload only.
+        max_grip_force: Largest normal force that is kept for the margin.
+        friction: Friction coefficient of objects on the skin before a slip has told it, as the
+            sensor measures it.
+        friction_deviation: Its relative standard deviation between objects and sensors. Larger
+            grips harder until a slip has told it.
         max_force: Force above which slip control stops. Advances are bounded by the measured
             stiffness to stay below 90 % of it.
         stiffest_contact: Stiffest plausible contact of gel and object: bounds the first advance,
@@ -211,6 +218,10 @@ class SlipControlParameters:
     back_off: float = parameter(2e-5, unit='m/s', within=(0.0, 1e-2))
     preload_speed: float = parameter(1e-4, unit='m/s', within=(0.0, 1e-2))
     force_band: float = parameter(0.03, unit='N', within=(0.0, None))
+    grip_margin: float = parameter(1.3, within=(1.0, 5.0))
+    max_grip_force: float = parameter(1.0, unit='N', within=(0.01, 100.0))
+    friction: float = parameter(0.65, within=(0.05, 5.0))
+    friction_deviation: float = parameter(0.25, within=(0.01, 1.0))
     max_force: float = parameter(1.5, unit='N', within=(0.01, 100.0))
     stiffest_contact: float = parameter(2e4, unit='N/m', within=(100.0, 1e6))
     force_noise: float = parameter(0.03, unit='N', within=(1e-4, 1.0))

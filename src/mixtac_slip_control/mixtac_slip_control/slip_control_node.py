@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import math
 import sys
 from typing import Any
 
@@ -89,6 +90,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self.create_subscription(Empty, p.heartbeat_topic, self._on_heartbeat, QOS_SENSOR)
         self.create_timer(WATCH_PERIOD_S, self._watch)
         self._told = 0
+        self._deviation, self._pull_known = 0.0, False
         self.create_timer(STATE_PERIOD_S, self._tell)
         self._diagnostics = DiagnosticsPublisher(self, 'slip_control', self._status)
 
@@ -189,7 +191,14 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
 
     def _on_force(self, message: topics.ForceMessage) -> None:
         stamp_us = stamp_to_us(message.header.stamp)
-        self._controller.on_force(topics.normal_force(message), stamp_us, self._now_s())
+        across = message.wrench.force
+        self._controller.on_force(
+            topics.normal_force(message),
+            stamp_us,
+            self._now_s(),
+            deviation=self._deviation,
+            pull_n=math.hypot(across.x, across.y) if self._pull_known else None,
+        )
         self._brake()
 
     def _on_contact(self, message: Contact) -> None:
@@ -197,6 +206,9 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
             self._controller.features.contact_at(message.column, message.row)
 
     def _on_quality(self, message: ForceQuality) -> None:
+        # The quality of a force has its stamp, and comes with it: at most one window too late.
+        self._deviation = max(message.deviation, 0.0)
+        self._pull_known = message.sideways_known
         untrusted = '' if message.valid else REASONS.get(message.reason, 'unknown reason')
         self._controller.on_quality(untrusted, self._now_s())
         self._brake()

@@ -191,3 +191,48 @@ def test_a_force_without_room_is_refused() -> None:
     with pytest.raises(SlipControlError) as caught:
         bound.start()
     assert 'max_force' in caught.value.remedy
+
+
+def settled() -> AdvanceBound:
+    """Return the bound of a contact of 5 N/mm at 0.5 N whose probe has ended."""
+    bound = AdvanceBound(SlipControlParameters())
+    for k, place in enumerate(np.linspace(0.0, 4e-5, 200)):
+        bound.stiffness.on_force(0.5 + 5e3 * place, 2000 * k, (place, place))
+    bound.stiffness.settle()
+    return bound
+
+
+def test_a_sensor_that_loses_sight_of_a_fast_press_does_not_make_room() -> None:
+    bound = settled()
+    before = bound.limit(0.0, 0.5)
+    for k in range(200):
+        # It shows a tenth of what the press adds, and less of the force at rest.
+        bound.stiffness.on_force(0.45, 400_000 + 2000 * k, (1.5e-4, 1.5e-4))
+    assert bound.stiffness.stiffness >= 4.9e3
+    assert bound.limit(0.0, 0.5) <= 1.1 * before
+
+
+def test_a_contact_that_turns_out_stiffer_takes_room_away() -> None:
+    bound = settled()
+    before = bound.limit(0.0, 0.5)
+    for k in range(200):
+        bound.stiffness.on_force(0.5 + 8e3 * 1e-4, 400_000 + 2000 * k, (1e-4, 1e-4))
+    assert bound.limit(0.0, 0.5) < 0.8 * before
+
+
+def test_an_uncertain_sensor_leaves_less_room() -> None:
+    bound = settled()
+    before = bound.goal
+    for _ in range(1000):
+        bound.upper(0.5, 0.1, (0.0, 0.0), calm=True)
+    assert bound.goal == pytest.approx(before / (1.0 + 1.5 * 0.1 / 0.7), rel=0.02)
+
+
+def test_the_upper_bound_rests_on_the_better_of_sensor_and_advance() -> None:
+    bound = settled()
+    place = (1e-4, 1e-4)
+    burst = bound.upper(1.8, 1.5, place, calm=False)
+    assert 1.0 < burst < 1.2
+    sure = bound.upper(1.8, 0.02, place, calm=False)
+    assert sure == pytest.approx(1.76, abs=0.1)
+    assert bound.upper(1.8, 0.0, place, calm=False) == 1.8

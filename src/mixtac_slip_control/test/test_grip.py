@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mixtac_slip_control.grip import GripMargin, above
+from mixtac_slip_control.parameters import SlipControlParameters
+
+PARAMETERS = SlipControlParameters(friction=0.65, friction_deviation=0.25, grip_margin=1.3)
+STEP_US = 2000
+
+
+def hold(grip, normal, pull, seconds=1.5, start_us=0):
+    """Let a grasp rest; return the time at its end [us]."""
+    end_us = start_us + round(1e6 * seconds)
+    for stamp_us in range(start_us, end_us, STEP_US):
+        grip.on_force(normal, pull, stamp_us, still=True)
+    return end_us
+
+
+def slip(grip, normal, pull, start_us):
+    """Let the object slip at a pull; return the time at which it rests again [us]."""
+    grip.on_slip(start_us)
+    for stamp_us in range(start_us, start_us + 20_000, STEP_US):
+        grip.on_force(normal, pull, stamp_us, still=False)
+    return start_us + 20_000
+
+
+@pytest.mark.parametrize(('mean', 'spread', 'least'), [(0.0, 1.0, -1.0), (0.5, 0.2, 0.9)])
+def test_a_normal_variable_above_a_value_has_the_moments_of_its_samples(mean, spread, least):
+    samples = np.random.default_rng(0).normal(mean, spread, 2_000_000)
+    kept = samples[samples > least]
+    assert above(mean, spread, least) == pytest.approx((kept.mean(), kept.std()), abs=3e-3)
+
+
+def test_far_above_its_mean_a_variable_is_just_above_the_value():
+    mean, spread = above(0.0, 0.1, 1.0)
+    assert 1.0 < mean < 1.02
+    assert 0.0 < spread < 0.02
+
+
+def test_nothing_is_known_where_nothing_pulls():
+    grip = GripMargin(PARAMETERS)
+    hold(grip, 0.5, 0.0)
+    assert not grip.known
+    assert grip.margin == (math.inf, math.inf)
+    assert grip.wanted(0.5) == 0.5
+    assert grip.friction[0] == pytest.approx(0.65)
+
+
+def test_an_object_that_holds_more_than_guessed_raises_the_coefficient():
+    grip = GripMargin(PARAMETERS)
+    hold(grip, 0.5, 0.4)
+    friction, spread = grip.friction
+    assert 0.8 < friction < 1.0
+    assert spread < 0.25
+
+
+def test_what_the_first_estimates_say_does_not_count():
+    grip = GripMargin(PARAMETERS)
+    rest_us = hold(grip, 0.1, 0.3, seconds=0.1)
+    hold(grip, 0.5, 0.2, start_us=rest_us)
+    assert grip.friction[0] < 0.75
+
+
+def test_slips_tell_the_coefficient_in_the_sensors_own_units():
+    # A gain of the pull that is wrong by a third is wrong in the slip, too: the margin is right.
+    wrong, true_friction = 4.0 / 3.0, 0.8
+    grip, now_us = GripMargin(PARAMETERS), 0
+    for _ in range(3):
+        now_us = hold(grip, 0.5, wrong * 0.2, start_us=now_us)
+        now_us = slip(grip, 0.5, wrong * true_friction * 0.5, now_us)
+    hold(grip, 0.5, wrong * 0.2, start_us=now_us)
+    margin, deviation = grip.margin
+    assert grip.slips == 3
+    assert margin == pytest.approx(true_friction * 0.5 / 0.2, rel=0.1)
+    assert deviation < 0.15 * margin
+
+
+def test_the_wanted_force_keeps_the_margin_and_its_limit():
+    grip = GripMargin(PARAMETERS)
+    hold(grip, 0.5, 0.35)
+    friction, spread = grip.friction
+    needed = 1.3 * 0.35 / (friction * math.exp(-spread))
+    assert grip.wanted(0.1) == pytest.approx(needed)
+    assert grip.wanted(0.9) == 0.9
+    grip.configure(replace(PARAMETERS, max_grip_force=0.55))
+    assert grip.wanted(0.1) == 0.55
+    assert grip.wanted(0.6) == 0.6
+    grip.configure(replace(PARAMETERS, grip_margin=1.0))
+    assert grip.wanted(0.1) == 0.1
+
+
+def test_a_doubled_load_asks_for_more_force():
+    grip = GripMargin(PARAMETERS)
+    end_us = hold(grip, 0.6, 0.2)
+    light = grip.wanted(0.0)
+    hold(grip, 0.6, 0.4, start_us=end_us)
+    assert grip.wanted(0.0) > 1.3 * light
+
+
+def test_another_grasp_starts_from_the_guess():
+    grip = GripMargin(PARAMETERS)
+    now_us = hold(grip, 0.5, 0.4)
+    slip(grip, 0.5, 0.45, now_us)
+    grip.start()
+    assert (grip.slips, grip.known) == (0, False)
+    assert grip.friction[0] == pytest.approx(0.65)
+
+
+def test_a_release_forgets_the_object():
+    grip = GripMargin(PARAMETERS)
+    now_us = slip(grip, 0.5, 0.45, hold(grip, 0.5, 0.4))
+    hold(grip, 0.0, 0.0, start_us=hold(grip, 0.5, 0.4, start_us=now_us))
+    assert grip.slips == 0
+    assert grip.friction[0] == pytest.approx(0.65)
+
+
+def test_clocks_that_jump_do_not_move_the_mean_at_once():
+    grip = GripMargin(PARAMETERS)
+    hold(grip, 0.5, 0.2)
+    grip.on_force(1.5, 0.2, 10**12, still=True)
+    assert grip.normal < 0.75
+    grip.on_force(1.5, 0.2, 0, still=True)
+    assert grip.normal < 0.75
