@@ -15,8 +15,9 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -31,6 +32,7 @@ from mixtac_lab.slip.loop import SIDEWAYS, TRANSPORT_S
 from mixtac_lab.slip.trials import (
     TrialPlan,
     latency_quantiles,
+    margin_row,
     summary,
     trial_piece,
 )
@@ -54,6 +56,10 @@ before it [ns]; otherwise the first one after it may not be its answer."""
 STIFFNESSES = (10.0, 5.0, 2.0, 1.0)
 """Stiffnesses of the contact, in turn [N/mm]."""
 FIRST_SEED = 70_000
+MARGINS = (1.005, 1.02, 1.05, 1.2)
+"""Grasp forces over the smallest that holds."""
+QUICK_TRIALS = 6
+Force = Literal['estimated', 'true']
 
 
 def measure(seconds: float) -> dict[str, Any]:
@@ -207,13 +213,25 @@ def _after(starts: NDArray[np.int64], times: NDArray[np.int64]) -> list[float]:
 
 
 def slip(
-    trials: Annotated[int, typer.Option(min=4, help='Number of trials with the box.')] = 200,
+    trials: Annotated[
+        int, typer.Option(min=4, help='Number of trials with the box at each margin.')
+    ] = 100,
     knock: Annotated[
         float, typer.Option(help='Speed of the object after the knock [mm/s].')
     ] = 50.0,
     margin: Annotated[
-        float, typer.Option(help='Ratio of the grasp force to the smallest force that holds.')
-    ] = 1.05,
+        float | None,
+        typer.Option(
+            help='Ratio of the grasp force to the smallest force that holds; by default each of '
+            '1.005, 1.02, 1.05 and 1.2.'
+        ),
+    ] = None,
+    wait: Annotated[
+        float, typer.Option(help='Time that the grip margin has to act before the knock [s].')
+    ] = 0.0,
+    force: Annotated[
+        Force, typer.Option(help="The sensor's own force, or the true one with noise of 30 mN.")
+    ] = 'estimated',
     lag: Annotated[
         float, typer.Option(help='Time constant with which the arm follows its commands [s].')
     ] = 3.5e-3,
@@ -231,6 +249,9 @@ def slip(
         OptionalPath,
         typer.Option(help='Folder for finished parts; an interrupted run continues there.'),
     ] = None,
+    quick: Annotated[
+        bool, typer.Option('--quick', help='Six trials at each margin, and nothing else.')
+    ] = False,
     report: JsonFile = None,
     figure: Annotated[
         OptionalPath, typer.Option(help='Draw the latency curves to this PNG file.')
@@ -238,12 +259,25 @@ def slip(
 ) -> None:
     """Measure slip control: held objects, latency, limits, false alarms. Simulated results."""
     console, store = Console(), Store(keep)
-    plan = TrialPlan(margin=margin, knock_mm_s=knock, preset=preset, lag_s=lag)
-    pieces = []
-    for k in range(trials):
-        stiffness = STIFFNESSES[k % len(STIFFNESSES)]
-        pieces.append(trial_piece(replace(plan, seed=FIRST_SEED + k, stiffness_n_per_mm=stiffness)))
-    results = store.run_shown('box trials', pieces, console)
+    if quick:
+        trials, quiet_minutes, curve_trials, dds_seconds = QUICK_TRIALS, 0.0, 0, 0.0
+    margins = MARGINS if margin is None else (margin,)
+    plan = TrialPlan(
+        knock_mm_s=knock, preset=preset, lag_s=lag, wait_s=wait, estimated=force == 'estimated'
+    )
+    # All margins of a sensor in a row, so that it is calibrated once.
+    plans = [
+        replace(plan, seed=FIRST_SEED + k, margin=each, stiffness_n_per_mm=stiffness)
+        for k, stiffness in zip(range(trials), cycle(STIFFNESSES), strict=False)
+        for each in margins
+    ]
+    results = store.run_shown('box trials', [trial_piece(each) for each in plans], console)
+    by_margin = {
+        f'{each:g}': margin_row(
+            [r for p, r in zip(plans, results, strict=True) if p.margin == each]
+        )
+        for each in margins
+    }
     latency = None
     if dds_seconds > 0.0:
         with console.status('slips over DDS'):
@@ -252,8 +286,10 @@ def slip(
     if quiet_minutes > 0.0:
         quiet = [count_alarms(name, 60.0 * quiet_minutes, preset, store, console) for name in QUIET]
     outcome = summarise(results, latency, quiet)
+    outcome |= {'margins': by_margin, 'force': force}
     outcome['conditions'] = {
-        'margin': margin,
+        'margin': list(margins),
+        'wait_s': wait,
         'knock_mm_s': knock,
         'arm_lag_s': lag,
         'preset': preset,

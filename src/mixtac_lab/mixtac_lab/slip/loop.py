@@ -9,12 +9,15 @@ lower bound that no controller can beat: the same grasp and knock with the best 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
+from mixtac_fger.estimator import Estimate
+from mixtac_lab.slip.sensing import SensedForce
 from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
 from mixtac_sim.arm.fr3 import READY, violations
 from mixtac_sim.arm.plant import TRACKING_LAG_S, LaggingArm
@@ -197,7 +200,8 @@ class ClosedLoop:
         grasp: The grasp, with a camera.
         settings: Settings of the slip controller.
         lag_s: Time constant with which the arm follows its commands [s].
-        seed: Seed of the noise of the force estimates.
+        seed: Seed of the noise of the true force, where that is what the controller gets.
+        force: The sensor's own force; None for the true one with `FORCE_NOISE_N`.
     """
 
     def __init__(
@@ -206,8 +210,10 @@ class ClosedLoop:
         settings: SlipControlParameters,
         lag_s: float = TRACKING_LAG_S,
         seed: int = 0,
+        force: SensedForce | None = None,
     ) -> None:
-        self._grasp = grasp
+        self._grasp, self._force = grasp, force
+        self._estimates: list[Estimate] = []
         self._arm = JointTrajectoryController(1.0 / CYCLE_S)
         self._arm.reset(READY, EPOCH_S)
         planner = AdvancePlanner(SerialArm.fr3(), JointLimits.fr3())
@@ -272,7 +278,9 @@ class ClosedLoop:
         now_s, now_us = self._now_s, 1e6 * self._cycle * CYCLE_S
         controller.on_heartbeat(now_s)
         controller.on_joint_state(self._tip.q.tolist(), now_s)
-        if self._cycle % FORCE_EVERY == 0:
+        if self._force is not None:
+            self._send_estimates(self._force, block)
+        elif self._cycle % FORCE_EVERY == 0:
             past = max(len(self._blocks) - 1 - round(TRANSPORT_S['force_s'] / CYCLE_S), 0)
             force = float(self._blocks[past].normal_n[-1]) + self._rng.normal(0.0, FORCE_NOISE_N)
             controller.on_force(force, int(self._blocks[past].t_us[-1]), now_s)
@@ -281,6 +289,23 @@ class ClosedLoop:
             frame = self._frames.pop(0)
             middle = (frame.exposure_start_us + frame.exposure_end_us) // 2
             controller.on_frame(frame.intensity, middle, now_s)
+
+    def _send_estimates(self, force: SensedForce, block: GraspBlock) -> None:
+        """Pass what the sensor tells, as late as it is told."""
+        now_s, until_us = self._now_s, int(block.t_us[-1])
+        self._estimates += force.advance(block.events, block.frames, until_us)
+        told_us = until_us - 1e6 * TRANSPORT_S['force_s']
+        while self._estimates and self._estimates[0].end_us <= told_us:
+            found = self._estimates.pop(0)
+            self._controller.on_quality('' if found.valid else found.reason.text, now_s)
+            shear = found.shear
+            self._controller.on_force(
+                found.force,
+                found.end_us,
+                now_s,
+                deviation=found.deviation or 0.0,
+                pull_n=None if shear is None else math.hypot(shear.x, shear.y),
+            )
 
     def _send_events(self, block: GraspBlock) -> None:
         """Pass the events to the controller and send its trajectories."""

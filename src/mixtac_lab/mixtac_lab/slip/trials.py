@@ -20,11 +20,13 @@ from mixtac_lab.slip.loop import (
     arrest_of,
     best_arrest,
 )
+from mixtac_lab.slip.sensing import SensedForce, calibrate, sense_grasp
 from mixtac_lab.store import Piece, code_version
 from mixtac_sim.arm.fr3 import READY
 from mixtac_sim.arm.plant import TRACKING_LAG_S
 from mixtac_sim.grasp.grasp import Grasp
 from mixtac_sim.grasp.objects import ObjectName, draw_setup
+from mixtac_sim.grasp.skin import SETTLE_S
 from mixtac_sim.world.effects import preset
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
@@ -38,7 +40,8 @@ LOOK_BACK_US = 20_000
 MOVED_MM = 5e-3
 """An object that moved farther than this during the look-back slipped by itself [mm]. With little
 margin, some objects do so before the knock."""
-SECONDS = 1.8
+AFTER_KNOCK_S = 0.35
+"""Time from the knock to the end of a trial [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +59,8 @@ class TrialPlan:
         preset: Difficulty preset of the virtual sensor.
         lag_s: Time constant with which the arm follows its commands [s].
         settings: Settings of the slip controller.
+        estimated: Whether the force is the sensor's own; else it is the true one with noise.
+        wait_s: Time that the grip margin has to act before the knock, beyond `KNOCK_S` [s].
     """
 
     name: ObjectName = 'box'
@@ -66,9 +71,23 @@ class TrialPlan:
     preset: str = 'paper_like'
     lag_s: float = TRACKING_LAG_S
     settings: SlipControlParameters = field(default_factory=SlipControlParameters)
+    estimated: bool = True
+    wait_s: float = 0.0
 
-    def grasp(self, *, camera: bool, knock_s: float = KNOCK_S) -> Grasp:
+    @property
+    def onset_us(self) -> float:
+        """Onset of the knock [us]."""
+        return 1e6 * (KNOCK_S + self.wait_s)
+
+    def force(self, grasp: Grasp) -> SensedForce | None:
+        """Return the calibrated sensor of the grasp; None where the true force is given."""
+        if not self.estimated:
+            return None
+        return sense_grasp(grasp, calibrate(self.seed, self.seed, self.preset))
+
+    def grasp(self, *, camera: bool, knock_s: float | None = None) -> Grasp:
         """Return the grasp of this trial at its start."""
+        knock_s = 1e-6 * self.onset_us if knock_s is None else knock_s
         rng = np.random.default_rng([self.seed, 7])
         setup = draw_setup(
             self.name,
@@ -124,6 +143,8 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         `chain_mm`: Lower bound for this arm: its best motion, started one window and the delays of
             the chain after the onset [mm].
         `chain_ms`: Time of rest with that motion.
+        `friction_error`: Relative error of the friction coefficient that the controller believes
+            in at the onset, before any gross slip.
         `peak_n`: Largest normal force [N].
         `advance_mm`: Advance at the end [mm].
         `false_alarms`: Slips reported before the knock while the object did not move.
@@ -135,8 +156,9 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         SlipControlError: The controller could not be enabled.
     """
     grasp = plan.grasp(camera=True)
-    record = ClosedLoop(grasp, plan.settings, plan.lag_s, plan.seed).run(SECONDS, ENABLE_S)
-    onset_us = 1e6 * KNOCK_S
+    loop = ClosedLoop(grasp, plan.settings, plan.lag_s, plan.seed, plan.force(grasp))
+    onset_us = plan.onset_us
+    record = loop.run(1e-6 * onset_us + AFTER_KNOCK_S, ENABLE_S)
     arrest = arrest_of(record.t_us, record.object_mm, record.speed_mm_s, onset_us)
     # The rest before the knock does not matter below: an earlier knock saves time.
     soon = 0.05
@@ -157,10 +179,10 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         'grasp_n': grasp.grasp_n,
         'knock_share': _force_at(record, onset_us) / grasp.grasp_n,
         'stiffness_n_per_mm': grasp.stiffness_n_per_mm,
-        'detection_ms': _first_ms(record, [s.slipping for s in record.steps]),
-        'count_ms': _first_ms(record, [s.count_slipping for s in record.steps]),
-        'flow_ms': _first_ms(record, [s.flow_slipping for s in record.steps]),
-        'publish_ms': _published_ms(record),
+        'detection_ms': _first_ms(record, onset_us, [s.slipping for s in record.steps]),
+        'count_ms': _first_ms(record, onset_us, [s.count_slipping for s in record.steps]),
+        'flow_ms': _first_ms(record, onset_us, [s.flow_slipping for s in record.steps]),
+        'publish_ms': _published_ms(record, onset_us),
         'slip_mm': arrest.slip_mm,
         'arrest_ms': arrest.arrest_ms,
         'held': arrest.held,
@@ -170,9 +192,10 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         'floor_ms': floor.arrest_ms,
         'chain_mm': chain.slip_mm,
         'chain_ms': chain.arrest_ms,
+        'friction_error': _friction_error(record, plan, onset_us),
         'peak_n': float(record.normal_n.max()),
         'advance_mm': float(record.advance_mm[-1]),
-        'false_alarms': _alarms_before(record),
+        'false_alarms': _alarms_before(record, onset_us),
         'limit_violations': record.violations,
         'rejected': record.rejected,
         'stopped': record.stopped,
@@ -181,32 +204,41 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
     return result | never, record
 
 
-def _first_ms(record: LoopRecord, slipping: list[bool]) -> float:
+def _first_ms(record: LoopRecord, onset_us: float, slipping: list[bool]) -> float:
     """Return the time of the first slip that a detector reported after the onset [ms]."""
-    return _after_ms(record.answered_us[np.array(slipping)])
+    return _after_ms(record.answered_us[np.array(slipping)], onset_us)
 
 
-def _published_ms(record: LoopRecord) -> float:
+def _published_ms(record: LoopRecord, onset_us: float) -> float:
     """Return the time of the first trajectory that can answer the detection [ms]."""
-    detected_ms = _first_ms(record, [s.slipping for s in record.steps])
+    detected_ms = _first_ms(record, onset_us, [s.slipping for s in record.steps])
     # Without a detection the comparison with NaN selects nothing.
-    answers = record.published_us >= 1e6 * KNOCK_S + 1e3 * detected_ms - 1.0
-    return _after_ms(record.published_us[answers])
+    answers = record.published_us >= onset_us + 1e3 * detected_ms - 1.0
+    return _after_ms(record.published_us[answers], onset_us)
+
+
+def _friction_error(record: LoopRecord, plan: TrialPlan, onset_us: float) -> float:
+    """Return the relative error of the friction before the onset; NaN where none is told."""
+    before = [s for s in record.steps if s.end_us < onset_us]
+    if not before or not before[-1].margin:
+        return float('nan')
+    true = plan.grasp(camera=False).setup.friction.static(SETTLE_S)
+    return before[-1].friction / true - 1.0
 
 
 def _force_at(record: LoopRecord, time_us: float) -> float:
     return float(record.normal_n[np.searchsorted(record.t_us, time_us)])
 
 
-def _after_ms(times_us: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+def _after_ms(times_us: np.ndarray[Any, np.dtype[np.float64]], onset_us: float) -> float:
     """Return the first time after the onset [ms from it], NaN if there is none."""
-    after = times_us[times_us > 1e6 * KNOCK_S]
-    return 1e-3 * float(after[0] - 1e6 * KNOCK_S) if len(after) else float('nan')
+    after = times_us[times_us > onset_us]
+    return 1e-3 * float(after[0] - onset_us) if len(after) else float('nan')
 
 
-def _alarms_before(record: LoopRecord) -> int:
+def _alarms_before(record: LoopRecord, onset_us: float) -> int:
     """Return the number of slips reported before the knock while the object did not move."""
-    early = record.answered_us < 1e6 * KNOCK_S
+    early = record.answered_us < onset_us
     slipping = np.array([s.slipping for s in record.steps])[early]
     onsets = np.flatnonzero(np.diff(slipping.astype(np.int8), prepend=0) > 0)
     return sum(not _moved(record, record.steps[k].end_us) for k in onsets)
@@ -253,7 +285,36 @@ def summary(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         **{key: _median(values[key]) for key in medians},
         **{key: sum(values[key]) for key in totals},
         'stopped': sum(map(bool, values['stopped'])),
+        'friction_within_15_percent': _share_within(values['friction_error'], 0.15),
     }
+
+
+def margin_row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what trials that start at one margin come to, for JSON.
+
+    `held` and `open_held`: shares held with and without control. `undetected`: share of knocks
+    without a detection. `median_mm` and `open_median_mm`: displacement with and without control.
+    `peak_n`: largest true force. `stopped`: interlock stops. `trials`: their number.
+    """
+    count = len(results)
+    return {
+        'held': round(sum(each['held'] for each in results) / count, 4),
+        'undetected': round(sum(each['detection_ms'] is None for each in results) / count, 4),
+        'median_mm': round(float(np.median([each['slip_mm'] for each in results])), 4),
+        'open_held': round(sum(each['open_held'] for each in results) / count, 4),
+        'open_median_mm': round(float(np.median([each['open_slip_mm'] for each in results])), 4),
+        'peak_n': round(max(each['peak_n'] for each in results), 3),
+        'stopped': sum(bool(each['stopped']) for each in results),
+        'trials': count,
+    }
+
+
+def _share_within(errors: Sequence[float | None], most: float) -> float | None:
+    """Return the share of errors that are small enough, None among many; None without any."""
+    if not any(error is not None for error in errors):
+        return None
+    small = sum(error is not None and abs(error) <= most for error in errors)
+    return round(small / len(errors), 4)
 
 
 def _median(values: Sequence[float | None]) -> dict[str, float | None]:
@@ -272,14 +333,15 @@ COURSE_MS: Final = np.arange(-10.0, 80.0, 0.5)
 
 def trial_piece(plan: TrialPlan) -> Piece:
     """Return a trial as a piece of work; its result has `course_mm`, too."""
-    version = code_version('mixtac_events', 'mixtac_sim', 'mixtac_slip_control', 'mixtac_lab.slip')
+    packages = ('mixtac_events', 'mixtac_fger', 'mixtac_sim', 'mixtac_slip_control')
+    version = code_version(*packages, 'mixtac_lab.slip')
     return Piece(f'grasp_{plan.name}_s{plan.seed}', _trial, (plan,), version)
 
 
 def _trial(_base: Path, plan: TrialPlan) -> dict[str, Any]:
     """Return the result and the course of the displacement at `COURSE_MS` [mm]."""
     result, record = run_trial(plan)
-    t_ms = 1e-3 * record.t_us - 1e3 * KNOCK_S
+    t_ms = 1e-3 * (record.t_us - plan.onset_us)
     start = np.interp(0.0, t_ms, record.object_mm)
     course = np.interp(COURSE_MS, t_ms, record.object_mm) - start
     return result | {'course_mm': course.round(4).tolist()}

@@ -11,7 +11,7 @@ from mixtac_lab.slip.trials import ENABLE_S, KNOCK_S, TrialPlan, run_trial
 from mixtac_slip_control.errors import SlipControlError
 from mixtac_slip_control.parameters import SlipControlParameters
 
-PLAN = TrialPlan('box', 3, knock_mm_s=40.0, stiffness_n_per_mm=5.0, preset='easy')
+PLAN = TrialPlan('box', 3, knock_mm_s=40.0, stiffness_n_per_mm=5.0, preset='easy', estimated=False)
 
 
 def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None:
@@ -30,9 +30,21 @@ def test_a_knocked_box_is_held_within_limits_and_falls_without_control() -> None
     # The probe pressed a little and ended before the knock; what followed is the answer.
     assert 1e-3 < record.advance_mm[record.t_us < 1e6 * KNOCK_S].max() < 0.051
     assert result['knock_share'] == pytest.approx(1.0, abs=0.02)
+    assert result['friction_error'] is None  # the true force comes without a pull
     assert record.advance_mm[-1] > 5e-3
     assert result['peak_n'] < PLAN.settings.max_force
     assert result['stopped'] == ''
+
+
+def test_on_the_sensors_own_force_the_margin_rises_before_the_knock() -> None:
+    plan = replace(PLAN, estimated=True, margin=1.02, wait_s=1.0)
+    result, record = run_trial(plan)
+    assert result['held']
+    assert result['stopped'] == ''
+    assert result['knock_share'] > 1.05
+    assert result['peak_n'] < plan.settings.max_force
+    assert abs(result['friction_error']) < 0.5
+    assert record.steps[-1].margin > 1.0
 
 
 def test_enabling_before_the_background_is_known_is_refused() -> None:

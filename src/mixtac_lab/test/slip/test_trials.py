@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Quantiles with misses."""
+"""Quantiles with misses, and what trials at one margin come to."""
 
 from __future__ import annotations
 
-from mixtac_lab.slip.trials import latency_quantiles
+from mixtac_lab.slip.trials import latency_quantiles, margin_row
 
 
 def test_misses_are_later_than_everything() -> None:
@@ -12,3 +12,33 @@ def test_misses_are_later_than_everything() -> None:
     assert latency_quantiles([1.0, 2.0, float('nan')]) == {'p50': 2.0, 'p99': None}
     assert latency_quantiles([1.0, 2.0, None]) == {'p50': 2.0, 'p99': None}
     assert latency_quantiles([]) == {'p50': None, 'p99': None}
+
+
+def trial(*, held: bool, detection_ms: float | None, slip_mm: float) -> dict[str, object]:
+    return {
+        'held': held,
+        'detection_ms': detection_ms,
+        'slip_mm': slip_mm,
+        'open_held': False,
+        'open_slip_mm': 50.0,
+        'peak_n': 1.0 + slip_mm,
+        'stopped': '' if held else 'force',
+    }
+
+
+def test_a_margin_counts_held_undetected_and_stops() -> None:
+    row = margin_row(
+        [
+            trial(held=True, detection_ms=1.7, slip_mm=0.2),
+            trial(held=True, detection_ms=2.7, slip_mm=0.4),
+            trial(held=False, detection_ms=None, slip_mm=20.0),
+            trial(held=True, detection_ms=1.7, slip_mm=0.6),
+        ]
+    )
+    assert row['held'] == 0.75
+    assert row['undetected'] == 0.25
+    assert row['median_mm'] == 0.5
+    assert row['open_held'] == 0.0
+    assert row['peak_n'] == 21.0
+    assert row['stopped'] == 1
+    assert row['trials'] == 4

@@ -141,6 +141,10 @@ def critical_force_n(setup: GraspSetup, layer: Layer, radius_mm: float, surface_
 
 DOWN = (0.0, 1.0)
 """Gravity in the image: the sensor is mounted upright."""
+UNTOUCHED = 1 << 40
+"""Added to the seed of a trial for the noise of the time before it."""
+FREE_STEPS = 80
+"""Grid steps that are simulated at once without contact: 10 ms."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,11 +219,11 @@ class Grasp:
         self._body = np.zeros(3)
         self._fixed = setup.constants()
         self.camera: SkinCamera | None = None
+        self._day = (device, conditions, preset)
         if camera:
-            self.camera = SkinCamera(
-                device, conditions, preset, seed, self._press, self._skin, DOWN
-            )
+            self.camera = SkinCamera(*self._day, seed, self._press, self._skin, DOWN)
         self.device: DeviceModel = device
+        self._seed = seed
 
     def strike(self, speed_mm_s: float) -> None:
         """Strike the object at the next step, instead of the impact of the setup.
@@ -234,6 +238,20 @@ class Grasp:
         self._body[1:] = 0.0
         self._skin.shear_mm[:], self._skin.age_s[:] = self._held
         self._skin.slid_mm[:] = 0.0
+
+    def free_frames(self, count: int) -> list[ApsFrame]:
+        """Return frames of the same sensor and day, taken before anything touched it."""
+        # A new skin is free of shear; another seed, because noise does not repeat.
+        skin = Skin(
+            self._press.layer, self._skin.radius_mm, self.setup.friction, np.random.default_rng(0)
+        )
+        seed = self._seed + UNTOUCHED
+        camera = SkinCamera(*self._day, seed, self._press, skin, DOWN, elastic_n=0.0)
+        frames = list[ApsFrame]()
+        block = np.zeros(FREE_STEPS)
+        while len(frames) < count:
+            frames += camera.advance(block, np.zeros((FREE_STEPS, len(skin.shear_mm))))[1]
+        return frames
 
     def advance(self, advance_mm: Floats) -> GraspBlock:
         """Advance by one block.

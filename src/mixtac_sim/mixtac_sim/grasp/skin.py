@@ -410,6 +410,7 @@ class SkinCamera:
         skin: The skin at the start.
         direction: Direction of the pull on the skin in the image, right and down, of length 1.
         flicker: Flicker of the lamp; drawn from the preset by default.
+        elastic_n: Elastic part of the normal force at the start [N]; by default that of the press.
     """
 
     def __init__(
@@ -422,15 +423,17 @@ class SkinCamera:
         skin: Skin,
         direction: tuple[float, float],
         flicker: Flicker | None = None,
+        elastic_n: float | None = None,
     ) -> None:
         device, contact_mm = device.on_day(conditions), conditions.contact_mm
         self._beads = device.beads(press.layer, contact_mm, [press.face], [press.gel])
         self._moved = SkinBeads(device.markers, press.layer, contact_mm, skin)
         self._direction = direction
-        self._elastic_n, self._patches_mm = press.elastic_n, skin.shear_mm.copy()
-        spots = self._place(press.elastic_n)
+        self._elastic_n = press.elastic_n if elastic_n is None else elastic_n
+        self._patches_mm = skin.shear_mm.copy()
+        spots = self._place(self._elastic_n)
         self._camera = Camera(
-            device, conditions, preset, seed, spots, press.elastic_n, flicker=flicker
+            device, conditions, preset, seed, spots, self._elastic_n, flicker=flicker
         )
         self.configure_aps = self._camera.configure_aps
         self.configure_pixels = self._camera.configure_pixels

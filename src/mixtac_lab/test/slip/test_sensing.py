@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The sensor's own force in a grasp: reference of before, gains of another day."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixtac_lab.slip.sensing import Gains, calibrate, sense_grasp
+from mixtac_lab.slip.trials import TrialPlan
+
+PLAN = TrialPlan('box', 4, margin=1.3, preset='easy')
+
+
+def test_frames_of_before_show_no_contact_and_other_noise() -> None:
+    grasp = PLAN.grasp(camera=True)
+    free = [frame.intensity.astype(np.float64) for frame in grasp.free_frames(3)]
+    held = grasp.advance(np.zeros(800)).frames
+    assert len(free) == 3
+    between = np.abs(free[2] - free[1]).mean()
+    assert between > 0.0
+    assert np.abs(held[0].intensity - free[0]).mean() > 1.5 * between
+
+
+@pytest.mark.parametrize('seed', [4])
+def test_a_calibrated_sensor_tells_force_and_pull_of_a_grasp(seed: int) -> None:
+    grasp = PLAN.grasp(camera=True)
+    gains = calibrate(seed, seed, PLAN.preset)
+    assert gains != Gains()
+    force, found = sense_grasp(grasp, gains), []
+    for _ in range(300):
+        block = grasp.advance(np.zeros(8))
+        found += force.advance(block.events, block.frames, int(block.t_us[-1]))
+    last = found[-1]
+    assert last.valid
+    assert last.deviation is not None
+    assert last.shear is not None
+    assert last.force == pytest.approx(block.normal_n[-1], rel=0.4)
+    # The object pulls the skin down.
+    assert -last.shear.y == pytest.approx(block.pull_n[-1], rel=0.5)
+    assert last.end_us == pytest.approx(300_000, abs=2000)
