@@ -55,6 +55,7 @@ def test_the_summary_has_its_figures(run: Path):
     assert report['mae_n'] < report['constant_mae_n']
     assert abs(report['clock_drift_ppm']) < 500
     assert report['event_rate_mev_s'] > 0
+    assert report['sideways_mae_n'] < report['sideways_peak_n']
 
 
 def test_the_figure_is_a_picture(run: Path):

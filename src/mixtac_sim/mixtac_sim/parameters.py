@@ -88,7 +88,7 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
     """
 
     scenario: str = parameter('demo', choices=tuple(PROFILES))
-    seconds: float = parameter(25.0, unit='s', within=(10.0, 3600.0))
+    seconds: float = parameter(25.0, unit='s', within=(1.0, 3600.0))
     lead_seconds: float = parameter(2.0, unit='s', within=(0.0, 30.0))
     slow_host: str = fixed('drop', choices=('drop', 'wait'))
     publish_clock: bool = fixed(False)

@@ -27,10 +27,10 @@ from mixtac_alignment.bags import read_recording
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.errors import AlignmentError, InconsistentFitError
 from mixtac_cli.calibrate_force.session import LiveProcedure
+from mixtac_cli.demo.drawing import draw_run
 from mixtac_cli.demo.evaluation import (
     WINDOW_NS,
     compare,
-    draw_run,
     event_rate,
     frame_jump,
     host_time,
@@ -42,6 +42,7 @@ from mixtac_cli.demo.evaluation import (
     read_streams,
     truth_mae,
 )
+from mixtac_cli.demo.sideways import SCENARIO, SECONDS, read_sideways, true_path
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_cli.up import start_nodes
@@ -54,6 +55,8 @@ from mixtac_node.topics import DEFAULT_NAMESPACE
 SETTLE_S = 1.0
 LEAD_S = 8.0
 """Delay of the scenario after time goes on again."""
+SIDEWAYS_LEAD_S = 1.0
+"""The same of the second part, in which no latency is measured."""
 CLOCK_S = 5.0
 """Time in which the driver finds out that the camera's clock stood still."""
 START_UP_S = 60.0
@@ -62,6 +65,7 @@ MAX_FORCE_GAP_S = 2.0
 """A busy host may lose reference samples [s]; here their clock is known to be a single one."""
 PRESET = 'paper_like'
 """What the shipped model was trained for."""
+SIDEWAYS_BAG = 'bag_sideways'
 LOADS_G = (30.0, 60.0, 90.0)
 """Known loads by which the demo calibrates the sensor [g]."""
 DROP_COUNTERS = {
@@ -194,21 +198,19 @@ def _run_graph(
     console.print('starting virtual sensor, driver and estimator')
     with (
         ProcessGroup(out / 'log') as processes,
-        Monitor(DEFAULT_NAMESPACE, seconds + START_UP_S) as monitor,
+        Monitor(DEFAULT_NAMESPACE, seconds + SECONDS + START_UP_S) as monitor,
     ):
         start_nodes(processes, sensor)
         monitor.bring_up_all(sensor, processes)
         monitor.listen()
         monitor.wait_for_force(processes.check)
         gain = _calibrate(console, processes, monitor)
-        start_nodes(processes, [recorder(out / 'bag')])
-        while not monitor.values('recorder'):
-            time.sleep(0.1)
-            processes.check()
+        _record(out / 'bag', processes, monitor)
         # Messages in the first half second after discovery are often lost.
         time.sleep(SETTLE_S)
         lost_s = _lost_s(monitor)
-        _compute_scenario(console, processes, monitor)
+        _compute_scenario(console, processes, monitor, plays=1)
+        time.sleep(CLOCK_S)
         computed_s = _lost_s(monitor) - lost_s
         first, times, pairs = monitor.force_count, _processor_times(), len(monitor.clock_pairs())
         LiveView(console, monitor).show(LEAD_S - CLOCK_S + seconds + TAIL_S, processes.check)
@@ -220,8 +222,29 @@ def _run_graph(
             *(monitor.clock_pairs()[pairs:], arrival[first:], stamp[first:]),
         )
         processes.stop('recorder')
+        _pull_and_roll(console, out / SIDEWAYS_BAG, processes, monitor)
         failed = {name: code for name, code in processes.stop().items() if code}
     return run, failed
+
+
+def _record(bag: Path, processes: ProcessGroup, monitor: Monitor) -> None:
+    """Start to record to a new bag; return when that has begun."""
+    monitor.diagnostics.pop(f'{DEFAULT_NAMESPACE}/recorder', None)
+    start_nodes(processes, [recorder(bag)])
+    while not monitor.values('recorder'):
+        time.sleep(0.1)
+        processes.check()
+
+
+def _pull_and_roll(console: Console, bag: Path, processes: ProcessGroup, monitor: Monitor) -> None:
+    """Play and record the second part, of which only the sideways force and places count."""
+    console.print('a pull sideways and a roll')
+    _record(bag, processes, monitor)
+    scenario = {'scenario': SCENARIO, 'seconds': SECONDS, 'lead_seconds': SIDEWAYS_LEAD_S}
+    monitor.set_parameters('virtual_sensor', scenario, processes.check)
+    _compute_scenario(console, processes, monitor, plays=2)
+    LiveView(console, monitor).show(SIDEWAYS_LEAD_S + SECONDS, processes.check)
+    processes.stop('recorder')
 
 
 def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> float:
@@ -242,10 +265,12 @@ def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> f
     return calibration.gain
 
 
-def _compute_scenario(console: Console, processes: ProcessGroup, monitor: Monitor) -> None:
-    """Start the scenario; return when it is computed and the driver knows the clock again."""
+def _compute_scenario(
+    console: Console, processes: ProcessGroup, monitor: Monitor, plays: int
+) -> None:
+    """Start a scenario, the first or a later one; return when it is computed."""
     monitor.trigger('virtual_sensor/play', processes.check)
-    while int(monitor.values('virtual_sensor').get('plays', 0)) == 0:
+    while int(monitor.values('virtual_sensor').get('plays', 0)) < plays:
         time.sleep(0.1)
         processes.check()
     with console.status('computing the scenario') as status:
@@ -254,7 +279,6 @@ def _compute_scenario(console: Console, processes: ProcessGroup, monitor: Monito
             status.update(f'computing the scenario: {done_s:.0f} s are ready')
             time.sleep(_PERIOD_S)
             processes.check()
-    time.sleep(CLOCK_S)
 
 
 def _lost_s(monitor: Monitor) -> float:
@@ -318,6 +342,11 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
         `clock_drift_ppm`: Drift of the reference clock found by the alignment.
         `aligned_by`: Method of the alignment, `refined` if the frames agree with the taps.
         `refused`: Why the alignment was refused, or empty.
+        `sideways_mae_n`: Mean absolute error per axis of the sideways force against the simulated
+            one, in the second part, while it touches; None if it was never known.
+        `sideways_size_n`: Mean absolute value of the same force per axis.
+        `sideways_peak_n`: Its largest magnitude.
+        `sideways_unknown`: Windows of the second part in contact without a sideways force.
     """
     streams = read_streams(out / 'bag', DEFAULT_NAMESPACE)
     comparison, refused = None, ''
@@ -329,6 +358,8 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
     latency = (run.arrival_ns - host_time(streams, run.stamp_ns, pairs)) / 1e6
     rate = event_rate(streams, comparison)
     shown = phases(seconds, seed)
+    path_mm = true_path(seed, PRESET)
+    sideways = read_sideways(out / SIDEWAYS_BAG, DEFAULT_NAMESPACE, path_mm)
     report: dict[str, Any] = {
         'seconds': seconds,
         'seed': seed,
@@ -359,13 +390,14 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
         'clock_drift_ppm': comparison.fit.drift_ppm if comparison else None,
         'aligned_by': comparison.fit.method if comparison else None,
         'refused': refused,
+        **sideways.figures,
     }
     if comparison is not None:
         title = (
             f'Virtual sensor (simulated), seed {seed}: MAE {report["mae_n"]:.3f} N against the '
             f'aligned reference, {report["force_hz"]:.1f} Hz, {report["lost"]} lost'
         )
-        draw_run(out / 'demo.png', comparison, rate, shown, title)
+        draw_run(out / 'demo.png', comparison, rate, shown, title, sideways)
     return report
 
 
@@ -418,6 +450,11 @@ def _rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
         ('error against the simulated force, MAE', f'{report["truth_mae_n"]:.3f} N'),
         ("error of the impact's peak", _percent(report['peak_error'])),
         ('change at frames over change between', _figure(report['frame_jump'], 1)),
+        (
+            'sideways force, MAE / mean size / largest',
+            ' / '.join(_figure(report[f'sideways_{name}_n']) for name in ('mae', 'size', 'peak'))
+            + ' N',
+        ),
         ('reference clock drift found', f'{_figure(report["clock_drift_ppm"], 1)} ppm'),
         ('lost: force samples', str(report['lost'])),
         ('lost: event packets', str(report['lost_packets'])),
