@@ -12,7 +12,7 @@ import dataclasses
 import importlib
 import math
 import sys
-from typing import Any
+from typing import Any, Final
 
 from event_camera_msgs.msg import EventPacket
 from rclpy.node import Node
@@ -24,14 +24,21 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import MixtacError
 from mixtac_events.packets import CodecError
+from mixtac_events.sequence import SequenceCounter
 from mixtac_msgs.msg import Contact, ForceQuality, SlipState
 from mixtac_node import topics
 from mixtac_node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
-from mixtac_node.diagnostics import DiagnosticsPublisher, Status
+from mixtac_node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.images import grey
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
-from mixtac_slip_control.arm.backends import TRAJECTORY, ArmBackend, TrajectoryBackend, open_backend
-from mixtac_slip_control.arm.model import ArmParts, make_arm
+from mixtac_slip_control.arm.model import (
+    TRAJECTORY,
+    ArmBackend,
+    ArmParts,
+    TrajectoryBackend,
+    make_arm,
+    open_backend,
+)
 from mixtac_slip_control.arm.trajectory import (
     PlannedTrajectory,
     TrajectoryMessage,
@@ -40,8 +47,7 @@ from mixtac_slip_control.arm.trajectory import (
 from mixtac_slip_control.controller import SlipController, SlipStep
 from mixtac_slip_control.errors import BackendError
 from mixtac_slip_control.parameters import SlipControlParameters
-from mixtac_slip_control.safety import InterlockState
-from mixtac_slip_control.status import FeedCounts, node_status
+from mixtac_slip_control.safety import EVENTS, FORCE, FRAMES, HEARTBEAT, JOINTS, InterlockState
 
 STEP_FIELDS = tuple(f.name for f in dataclasses.fields(SlipStep) if f.name != 'end_us')
 REASONS = {
@@ -54,6 +60,83 @@ WATCH_PERIOD_S = 5e-3
 """Period of the watchdogs while nothing arrives [s]."""
 STATE_PERIOD_S = 0.1
 """Period of `slip` while no window arrives [s]."""
+
+
+AGES: Final = (EVENTS, FRAMES, FORCE, JOINTS, HEARTBEAT)
+
+
+@dataclasses.dataclass(slots=True)
+class FeedCounts:
+    """Messages of the node, in and out.
+
+    Attributes:
+        packets: Event packets received and missing, by their sequence numbers.
+        refused: Messages that could not be read.
+        problem: Why the latest of them could not, empty if there was none.
+        windows: Slip states published.
+        trajectories: Trajectories sent to the arm.
+    """
+
+    packets: SequenceCounter = dataclasses.field(default_factory=SequenceCounter)
+    refused: int = 0
+    problem: str = ''
+    windows: int = 0
+    trajectories: int = 0
+
+
+def node_status(
+    controller: SlipController, counts: FeedCounts, latest: SlipStep | None, now_s: float
+) -> tuple[int, str, dict[str, object]]:
+    """Return level, a one-line summary, and figures by name.
+
+    Args:
+        controller: The controller.
+        counts: Messages of the node.
+        latest: Result of the latest window, None before the first.
+        now_s: Host time [s].
+    """
+    slicer = controller.features.slicer
+    values: dict[str, object] = {
+        'state': controller.interlock.state.name.lower(),
+        'packets': counts.packets.received,
+        'lost packets': counts.packets.lost,
+        'unreadable messages': counts.refused,
+        'windows': counts.windows,
+        'skipped windows': slicer.skipped_windows,
+        'late events': slicer.late_events,
+        'clock restarts': slicer.restarts,
+        'trajectories': counts.trajectories,
+        'advance limit [m]': controller.advance_limit,
+    }
+    for name in AGES:
+        age = controller.watch.age(name, now_s)
+        values[f'{name} age [s]'] = age if math.isfinite(age) else 'never'
+    values['contrast [1/px]'] = controller.features.contrast
+    if controller.following is not None:
+        values['transport [ms]'] = 1e3 * controller.following.transport_s
+    if latest is not None:
+        values |= {
+            'count threshold [events]': latest.threshold,
+            'flow threshold [px]': latest.flow_threshold,
+            'total advance [m]': latest.total_advance,
+        }
+    return *_summary(controller, counts, latest, now_s), values
+
+
+def _summary(
+    controller: SlipController, counts: FeedCounts, latest: SlipStep | None, now_s: float
+) -> tuple[int, str]:
+    if controller.interlock.state is InterlockState.STOPPED:
+        return ERROR, f'stopped: {controller.interlock.reason}'
+    if latest is None:
+        problem = counts.problem or 'check that the driver runs'
+        return WARN, f'no events yet: {problem}'
+    if not controller.detectors.learned:
+        return WARN, 'learning the background: keep the contact still'
+    if controller.enabled:
+        return OK, 'enabled'
+    reason = controller.reason(now_s)
+    return OK, f'watching; cannot be enabled: {reason}' if reason else 'watching; ready'
 
 
 class SlipControlNode(BaseNode, Node):  # type: ignore[misc]

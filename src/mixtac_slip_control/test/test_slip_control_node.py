@@ -20,6 +20,8 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 pytest.importorskip('event_camera_msgs.msg', reason='needs the built workspace')
 
+from .slip_windows import parameters
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -35,7 +37,7 @@ BACKEND = """
 import json, time
 from pathlib import Path
 import numpy as np
-from mixtac_slip_control.arm.backends import ArmState
+from mixtac_slip_control.arm.trajectory import ArmState
 from mixtac_slip_control.errors import BackendError
 
 HERE = Path(__file__).parent
@@ -294,3 +296,20 @@ def check_trajectory(message: Any) -> None:
     assert 0.0 < np.abs(moved).max() < 0.02
     age = time.time() - (message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
     assert 0.0 <= age < 60.0
+
+
+def test_the_status_says_what_is_missing() -> None:
+    from mixtac_node.diagnostics import ERROR, WARN
+    from mixtac_slip_control.controller import SlipController
+    from mixtac_slip_control.slip_control_node import FeedCounts, node_status
+
+    controller, counts = SlipController(parameters()), FeedCounts()
+    level, message, values = node_status(controller, counts, None, 1.0)
+    assert level == WARN
+    assert message
+    assert values['force age [s]'] == 'never'
+    counts.problem = 'image of another size'
+    assert 'another size' in node_status(controller, counts, None, 1.0)[1]
+    controller.interlock.enable(None)
+    controller.interlock.stop('force is nan')
+    assert node_status(controller, counts, None, 1.0)[:2] == (ERROR, 'stopped: force is nan')
