@@ -4,12 +4,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from mixtac_cli.demo.evaluation import (
     Comparison,
     Streams,
+    compare,
     frame_jump,
     host_time,
     peak_error,
@@ -107,9 +111,29 @@ def test_the_error_of_the_peak_is_that_of_the_impact():
         reference_n=np.array([9.0, 1.5, 1.0, 0.0]),
         sample_s=np.array([0.0, 1.0, 1.4, 2.0, 3.0]),
         sample_n=np.array([9.0, 1.5, 2.0, 1.0, 0.0]),
+        zeros_n=(0.0, 0.0),
         rmse_n=0.0,
         constant_mae_n=0.0,
     )
     name = 'impact of a dropped weight'
     assert peak_error(comparison, [(name, 0.5, 3.0)]) == pytest.approx(0.1)
     assert peak_error(comparison, [('oscillation', 0.5, 3.0)]) is None
+
+
+def test_the_drift_of_the_reference_is_taken_off_between_the_impulses():
+    t_ms = np.arange(100, 9900)
+    drift = 0.02 + 1e-5 * t_ms
+    load = np.where((t_ms > 3000) & (t_ms < 6000), 0.8, 0.0)
+    truth = np.where((np.arange(2, 10_001, 2) > 3000) & (np.arange(2, 10_001, 2) < 6000), 0.8, 0.0)
+    streams = dataclasses.replace(
+        streams_of(truth, np.ones(len(truth))),
+        reference_ns=1_000_000 * t_ms,
+        reference_n=load + drift,
+    )
+    taps = [SimpleNamespace(camera_us=us) for us in (1_000_000, 9_000_000)]
+    fit = SimpleNamespace(anchors=taps, to_camera=lambda s: np.rint(1e6 * s).astype(np.int64))
+    comparison = compare(streams, fit)
+    assert comparison.zeros_n == pytest.approx((0.033, 0.107))
+    between = (comparison.time_s > 0.5) & (comparison.time_s < 7.5)
+    error = comparison.reference_n[between] - comparison.estimate_n[between]
+    assert error == pytest.approx(np.zeros(between.sum()), abs=1e-9)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from mixtac_fger.config import ModelError
 from mixtac_fger.validity import Reason
@@ -163,24 +163,16 @@ def open_estimator(model: Model) -> Estimator:
     return estimator
 
 
-@runtime_checkable
-class FindsShear(Protocol):
-    """What an estimator has besides that may know sideways force and torsion."""
-
-    @property
-    def shear(self) -> Shear | None:
-        """Sideways force and torsion after the latest `step`; None where they are unknown."""
-
-
 def known_shear(estimator: Estimator, normal: float, sideways: float) -> Shear | None:
     """Return sideways force and torsion after the latest `step`; None where they are unknown.
 
     Args:
-        estimator: Any.
+        estimator: Any; only some have an attribute `shear`.
         normal: Gain of the normal force, which counts for all axes.
         sideways: Gain of the sideways force beside it.
     """
-    found = estimator.shear if isinstance(estimator, FindsShear) else None
+    # Called for each window: a check against a protocol would cost more than the head.
+    found: Shear | None = getattr(estimator, 'shear', None)
     return None if found is None else found.scaled(normal, normal * sideways)
 
 

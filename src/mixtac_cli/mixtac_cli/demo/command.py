@@ -319,14 +319,16 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
         `invalid`: Force samples marked as not valid; they are published and count in all figures.
         `latency_ms`: From the end of a window to its force at the subscriber, p50 and p99; from the
             arrival of the window's last packet if simulated time stopped (`waited_s`).
-        `mae_n`: Mean absolute error against the reference, aligned as by `mixtac align`; None, as
-            `rmse_n`, `constant_mae_n` and `clock_drift_ppm`, if the alignment was refused.
+        `mae_n`: Mean absolute error against the reference, aligned as by `mixtac align` and less
+            its zero; None, as `rmse_n`, `constant_mae_n`, `reference_zero_n` and `clock_drift_ppm`,
+            if the alignment was refused.
         `rmse_n`: Root mean square error against the same.
         `mae_uncalibrated_n`: What `mae_n` would be without the calibration.
         `gain`: Factor of the force that the calibration found; 1 if it was refused.
         `peak_error`: Relative error of the peak of the impact; None if it is not known.
         `frame_jump`: Mean change of the force where a frame corrects it over the mean change
             elsewhere.
+        `reference_zero_n`: What the reference showed without a load, before and after [N].
         `constant_mae_n`: Error of the best constant guess on the same samples.
         `truth_mae_n`: Mean absolute error against the simulated force itself.
         `event_rate_mev_s`: Mean event rate.
@@ -377,6 +379,7 @@ def _evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) 
         'gain': run.gain,
         'peak_error': peak_error(comparison, shown) if comparison else None,
         'frame_jump': frame_jump(streams),
+        'reference_zero_n': comparison.zeros_n if comparison else None,
         'constant_mae_n': comparison.constant_mae_n if comparison else None,
         'truth_mae_n': truth_mae(streams, pairs),
         'event_rate_mev_s': float(rate[1].mean() / 1e6),

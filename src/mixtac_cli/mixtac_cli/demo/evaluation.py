@@ -31,6 +31,8 @@ WINDOW_NS = 2_000_000
 RATE_WINDOW_US = 10_000
 EDGE_US = 50_000
 """Half a synchronising impulse: the comparison starts and ends with whole impulses."""
+REST_US = (100_000, 500_000)
+"""Rest without a load after the first impulse, and as long before the last one [us]."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +78,10 @@ class Comparison:
         start_us: Camera clock at time 0 below [us].
         time_s: Sample times [s].
         estimate_n: Estimated force [N].
-        reference_n: Reference force at the same times [N].
+        reference_n: Reference force at the same times, less its zero [N].
         sample_s: Times of the samples of the reference [s].
-        sample_n: Samples of the reference [N].
+        sample_n: Samples of the reference, less its zero [N].
+        zeros_n: Zero of the reference after the first and before the last impulse [N].
         rmse_n: Root mean square error [N].
         constant_mae_n: Error of the best constant guess (the median), for comparison [N].
     """
@@ -90,6 +93,7 @@ class Comparison:
     reference_n: NDArray[np.float64]
     sample_s: NDArray[np.float64]
     sample_n: NDArray[np.float64]
+    zeros_n: tuple[float, float]
     rmse_n: float
     constant_mae_n: float
 
@@ -136,14 +140,19 @@ def read_streams(path: Path, namespace: str) -> Streams:
 def compare(streams: Streams, fit: ClockFit) -> Comparison:
     """Bring the reference to the camera clock and compare.
 
-    Samples from the first to the last impulse of the fit count, the impulses included.
+    Samples from the first to the last impulse of the fit count, the impulses included. The zero of
+    a reference sensor drifts. As on a bench it is taken without a load, before and after; between
+    the two it follows a straight line.
     """
     reference_us = fit.to_camera(streams.reference_ns / 1e9)
     force_us = streams.force_ns // 1000
     first_us, last_us = fit.anchors[0].camera_us - EDGE_US, fit.anchors[-1].camera_us + EDGE_US
     inside = (force_us >= first_us) & (force_us <= last_us)
     estimate = streams.force_n[inside]
-    reference = np.interp(force_us[inside], reference_us, streams.reference_n)
+    samples, zeros = _less_zero(
+        reference_us, streams.reference_n, fit.anchors[0].camera_us, fit.anchors[-1].camera_us
+    )
+    reference = np.interp(force_us[inside], reference_us, samples)
     error = estimate - reference
     return Comparison(
         fit=fit,
@@ -152,10 +161,23 @@ def compare(streams: Streams, fit: ClockFit) -> Comparison:
         estimate_n=estimate,
         reference_n=reference,
         sample_s=(reference_us - first_us) / 1e6,
-        sample_n=streams.reference_n,
+        sample_n=samples,
+        zeros_n=zeros,
         rmse_n=float(np.sqrt((error**2).mean())),
         constant_mae_n=float(np.abs(reference - np.median(reference)).mean()),
     )
+
+
+def _less_zero(
+    t_us: NDArray[np.int64], reference_n: NDArray[np.float64], first_us: int, last_us: int
+) -> tuple[NDArray[np.float64], tuple[float, float]]:
+    near, far = REST_US
+    rests = (first_us + near, first_us + far), (last_us - far, last_us - near)
+    before, after = (
+        float(np.mean(reference_n[(t_us >= start) & (t_us <= end)])) for start, end in rests
+    )
+    middles = [0.5 * (start + end) for start, end in rests]
+    return reference_n - np.interp(t_us, middles, (before, after)), (before, after)
 
 
 def lost_windows(stamps_ns: NDArray[np.int64]) -> int:

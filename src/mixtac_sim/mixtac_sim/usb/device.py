@@ -286,8 +286,10 @@ class VirtualDavis346:
         with self._condition:
             self._plug_in_if_due()
             was_empty = not len(self._fifo)
+            # What is sent may be as old as the whole step, as far as the early packet delay goes.
+            age_us = true_us - self._stream.done_us
             self._stream.advance(true_us)
-            self._data.announce(was_empty=was_empty)
+            self._data.announce(was_empty=was_empty, age_s=1e-6 * age_us)
 
     def feed(self, words: NDArray[np.uint16]) -> bool:
         """Send raw stream words as they are, if the run bits are set and the buffer has room.

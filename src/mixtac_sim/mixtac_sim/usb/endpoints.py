@@ -307,14 +307,15 @@ class DataEndpoint:
         self._oldest_s = 0.0
         self._wanted = sys.maxsize
 
-    def announce(self, *, was_empty: bool) -> None:
+    def announce(self, *, was_empty: bool, age_s: float = 0.0) -> None:
         """Wake readers if one of them may have enough data now.
 
         Args:
             was_empty: Whether the buffer was empty before.
+            age_s: Age of the oldest of the new data [s].
         """
         if was_empty and len(self._fifo):
-            self._oldest_s = time.monotonic()
+            self._oldest_s = time.monotonic() - age_s
         elif len(self._fifo) < self._wanted:
             return
         self._condition.notify_all()

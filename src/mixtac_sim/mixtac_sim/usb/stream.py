@@ -217,6 +217,9 @@ class StreamAssembler:
         oscillator: The camera clock.
         fifo: Buffer for the words.
         defects: Defects of the camera and signals at it.
+
+    Attributes:
+        done_us: True time up to which everything was sent [us].
     """
 
     def __init__(
@@ -240,7 +243,7 @@ class StreamAssembler:
         self._readout = Blocks.empty()
         self._stalled = False
         self._snapshot = False
-        self._done_us = 0
+        self.done_us = 0
         self.frames_dropped = 0
         self.late_frames = 0
 
@@ -282,7 +285,7 @@ class StreamAssembler:
         """Restart the camera clock at zero at this true time; ``announce`` sends the reset word."""
         self._oscillator.reset(true_us)
         self._encoder.reset()
-        self._done_us = max(self._done_us, true_us)
+        self.done_us = max(self.done_us, true_us)
         if announce and self.running:
             self._fifo.push(np.array([TIMESTAMP_RESET_WORD], np.uint16))
 
@@ -325,7 +328,7 @@ class StreamAssembler:
         samples = self._due_samples(true_us)
         if samples:
             due = Blocks.merge([due, *samples])
-        self._done_us = true_us
+        self.done_us = true_us
         return Blocks(self._oscillator.to_camera(due.t), due.stamped, due.end, due.words)
 
     def _due_samples(self, true_us: int) -> list[Blocks]:
@@ -344,7 +347,7 @@ class StreamAssembler:
         if not (run or self._snapshot) or frame.frame_start_us < self._oscillator.origin_us:
             return Blocks.empty()
         self._snapshot = False
-        self.late_frames += frame.frame_start_us < self._done_us
+        self.late_frames += frame.frame_start_us < self.done_us
         return frame_blocks(self._defects.frame(frame), self._readout_settings())
 
     def _readout_settings(self) -> ReadoutSettings:
