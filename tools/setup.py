@@ -222,10 +222,14 @@ def build(venv: Path, steps: Steps, distro: str, *, robot: bool) -> None:
     steps.finish('build', wanted)
 
 
-def forget_kernels(steps: Steps) -> None:
-    """Remove compiled kernels when any source changed.
+def compile_kernels(steps: Steps, *, at_once: bool) -> None:
+    """Remove compiled kernels when any source changed, and compile those of a start.
 
     numba looks only at the file of a kernel, not at those of the kernels it calls.
+
+    Args:
+        steps: What is done.
+        at_once: Compile; otherwise the first process that needs a kernel does.
     """
     wanted = fingerprint([p for p in (ROOT / 'src').rglob('*.py') if 'test' not in p.parts])
     if steps.is_done('kernels', wanted):
@@ -233,6 +237,10 @@ def forget_kernels(steps: Steps) -> None:
     for kind in ('*.nbi', '*.nbc'):
         for path in (ROOT / 'src').rglob(kind):
             path.unlink()
+    if at_once:
+        say('compiling: half a minute of one core, once')
+        line = '. tools/env.sh && exec python tools/compile_kernels.py'
+        call(['bash', '-c', line], 'the kernels could not be compiled')
     steps.finish('kernels', wanted)
 
 
@@ -266,7 +274,8 @@ def set_up(*, robot: bool, extras: list[str]) -> None:
     if not distro:
         repair_wheels(venv, steps)
     build(venv, steps, distro, robot=robot)
-    forget_kernels(steps)
+    # Developers change the sources all the time.
+    compile_kernels(steps, at_once='dev' not in extras)
     if time.monotonic() - started > 5:
         say(f'ready in {time.monotonic() - started:.0f} s')
 

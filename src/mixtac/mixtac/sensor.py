@@ -13,6 +13,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -26,6 +27,8 @@ from mixtac_driver.pixels import warm_up as warm_up_mask
 from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.arrays import Events
+from mixtac_events.codec import warm_up as warm_up_codec
+from mixtac_events.frames import PICTURE_KERNELS
 from mixtac_fger.estimator import CameraFacts, check_camera, given_force, open_estimator
 from mixtac_fger.parameters import FgerParameters
 from mixtac_fger.reference import reference_name, stored_reference
@@ -33,6 +36,7 @@ from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.validity import Reason
 from mixtac_fger.weights import find_model, read_model
 from mixtac_node.files import state_file
+from mixtac_node.process import compiling
 from mixtac_recordings.messages import left_aligned
 from mixtac_recordings.recording import RecordingError
 
@@ -324,8 +328,13 @@ class Sensor:
             raise RecordingError(f'{self._record} exists', remedy='record to a new folder')
         path = find_model(self._fger.model)
         model = read_model(path)
-        warm_up(open_estimator(model))
-        warm_up_mask()
+        for kernels, run_once in (
+            ('the packet codec', warm_up_codec),
+            (PICTURE_KERNELS, partial(warm_up, open_estimator(model))),
+            ('the pixel mask', warm_up_mask),
+        ):
+            with compiling(kernels):
+                run_once()
         parameters = self._driver_parameters()
         kind = source_kind(parameters.device)
         settings = replace(

@@ -65,7 +65,9 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self._packets = SequenceCounter()
         self._halves, self._newest_ns, self._paired = 0, 0, 0
         self._undecodable = 0
-        warm_up()
+        self._diagnostics = DiagnosticsPublisher(self, 'alignment', self._status)
+        with self._diagnostics.compiling('the packet codec'):
+            warm_up()
         signals.warm_up()
         self.subscribe_topic(topics.EVENTS, self._on_events)
         self.subscribe_topic(topics.REFERENCE_WRENCH, self._on_force, name=p.reference_topic)
@@ -85,7 +87,6 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self._aligned = self.publish_topic(topics.ALIGNMENT_REFERENCE)
         self._publisher = self.publish_topic(topics.CLOCK_FIT)
         self.create_service(Trigger, '~/fit', answering(self._on_fit))
-        self._diagnostics = DiagnosticsPublisher(self, 'alignment', self._status)
 
     def _apply(self, parameters: AlignmentParameters) -> None:
         self._settings = parameters

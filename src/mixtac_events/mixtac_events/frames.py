@@ -1,6 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled operations on frames: binning, log contrast, gradients, displacement."""
+"""Compiled operations on frames: binning, log contrast, gradients, displacement.
+
+Kernels of this project write their loops out: numba compiles expressions of whole arrays, with
+their checks of shapes, for seconds. Constants are passed on as `np.int64`, as numba would compile
+a kernel once more for each.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +14,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
+
+PICTURE_KERNELS = 'what reads pictures'
+"""Name under which programs compile these and what calls them; see `mixtac_node.process`."""
 
 
 @njit(cache=True, nogil=True)
@@ -72,16 +80,21 @@ def _sum_along_rows(field: F32, radius: int, out: F32) -> None:
 @njit(cache=True, nogil=True)
 def _sum_along_columns(field: F32, radius: int, out: F32) -> None:
     """Write the sums of 2 radius + 1 neighbours in a column, cut at the border."""
-    rows = field.shape[0]
-    out[0] = np.float32(0.0)
+    rows, columns = field.shape
+    for column in range(columns):
+        out[0, column] = np.float32(0.0)
     for row in range(min(radius + 1, rows)):
-        out[0] += field[row]
+        for column in range(columns):
+            out[0, column] += field[row, column]
     for row in range(1, rows):
-        out[row] = out[row - 1]
+        for column in range(columns):
+            out[row, column] = out[row - 1, column]
         if row + radius < rows:
-            out[row] += field[row + radius]
+            for column in range(columns):
+                out[row, column] += field[row + radius, column]
         if row - radius > 0:
-            out[row] -= field[row - radius - 1]
+            for column in range(columns):
+                out[row, column] -= field[row - radius - 1, column]
 
 
 @njit(cache=True, nogil=True)
@@ -103,7 +116,7 @@ def displacement(
     for row in range(rows):
         for column in range(columns):
             mean[row, column] = np.float32(0.5) * (reference[row, column] + image[row, column])
-    gradients(mean, 1, work[5], work[6])
+    gradients(mean, np.int64(1), work[5], work[6])
     for row in range(rows):
         for column in range(columns):
             gx, gy = work[5, row, column], work[6, row, column]

@@ -67,7 +67,7 @@ def encode_words(
     dt = 0
     high = 0
     column = -1
-    first = 0
+    first = int(np.int64(0))
     while first < count:
         now = t[first] - t[0]
         if now < dt:
@@ -90,7 +90,7 @@ def encode_words(
         used += int(x_first != column)
         column = x_first
         last = _end_of_run(t, x, y, polarity, first)
-        on = _ON if polarity[first] else 0
+        on = int(polarity[first]) * _ON
         if last - first < SHORTEST_VECTOR:
             for i in range(first, last):
                 words[used] = _ADDR_Y | on | y[i]
@@ -191,7 +191,7 @@ def decode_words(
     words: Words, start: int, width: int, height: int, t: Times, x: Words, y: Words, polarity: Flags
 ) -> tuple[int, int]:
     """Fill the event arrays; return (final dt, 0) or (fault, word)."""
-    n = 0
+    n = np.int64(0)
     high = np.int64(0)
     low = np.int64(0)
     column = np.int64(0)

@@ -112,7 +112,7 @@ def _border_median(values: NDArray[np.float64]) -> float:
     return _median(border)  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def picture_figures(
     reference: F32, image: F32, flow: F32
 ) -> tuple[float, float, float, float, float, float, float, float]:
@@ -132,7 +132,9 @@ def picture_figures(
     u, v = np.empty(count), np.empty(count)
     fading, roughness = np.inf, 0.0
     for index in range(count):
-        tile = tiles[index] / tiles[index, 0]
+        tile = tiles[index]
+        for place in range(TILE_SUMS - 1, -1, -1):
+            tile[place] /= tile[0]
         moved = tile[2] - tile[1] * tile[1] + LEAST_VARIANCE
         here = tile[4] - tile[3] * tile[3] + LEAST_VARIANCE
         before = tile[7] - tile[6] * tile[6] + LEAST_VARIANCE
@@ -142,12 +144,18 @@ def picture_figures(
         u[index], v[index] = tile[8], tile[9]
     shift_x, shift_y = _median(u), _median(v)
     shift = min(np.hypot(shift_x, shift_y), np.hypot(_border_median(u), _border_median(v)))
-    u, v = u - shift_x, v - shift_y
-    change = np.abs(change - _median(change))
+    middle, squared = _median(change), np.empty(count)
+    total = largest = np.float64(0.0)
+    for index in range(count):
+        change[index] = abs(change[index] - middle)
+        u[index] -= shift_x
+        v[index] -= shift_y
+        squared[index] = u[index] * u[index] + v[index] * v[index]
+        total += squared[index]
+        largest = max(largest, squared[index])
+    total += 1e-12
     _sort(change)
     _sort(likeness)
-    squared = u * u + v * v
-    total = squared.sum() + 1e-12
     middle_x = middle_y = outward = np.float64(0.0)
     for index in range(count):
         middle_x += squared[index] / total * (index % TILE_COLUMNS)
@@ -163,7 +171,7 @@ def picture_figures(
         change[-1],
         change[count // 2],
         shift,
-        np.sqrt(squared.max()),
+        np.sqrt(largest),
         outward,
     )
 

@@ -197,6 +197,22 @@ def _search(places: F32, moved: F32, tensor: F32, p: F64) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _step(p: F64, step: F64, tried: F64) -> None:
+    """Write parameters after a step."""
+    for i in range(PARAMETERS):
+        tried[i] = p[i] + step[i]
+
+
+@njit(cache=True, nogil=True)
+def _keep(tried: F64, normal: F64, right: F64, p: F64, at: F64, push: F64) -> None:
+    """Write parameters that were tried, and their normal equations, as those to go on from."""
+    for i in range(PARAMETERS):
+        p[i], push[i] = tried[i], right[i]
+        for j in range(PARAMETERS):
+            at[i, j] = normal[i, j]
+
+
+@njit(cache=True, nogil=True)
 def _fit(
     places: F32, moved: F32, tensor: F32, anew: bool, p: F64, covariance: F64
 ) -> tuple[float, float]:
@@ -217,12 +233,12 @@ def _fit(
         now = np.inf
         if _factored(at, damping, lower):
             _solved(lower, push, step)
-            tried[:] = p + step
+            _step(p, step, tried)
             if is_sensible(tried):
                 now = _normal(places, moved, tensor, tried, normal, right)
         if now < left:
             done = abs(step[3]) + abs(step[4]) < DONE_MM and left - now < 1e-3 * left
-            p[:], at[:], push[:] = tried, normal, right
+            _keep(tried, normal, right, p, at, push)
             left, damping = now, max(0.2 * damping, 1e-7)
             if done:
                 break
@@ -235,12 +251,11 @@ def _fit(
         for i in range(PARAMETERS):
             push[:] = 0.0
             push[i] = 1.0
-            _solved(lower, push, step)
-            covariance[i] = step
+            _solved(lower, push, covariance[i])
     return whole, left
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model='numpy')
 def _cell_slopes(
     places: F32,
     tensor: F32,
@@ -260,12 +275,16 @@ def _cell_slopes(
             _slopes(places[0, row, column] - p[3], places[1, row, column] - p[4], p, model, here)
             i, j = row_cell[row], column_cell[column]
             count[i, j] += 1.0
-            slopes[i, j] += here
+            for axis in range(2):
+                for k in range(PARAMETERS):
+                    slopes[i, j, axis, k] += here[axis, k]
             for k in range(3):
                 tensors[i, j, k] += tensor[k, row, column]
     for i in range(count.shape[0]):
         for j in range(count.shape[1]):
-            slopes[i, j] /= count[i, j]
+            for axis in range(2):
+                for k in range(PARAMETERS):
+                    slopes[i, j, axis, k] /= count[i, j]
 
 
 def cell_gains(places: F32, tensor: F32, p: F64, grid: tuple[int, int]) -> F64:

@@ -143,10 +143,13 @@ def _measure(
     flow[:] = 0.0
     for _ in range(STEPS):
         _moved(reference, flow, tensor[3])
-        displacement(tensor[3], image, RADIUS, RIDGE, work, step)
-        flow += step
+        displacement(tensor[3], image, np.int64(RADIUS), RIDGE, work, step)
+        for axis in range(2):
+            for row in range(rows):
+                for column in range(columns):
+                    flow[axis, row, column] += step[axis, row, column]
     _moved(reference, flow, tensor[3])
-    gradients(tensor[3], 1, work[5], work[6])
+    gradients(tensor[3], np.int64(1), work[5], work[6])
     square = 0.0
     for row in range(rows):
         for column in range(columns):
@@ -157,7 +160,7 @@ def _measure(
             left = image[row, column] - tensor[3, row, column]
             square += left * left
     for axis in range(5):
-        bin_mean(flow[axis] if axis < 2 else tensor[axis - 2], BLOCK, moved[axis])
+        bin_mean(flow[axis] if axis < 2 else tensor[axis - 2], np.int64(BLOCK), moved[axis])
     return float(np.sqrt(square / (rows * columns)))
 
 

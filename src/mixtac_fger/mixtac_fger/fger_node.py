@@ -17,7 +17,9 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_srvs.srv import Trigger
 
+from mixtac_events.codec import warm_up as warm_up_codec
 from mixtac_events.errors import MixtacError
+from mixtac_events.frames import PICTURE_KERNELS
 from mixtac_events.packets import CodecError, SerialisedPacket, read_packet
 from mixtac_fger.config import ModelError
 from mixtac_fger.contact_messages import fill_cloud, fill_contact, fill_field, fill_point, metric
@@ -150,7 +152,10 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             self._refusal = error
             self.get_logger().error(f'{settings.model}: {error}')
             return TransitionCallbackReturn.FAILURE
-        warm_up(open_estimator(model))
+        with self._diagnostics.compiling('the packet codec'):
+            warm_up_codec()
+        with self._diagnostics.compiling(PICTURE_KERNELS):
+            warm_up(open_estimator(model))
         self._model, self._estimator, self._misfit = model, estimator, ''
         self._force = self.publish_topic(topics.FORCE, managed=True)
         self._quality = self.publish_topic(topics.FORCE_QUALITY, managed=True)

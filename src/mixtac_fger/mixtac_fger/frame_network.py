@@ -157,7 +157,8 @@ def _normalise(inputs: F32, mean: F32, scale: F32, out: F32) -> None:
 @njit(cache=True, nogil=True, fastmath={'contract'})
 def _project(source: F32, weights: FrameWeights, feature: F32) -> None:
     """Write relu(linear) of the last map."""
-    feature[:] = weights.project_bias
+    for index in range(feature.shape[0]):
+        feature[index] = weights.project_bias[index]
     for row in range(source.shape[0] - 2):
         for column in range(source.shape[1] - 2):
             for channel in range(source.shape[2]):

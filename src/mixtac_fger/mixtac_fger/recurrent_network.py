@@ -148,6 +148,12 @@ def _accumulate(inputs: F32, matrix: F32, out: F32) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _copy(values: F32, out: F32) -> None:
+    for index in range(out.shape[0]):
+        out[index] = values[index]
+
+
+@njit(cache=True, nogil=True)
 def _relu(values: F32) -> None:
     for index in range(values.shape[0]):
         values[index] = max(values[index], np.float32(0.0))
@@ -171,14 +177,14 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
     kinds = weights.event_scale.shape[0]
     for index in range(flat.shape[0]):
         state.scaled[index] = flat[index] / weights.event_scale[index % kinds]
-    state.event_hidden[:] = weights.event_hidden_bias
+    _copy(weights.event_hidden_bias, state.event_hidden)
     _accumulate(state.scaled, weights.event_hidden, state.event_hidden)
     _relu(state.event_hidden)
-    state.event_output[:] = weights.event_output_bias
+    _copy(weights.event_output_bias, state.event_output)
     _accumulate(state.event_hidden, weights.event_output, state.event_output)
     _relu(state.event_output)
     gates = state.gates
-    gates[:] = weights.gates_bias
+    _copy(weights.gates_bias, gates)
     _accumulate(state.event_output, weights.gates_event, gates)
     for index in range(gates.shape[0]):
         gates[index] += state.force[0] * weights.gates_force[index]
@@ -189,7 +195,7 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
         fresh, keep_out = np.tanh(gates[2 * size + index]), _sigmoid(gates[3 * size + index])
         state.cell[index] = keep_old * state.cell[index] + keep_in * fresh
         state.hidden[index] = keep_out * np.tanh(state.cell[index])
-    state.increment_hidden[:] = weights.increment_hidden_bias
+    _copy(weights.increment_hidden_bias, state.increment_hidden)
     _accumulate(state.hidden, weights.increment_hidden[:size], state.increment_hidden)
     if weights.increment_hidden.shape[0] > size:
         _accumulate(state.event_output, weights.increment_hidden[size:], state.increment_hidden)

@@ -7,12 +7,16 @@ Like diagnostic_updater, which has no Python interface for lifecycle nodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from mixtac_node.process import compiling
 
 
 class RateMeter:
@@ -89,6 +93,9 @@ class Status:
     values: dict[str, object] = field(default_factory=dict)
 
 
+PERIOD_S = 1.0
+
+
 class DiagnosticsPublisher:
     """Publishes one DiagnosticStatus a second on the absolute topic `/diagnostics` (REP-107).
 
@@ -108,11 +115,39 @@ class DiagnosticsPublisher:
         self._node = node
         self._source = source
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._timer = node.create_timer(1.0, self.publish)
+        self._timer = node.create_timer(PERIOD_S, self.publish)
+
+    @contextlib.contextmanager
+    def compiling(self, kernels: str) -> Iterator[None]:
+        """Load kernels, or compile them and say so in the log and, once a second, as the status.
+
+        Args:
+            kernels: Their name; see `mixtac_node.process.compiling`.
+        """
+        done = threading.Event()
+        status = Status(OK, f'compiling {kernels}: once on a machine, up to a minute')
+
+        def say() -> None:
+            self._node.get_logger().info(status.message)
+            # The executor waits for what is compiled.
+            threading.Thread(target=report, name='compiling', daemon=True).start()
+
+        def report() -> None:
+            while not done.is_set():
+                self._publish(status)
+                done.wait(PERIOD_S)
+
+        try:
+            with compiling(kernels, say):
+                yield
+        finally:
+            done.set()
 
     def publish(self) -> None:
         """Publish the current status now."""
-        status = self._source()
+        self._publish(self._source())
+
+    def _publish(self, status: Status) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [

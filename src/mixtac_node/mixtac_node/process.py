@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Child processes: their environment, starting them together, watching and ending them.
 
-Beside them, what a process in real time does about garbage and priorities.
+Beside them, what a process in real time does about garbage, priorities and compilation.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -49,6 +49,65 @@ def lower_priority(niceness: int) -> None:
     """Set the niceness of the calling thread, where the system has one for threads."""
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), niceness)
+
+
+COMPILING_S = 300.0
+"""Time after which a process compiles although another one of the user still does."""
+
+
+@contextlib.contextmanager
+def compiling(kernels: str, say: Callable[[], None] = lambda: None) -> Iterator[None]:
+    """Load compiled kernels, or compile them while no other process of the user compiles the same.
+
+    Processes that write the same kernels into numba's cache at once mix their signatures up; a
+    later start then calls one with the arguments of another.
+
+    Args:
+        kernels: Name of what is compiled within the context; kernels that two contexts share
+            need one name for both.
+        say: Called once, before the first compilation, if there is any.
+    """
+    from numba.core import event
+
+    class OnCompile(event.Listener):  # type: ignore[misc]
+        begun = False
+
+        def on_start(self, _event: object) -> None:
+            if not self.begun:
+                self.begun = True
+                say()
+                _await_lock(lock, time.monotonic() + COMPILING_S)
+
+        def on_end(self, _event: object) -> None:
+            pass
+
+    path = _own_folder('mixtac-kernels') / kernels.replace('/', '.')
+    with path.open('w') as lock, event.install_listener('numba:compile', OnCompile()):
+        yield
+
+
+def _await_lock(handle: IO[str], until_s: float) -> None:
+    # Without a lock in the end: one process that hangs must not keep all others from starting.
+    while time.monotonic() < until_s:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(0.05)
+        else:
+            break
+
+
+def _own_folder(name: str) -> Path:
+    """Return a folder for the processes of this user on this machine; made if it is not there.
+
+    Raises:
+        GraphError: Another user has it.
+    """
+    folder = Path(tempfile.gettempdir()) / f'{name}-{os.getuid()}'
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.stat().st_uid != os.getuid():
+        raise GraphError(f'{folder} belongs to another user', remedy='set TMPDIR to another folder')
+    return folder
 
 
 def profile_environment(environment: Mapping[str, str]) -> dict[str, str]:
@@ -96,10 +155,7 @@ def claim_nodes(names: Iterable[str], domain: int) -> list[IO[str]]:
     Raises:
         GraphError: Another process has claimed one of them.
     """
-    folder = Path(tempfile.gettempdir()) / f'mixtac-nodes-{os.getuid()}'
-    folder.mkdir(mode=0o700, exist_ok=True)
-    if folder.stat().st_uid != os.getuid():
-        raise GraphError(f'{folder} belongs to another user', remedy='set TMPDIR to another folder')
+    folder = _own_folder('mixtac-nodes')
     claims: list[IO[str]] = []
     for name in names:
         claim = (folder / f'{domain}{name.replace("/", ".")}').open('a+')

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import select
 import shutil
 import signal
 import subprocess
@@ -162,3 +164,52 @@ time.sleep(60)
             assert process.stdout is not None
             assert process.stdout.readline() == 'claimed\n'
             process.kill()
+
+
+COMPILES = """
+import time
+from numba import njit
+from mixtac_node.process import compiling
+
+@njit
+def kernel(x):
+    time_it_takes = x + 1
+    return time_it_takes
+
+with compiling('a test', lambda: print('compiles', flush=True)):
+    print('inside', flush=True)
+    if {compiles}:
+        kernel(1)
+        print('begun', flush=True)
+    input()
+print('out', flush=True)
+"""
+
+
+def compiler(folder: Path, *, compiles: bool) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, '-c', COMPILES.format(compiles=compiles)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, 'TMPDIR': str(folder)},
+    )
+
+
+def test_kernels_are_compiled_by_one_process_at_a_time(tmp_path: Path):
+    lock = tmp_path / f'mixtac-kernels-{os.getuid()}' / 'a test'
+    with compiler(tmp_path, compiles=True) as first:
+        assert [first.stdout.readline() for _ in range(3)] == ['inside\n', 'compiles\n', 'begun\n']
+        with lock.open('w') as mine:
+            with pytest.raises(BlockingIOError):
+                fcntl.flock(mine, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with compiler(tmp_path, compiles=False) as warm:
+                # What is compiled already waits for nobody.
+                assert warm.communicate('\n')[0] == 'inside\nout\n'
+            assert first.communicate('\n')[0] == 'out\n'
+            fcntl.flock(mine, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with compiler(tmp_path, compiles=True) as second:
+                assert [second.stdout.readline() for _ in range(2)] == ['inside\n', 'compiles\n']
+                assert not select.select([second.stdout], [], [], 0.5)[0]
+                fcntl.flock(mine, fcntl.LOCK_UN)
+                assert second.communicate('\n')[0] == 'begun\nout\n'

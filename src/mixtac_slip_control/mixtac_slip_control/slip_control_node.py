@@ -23,6 +23,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import MixtacError
+from mixtac_events.frames import PICTURE_KERNELS
 from mixtac_events.packets import CodecError
 from mixtac_events.sequence import SequenceCounter
 from mixtac_msgs.msg import Contact, ForceQuality, SlipState
@@ -145,7 +146,11 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__('slip_control')
         p = self._settings = declare(self, SlipControlParameters, self._apply)
-        arm = self._arm = make_arm(p)
+        self._diagnostics = DiagnosticsPublisher(self, 'slip_control', self._status)
+        with self._diagnostics.compiling('the packet codec'):
+            warm_up()
+        with self._diagnostics.compiling('the planner'):
+            arm = self._arm = make_arm(p)
         self._controller = (
             SlipController(p)
             if arm is None
@@ -154,8 +159,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._latest: SlipStep | None = None
         self._counts = FeedCounts()
         self._moving = False
-        warm_up()
-        self._controller.features.warm_up()
+        with self._diagnostics.compiling(PICTURE_KERNELS):
+            self._controller.features.warm_up()
         self._backend = None if arm is None else self._open_backend(arm)
         self._arm_stamp_s: float | None = None
         self._slip = self.publish_topic(topics.SLIP)
@@ -175,7 +180,6 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._told = 0
         self._deviation, self._pull_known = 0.0, False
         self.create_timer(STATE_PERIOD_S, self._tell)
-        self._diagnostics = DiagnosticsPublisher(self, 'slip_control', self._status)
 
     def _open_backend(self, arm: ArmParts) -> ArmBackend:
         p = self._settings

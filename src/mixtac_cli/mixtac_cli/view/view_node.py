@@ -37,10 +37,11 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         self._stopping = threading.Event()
         self._received = Received()
         self._page = self._open_page()
-        warm_up()
+        self._diagnostics = DiagnosticsPublisher(self, 'view', self._status)
+        with self._diagnostics.compiling('the packet codec'):
+            warm_up()
         self._drawing = Drawing(self._received, self._page)
         self._subscribe()
-        self._diagnostics = DiagnosticsPublisher(self, 'view', self._status)
         self._thread = threading.Thread(target=self._draw, name='view')
         self._thread.start()
 

@@ -91,7 +91,7 @@ def _imu_info(data: int, s: Record, c: Record, r: Record) -> None:
         _imu_drop(s, c)
         return
     s.imu_info = data
-    s.imu_index = _next_byte(0, data)
+    s.imu_index = _next_byte(int64(0), data)
     if s.imu_index == IMU_BYTES:
         _imu_drop(s, c)
         return

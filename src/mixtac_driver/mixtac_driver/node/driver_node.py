@@ -35,7 +35,7 @@ from mixtac_events.errors import MixtacError
 from mixtac_events.readings import Frame, InertialSamples
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, declare, run
-from mixtac_node.diagnostics import DiagnosticsPublisher
+from mixtac_node.diagnostics import DiagnosticsPublisher, Status
 from mixtac_recordings import messages
 
 CLOCK_PERIOD_S = 1.0
@@ -49,8 +49,11 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         p = declare(self, DriverParameters, self._apply)
         self._kind = source_kind(p.device)
         self._settings = DriverSettings(p)
-        warm_up()
-        warm_up_mask()
+        self._diagnostics = DiagnosticsPublisher(self, p.device, self._report)
+        with self._diagnostics.compiling('the packet codec'):
+            warm_up()
+        with self._diagnostics.compiling('the pixel mask'):
+            warm_up_mask()
         self._clock_due_s = 0.0
         self._epoch_us = np.empty(0, np.int64)
         self._identity: Identity | None = None
@@ -80,11 +83,13 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         self._status = DriverStatus(
             p.device, self._source, self._supervisor, self._settings, self._meters
         )
-        self._diagnostics = DiagnosticsPublisher(self, p.device, self._status.status)
         self._driver_services = DriverServices(
             self, self._source, self._settings, self._diagnostics.publish
         )
         self._supervisor.start()
+
+    def _report(self) -> Status:
+        return self._status.status()
 
     def check(self) -> None:
         """Raise if the recovery policy ends the node.
