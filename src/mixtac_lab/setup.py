@@ -28,6 +28,7 @@ STUDIES = {
     'contact-place': f'{STUDY}.contact_place:contact_place',
     'contact': f'{STUDY}.contact:contact',
     'models': f'{STUDY}.models:models',
+    'event-path': f'{STUDY}.event_path:event_path',
     'adaptation': f'{STUDY}.models:adaptation',
     'alignment': f'{STUDY}.alignment:alignment',
 }

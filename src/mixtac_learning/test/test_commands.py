@@ -125,11 +125,18 @@ def test_the_papers_networks_train_and_are_judged(tmp_path, simulated, model):
     config = RunConfig(
         model=model,
         network={'scale': 8, 'events_per_packet': 16, 'channels': 8, 'lstm_size': 8},
-        training={'frame_epochs': 1, 'recurrent_epochs': 1, 'joint_epochs': 1, 'cycles': 10},
+        training={
+            'frame_epochs': 1,
+            'event_epochs': 1,
+            'recurrent_epochs': 1,
+            'joint_epochs': 1,
+            'event_batch': 4,
+            'cycles': 10,
+        },
         data=DataConfig(SimulatedData('easy', 1, 2, 4.0), cache=str(tmp_path), checked=0.5),
     )
     trained = train_model(config, tmp_path / 'run')
-    stages = {'fger': 3, 'events': 2, 'frames': 2, 'fusion': 2}
+    stages = {'fger': 4, 'events': 3, 'frames': 2, 'fusion': 2}
     assert [row['epoch'] for row in trained.curves] == [1] * stages[model]
     out = tmp_path / 'm.safetensors'
     write_model(out, trained.model)

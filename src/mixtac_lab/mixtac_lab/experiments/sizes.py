@@ -43,6 +43,7 @@ PAPER_CHOICES: Changes = {
         {'light': 'intensity', 'norm': 'batch'},
         {
             'frame_epochs': 0,
+            'event_epochs': 0,
             'recurrent_epochs': 0,
             'joint_epochs': 50,
             'joint_rate': 1e-4,

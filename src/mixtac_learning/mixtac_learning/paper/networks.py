@@ -78,6 +78,10 @@ class Scale(nn.Module):
 
     Args:
         size: Number of channels.
+
+    Attributes:
+        follows: Whether values are scaled by their own mean and spread in training, which the
+            constants follow: where what computes them learns.
     """
 
     def __init__(self, size: int) -> None:
@@ -86,19 +90,34 @@ class Scale(nn.Module):
         self.deviation: Tensor
         self.register_buffer('mean', torch.zeros(size))
         self.register_buffer('deviation', torch.ones(size))
+        self.follows = False
 
-    def fit(self, values: Tensor) -> None:
-        """Set the constants to those of values [n, size]; channels that are constant stay."""
-        self.mean.copy_(values.mean(0))
-        deviation = values.std(0)
-        varies = deviation > SAME * self.mean.abs() + SAME
-        self.deviation.copy_(torch.where(varies, deviation, torch.ones_like(deviation)))
+    def fit(self, values: Tensor, part: float = 1.0) -> tuple[Tensor, Tensor]:
+        """Move the constants towards those of values [n, size], which are returned, by a part.
+
+        The spread of channels that are constant is 1.
+        """
+        mean, deviation = values.mean(0), values.std(0)
+        varies = deviation > SAME * mean.abs() + SAME
+        deviation = torch.where(varies, deviation, torch.ones_like(deviation))
+        with torch.no_grad():
+            self.mean.lerp_(mean, part)
+            self.deviation.lerp_(deviation, part)
+        return mean, deviation
 
     def forward(self, values: Tensor) -> Tensor:
-        """Return values [..., size] scaled."""
-        return (values.float() - self.mean) / self.deviation
+        """Return values [n, size] scaled; in training by their own mean where `follows` is set."""
+        values = values.float()
+        mean, deviation = self.mean, self.deviation
+        if self.follows and self.training and len(values) > 1:
+            mean, deviation = self.fit(values, _FOLLOWED)
+        return (values - mean) / deviation
 
 
+_STEEP = 6.0
+"""Spread of the initial slopes of the ramps of the point network, per half the sensor."""
+_FOLLOWED = 0.05
+"""Part of the way that the constants of a scale go in an update."""
 SAME = 1e-6
 """Relative spread below which a channel is constant."""
 _GROUPS = 8
@@ -192,6 +211,20 @@ class PointEncoder(nn.Module):
         self.layers = nn.Sequential(*layers)
         self.size = width
         self.scale = Scale(width)
+        self._spread_out()
+
+    @torch.no_grad()
+    def _spread_out(self) -> None:
+        """Let the ramps of the first layer begin anywhere on the sensor, and be steep.
+
+        A maximum tells only whether there was an event, so a channel has to be of one place. With
+        the usual initial weights every ramp is as wide as the sensor.
+        """
+        first = self.layers.get_submodule('0')
+        weight, bias = first.get_parameter('weight'), first.get_parameter('bias')
+        weight[:, :2].normal_(0.0, _STEEP)
+        place = torch.rand_like(weight[:, :2]) * 2.0 - 1.0
+        bias.copy_(-(weight[:, :2] * place).sum(1))
 
     def forward(self, points: Tensor, packet: Tensor, packets: int) -> Tensor:
         """Return f_e [packets, size]; an empty packet has the maximum zero, scaled.
@@ -273,6 +306,9 @@ class SparseBackbone(nn.Module):
 class EventRecurrence(nn.Module):
     """Lines 4 to 9 of Algorithm 1: events to increments of the force.
 
+    Increments are in a unit that belongs to the weights, of the size of a change within a window
+    [N]: the perceptron would otherwise begin with increments a hundred times as large as true ones.
+
     Args:
         config: Shapes.
     """
@@ -282,6 +318,8 @@ class EventRecurrence(nn.Module):
         self.encoder = PointEncoder(config)
         self.lstm = nn.LSTMCell(self.encoder.size + 1, config.lstm_size)
         self.increment = perceptron(config.lstm_size, config.increment_size)
+        self.unit: Tensor
+        self.register_buffer('unit', torch.ones(()))
 
     def features(self, batch: SegmentBatch) -> Tensor:
         """Return f_e of all windows, [T, B, size]."""
@@ -293,7 +331,7 @@ class EventRecurrence(nn.Module):
         """Return the state after one window with features [B, size]."""
         inputs = torch.cat([features, state.force[:, None]], 1)
         hidden, cell = self.lstm(inputs, (state.hidden, state.cell))
-        force = state.force + self.increment(hidden)[:, 0]
+        force = state.force + self.unit * self.increment(hidden)[:, 0]
         return state._replace(hidden=hidden, cell=cell, force=force)
 
 
@@ -492,7 +530,7 @@ def build(config: PaperConfig) -> PaperNetwork:
 
 
 PAPER_ARCHITECTURE = 'fger_paper'
-PAPER_VERSION = 2
+PAPER_VERSION = 3
 _REMEDY = 'train one with "mixtac train fger_paper"'
 
 

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Training of the paper's networks, in the same stages as ours: frames, recurrent path, both.
+"""Training of the paper's networks in stages: frames, changes of force, recurrent path, all.
 
-The paper fixes layers, epochs, batch and rate. How a sequence begins, how long it is and how the
-frame network learns is open: here the frame network learns from single frames first, and the
-recurrent path then runs through whole trials from their beginning, without any true force.
+The paper fixes layers, epochs, batch and rate. How a sequence begins, how long it is and how each
+path learns is open: here the frame network learns from single frames first and the event path from
+changes of the force within short stretches. The recurrent path then runs through whole trials from
+their beginning, without any true force.
 """
 
 from __future__ import annotations
@@ -24,12 +25,14 @@ from torch.nn.modules.batchnorm import _BatchNorm
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import (
     CYCLE_US,
+    SAME,
     EventsOnly,
     FeatureFusion,
     FgerPaper,
     FrameModel,
     PaperNetwork,
     PaperState,
+    Scale,
     SegmentBatch,
     build,
 )
@@ -50,12 +53,15 @@ class PaperTraining:
     """Settings of the training of one of the paper's networks.
 
     The paper's text alone (50 epochs, batches of 128, AdamW at 1e-4; section III-C) is
-    `frame_epochs=0, recurrent_epochs=0, joint_epochs=50, joint_rate=1e-4, schedule='constant'`.
+    `frame_epochs=0, event_epochs=0, recurrent_epochs=0, joint_epochs=50, joint_rate=1e-4,
+    schedule='constant'`.
 
     Attributes:
         seed: Random seed for weights, order and mirroring.
         frame_epochs: Epochs on single frames of the head, or of the correction, which learns to
             remove errors of the estimate of up to some `start_error_n`; features do not learn.
+        event_epochs: Epochs of the event path alone, of `_UPDATES` updates each, on changes of the
+            force within stretches of `_STRETCH` windows that begin at the true force.
         recurrent_epochs: Epochs of the recurrent path on the same features of frames.
         joint_epochs: Epochs of the whole network; on single frames where there is no recurrence.
             Its rate is small: features vary by some thousandths, and any step moves them by more.
@@ -63,7 +69,9 @@ class PaperTraining:
         cycles: Frame intervals per update of the recurrent path: gradients do not reach further,
             the state does.
         group_trials: Trials side by side in an update of the recurrent path.
+        event_batch: Stretches per update of the event path; the force changes in half of them.
         frame_rate: Largest learning rate of the frame stage.
+        event_rate: Largest learning rate of the stage of the event path.
         recurrent_rate: Largest learning rate of the recurrent stage.
         joint_rate: Largest learning rate of the joint stage.
         schedule: Of the learning rates; see `mixtac_learning.train.loop.schedule_factor`.
@@ -79,12 +87,15 @@ class PaperTraining:
 
     seed: int = 0
     frame_epochs: int = 40
+    event_epochs: int = 16
     recurrent_epochs: int = 12
     joint_epochs: int = 4
     frame_batch: int = 64
     cycles: int = 5
     group_trials: int = 64
+    event_batch: int = 40
     frame_rate: float = 3e-3
+    event_rate: float = 2e-3
     recurrent_rate: float = 1e-3
     joint_rate: float = 1e-5
     schedule: str = 'cosine'
@@ -102,7 +113,7 @@ class PaperStage(Stage):
     """What the stages of one network share.
 
     Attributes:
-        name: `frames`, `recurrent` or `joint`.
+        name: `frames`, `events`, `recurrent` or `joint`.
         epochs: Epochs.
         rate: Largest learning rate.
         network: The network.
@@ -132,13 +143,22 @@ class PaperStage(Stage):
     @property
     def frozen(self) -> tuple[str, ...]:
         """Names of the parts of the network that do not learn in this stage."""
-        parts = {'frames': ('frame', 'events', 'recurrence'), 'recurrent': ('frame',)}
+        parts = {
+            'frames': ('frame', 'events', 'recurrence'),
+            'events': ('frame', 'correction'),
+            'recurrent': ('frame',),
+        }
         return parts.get(self.name, ())
 
     def parameters(self) -> list[nn.Parameter]:
         """Freeze some parts of the network and return the weights of the others."""
         for name, part in self.network.named_children():
             part.requires_grad_(name not in self.frozen)
+        # Consecutive frames and windows are alike, unlike those that are drawn at random.
+        for name, module in self.network.named_modules():
+            if isinstance(module, Scale) and not name.endswith('input_scale'):
+                random = not isinstance(self, RecurrentStage)
+                module.follows = random and name.partition('.')[0] not in self.frozen
         return [each for each in self.network.parameters() if each.requires_grad]
 
     def validate(self) -> float | None:
@@ -252,20 +272,96 @@ class FrameStage(PaperStage):
 
 
 _ENCODED = 256
-_SMALL = 0.1
-"""Factor of the weights that end in an increment before the recurrent stage."""
+_STRETCH = 25
+"""Windows of a stretch of the event stage."""
+_UPDATES = 50
+_MOVES_N = 0.02
+"""Change within a stretch from which on the force is said to change [N]."""
+
+
+class EventStage(PaperStage):
+    """The event path on changes of the force, each from the true force and an empty memory."""
+
+    def updates(self) -> int:
+        """Return the number of updates per epoch."""
+        return _UPDATES
+
+    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
+        """Yield the losses of one epoch."""
+        moving = self._moving(self.samples, self.own)
+        longest = [len(self.samples[trial].force) - _STRETCH for trial in self.own]
+        for _ in range(_UPDATES):
+            half = self.settings.event_batch // 2
+            drawn = torch.randint(len(moving), (half,), generator=random).tolist()
+            chosen = [moving[index] for index in drawn]
+            for index in torch.randint(len(self.own), (half,), generator=random).tolist():
+                start = int(torch.randint(1, longest[index], (1,), generator=random))
+                chosen.append(Segment(self.own[index], start, start + _STRETCH))
+            force, known = run_stretches(self.network, self.samples, chosen, self.flips(random))
+            yield self.loss(force, known)
+
+    def validate(self) -> float | None:
+        """Return the mean absolute error of the change within stretches of changing force [N]."""
+        if not self.checked:
+            return None
+        moving = self._moving(self.checked, range(len(self.checked)))
+        with torch.no_grad():
+            some = moving[:: -(-len(moving) // _ENCODED)]
+            force, known = run_stretches(self.network, self.checked, some)
+        return float((force[-1] - known[-1]).abs().mean())
+
+    def _moving(self, samples: Sequence[PaperSample], trials: Sequence[int]) -> list[Segment]:
+        """Return stretches in which the force changes; all stretches where it never does."""
+        every = [
+            Segment(trial, start, start + _STRETCH)
+            for trial in trials
+            for start in range(1, len(samples[trial].force) - _STRETCH, _STRETCH // 5)
+        ]
+        ends = [
+            (samples[s.trial].force[s.stop - 1], samples[s.trial].force[s.start]) for s in every
+        ]
+        found = [s for s, (a, b) in zip(every, ends, strict=True) if abs(a - b) > _MOVES_N]
+        return found or every
+
+
+def run_stretches(
+    network: PaperNetwork,
+    samples: Sequence[PaperSample],
+    chosen: Sequence[Segment],
+    flips: Sequence[int] = (),
+) -> tuple[Tensor, Tensor]:
+    """Run the event path alone through stretches, from the true force and an empty memory.
+
+    Args:
+        network: With a recurrence.
+        samples: Trials.
+        chosen: Stretches of equal length; none begins with the first window of its trial.
+        flips: Axes along which the sensor is mirrored, -2 or -1.
+
+    Returns:
+        Estimated and true force [N], float32 [windows, stretches].
+
+    Raises:
+        TrainingError: The network has no recurrence.
+    """
+    if isinstance(network, FrameModel):
+        raise TrainingError('a network without recurrence has no event path')
+    recurrence, config = network.recurrence, replace(network.config, model='events')
+    state = network.initial_state(len(chosen))
+    device = state.force.device
+    batch = mirrored(assemble(samples, chosen, config), flips).to(device)
+    before = [float(samples[s.trial].force[s.start - 1]) for s in chosen]
+    state = state._replace(force=torch.tensor(before, device=device))
+    features, forces = recurrence.features(batch), []
+    with torch.autocast(device.type, enabled=False):
+        for each in features:
+            state = recurrence.step(each, state)
+            forces.append(state.force)
+    return torch.stack(forces), batch.force
 
 
 class RecurrentStage(PaperStage):
     """Truncated back-propagation through whole trials side by side, the state carried along."""
-
-    def begin(self) -> None:
-        """Begin with small increments beside a frame network that works."""
-        if self.frozen and not isinstance(self.network, FrameModel):
-            last = self.network.recurrence.increment.get_submodule('2')
-            with torch.no_grad():
-                last.get_parameter('weight').mul_(_SMALL)
-                last.get_parameter('bias').zero_()
 
     def updates(self) -> int:
         """Return the usual number of updates per epoch, the same in all processes."""
@@ -358,6 +454,8 @@ def fit_scales(network: PaperNetwork, samples: Sequence[PaperSample]) -> None:
         segments = [Segment(trial, window, window + 1) for trial, window in chosen.tolist()]
         batch = assemble(samples, segments, replace(config, model='events')).to(device)
         network.recurrence.encoder.scale.fit(network.recurrence.features(batch)[0])
+        changes = np.concatenate([np.diff(sample.force) for sample in samples])
+        network.recurrence.unit.fill_(max(float(changes.std()), SAME))
     for norm in norms:
         norm.momentum = 0.1
 
@@ -410,12 +508,13 @@ def train_paper(
     )
     kinds: dict[str, type[PaperStage]] = {'frames': FrameStage}
     if not isinstance(network, FrameModel):
-        kinds = {'recurrent': RecurrentStage, 'joint': RecurrentStage}
+        kinds = {'events': EventStage, 'recurrent': RecurrentStage, 'joint': RecurrentStage}
         kinds = ({'frames': FrameStage} if isinstance(network, FgerPaper) else {}) | kinds
     else:
         kinds |= {'joint': FrameStage}
     plan = {
         'frames': (settings.frame_epochs, settings.frame_rate),
+        'events': (settings.event_epochs, settings.event_rate),
         'recurrent': (settings.recurrent_epochs, settings.recurrent_rate),
         'joint': (settings.joint_epochs, settings.joint_rate),
     }

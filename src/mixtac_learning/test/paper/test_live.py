@@ -27,7 +27,15 @@ def weights(request, tmp_path_factory, trial):
     folder = tmp_path_factory.mktemp(request.param)
     data = DataConfig(SimulatedData('easy', 1, 2, 4.0), cache=str(folder), checked=0.0)
     network = {'scale': 8, 'events_per_packet': 16, 'channels': 8, 'lstm_size': 8}
-    training = {'frame_epochs': 1, 'recurrent_epochs': 1, 'frame_batch': 16, 'cycles': 10}
+    training = {
+        'frame_epochs': 1,
+        'event_epochs': 1,
+        'recurrent_epochs': 1,
+        'joint_epochs': 0,
+        'frame_batch': 16,
+        'event_batch': 4,
+        'cycles': 10,
+    }
     config = RunConfig(model=request.param, network=network, training=training, data=data)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SimulatedSource, 'load', lambda self: replace(trial, origin=self.origin))

@@ -4,15 +4,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from mixtac_learning.paper.config import PaperConfig
-from mixtac_learning.paper.networks import PaperNetwork, build
+from mixtac_learning.paper.networks import PaperNetwork, Scale, build
 from mixtac_learning.paper.samples import PaperSample, make_paper_sample
 from mixtac_learning.paper.segments import Segment, assemble
 from mixtac_learning.train.paper_stage import (
+    EventStage,
     FrameStage,
     PaperStage,
     PaperTraining,
@@ -43,6 +46,7 @@ def stage(kind: type[PaperStage], name: str, network: PaperNetwork, samples, **t
     ('kind', 'name', 'learning'),
     [
         (FrameStage, 'frames', {'correction'}),
+        (EventStage, 'events', {'recurrence'}),
         (RecurrentStage, 'recurrent', {'recurrence', 'correction'}),
         (RecurrentStage, 'joint', {'frame', 'recurrence', 'correction'}),
     ],
@@ -72,6 +76,55 @@ def test_the_state_is_carried_through_whole_trials(samples):
     assert not seen[0].any()
     for before, after in zip(seen[1:-1:2], seen[2::2], strict=True):
         assert torch.equal(before, after)
+
+
+def test_the_event_path_learns_which_way_the_force_goes(samples):
+    rng = np.random.default_rng(0)
+    # More force for events on the left, less for those on the right.
+    signs = np.where(rng.random(400) < 0.5, -1.0, 1.0)
+    points = np.stack([np.repeat(-0.5 * signs, 3), *rng.random((3, 1200))], 1).astype(np.float16)
+    toy = replace(
+        samples[0],
+        window_end_us=np.arange(400) * 2000,
+        points=points,
+        starts=np.arange(401) * 3,
+        slots=np.full(400, -1),
+        force=np.cumsum(0.01 * signs).astype(np.float32),
+    )
+    network = build(config('events'))
+    fit_scales(network, samples)
+    chosen = stage(EventStage, 'events', network, [toy], event_batch=8)
+    chosen.checked = [toy]
+    before = chosen.validate()
+    optimiser = torch.optim.Adam(chosen.parameters(), 1e-2)
+    for loss in chosen.losses(torch.Generator().manual_seed(0)):
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    network.eval()
+    after = chosen.validate()
+    assert before is not None
+    assert after is not None
+    assert after < 0.5 * before
+
+
+@pytest.mark.parametrize(('kind', 'name'), [(EventStage, 'events'), (RecurrentStage, 'recurrent')])
+def test_scales_follow_where_stretches_are_drawn_at_random(samples, kind, name):
+    network = build(config('fger'))
+    fit_scales(network, samples)
+    network.train()
+    chosen = stage(kind, name, network, samples, cycles=5, event_batch=4)
+    chosen.parameters()
+    before = {
+        name: each.mean.clone() for name, each in network.named_modules() if isinstance(each, Scale)
+    }
+    next(chosen.losses(torch.Generator().manual_seed(0)))
+    moved = {
+        name
+        for name, each in network.named_modules()
+        if isinstance(each, Scale) and not torch.equal(each.mean, before[name])
+    }
+    assert moved == ({'recurrence.encoder.scale'} if kind is EventStage else set())
 
 
 def test_scales_make_features_vary(samples):
