@@ -35,7 +35,7 @@ Changes = dict[str, tuple[str, dict[str, Any], dict[str, Any]]]
 """By name: a model, and the differences in its network and in its training."""
 PAPER_CHOICES: Changes = {
     FGER_REFERENCE: (FGER, {'light': 'reference'}, {}),
-    'fger_periodic': (FGER, {'correction': 'periodic'}, {}),
+    'fger_continuous': (FGER, {'correction': 'continuous'}, {}),
     'fger_batch_norm': (FGER, {'norm': 'batch'}, {}),
     'fger_intensity': (FGER, {'light': 'intensity'}, {}),
     FGER_AS_STATED: (

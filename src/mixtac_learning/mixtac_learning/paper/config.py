@@ -64,7 +64,7 @@ class PaperConfig:
     increment_size: int = 135
     correction_size: int = 128
     sparse_channels: tuple[int, ...] = (16, 32, 64)
-    correction: str = 'continuous'
+    correction: str = 'periodic'
     light: str = 'relative'
     norm: str = 'group'
 

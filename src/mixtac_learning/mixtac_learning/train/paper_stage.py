@@ -96,7 +96,7 @@ class PaperTraining:
     event_batch: int = 40
     frame_rate: float = 3e-3
     event_rate: float = 2e-3
-    recurrent_rate: float = 1e-3
+    recurrent_rate: float = 3e-4
     joint_rate: float = 1e-5
     schedule: str = 'cosine'
     weight_decay: float = 1e-2
