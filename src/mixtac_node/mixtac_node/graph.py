@@ -248,7 +248,9 @@ def sensor_graph(
     reference = {'reference_topic': reference_topic} if reference_topic else {}
     nodes = []
     if is_virtual(device):
-        clock = {'publish_clock': True} if simulated_time else {}
+        # A slow host slows the clock of all nodes down.
+        slow = {'publish_clock': True, 'slow_host': 'wait'}
+        clock: dict[str, object] = {**slow} if simulated_time else {}
         path = device.partition(':')[2]
         socket = {'socket': path} if path else {}
         nodes.append(

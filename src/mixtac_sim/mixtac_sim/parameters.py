@@ -73,13 +73,14 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
         lead_seconds: Delay of the start of a scenario, which is computed up to twice as far ahead
             meanwhile, 45 s at most. Gestures and camera settings during a scenario are delayed by
             up to twice this time
-        slow_host: What happens when the host does not keep up: drop loses data, as a real camera
-            does; wait stops simulated time of camera, truth and reference until it does, and, where
-            lead_seconds is not 0, until the scenario or the next 45 s of it are computed. Stamps of
-            the camera and the reference lie in the past by as much as time has stopped, of which a
-            warning tells
-        publish_clock: Publish simulated time on /clock, for nodes with use_sim_time, so that a slow
-            host slows down all nodes alike
+        slow_host: What happens when the host does not keep up, of which a warning tells: skip
+            leaves a gap in the data, as a real camera does, so that stamps stay on the host's
+            clock; wait loses nothing and stops simulated time of camera, truth and reference until
+            the host does keep up, and, where lead_seconds is not 0, until the scenario or the next
+            45 s of it are computed. Stamps of the camera and the reference then lie in the past by
+            as much as time has stopped
+        publish_clock: Publish simulated time on /clock, for nodes with use_sim_time; with slow_host
+            wait a slow host then slows down all nodes alike
         play_on_start: Play the scenario once a driver reads the camera
         loop: Repeat the scenario without end, each time with a new seed
         reference_topic: Topic of the reference force sensor
@@ -90,7 +91,7 @@ class VirtualSensorParameters(TouchParameters, VirtualCameraParameters):
     scenario: str = parameter('demo', choices=tuple(PROFILES))
     seconds: float = parameter(25.0, unit='s', within=(1.0, 3600.0))
     lead_seconds: float = parameter(2.0, unit='s', within=(0.0, 30.0))
-    slow_host: str = fixed('drop', choices=('drop', 'wait'))
+    slow_host: str = fixed('skip', choices=('skip', 'wait'))
     publish_clock: bool = fixed(False)
     play_on_start: bool = parameter(False)
     loop: bool = parameter(False)

@@ -66,6 +66,7 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             preset=preset(self._settings.preset),
             process=process,
             patient=self._settings.slow_host == 'wait',
+            skips=self._settings.slow_host == 'skip',
         )
         self._reference = self.publish_topic(
             topics.REFERENCE_WRENCH, name=self._settings.reference_topic
@@ -151,10 +152,14 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         losses = self._sensor.device.losses
         if state.lost_us > self._lost_us + WARNING_US:
             self._lost_us = state.lost_us
+            lost_s, behind_s = 1e-6 * state.lost_us, 1e-6 * state.behind_us
             self.get_logger().warning(
-                'simulated time stopped, for a host that is too slow or a scenario that was '
-                'computed first: all stamps of camera and reference lie '
-                f'{1e-6 * state.lost_us:.1f} s behind the host clock',
+                f'simulated time stopped for {lost_s:.1f} s, for a host that is too slow or a '
+                'scenario that was computed first: all stamps of camera and reference lie '
+                f'{behind_s:.1f} s behind the host clock'
+                if behind_s
+                else f'the host is too slow: the camera and the reference skipped {lost_s:.1f} s '
+                'without data',
                 throttle_duration_sec=WARNING_PERIOD_S,
             )
         if not state.running:

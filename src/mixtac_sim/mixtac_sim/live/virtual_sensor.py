@@ -112,6 +112,8 @@ _PROCESS_NICENESS: Final = 15
 _FRAME_US: Final = RESET_US + READOUT_US + _CHUNK_US
 _MAX_BEHIND_US: Final = 250_000
 _MAX_BATCHES: Final = 2048
+# What is skipped: whole periods of the truth and of the reference.
+_SKIP_US: Final = 10_000
 # A patient sensor waits when it is late by more than this, or more bytes than these are not read.
 _PATIENCE_US: Final = 20_000
 _BACKLOG: Final = 1 << 19
@@ -143,6 +145,8 @@ class SensorState:
         late_us: Delay of the output behind the clock [us].
         overruns: Number of times the host could not keep up and time stopped.
         lost_us: Total time for which it stopped [us].
+        behind_us: How far stamps of the camera and the reference lie in the past for that [us]: 0
+            where they skip.
         playing: Whether a scenario is under way.
         computing: Whether time stands still until more of a scenario is known.
         streaming: Whether a host reads the camera.
@@ -155,6 +159,7 @@ class SensorState:
     late_us: int
     overruns: int
     lost_us: int
+    behind_us: int
     playing: bool
     computing: bool
     streaming: bool
@@ -173,6 +178,9 @@ class VirtualSensor:
         clock: Simulated time.
         patient: Time stops while the host is behind, so that nothing is lost; otherwise the camera
             drops what is not read in time, as a real one does.
+        skips: Where time stopped nevertheless, the clocks of camera and reference skip it, as those
+            of a real sensor go on: their stamps lie on the host's clock again, with a gap in the
+            data, in which nothing has moved.
     """
 
     def __init__(
@@ -185,8 +193,10 @@ class VirtualSensor:
         clock: SimulationClock,
         *,
         patient: bool = False,
+        skips: bool = False,
     ) -> None:
-        self._patient = patient
+        self._patient, self._skips = patient, skips
+        self._skipped_us = 0
         self._waiting = self._resting = False
         self._simulation = simulation
         self._profile = profile
@@ -263,7 +273,7 @@ class VirtualSensor:
         Returns:
             Host time at the start, plus simulated time since [ns since the Unix epoch].
         """
-        return self._clock.start_epoch_ns + 1000 * self._due_us
+        return self._clock.start_epoch_ns + 1000 * (self._due_us + self._skipped_us)
 
     def take_truth(self) -> list[WrenchSamples]:
         """Return the true wrench at 1 kHz since the last call, stamped in host time."""
@@ -283,6 +293,7 @@ class VirtualSensor:
             late_us=max(0, self._clock.now_us() - self._due_us),
             overruns=self._overruns,
             lost_us=self._clock.lost_us,
+            behind_us=self._clock.lost_us - self._skipped_us,
             playing=end_us is not None and self._clock.now_us() < end_us,
             computing=self._resting,
             streaming=self.device.streaming,
@@ -300,17 +311,29 @@ class VirtualSensor:
             # behind the simulation; if that falls behind, data come late but stamped right.
             known_us = self._known_us()
             if now_us - known_us > _MAX_BEHIND_US:
-                self._clock.lose(now_us - known_us)
-                self._overruns += 1
+                self._fall_behind(now_us - known_us, known_us)
                 continue
-            self._due_us = max(self._due_us, min(now_us, known_us))
-            self.device.advance(self._due_us)
-            self._release(self._due_us)
+            self._hand_over(min(now_us, known_us))
             if known_us >= now_us:
                 return
             with self._simulating:
                 if self._known_us() < now_us:
                     self._simulate()
+
+    def _hand_over(self, until_us: int) -> None:
+        self._due_us = max(self._due_us, until_us)
+        self.device.advance(self._due_us)
+        self._release(self._due_us)
+
+    def _fall_behind(self, lost_us: int, known_us: int) -> None:
+        self._overruns += 1
+        if self._skips:
+            # What is known keeps its time.
+            self._hand_over(known_us)
+            lost_us = -(-lost_us // _SKIP_US) * _SKIP_US
+            self.device.skip(lost_us)
+            self._skipped_us += lost_us
+        self._clock.lose(lost_us)
 
     def _wait_for_host(self) -> bool:
         behind_us = self._clock.now_us() - self._due_us
@@ -398,7 +421,7 @@ class VirtualSensor:
             _, truth, samples = self._pending.popleft()
             stamp_ns = self._clock.to_epoch_ns(truth['t_us'].astype(np.int64))
             self._put(self._truth, WrenchSamples(stamp_ns, truth_wrench(truth)))
-            stamp_ns = samples.t_ns + self._clock.start_epoch_ns
+            stamp_ns = samples.t_ns + (self._clock.start_epoch_ns + 1000 * self._skipped_us)
             self._put(self._references, WrenchSamples(stamp_ns, samples.wrench))
 
     def _put(self, queue: deque[WrenchSamples], batch: WrenchSamples) -> None:
@@ -531,6 +554,7 @@ def make_virtual_sensor(
     clock: SimulationClock | None = None,
     process: SimulationProcess | None = None,
     patient: bool = False,
+    skips: bool = False,
 ) -> VirtualSensor:
     """Return a virtual sensor that nothing touches yet; `VirtualSensor.start` lets it run.
 
@@ -544,6 +568,7 @@ def make_virtual_sensor(
         clock: Simulated time; by default that of the host.
         process: Where to simulate the tactile sensor; by default in this process.
         patient: See `VirtualSensor`.
+        skips: See `VirtualSensor`.
     """
     profile, clock = LiveProfile(tuple(LIVE_INDENTERS.values())), clock or SimulationClock()
     if process is not None:
@@ -558,4 +583,5 @@ def make_virtual_sensor(
         InertialUnit(device_seed),
         clock,
         patient=patient,
+        skips=skips,
     )

@@ -12,6 +12,8 @@ from threading import Event
 import numpy as np
 import pytest
 
+from mixtac_driver.davis346.model import Geometry
+from mixtac_driver.decode.decoder import StreamDecoder
 from mixtac_events.arrays import Events
 from mixtac_sim import SimulationError
 from mixtac_sim.live.touch import LiveProfile
@@ -96,13 +98,13 @@ def clock(host):
     return SimulationClock(host, lambda: EPOCH_NS)
 
 
-def make_sensor(simulation, clock, *, patient=False):
+def make_sensor(simulation, clock, *, patient=False, skips=False):
     device = VirtualDavis346('V0000001', clock=clock.now_us)
     for module, param in ((0, 3), (9, 0), (0, 1), (0, 0), (1, 3), (2, 4), (3, 2)):
         device.control(0x40, 0xBF, module, param, struct.pack('>I', 1))
     device.control(0x40, 0xBF, 9, 1, struct.pack('>I', 0))
     parts = (simulation, LiveProfile(), device, Echo(), InertialUnit(1), clock)
-    return VirtualSensor(*parts, patient=patient)
+    return VirtualSensor(*parts, patient=patient, skips=skips)
 
 
 @pytest.fixture
@@ -162,6 +164,42 @@ def test_a_short_stall_is_caught_up_and_a_long_one_counted(sensor, host):
     stamps = np.concatenate([batch.t_ns for batch in sensor.take_truth()])
     np.testing.assert_array_equal(np.diff(stamps), 1_000_000)
     assert abs(stamps[0] - EPOCH_NS - 5_300_000_000) < 10_000_000
+
+
+def times_us(stream):
+    batches = StreamDecoder(Geometry()).push(stream.tobytes())
+    return np.concatenate([batch.events.t.copy() for batch in batches])
+
+
+def test_a_sensor_that_skips_stays_on_the_clock_of_the_host(simulation, clock, host):
+    sensor = make_sensor(simulation, clock, skips=True)
+    sensor.step()
+    clock.start()
+    run_for(sensor, host, 0.1)
+    run_for(sensor, host, 5.0, period=5.0)
+    sensor.take_truth()
+    sensor.take_reference()
+    run_for(sensor, host, 0.1)
+    state = sensor.state()
+    assert state.overruns == 1
+    assert 4_500_000 < state.lost_us <= 5_000_000
+    assert state.behind_us == 0
+    assert state.lost_us % 10_000 == 0
+    now_ns = EPOCH_NS + host.ns - 5_000
+    assert 0 <= now_ns - sensor.time_ns() < 40_000_000
+    # Stamps of the truth and, on its own clock, of the reference.
+    truth, reference = sensor.take_truth(), sensor.take_reference()
+    for batches, late_ns in ((truth, 0), (reference, 86_400_000_000_000)):
+        stamps = np.concatenate([batch.t_ns for batch in batches])
+        assert np.unique(np.diff(stamps)).tolist() == [1_000_000]
+        assert 0 <= now_ns - (stamps[-1] - late_ns) < 40_000_000
+    # Events: every millisecond, but for one gap, and with none lost.
+    t_us = times_us(words(sensor.device))
+    assert 0 <= (now_ns - EPOCH_NS) // 1000 - t_us[-1] < 40_000
+    steps = np.diff(t_us)
+    assert np.count_nonzero(steps != 1000) == 1
+    assert steps.max() == 1000 + state.lost_us
+    assert not any(sensor.device.losses.values())
 
 
 def test_a_patient_sensor_stops_time_in_place_of_catching_up(simulation, clock, host):
