@@ -31,6 +31,10 @@ PARAMETERS = (
     'joint_state_topic',
     'controller_state_topic',
     'heartbeat_topic',
+    'gripper',
+    'gripper_rate',
+    'gripper_latency',
+    'gripper_speed',
 )
 ARGUMENTS = [
     DeclareLaunchArgument(

@@ -49,7 +49,11 @@ class Topic:
     @property
     def has_header(self) -> bool:
         """Whether its messages begin with a `std_msgs/Header`."""
-        return self.type_name not in {'std_msgs/msg/Float64', 'std_msgs/msg/Bool'}
+        return self.type_name not in {
+            'std_msgs/msg/Float64',
+            'std_msgs/msg/Float64MultiArray',
+            'std_msgs/msg/Bool',
+        }
 
     def resolved(self, namespace: str) -> str:
         """Return the absolute name."""
@@ -259,6 +263,13 @@ SLIP = Topic(
     'mixtac_msgs/msg/SlipState',
     depth=100,
     description='Slip detection per 1 ms window (slip control node).',
+)
+GRIP = Topic(
+    'grip',
+    'std_msgs/msg/Float64MultiArray',
+    condition='gripper',
+    description='With `gripper` of the slip control node: one number, the force that a gripper '
+    'shall hold [N] or its closing speed [m/s], as the command of a `forward_command_controller`.',
 )
 
 TOPICS = tuple(each for each in list(globals().values()) if isinstance(each, Topic))

@@ -188,3 +188,60 @@ class GripMargin:
         # What held was as uncertain as what the slip told.
         self._held = min(self._held, math.exp(told))
         self.slips += 1
+
+
+SETTLING: Final = 3.0
+"""Times of rate and latency in which a gripper that is asked for a speed closes most of the gap: a
+delayed loop of this pace does not swing."""
+
+
+class GripperGoal:
+    """What a gripper is asked for: a force that never falls while it holds, or a closing speed.
+
+    A slip asks for `max_grip_force` while it lasts. A speed follows from the force that is missing,
+    the stiffest contact that is plausible, and how late the gripper answers.
+
+    Args:
+        parameters: Kind, rate, latency and limits.
+        grip: Knows the force that the grasp needs.
+    """
+
+    def __init__(self, parameters: SlipControlParameters, grip: GripMargin) -> None:
+        self._grip = grip
+        self.configure(parameters)
+        self._sent_us: int | None = None
+        self._goal = 0.0
+
+    def configure(self, parameters: SlipControlParameters) -> None:
+        """Use other parameters from now on."""
+        self._parameters = parameters
+
+    def update(
+        self, stamp_us: int, force_n: float | None, *, slipping: bool, trusted: bool
+    ) -> float | None:
+        """Return what to ask for now: force [N] or closing speed [m/s]; None for nothing new.
+
+        Args:
+            stamp_us: Camera clock [us].
+            force_n: Normal force [N]; None before the first.
+            slipping: Whether the object slips.
+            trusted: Whether the force can be trusted: else a speed is zero and a force stays.
+        """
+        p, period_s = self._parameters, 1.0 / self._parameters.gripper_rate
+        if self._sent_us is not None and 0 <= stamp_us - self._sent_us < 1e6 * period_s - 1.0:
+            return None
+        by_speed = p.gripper == 'speed'
+        if not trusted or force_n is None or not self._grip.normal > LEAST_NORMAL:
+            self._goal = 0.0 if trusted else self._goal
+            self._sent_us = stamp_us
+            return 0.0 if by_speed else None
+        self._sent_us = stamp_us
+        wanted = p.max_grip_force if slipping else self._grip.wanted(self._grip.normal)
+        self._goal = max(self._goal, min(wanted, p.max_grip_force))
+        if not by_speed:
+            return self._goal
+        missing = self._goal - force_n
+        if missing <= p.force_band:
+            return 0.0
+        pace_s = SETTLING * (p.gripper_latency + period_s)
+        return min(missing / (p.stiffest_contact * pace_s), p.gripper_speed)

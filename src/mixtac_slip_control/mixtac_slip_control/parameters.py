@@ -135,6 +135,11 @@ class SlipControlParameters:
             sensor measures it.
         friction_deviation: Its relative standard deviation between objects and sensors. Larger
             grips harder until a slip has told it.
+        gripper: What is published on `grip` for a gripper: `force` that it shall hold, closing
+            `speed`, or `none`.
+        gripper_rate: Rate of `grip`: that at which the gripper takes commands.
+        gripper_latency: Time from a command until the fingers answer. Longer closes more slowly.
+        gripper_speed: Largest closing speed that is asked for.
         max_force: Force above which slip control stops. Advances are bounded by the measured
             stiffness to stay below 90 % of it.
         stiffest_contact: Stiffest plausible contact of gel and object: bounds the first advance,
@@ -222,6 +227,10 @@ class SlipControlParameters:
     max_grip_force: float = parameter(1.0, unit='N', within=(0.01, 100.0))
     friction: float = parameter(0.65, within=(0.05, 5.0))
     friction_deviation: float = parameter(0.25, within=(0.01, 1.0))
+    gripper: str = fixed('none', choices=('none', 'force', 'speed'))
+    gripper_rate: float = parameter(20.0, unit='Hz', within=(0.1, 1000.0))
+    gripper_latency: float = parameter(0.05, unit='s', within=(0.0, 5.0))
+    gripper_speed: float = parameter(5e-3, unit='m/s', within=(1e-5, 1.0))
     max_force: float = parameter(1.5, unit='N', within=(0.01, 100.0))
     stiffest_contact: float = parameter(2e4, unit='N/m', within=(100.0, 1e6))
     force_noise: float = parameter(0.03, unit='N', within=(1e-4, 1.0))

@@ -192,6 +192,11 @@ class SafetyWatch:
         arrived = self._arrived.get(name)
         return math.inf if arrived is None else now_s - arrived
 
+    def trusts_force(self, now_s: float) -> bool:
+        """Return whether the latest force is valid and not too old."""
+        fresh = abs(self.age(FORCE, now_s)) <= self._parameters.max_force_age
+        return fresh and not self._untrusted and FORCE not in self._wrong
+
     def fault(self, now_s: float) -> str | None:
         """Return why the arm may not follow slip now, or None."""
         if self._untrusted:

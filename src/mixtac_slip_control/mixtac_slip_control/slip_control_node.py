@@ -17,7 +17,7 @@ from typing import Any, Final
 from event_camera_msgs.msg import EventPacket
 from rclpy.node import Node
 from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import Empty, Header
+from std_msgs.msg import Empty, Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -47,6 +47,7 @@ from mixtac_slip_control.arm.trajectory import (
 )
 from mixtac_slip_control.controller import SlipController, SlipStep
 from mixtac_slip_control.errors import BackendError
+from mixtac_slip_control.grip import GripperGoal
 from mixtac_slip_control.parameters import SlipControlParameters
 from mixtac_slip_control.safety import EVENTS, FORCE, FRAMES, HEARTBEAT, JOINTS, InterlockState
 
@@ -164,6 +165,8 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self._backend = None if arm is None else self._open_backend(arm)
         self._arm_stamp_s: float | None = None
         self._slip = self.publish_topic(topics.SLIP)
+        self._gripper = GripperGoal(p, self._controller.grip)
+        self._grip = None if p.gripper == 'none' else self.publish_topic(topics.GRIP)
         self._message = SlipState()
         self._message.header.frame_id = p.frame_id
         self.create_service(SetBool, '~/enable', answering(self._on_enable))
@@ -240,6 +243,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
 
     def _apply(self, parameters: SlipControlParameters) -> None:
         self._controller.configure(parameters)
+        self._gripper.configure(parameters)
         self._settings = parameters
 
     def _now_s(self) -> float:
@@ -351,6 +355,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
     def _tell(self) -> None:
         if self._told == self._counts.windows:
             self._publish_state()
+            self._ask_gripper(None)
         self._told = self._counts.windows
 
     def _publish_state(self) -> None:
@@ -369,8 +374,23 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         for name in STEP_FIELDS:
             setattr(message, name, getattr(step, name))
         self._slip.publish(message)
+        self._ask_gripper(step)
         self._latest = step
         self._counts.windows += 1
+
+    def _ask_gripper(self, step: SlipStep | None) -> None:
+        """Publish what a gripper shall do; without a window, that it shall not close."""
+        if self._grip is None:
+            return
+        watch = self._controller.watch
+        if step is None:
+            goal = 0.0 if self._settings.gripper == 'speed' else None
+        else:
+            trusted = watch.trusts_force(self._now_s())
+            given = step.end_us, watch.force
+            goal = self._gripper.update(*given, slipping=step.slipping, trusted=trusted)
+        if goal is not None:
+            self._grip.publish(Float64MultiArray(data=[goal]))
 
     def _on_enable(self, request: SetBool.Request) -> str:
         if not request.data:

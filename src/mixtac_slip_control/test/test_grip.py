@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixtac_slip_control.grip import GripMargin, above
+from mixtac_slip_control.grip import GripMargin, GripperGoal, above
 from mixtac_slip_control.parameters import SlipControlParameters
 
 PARAMETERS = SlipControlParameters(friction=0.65, friction_deviation=0.25, grip_margin=1.3)
@@ -126,3 +126,51 @@ def test_clocks_that_jump_do_not_move_the_mean_at_once():
     assert grip.normal < 0.75
     grip.on_force(1.5, 0.2, 0, still=True)
     assert grip.normal < 0.75
+
+
+def goals(grip, force_n, *, kind='force', seconds=1.0, slipping=False, trusted=True):
+    """Return what a gripper at 20 Hz is asked for."""
+    parameters = SlipControlParameters(gripper=kind, gripper_rate=20.0, gripper_latency=0.05)
+    goal = GripperGoal(parameters, grip)
+    found = [
+        goal.update(1000 * k, force_n, slipping=slipping, trusted=trusted)
+        for k in range(round(1000 * seconds))
+    ]
+    return [each for each in found if each is not None]
+
+
+def test_a_gripper_is_asked_for_the_force_of_the_margin_at_its_rate():
+    grip = GripMargin(PARAMETERS)
+    hold(grip, 0.5, 0.3)
+    asked = goals(grip, 0.5)
+    assert len(asked) == 20
+    assert asked[-1] == pytest.approx(grip.wanted(0.5))
+    assert 0.5 < asked[-1] < 1.0
+    assert goals(grip, 0.5, slipping=True)[-1] == SlipControlParameters().max_grip_force
+
+
+def test_a_late_gripper_closes_without_swinging():
+    parameters = SlipControlParameters(gripper='speed', gripper_rate=20.0, gripper_latency=0.2)
+    grip = GripMargin(parameters)
+    hold(grip, 0.5, 0.4)
+    goal = GripperGoal(parameters, grip)
+    stiffness, force, speed, highest = parameters.stiffest_contact, 0.5, 0.0, 0.0
+    under_way = []
+    for k in range(5000):
+        asked = goal.update(1000 * k, force, slipping=False, trusted=True)
+        if asked is not None:
+            under_way.append((k + 200, asked))
+        while under_way and under_way[0][0] <= k:
+            speed = under_way.pop(0)[1]
+        force += stiffness * speed * 1e-3
+        highest = max(highest, force)
+    wanted = grip.wanted(0.5)
+    assert wanted - 0.04 < force <= highest < wanted + 0.02
+
+
+def test_a_force_that_is_not_trusted_moves_no_gripper():
+    grip = GripMargin(PARAMETERS)
+    hold(grip, 0.5, 0.3)
+    assert goals(grip, 0.5, trusted=False) == []
+    assert set(goals(grip, 0.5, kind='speed', trusted=False)) == {0.0}
+    assert goals(GripMargin(PARAMETERS), 0.0) == []

@@ -114,7 +114,7 @@ class Peer:
         graph.node.create_subscription(SlipState, '/mixtac/slip', self._on_slip, QOS_FORCE)
         self.trajectories = graph.listen(JointTrajectory, TOPIC, 10)
         self._sent = 0
-        self.force = 0.5
+        self.force, self.pull = 0.5, 0.0
 
     def start(self, *parameters: str, trajectories: bool = True) -> None:
         """Start the node and wait until both sides know each other."""
@@ -191,7 +191,7 @@ class Peer:
         now_us = EPOCH_US + self._sent * 1000
         force.header.stamp.sec, rest = divmod(now_us, 1_000_000)
         force.header.stamp.nanosec = rest * 1000
-        force.wrench.force.z = self.force
+        force.wrench.force.x, force.wrench.force.z = self.pull, self.force
         self._force.publish(force)
         # The arm's order of joints is its own affair.
         self._joints.publish(joints(name=NAMES[::-1], position=READY[::-1]))
@@ -296,6 +296,26 @@ def check_trajectory(message: Any) -> None:
     assert 0.0 < np.abs(moved).max() < 0.02
     age = time.time() - (message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
     assert 0.0 <= age < 60.0
+
+
+def test_a_gripper_is_told_the_force_of_the_margin(node_under_test: Any) -> None:
+    from std_msgs.msg import Float64MultiArray
+
+    from mixtac_msgs.msg import ForceQuality
+    from mixtac_node.base_node import QOS_FORCE
+
+    peer, graph = Peer(node_under_test), node_under_test
+    quality = graph.node.create_publisher(ForceQuality, '/mixtac/force_quality', QOS_FORCE)
+    asked = graph.listen(Float64MultiArray, '/mixtac/grip', 10)
+    peer.pull = 0.3
+    peer.start('gripper:=force', 'gripper_rate:=100.0')
+    graph.spin_until(quality.get_subscription_count)
+    quality.publish(ForceQuality(valid=True, sideways_known=True, deviation=0.05))
+    graph.spin_until(lambda: peer.send(quiet(20)) and asked)
+    states = peer.send(quiet(600))
+    # It never falls while the object is held: a margin that becomes better known loosens nothing.
+    assert asked[-1].data[0] >= states[-1].wanted_force > peer.force
+    assert asked[-1].data[0] <= 1.0
 
 
 def test_the_status_says_what_is_missing() -> None:
