@@ -227,6 +227,11 @@ class FgerEstimator:
         """Flow of the latest window, [rows, columns, 2] of the event grid [px per threshold]."""
         return self._features[..., :2]
 
+    @property
+    def counts(self) -> NDArray[np.float32]:
+        """ln(1 + ON) and ln(1 + OFF) events of the latest window, [rows, columns, 2]."""
+        return self._features[..., 2:]
+
     def find_contacts(self, scale: SkinScale | None) -> None:
         """Measure displacement and contact of frames from now on; None ends it."""
         with self._encoding:

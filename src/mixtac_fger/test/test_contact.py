@@ -106,9 +106,10 @@ def test_displacement_of_a_moved_texture_is_measured_beyond_one_bin():
 
 
 class Finder:
-    """An estimator of which a test sets the flow."""
+    """An estimator of which a test sets the flow and the events."""
 
     def __init__(self):
+        self.counts = np.zeros((*GRID, 2), np.float32)
         self.flow = np.zeros((*GRID, 2), np.float32)
 
     def find_contacts(self, scale):
@@ -167,22 +168,87 @@ def test_frames_tell_the_size_of_a_contrast_threshold():
     assert carrier.threshold == pytest.approx(0.4, rel=0.15)
 
 
+def touching(tracker, forces, start_us=0) -> list[bool]:
+    """Return the state after each of some windows."""
+    return [tracker.window(start_us + 2000 * i, force).touching for i, force in enumerate(forces)]
+
+
 def test_contact_switches_with_hysteresis_and_has_no_place_before_a_frame():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
-    forces = (0.0, 0.025, 0.035, 0.025, 0.015, 0.025)
-    found = [tracker.window(2000 * i, force) for i, force in enumerate(forces)]
-    assert [each.touching for each in found] == [False, False, True, True, False, False]
-    assert all(each.shape is None for each in found)
+    assert touching(tracker, [0.0, 0.1]) == [False, True]
+    assert all(touching(tracker, [*np.linspace(0.1, 0.027, 100), *[0.027] * 20], 4000))
+    assert tracker.window(244_000, 0.027).shape is None
+    assert not touching(tracker, [0.015] * 8, 246_000)[-1]
+
+
+def test_a_light_force_has_to_last():
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    assert not any(touching(tracker, [0.0] + [0.035] * 10 + [0.0] * 5))
+    assert touching(tracker, [0.035] * 20, 40_000)[-1]
+
+
+def lit(rng, bump=None):
+    """Return a finder whose counts are noise of a window, and events of a brightening."""
+    rates = np.stack([np.full(GRID, 0.5), np.full(GRID, 0.4)], axis=-1)
+    if bump is not None:
+        rates[..., 0] += bump
+    return np.log1p(rng.poisson(rates)).astype(np.float32)
+
+
+def follow(tracker, finder, bumps, start_us):
+    found = []
+    rng = np.random.default_rng(start_us)
+    for index, bump in enumerate(bumps):
+        finder.counts = lit(rng, bump)
+        found.append(tracker.window(start_us + 2000 * index, 0.0).touching)
+    return found
+
+
+def test_a_brightening_around_one_place_is_a_touch_that_the_force_has_to_follow():
+    finder = Finder()
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), finder)
+    assert not any(follow(tracker, finder, [None] * 500, 2000))
+    rows, columns = np.mgrid[: GRID[0], : GRID[1]]
+    bump = 5.0 * np.exp(-((rows - 2) ** 2 + (columns - 4) ** 2) / 3.0)
+    found = follow(tracker, finder, [bump] * 3 + [None] * 100, 1_002_000)
+    assert any(found[:15])
+    assert not found[-1]
+    assert tracker.window(1_300_000, 0.2).touching
+
+
+def test_a_lamp_that_brightens_every_cell_is_no_touch():
+    finder = Finder()
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), finder)
+    assert not any(follow(tracker, finder, [None] * 500, 2000))
+    assert not any(follow(tracker, finder, [np.full(GRID, 3.0)] * 4 + [None] * 50, 1_002_000))
+
+
+def test_a_brightening_does_not_stand_for_a_high_threshold():
+    finder = Finder()
+    tracker = ContactTracker(ContactSettings(0.1, 0.06, scale=SCALE), finder)
+    follow(tracker, finder, [None] * 500, 2000)
+    rows, columns = np.mgrid[: GRID[0], : GRID[1]]
+    bump = 5.0 * np.exp(-((rows - 2) ** 2 + (columns - 4) ** 2) / 3.0)
+    assert not any(follow(tracker, finder, [bump] * 3 + [None] * 50, 1_002_000))
+
+
+def test_a_release_is_told_before_the_estimate_has_fallen_and_leaves_no_new_contact():
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    fall = np.concatenate([np.full(20, 0.3), np.linspace(0.3, 0.05, 25), np.full(60, 0.05)])
+    found = touching(tracker, [0.0, *fall])
+    assert all(found[1:30])
+    assert not any(found[46:])
+    assert touching(tracker, [0.05 + 0.1], 500_000) == [True]
 
 
 def test_what_is_left_of_a_release_ends_with_a_picture_without_contact():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
     free = pressed((0.0, 0.0), strength=0.0, noise=0.01)
     unseen = Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free))
-    assert tracker.window(2000, 0.04).touching
+    assert tracker.window(2000, 0.2).touching
     # Exposed too early to tell.
     tracker.frame(3000, unseen)
-    assert tracker.window(60_000, 0.04).touching
+    assert tracker.window(60_000, 0.06).touching
     tracker.frame(59_000, unseen)
-    assert not tracker.window(62_000, 0.04).touching
-    assert tracker.window(64_000, 0.08).touching
+    assert not tracker.window(62_000, 0.06).touching
+    assert tracker.window(64_000, 0.2).touching

@@ -243,7 +243,7 @@ def _pull_and_roll(console: Console, bag: Path, processes: ProcessGroup, monitor
     scenario = {'scenario': SCENARIO, 'seconds': SECONDS, 'lead_seconds': SIDEWAYS_LEAD_S}
     monitor.set_parameters('virtual_sensor', scenario, processes.check)
     _compute_scenario(console, processes, monitor, plays=2)
-    LiveView(console, monitor).show(SIDEWAYS_LEAD_S + SECONDS, processes.check)
+    LiveView(console, monitor).show(SIDEWAYS_LEAD_S + SECONDS + TAIL_S, processes.check)
     processes.stop('recorder')
 
 
