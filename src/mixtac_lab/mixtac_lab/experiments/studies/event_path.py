@@ -128,8 +128,8 @@ def linear_r2(
 def network_rows(network: PaperNetwork, samples: Sequence[PaperSample]) -> list[dict[str, float]]:
     """Return slope, correlation and error of the changes that a network finds, by their length.
 
-    Stretches begin at the true force with an empty memory; trials are those that `linear_r2`
-    judges.
+    Stretches begin at the true force with an empty memory, which the first window does not tell
+    much without; trials are those that `linear_r2` judges.
     """
     longest = max(WINDOWS)
     chosen = [
@@ -141,7 +141,7 @@ def network_rows(network: PaperNetwork, samples: Sequence[PaperSample]) -> list[
         found, known = (part.numpy() for part in run_stretches(network, samples, chosen))
     before = np.array([samples[s.trial].force[s.start - 1] for s in chosen])
     rows = []
-    for windows in WINDOWS:
+    for windows in WINDOWS[1:]:
         change, truth = found[windows - 1] - before, known[windows - 1] - before
         kept = np.abs(truth) < LARGEST_N
         change, truth = change[kept], truth[kept]
@@ -156,6 +156,22 @@ def network_rows(network: PaperNetwork, samples: Sequence[PaperSample]) -> list[
             }
         )
     return rows
+
+
+def held_errors(samples: Sequence[PaperSample]) -> dict[str, float]:
+    """Return the mean error [N] of a network without events that knows each frame's force exactly.
+
+    Returns:
+        `exposure`: the mean force of the exposure, held until the next frame arrives; `arrival`:
+        the force when the frame arrives, held as long.
+    """
+    errors: dict[str, list[NDArray[np.float32]]] = {'exposure': [], 'arrival': []}
+    for sample in samples:
+        latest = np.maximum.accumulate(np.where(sample.slots >= 0, np.arange(len(sample.slots)), 0))
+        exposure = sample.frame_force[sample.slots[latest]]
+        errors['exposure'].append(np.abs(exposure - sample.force))
+        errors['arrival'].append(np.abs(sample.force[latest] - sample.force))
+    return {name: round(float(np.concatenate(each).mean()), 4) for name, each in errors.items()}
 
 
 def event_path(
@@ -192,6 +208,11 @@ def event_path(
     headings = ('R2 of a linear map from', *(f'{2 * n} ms' for n in WINDOWS))
     lines = [(row['features'], *(f'{each:.2f}' for each in row['r2'])) for row in linear]
     console.print(make_table(f'changes of the force, {size}, simulated', headings, lines))
+    held = held_errors(samples)
+    console.print(
+        f'the exact force of each frame, held until the next: {held["exposure"]} N off; that at its'
+        f' arrival: {held["arrival"]} N'
+    )
     trained: Mapping[str, list[dict[str, float]]] = {
         name: network_rows(network, samples) for name, network in networks.items()
     }
@@ -199,7 +220,7 @@ def event_path(
         table = [tuple(f'{value:.3f}' for value in row.values()) for row in rows]
         console.print(make_table(f'increments of {name}', tuple(rows[0]), table))
     result = {'size': size, 'protocol': PAPER, 'simulated': True, 'trials': len(trials)}
-    save_result(json, {**result, 'linear': linear, 'networks': trained})
+    save_result(json, {**result, 'linear': linear, 'held': held, 'networks': trained})
 
 
 def dynamic_trials(sizes: Sizes, out: Path) -> list[CachedSource]:

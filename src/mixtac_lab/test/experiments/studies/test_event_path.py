@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -14,6 +16,7 @@ from mixtac_lab.experiments.studies.event_path import (
     WINDOWS,
     changes,
     dynamic_trials,
+    held_errors,
     linear_r2,
     network_rows,
 )
@@ -71,10 +74,20 @@ def test_a_network_is_judged_by_its_changes():
         last.get_parameter('weight').zero_()
         last.get_parameter('bias').fill_(0.0)
     rows = network_rows(network, samples)
-    assert [row['ms'] for row in rows] == [2.0 * n for n in WINDOWS]
+    assert [row['ms'] for row in rows] == [2.0 * n for n in WINDOWS[1:]]
     for row in rows:
         assert row['slope'] == pytest.approx(0.0, abs=1e-6)
         assert row['mae'] == pytest.approx(row['mae_of_none'], abs=1e-5)
+
+
+def test_a_frame_that_is_held_is_as_wrong_as_the_force_moves():
+    # One newton per hundred windows, a frame every 20 windows whose exposure is 5 windows old.
+    force = np.arange(100) / 100.0
+    slots = np.where(np.arange(100) % 20 == 0, np.arange(100) // 20, -1)
+    sample = replace(toy(force), slots=slots, frame_force=(force[::20] - 0.05).astype(np.float32))
+    held = held_errors([sample])
+    assert held['arrival'] == pytest.approx(0.095, abs=1e-4)
+    assert held['exposure'] == pytest.approx(0.145, abs=1e-4)
 
 
 def test_trials_are_those_of_the_table(tmp_path):
