@@ -71,7 +71,8 @@ def _redraw(
         if drawn[i, 2] > 0.0:
             _splat(cover, dirty, drawn[i], -opacity[i] * ONE)
         _splat(cover, dirty, spots[i], opacity[i] * ONE)
-        drawn[i] = spots[i]
+        for k in range(spots.shape[1]):
+            drawn[i, k] = spots[i, k]
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
