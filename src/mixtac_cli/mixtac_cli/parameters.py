@@ -17,12 +17,15 @@ class RecorderParameters:
     Attributes:
         output: Folder of the new bag; it must not exist.
         reference_topic: Topic of the reference force (WrenchStamped).
+        exclude: Topics that are not recorded, as docs/reference.md names them, separated by spaces;
+            what only they need is not computed.
         profile: Kind of motion, for dataset.yaml, for example static.
         split: Split of the recording, for dataset.yaml.
     """
 
     output: str = fixed('')
     reference_topic: str = fixed(REFERENCE)
+    exclude: str = fixed('')
     profile: str = fixed('')
     split: str = fixed('', choices=('', 'train', 'test'))
 

@@ -4,16 +4,14 @@
 
 from __future__ import annotations
 
-import struct
 import sys
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from geometry_msgs.msg import PointStamped, WrenchStamped
+from geometry_msgs.msg import PointStamped
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_srvs.srv import Trigger
 
@@ -54,39 +52,6 @@ if TYPE_CHECKING:
     from mixtac_fger.weights import Model
 
 
-_STAMP = struct.Struct('<iI')
-_NUMBERS = struct.Struct('<6d')
-_STAMP_AT, _WRENCH_AT = 4, -_NUMBERS.size
-"""Places in a serialised message: after the representation, and six numbers before the end."""
-
-
-class ForceMessage:
-    """Writes forces and the torque about z as serialised messages.
-
-    Args:
-        frame_id: Frame of the force.
-    """
-
-    def __init__(self, frame_id: str) -> None:
-        message = WrenchStamped()
-        message.header.frame_id = frame_id
-        self._bytes = bytearray(serialize_message(message))
-
-    def serialised(self, stamp_us: int, force: float, shear: Shear | None = None) -> bytes:
-        """Return the message.
-
-        Args:
-            stamp_us: Its stamp [us].
-            force: Its force along z [N].
-            shear: Its other axes, which are 0 without.
-        """
-        seconds, rest = divmod(stamp_us, 1_000_000)
-        _STAMP.pack_into(self._bytes, _STAMP_AT, seconds, rest * 1000)
-        x, y, torque = (0.0, 0.0, 0.0) if shear is None else shear[:3]
-        _NUMBERS.pack_into(self._bytes, _WRENCH_AT, x, y, force, 0.0, 0.0, torque)
-        return bytes(self._bytes)
-
-
 class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
     """Estimates force while active.
 
@@ -114,7 +79,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._located = Contact()
         self._field: tuple[Any, ...] = ()
         self._lens, self._field_us = (0.0, (0.0, 0.0)), 0
-        self._message = ForceMessage(self._settings.frame_id)
+        self._message = topics.WrenchWriter(self._settings.frame_id)
         self._diagnostics = DiagnosticsPublisher(self, self._settings.model, self._status)
         self.create_service(Trigger, '~/tare', self._tare)
         self.subscribe_topic(topics.CAMERA_CLOCK, self._on_clock)
@@ -271,7 +236,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             estimator.longest_without_frame_us = round(wanted.longest_without_frame * 1e6)
             estimator.stale_frame_us = round(wanted.stale_frame_age * 1e6)
             self._feed.deadline_s = wanted.deadline
-        self._message = ForceMessage(wanted.frame_id)
+        self._message = topics.WrenchWriter(wanted.frame_id)
         self._settings = wanted
 
     def _ask_camera(self) -> None:
@@ -342,7 +307,9 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             if force is not None:
                 held = not estimate.valid and self._settings.invalid_force == 'hold'
                 shear = self._trusted_shear if held else estimate.shear
-                self._force.publish(self._message.serialised(estimate.end_us, force, shear))
+                x, y, torque = (0.0, 0.0, 0.0) if shear is None else shear[:3]
+                wrench = (x, y, force, 0.0, 0.0, torque)
+                self._force.publish(self._message.serialised(1000 * estimate.end_us, wrench))
         now_ns = time.time_ns()
         # Off the critical path from here on.
         arrival_ns = (

@@ -22,7 +22,7 @@ from ament_index_python.packages import (
 
 from mixtac_node.files import read_data
 from mixtac_node.process import GraphError
-from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS
+from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE, TOPICS, Topic
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,14 +348,17 @@ def slip_control(overrides: Mapping[str, object]) -> NodeSpec:
     )
 
 
-def recorder(output: Path, reference_topic: str = '') -> NodeSpec:
+def recorder(output: Path, reference_topic: str = '', exclude: Sequence[Topic] = ()) -> NodeSpec:
     """Return the node that records the sensor's topics to a new bag.
 
     Args:
         output: Folder of the bag.
         reference_topic: Topic of the reference force; empty keeps that of the parameter files.
+        exclude: Topics that are not recorded; without any, as the parameter files have it.
     """
     overrides = {'output': str(output)}
+    if exclude:
+        overrides['exclude'] = ' '.join(each.name for each in exclude)
     if reference_topic:
         overrides['reference_topic'] = reference_topic
     return NodeSpec('mixtac_cli', 'recorder_node', 'recorder', overrides=overrides)

@@ -1,11 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Topics and services of the sensor graph: name, message type and QoS of each."""
+"""Topics and services of the sensor graph: name, message type and QoS of each.
+
+Beside them, reading and writing the message of the forces.
+"""
 
 from __future__ import annotations
 
 import functools
 import importlib
+import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -209,6 +214,38 @@ ForceMessage: TypeAlias = 'WrenchStamped'
 def normal_force(message: ForceMessage) -> float:
     """Return the normal force [N] of a message of `FORCE` or of a reference force sensor."""
     return float(message.wrench.force.z)
+
+
+_STAMP = struct.Struct('<iI')
+_NUMBERS = struct.Struct('<6d')
+_LITTLE_ENDIAN = b'\0\1\0\0'
+"""Representation of the data that follow (CDR)."""
+
+
+class WrenchWriter:
+    """Writes wrenches as serialised messages, which costs less than to fill and convert one.
+
+    Args:
+        frame_id: Frame of the wrenches.
+    """
+
+    def __init__(self, frame_id: str) -> None:
+        name = frame_id.encode() + b'\0'
+        header = _STAMP.pack(0, 0) + struct.pack('<I', len(name)) + name
+        # Numbers of eight bytes lie at multiples of eight, counted from the stamp.
+        header += bytes(-len(header) % 8)
+        self._bytes = bytearray(_LITTLE_ENDIAN + header + _NUMBERS.pack(*[0.0] * 6))
+
+    def serialised(self, stamp_ns: int, wrench: Sequence[float]) -> bytes:
+        """Return a message.
+
+        Args:
+            stamp_ns: Its stamp [ns].
+            wrench: Force along x, y and z [N], torque about them [N m].
+        """
+        _STAMP.pack_into(self._bytes, len(_LITTLE_ENDIAN), *divmod(stamp_ns, 1_000_000_000))
+        _NUMBERS.pack_into(self._bytes, len(self._bytes) - _NUMBERS.size, *wrench)
+        return bytes(self._bytes)
 
 
 REFERENCE_WRENCH = Topic(

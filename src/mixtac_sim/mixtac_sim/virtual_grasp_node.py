@@ -85,6 +85,7 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
 
     def _wire(self, settings: VirtualGraspParameters) -> None:
         self._truth = self.publish_topic(topics.TRUTH_WRENCH)
+        self._wrenches = topics.WrenchWriter(topics.CONTACT_FRAME)
         self._place = self.publish_topic(topics.TRUTH_OBJECT)
         self._force = self.publish_topic(topics.FORCE) if settings.publish_force else None
         self._clock_topic = None
@@ -154,12 +155,14 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
                 self._strike()
 
     def _hand_out(self, batch: WrenchSamples) -> None:
-        message = publish_wrenches(self._truth, batch, topics.CONTACT_FRAME)
+        publish_wrenches(self._truth, batch, self._wrenches)
         if len(batch.t_ns):
+            stamp_ns, wrench = int(batch.t_ns[-1]), batch.wrench[-1].tolist()
             if self._force is not None:
-                self._force.publish(message)
+                self._force.publish(self._wrenches.serialised(stamp_ns, wrench))
             place = PointStamped()
-            place.header = message.header
+            place.header.stamp = ns_to_stamp(stamp_ns)
+            place.header.frame_id = topics.CONTACT_FRAME
             place.point.z = -1e-3 * self._grasp.object_mm
             self._place.publish(place)
 

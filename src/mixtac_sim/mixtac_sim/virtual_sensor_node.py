@@ -72,6 +72,8 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
             topics.REFERENCE_WRENCH, name=self._settings.reference_topic
         )
         self._truth = self.publish_topic(topics.TRUTH_WRENCH)
+        self._reference_writer = topics.WrenchWriter(self._settings.reference_frame_id)
+        self._truth_writer = topics.WrenchWriter(self._settings.truth_frame_id)
         self._touch = TouchControl(self._sensor)
         self.create_service(Trigger, '~/play', answering(lambda _: self._play()))
         for name, gesture in self._touch.gestures.items():
@@ -133,9 +135,9 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
     def _publish_all(self) -> None:
         while not self._stop.wait(PUBLISH_PERIOD_S):
             for batch in self._sensor.take_reference():
-                publish_wrenches(self._reference, batch, self._settings.reference_frame_id)
+                publish_wrenches(self._reference, batch, self._reference_writer)
             for batch in self._sensor.take_truth():
-                publish_wrenches(self._truth, batch, self._settings.truth_frame_id)
+                publish_wrenches(self._truth, batch, self._truth_writer)
             if self._time is not None:
                 self._time.publish(Clock(clock=ns_to_stamp(self._sensor.time_ns())))
             self._play_if_due()
@@ -183,16 +185,10 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
         )
 
 
-def publish_wrenches(publisher: Any, batch: WrenchSamples, frame_id: str) -> WrenchStamped:  # noqa: ANN401
-    """Publish the samples of a batch; return the last message, empty if there is none."""
-    message = WrenchStamped()
-    message.header.frame_id = frame_id
-    force, torque = message.wrench.force, message.wrench.torque
+def publish_wrenches(publisher: Any, batch: WrenchSamples, writer: topics.WrenchWriter) -> None:  # noqa: ANN401
+    """Publish the samples of a batch."""
     for stamp_ns, wrench in zip(batch.t_ns.tolist(), batch.wrench.tolist(), strict=True):
-        message.header.stamp = ns_to_stamp(stamp_ns)
-        force.x, force.y, force.z, torque.x, torque.y, torque.z = wrench
-        publisher.publish(message)
-    return message
+        publisher.publish(writer.serialised(stamp_ns, wrench))
 
 
 def main(args: list[str] | None = None) -> int:

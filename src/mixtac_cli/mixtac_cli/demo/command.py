@@ -8,7 +8,7 @@ import datetime as dt
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,7 +50,7 @@ from mixtac_fger.force_calibration import ForceCalibrationError, fit_gain, load_
 from mixtac_node.files import FileError, write_json
 from mixtac_node.graph import recorder, sensor_graph
 from mixtac_node.process import GraphError, ProcessGroup
-from mixtac_node.topics import DEFAULT_NAMESPACE
+from mixtac_node.topics import CONTACT, CONTACT_POINT, DEFAULT_NAMESPACE, Topic
 
 SETTLE_S = 1.0
 LEAD_S = 8.0
@@ -205,7 +205,7 @@ def _run_graph(
         monitor.listen()
         monitor.wait_for_force(processes.check)
         gain = _calibrate(console, processes, monitor)
-        _record(out / 'bag', processes, monitor)
+        _record(out / 'bag', processes, monitor, exclude=(CONTACT, CONTACT_POINT))
         # Messages in the first half second after discovery are often lost.
         time.sleep(SETTLE_S)
         lost_s = _lost_s(monitor)
@@ -227,10 +227,12 @@ def _run_graph(
     return run, failed
 
 
-def _record(bag: Path, processes: ProcessGroup, monitor: Monitor) -> None:
+def _record(
+    bag: Path, processes: ProcessGroup, monitor: Monitor, exclude: Sequence[Topic] = ()
+) -> None:
     """Start to record to a new bag; return when that has begun."""
     monitor.diagnostics.pop(f'{DEFAULT_NAMESPACE}/recorder', None)
-    start_nodes(processes, [recorder(bag)])
+    start_nodes(processes, [recorder(bag, exclude=exclude)])
     while not monitor.values('recorder'):
         time.sleep(0.1)
         processes.check()

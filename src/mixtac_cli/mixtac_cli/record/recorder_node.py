@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -65,13 +65,25 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
         self._connections: dict[str, Connection] = {}
         self._began_ns = 0
 
-    def listen(self, reference_topic: str) -> None:
+    def listen(self, reference_topic: str, exclude: Sequence[str] = ()) -> None:
         """Subscribe to all topics.
 
         Args:
             reference_topic: Topic of the reference force sensor.
+            exclude: Names of topics to leave out.
+
+        Raises:
+            RecordingError: There is no topic of such a name.
         """
+        names = {each.name for each in TOPICS}
+        for name in exclude:
+            if name not in names:
+                raise RecordingError(
+                    f'no topic {name} to exclude', remedy=f'choose from {", ".join(sorted(names))}'
+                )
         for each in TOPICS:
+            if each.name in exclude:
+                continue
             reference = each.name == REFERENCE
             chosen = replace(
                 each,
@@ -205,7 +217,7 @@ class RecorderNode(Listener):
             )
         self._output = Path(self._p.output)
         read_recordings(self._output.absolute().parent / FILE_NAME)
-        self.listen(self._p.reference_topic)
+        self.listen(self._p.reference_topic, self._p.exclude.split())
         self.start(self._output)
         self._failed = False
         self._diagnostics = DiagnosticsPublisher(self, 'recorder', self._status)
