@@ -15,7 +15,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from rosbags.highlevel import AnyReader
 
-from mixtac_node.topics import EVENTS, FORCE, IMAGE_RAW, TOPICS
+from mixtac_node.topics import CONTACT, CONTACT_POINT, EVENTS, FORCE, IMAGE_RAW, TOPICS
 from mixtac_recordings.bag import typestore
 
 if TYPE_CHECKING:
@@ -62,10 +62,14 @@ def test_the_figure_is_a_picture(run: Path):
     assert (run / 'demo.png').read_bytes().startswith(b'\x89PNG')
 
 
-def test_the_bag_opens_in_another_reader_with_all_topics(run: Path):
+def test_the_bags_open_in_another_reader_and_only_the_second_has_contacts(run: Path):
+    every = {t.resolved('mixtac'): t.type_name for t in TOPICS}
+    contacts = {t.resolved('mixtac') for t in (CONTACT, CONTACT_POINT)}
+    with AnyReader([run / 'bag_sideways'], default_typestore=typestore()) as reader:
+        assert {c.topic: c.msgtype for c in reader.connections} == every
     with AnyReader([run / 'bag'], default_typestore=typestore()) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
-        assert types == {t.resolved('mixtac'): t.type_name for t in TOPICS}
+        assert types == {name: kind for name, kind in every.items() if name not in contacts}
         counts = {c.topic: c.msgcount for c in reader.connections}
     assert counts[FORCE.resolved('mixtac')] > 450 * (SECONDS - 2)
     assert counts[EVENTS.resolved('mixtac')] > 450 * (SECONDS - 2)
