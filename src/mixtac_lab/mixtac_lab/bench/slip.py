@@ -32,6 +32,8 @@ from mixtac_lab.slip.loop import SIDEWAYS, TRANSPORT_S
 from mixtac_lab.slip.trials import (
     TrialPlan,
     latency_quantiles,
+    load_piece,
+    load_row,
     margin_row,
     summary,
     trial_piece,
@@ -39,6 +41,7 @@ from mixtac_lab.slip.trials import (
 from mixtac_lab.store import Store
 from mixtac_node.graph import NodeSpec
 from mixtac_node.process import GraphError, JsonProcess
+from mixtac_slip_control.parameters import SlipControlParameters
 
 NAMESPACE = 'mixtac_slip_bench'
 TRAJECTORIES = f'/{NAMESPACE}/joint_trajectory'
@@ -58,6 +61,11 @@ STIFFNESSES = (10.0, 5.0, 2.0, 1.0)
 FIRST_SEED = 70_000
 MARGINS = (1.005, 1.02, 1.05, 1.2)
 """Grasp forces over the smallest that holds."""
+LOADED_MARGIN = 1.05
+"""Grasp force of objects that are loaded, over the smallest that holds them at first."""
+LOADED_SPEED = 3e-4
+"""`preload_speed` with these [m/s]: what 10 g/s need on a cup of 0.7 N/mm."""
+FIRST_LOADED = 71_000
 QUICK_TRIALS = 6
 Force = Literal['estimated', 'true']
 
@@ -238,6 +246,10 @@ def slip(
     quiet_minutes: Annotated[
         float, typer.Option(help='Length of each scene without slip [min]; 0 for none.')
     ] = 30.0,
+    loads: Annotated[
+        int,
+        typer.Option(help='Cups that 10 g are added to each second until they are twice as heavy.'),
+    ] = 0,
     curve_trials: Annotated[
         int, typer.Option(help='Slips per speed for the latency curves; 0 for none.')
     ] = 40,
@@ -260,7 +272,7 @@ def slip(
     """Measure slip control: held objects, latency, limits, false alarms. Simulated results."""
     console, store = Console(), Store(keep)
     if quick:
-        trials, quiet_minutes, curve_trials, dds_seconds = QUICK_TRIALS, 0.0, 0, 0.0
+        trials, quiet_minutes, curve_trials, dds_seconds, loads = QUICK_TRIALS, 0.0, 0, 0.0, 0
     margins = MARGINS if margin is None else (margin,)
     plan = TrialPlan(
         knock_mm_s=knock, preset=preset, lag_s=lag, wait_s=wait, estimated=force == 'estimated'
@@ -278,6 +290,10 @@ def slip(
         )
         for each in margins
     }
+    faster = SlipControlParameters(preload_speed=LOADED_SPEED)
+    cup = replace(plan, name='cup', margin=LOADED_MARGIN, settings=faster)
+    loaded = [load_piece(replace(cup, seed=FIRST_LOADED + k)) for k in range(loads)]
+    loads_found = store.run_shown('slow loads', loaded, console) if loaded else []
     latency = None
     if dds_seconds > 0.0:
         with console.status('slips over DDS'):
@@ -287,6 +303,8 @@ def slip(
         quiet = [count_alarms(name, 60.0 * quiet_minutes, preset, store, console) for name in QUIET]
     outcome = summarise(results, latency, quiet)
     outcome |= {'margins': by_margin, 'force': force}
+    if loads_found:
+        outcome['load'] = load_row(loads_found)
     outcome['conditions'] = {
         'margin': list(margins),
         'wait_s': wait,

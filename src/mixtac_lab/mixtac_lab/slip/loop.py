@@ -10,6 +10,7 @@ lower bound that no controller can beat: the same grasp and knock with the best 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -202,6 +203,7 @@ class ClosedLoop:
         lag_s: Time constant with which the arm follows its commands [s].
         seed: Seed of the noise of the true force, where that is what the controller gets.
         force: The sensor's own force; None for the true one with `FORCE_NOISE_N`.
+        mass_g: Mass of the object [g] at a time [s]; None for that of the grasp.
     """
 
     def __init__(
@@ -211,8 +213,9 @@ class ClosedLoop:
         lag_s: float = TRACKING_LAG_S,
         seed: int = 0,
         force: SensedForce | None = None,
+        mass_g: Callable[[float], float] | None = None,
     ) -> None:
-        self._grasp, self._force = grasp, force
+        self._grasp, self._force, self._mass_g = grasp, force, mass_g
         self._estimates: list[Estimate] = []
         self._arm = JointTrajectoryController(1.0 / CYCLE_S)
         self._arm.reset(READY, EPOCH_S)
@@ -264,6 +267,8 @@ class ClosedLoop:
             self._rejected += self._arm.accept(trajectory, arrival_s) is not None
         command = self._arm.sample(now_s)[0]
         way = self._tip.follow(command, STEPS)
+        if self._mass_g is not None:
+            self._grasp.weigh(self._mass_g(self._cycle * CYCLE_S))
         block = self._grasp.advance(way)
         self._cycle += 1
         self._blocks.append(block)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -204,6 +204,45 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
     return result | never, record
 
 
+LOAD_G_PER_S: Final = 10.0
+"""Mass that is added to a loaded object [g/s]."""
+LOAD_TIMES: Final = 2.0
+"""Times its mass to which it is loaded."""
+
+
+def run_loaded(plan: TrialPlan) -> dict[str, Any]:
+    """Load an object slowly from the onset on, instead of a knock, and return the result for JSON.
+
+    Returns:
+        `held`: whether it moved no farther than 5 mm and is at rest with the whole load; `slip_mm`:
+        how far; `slips`: times that slip was reported; `grasp_n` and `end_n`: normal force at the
+        start and at the end; `peak_n`: the largest; `stopped`: reason of an interlock stop.
+
+    Raises:
+        SlipControlError: The controller could not be enabled.
+    """
+    grasp = replace(plan, knock_mm_s=0.0).grasp(camera=True)
+    start_g, onset_us = grasp.setup.mass_g, plan.onset_us
+    load_s = (LOAD_TIMES - 1.0) * start_g / LOAD_G_PER_S
+
+    def mass_g(time_s: float) -> float:
+        return start_g + LOAD_G_PER_S * min(max(time_s - 1e-6 * onset_us, 0.0), load_s)
+
+    loop = ClosedLoop(grasp, plan.settings, plan.lag_s, plan.seed, plan.force(grasp), mass_g)
+    record = loop.run(1e-6 * onset_us + load_s + AFTER_KNOCK_S, ENABLE_S)
+    arrest = arrest_of(record.t_us, record.object_mm, record.speed_mm_s, onset_us)
+    slipping = np.array([s.slipping for s in record.steps]).astype(np.int8)
+    return {
+        'held': arrest.held,
+        'slip_mm': arrest.slip_mm,
+        'slips': int(np.count_nonzero(np.diff(slipping) > 0)),
+        'grasp_n': grasp.grasp_n,
+        'end_n': float(record.normal_n[-1]),
+        'peak_n': float(record.normal_n.max()),
+        'stopped': record.stopped,
+    }
+
+
 def _first_ms(record: LoopRecord, onset_us: float, slipping: list[bool]) -> float:
     """Return the time of the first slip that a detector reported after the onset [ms]."""
     return _after_ms(record.answered_us[np.array(slipping)], onset_us)
@@ -309,6 +348,26 @@ def margin_row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
+def load_row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what slowly loaded objects come to, for JSON.
+
+    `trials`: their number; `dropped`: of these; `median_mm`: displacement; `slips`: slips that were
+    reported; `force_ratio`: median force at the end over that at the start; `peak_n`: largest true
+    force; `stopped`: interlock stops.
+    """
+    return {
+        'trials': len(results),
+        'dropped': sum(not each['held'] for each in results),
+        'median_mm': round(float(np.median([each['slip_mm'] for each in results])), 4),
+        'slips': sum(each['slips'] for each in results),
+        'force_ratio': round(
+            float(np.median([each['end_n'] / each['grasp_n'] for each in results])), 3
+        ),
+        'peak_n': round(max(each['peak_n'] for each in results), 3),
+        'stopped': sum(bool(each['stopped']) for each in results),
+    }
+
+
 def _share_within(errors: Sequence[float | None], most: float) -> float | None:
     """Return the share of errors that are small enough, None among many; None without any."""
     if not any(error is not None for error in errors):
@@ -345,3 +404,13 @@ def _trial(_base: Path, plan: TrialPlan) -> dict[str, Any]:
     start = np.interp(0.0, t_ms, record.object_mm)
     course = np.interp(COURSE_MS, t_ms, record.object_mm) - start
     return result | {'course_mm': course.round(4).tolist()}
+
+
+def load_piece(plan: TrialPlan) -> Piece:
+    """Return a slowly loaded object as a piece of work."""
+    piece = trial_piece(plan)
+    return Piece(f'load_{plan.name}_s{plan.seed}', _loaded, (plan,), piece.version)
+
+
+def _loaded(_base: Path, plan: TrialPlan) -> dict[str, Any]:
+    return run_loaded(plan)

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Quantiles with misses, and what trials at one margin come to."""
+"""Quantiles with misses, and what trials at one margin or with a slow load come to."""
 
 from __future__ import annotations
 
-from mixtac_lab.slip.trials import latency_quantiles, margin_row
+from mixtac_lab.slip.trials import latency_quantiles, load_row, margin_row
 
 
 def test_misses_are_later_than_everything() -> None:
@@ -42,3 +42,12 @@ def test_a_margin_counts_held_undetected_and_stops() -> None:
     assert row['peak_n'] == 21.0
     assert row['stopped'] == 1
     assert row['trials'] == 4
+
+
+def test_a_slow_load_counts_what_was_dropped() -> None:
+    held = {'held': True, 'slip_mm': 0.1, 'slips': 1, 'grasp_n': 0.3, 'end_n': 0.6}
+    lost = {'held': False, 'slip_mm': 90.0, 'slips': 2, 'grasp_n': 0.3, 'end_n': 0.3}
+    both = [{**held, 'peak_n': 0.7, 'stopped': ''}, {**lost, 'peak_n': 0.4, 'stopped': 'no force'}]
+    row = load_row([both[0], *both])
+    assert (row['trials'], row['dropped'], row['slips'], row['stopped']) == (3, 1, 4, 1)
+    assert (row['median_mm'], row['force_ratio'], row['peak_n']) == (0.1, 2.0, 0.7)

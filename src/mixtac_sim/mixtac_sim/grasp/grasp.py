@@ -20,7 +20,7 @@ from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import OBJECTS, GraspSetup
 from mixtac_sim.grasp.skin import SETTLE_S, Patches, Press, Skin, SkinCamera, slide
 from mixtac_sim.grids import STEP_US
-from mixtac_sim.mechanics.contact import ContactPath
+from mixtac_sim.mechanics.contact import GRAVITY, ContactPath
 from mixtac_sim.mechanics.elastomer import Layer, force_law
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.random_streams import stream
@@ -232,6 +232,15 @@ class Grasp:
             speed_mm_s: Speed that the impact gives the object [mm/s].
         """
         self._fixed = (*self._fixed[:4], float(self._body[0]), self._fixed[5], speed_mm_s)
+
+    def weigh(self, mass_g: float) -> None:
+        """Let the object have another mass from the next step on, as when something is put in.
+
+        Args:
+            mass_g: Its mass [g].
+        """
+        mass_kg = 1e-3 * mass_g
+        self._fixed = (mass_kg, mass_kg * GRAVITY, *self._fixed[2:])
 
     def put_back(self) -> None:
         """Put the object back to where it was held; the fingertip stays where it is."""

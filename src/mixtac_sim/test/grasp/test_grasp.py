@@ -46,6 +46,17 @@ def test_open_loop_falls_at_small_margin_and_not_at_large() -> None:
     assert path[1, -1] == 0.0
 
 
+@pytest.mark.parametrize(('margin', 'held'), [(1.5, False), (2.3, True)])
+def test_an_object_of_twice_the_mass_needs_twice_the_force(margin: float, held: bool) -> None:
+    grasp = Grasp(replace(SETUP, margin=margin, knock_mm_s=0.0), 1, 1, camera=False)
+    still = np.zeros(400)
+    for step in range(60):
+        grasp.weigh(SETUP.mass_g * (1.0 + min(step / 20, 1.0)))
+        block = grasp.advance(still)
+    assert (block.object_mm[-1] < 1.0) == held
+    assert (block.speed_mm_s[-1] == 0.0) == held
+
+
 def test_the_knock_brings_its_speed() -> None:
     # Over 1 ms friction changes the speed by no more than a few percent.
     _, path = _run(replace(SETUP, knock_mm_s=200.0), 0.0115)
