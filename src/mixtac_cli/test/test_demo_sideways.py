@@ -136,6 +136,7 @@ def test_the_picture_shows_both_parts(tmp_path):
         reference_n=np.sin(time_s),
         sample_s=time_s,
         sample_n=np.sin(time_s),
+        zeros_n=(0.0, 0.0),
         rmse_n=0.0,
         constant_mae_n=0.0,
     )
