@@ -45,7 +45,7 @@ CELL_PX = 44
 RIDGE = 0.01
 """Penalty, in mean squares of the standardised features."""
 EVERY = 3
-"""Every so manieth trial is judged, the others are fitted to."""
+"""One trial in so many is judged; the maps are fitted to the others."""
 LARGEST_N = 0.5
 """Larger changes are not judged: they are those of synchronising impulses [N]."""
 Features = dict[str, NDArray[np.float64]]
