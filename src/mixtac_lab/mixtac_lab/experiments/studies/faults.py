@@ -1,37 +1,23 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the force says when it cannot be trusted: faults in simulated trials, and false alarms.
+"""Faults of camera, lamp, optics and transport, put into simulated trials.
 
 A fault is a change of the frames and events of a trial from some time on. `SEEN` faults were known
-when the checks were made; no threshold was chosen by any of them. `UNSEEN` faults were written
-afterwards and tell what the checks are worth for faults that nobody thought of.
+when the checks of the force were made; no threshold was chosen by any of them. `UNSEEN` faults were
+written afterwards and tell what the checks are worth for faults that nobody thought of. `validity`
+judges them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
 
 import numpy as np
-import typer
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import Progress
 
-from mixtac_cli.options import JsonFile, ModelName
 from mixtac_events.arrays import Events
-from mixtac_fger.estimator import Estimate, open_estimator
-from mixtac_fger.reference import TareError
-from mixtac_fger.streaming import ForceEstimator
-from mixtac_fger.validity import Reason
-from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
-from mixtac_lab.figures import make_table, save_result
-from mixtac_learning.judge.metrics import fit_scale
-from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.trial import TrialArrays
-from mixtac_recordings.messages import left_aligned
-from mixtac_sim.world.training_trials import TrialSpec
 
 FULL_SCALE = 1023
 """Brightest value of a frame [DN]."""
@@ -313,222 +299,3 @@ UNSEEN: dict[str, Fault] = {
     'exposure 5 times': of_images(lambda image, _: image * 5.0),
 }
 """Faults that were written after the thresholds were set."""
-
-
-@dataclass(slots=True)
-class Run:
-    """Estimates of a stream; T windows.
-
-    Attributes:
-        end_us: End of each window, camera clock [us], int64 [T].
-        force: Estimate [N], float64 [T].
-        deviation: Its standard deviation [N], float64 [T].
-        reason: Number of the `Reason`, int64 [T].
-    """
-
-    end_us: NDArray[np.int64]
-    force: NDArray[np.float64]
-    deviation: NDArray[np.float64]
-    reason: NDArray[np.int64]
-
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        """Which forces are valid."""
-        return np.asarray(self.reason == Reason.TRUSTED)
-
-
-def follow(model: Model, stream: Stream, *, from_us: int = 0, tare_us: int = 0) -> Run:
-    """Run the live estimator on a stream.
-
-    Args:
-        model: Content of a weight file.
-        stream: What arrives.
-        from_us: The estimator starts here; other than 0 without the assumption of no contact.
-        tare_us: When to tare; 0 for never.
-
-    Raises:
-        TareError: The tare was refused.
-    """
-    opened = open_estimator(model)
-    estimator = ForceEstimator(opened, assume_free=not from_us)
-    width = opened.window_us
-    ends = np.arange(from_us // width * width + width, int(stream.arrival_us[-1]), width)
-    cuts = np.searchsorted(stream.events.t, [ends[0] - width, *ends])
-    frame = int(np.searchsorted(stream.arrival_us, from_us))
-    rows: list[Estimate] = []
-    for index, end in enumerate(ends.tolist()):
-        while frame < len(stream.frames) and stream.arrival_us[frame] <= end:
-            image = stream.frames[frame]
-            if image is not None:
-                estimator.push_frame(left_aligned(image), int(stream.mid_us[frame]))
-            frame += 1
-        rows += estimator.push_events(stream.events[cuts[index] : cuts[index + 1]], end)
-        if tare_us and end - width < tare_us <= end:
-            estimator.tare()
-    table = [(each.end_us, each.force, each.deviation or 0.0, int(each.reason)) for each in rows]
-    columns = np.array(table, np.float64).reshape(-1, 4).T
-    return Run(columns[0].astype(np.int64), columns[1], columns[2], columns[3].astype(np.int64))
-
-
-AT_MOST_N = 0.1
-"""Error of a valid force that needs no deviation to cover it."""
-COVERED = 1.96
-"""Deviations that cover an error."""
-
-
-def judge_fault(name: str, fault: Fault, model: Model, trials: list[TrialArrays]) -> dict[str, Any]:
-    """Return a row of the table.
-
-    The fault begins at two fifths of each trial. Errors are differences from the same window
-    without the fault: what the model errs without one is no fault's.
-
-    Args:
-        name: Name of the fault.
-        fault: The fault.
-        model: Content of a weight file.
-        trials: Trials of different sensors, in contact from time to time; two or more.
-    """
-    seconds, worst, uncovered, reasons = [], 0.0, 0.0, set()
-    for index, trial in enumerate(trials):
-        begin_us = int(trial.arrival_us[-1]) * 2 // 5
-        other = trials[(index + 1) % len(trials)]
-        whole = follow(model, stream_of(trial, begin_us, other, index))
-        stream = stream_of(trial, begin_us, other, index)
-        fault(stream)
-        run = follow(model, stream)
-        change = np.abs(run.force - np.interp(run.end_us, whole.end_us, whole.force))
-        scale = fit_scale(whole.force, trial.label().at(whole.end_us).astype(np.float64))
-        after = run.end_us > begin_us
-        found = run.end_us[after & ~run.valid]
-        # An undetected fault that changes the force by less than noise does no harm.
-        harmless = not len(found) and scale * change[after].max(initial=0.0) < AT_MOST_N
-        late = np.inf if not len(found) else 1e-6 * (found[0] - begin_us)
-        seconds.append(0.0 if harmless else late)
-        trusted = after & run.valid
-        error = scale * change[trusted]
-        worst = max(worst, float(error.max(initial=0.0)))
-        excess = error - COVERED * scale * run.deviation[trusted]
-        uncovered = max(uncovered, float(np.minimum(error, excess + AT_MOST_N).max(initial=0.0)))
-        reasons |= {Reason(int(each)).name for each in np.unique(run.reason[after & ~run.valid])}
-    return {
-        'fault': name,
-        'seen': name in SEEN,
-        'seconds_to_invalid': max(seconds) if np.isfinite(max(seconds)) else None,
-        'worst_error_valid_n': round(worst, 4),
-        'worst_uncovered_n': round(uncovered, 4),
-        'undetected': int(np.sum(~np.isfinite(seconds))),
-        'trials': len(trials),
-        'reasons': sorted(reasons),
-    }
-
-
-def false_alarms(model: Model, trials: list[TrialArrays]) -> dict[str, Any]:
-    """Return how often forces of trials without a fault are not valid, but for real saturation."""
-    hours = invalid = 0.0
-    for trial in trials:
-        run = follow(model, stream_of(trial, 0, trial))
-        hours += len(run.end_us) * 2e-3 / 3600.0
-        invalid += float(np.sum(~run.valid & (run.reason != Reason.SATURATED)))
-    return {
-        'false_invalid_per_hour': invalid / hours,
-        'false_invalid_minutes_in_ten_hours': invalid * 2e-3 / 60.0 / hours * 10.0,
-        'hours_without_fault': hours,
-    }
-
-
-def pressed_starts(model: Model, trials: list[TrialArrays]) -> dict[str, int]:
-    """Start the estimator, and tare it, while the sensor is pressed with 0.1 N or more."""
-    counts = dict.fromkeys(('starts', 'forces_valid', 'tares', 'tares_accepted'), 0)
-    for trial in trials:
-        label = trial.label()
-        middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
-        force = label.at(middle)
-        held = [
-            int(trial.arrival_us[k])
-            for k in range(10, len(force) - 20)
-            if force[k - 6 : k + 12].min() > 0.1 and np.ptp(force[k - 6 : k + 12]) < 0.02
-        ]
-        if not held:
-            continue
-        at_us = held[len(held) // 2]
-        stream = stream_of(trial, 0, trial)
-        counts['starts'] += 1
-        run = follow(model, stream, from_us=at_us - 200_000)
-        counts['forces_valid'] += int(run.valid.sum())
-        for from_us in (0, at_us - 200_000):
-            counts['tares'] += 1
-            try:
-                follow(model, stream, from_us=from_us, tare_us=at_us + 200_000)
-            except TareError:
-                continue
-            counts['tares_accepted'] += 1
-    return counts
-
-
-FIRST_SEED = 880_000
-"""First seed of sensors and trials: beyond those of training, evaluation and thresholds."""
-PRESETS = ('paper_like', 'easy', 'hard')
-
-
-def _trials(profile: str, count: int, seconds: float, first: int) -> list[TrialArrays]:
-    return [
-        SimulatedSource(
-            TrialSpec(first + k, first + k, profile, seconds, PRESETS[k % len(PRESETS)])
-        ).load()
-        for k in range(count)
-    ]
-
-
-def faults(
-    model: ModelName = DEFAULT_MODEL,
-    quick: Annotated[
-        bool, typer.Option('--quick', help='All faults, on two sensors; fewer other trials.')
-    ] = False,
-    json: JsonFile = None,
-) -> None:
-    """Show how soon a force says that it cannot be trusted, and how often it says so wrongly."""
-    loaded = read_model(find_model(model))
-    sensors, others, starts = (2, 3, 3) if quick else (6, 60, 50)
-    seconds = 5.0 if quick else 12.0
-    table = {**SEEN, **UNSEEN}
-    with Progress(transient=True) as progress:
-        bar = progress.add_task('simulating', total=len(table) + 3)
-        trials = _trials('dynamic', sensors, seconds, FIRST_SEED)
-        free = [
-            *trials,
-            *_trials('press', others, seconds, FIRST_SEED + 1000),
-            *_trials('oscillation', others, seconds, FIRST_SEED + 2000),
-        ]
-        progress.advance(bar)
-        alarms = false_alarms(loaded, free)
-        progress.advance(bar)
-        held = free if quick else _trials('static', starts, 4.0, FIRST_SEED + 3000)
-        pressed = pressed_starts(loaded, held)
-        progress.advance(bar)
-        rows = []
-        for name, fault in table.items():
-            progress.update(bar, description=name)
-            rows.append(judge_fault(name, fault, loaded, trials))
-            progress.advance(bar)
-    shown = [
-        (
-            row['fault'] + ('' if row['seen'] else ' *'),
-            'never' if row['seconds_to_invalid'] is None else f'{row["seconds_to_invalid"]:.2f}',
-            f'{row["worst_error_valid_n"]:.3f}',
-            f'{row["worst_uncovered_n"]:.3f}',
-            ', '.join(row['reasons']),
-        )
-        for row in rows
-    ]
-    headings = (
-        'fault (* not known before)',
-        'invalid after [s]',
-        'worst valid [N]',
-        'not covered [N]',
-        'reasons',
-    )
-    console = Console()
-    console.print(make_table('faults, simulated', headings, shown))
-    console.print({**alarms, **pressed})
-    result = {'model': str(find_model(model)), 'quick': quick, **alarms, 'pressed': pressed}
-    save_result(json, {**result, 'rows': rows})
