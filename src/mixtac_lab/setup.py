@@ -23,7 +23,7 @@ STUDIES = {
     'grasps': f'{PAPER}.slip:grasps',
     'difficulty': f'{STUDY}.difficulty:difficulty',
     'ablation': f'{STUDY}.difficulty:ablation',
-    'faults': f'{STUDY}.validity:faults',
+    'faults': f'{STUDY}.faults:faults',
     'zero': f'{STUDY}.zero:zero',
     'contact-place': f'{STUDY}.contact_place:contact_place',
     'contact': f'{STUDY}.contact:contact',

@@ -1,301 +1,336 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of camera, lamp, optics and transport, put into simulated trials.
+"""Whether the force says when it cannot be trusted: after faults, at pressed starts, and without.
 
-A fault is a change of the frames and events of a trial from some time on. `SEEN` faults were known
-when the checks of the force were made; no threshold was chosen by any of them. `UNSEEN` faults were
-written afterwards and tell what the checks are worth for faults that nobody thought of. `validity`
-judges them.
+The live estimator runs on simulated trials of sensors that no threshold was set with. Every trial
+is a piece of work of its own, so that a run of hours goes on where it was cut off.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
 
-from mixtac_events.arrays import Events
+from mixtac_cli.options import JsonFile, ModelName
+from mixtac_fger.estimator import Estimate, open_estimator
+from mixtac_fger.reference import TareError
+from mixtac_fger.streaming import ForceEstimator
+from mixtac_fger.validity import Reason
+from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
+from mixtac_lab.experiments.studies.stream_faults import SEEN, UNSEEN, Stream, stream_of
+from mixtac_lab.figures import make_table, save_result
+from mixtac_lab.store import Piece, Store, code_version, files_version
+from mixtac_learning.judge.metrics import CalibrationError, fit_scale
+from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.trial import TrialArrays
+from mixtac_recordings.messages import left_aligned
+from mixtac_sim.world.training_trials import TrialSpec, simulator_digest
 
-FULL_SCALE = 1023
-"""Brightest value of a frame [DN]."""
-Image = NDArray[np.uint16]
-Random = np.random.Generator
+AT_MOST_N = 0.1
+"""Error of a valid force that needs no deviation to cover it."""
+COVERED = 1.96
+"""Deviations that cover an error."""
+FIRST_SEED = 880_000
+"""First seed of sensors and trials: beyond those of training, evaluation and thresholds."""
+PRESETS = ('paper_like', 'easy', 'hard')
+GOOD = (
+    *('dynamic', 'press', 'oscillation', 'static', 'weights', 'touch', 'idle'),
+    *('slide', 'torsion', 'roll', 'handling', 'impact', 'vibration'),
+)
+"""Profiles of trials without a fault."""
+GOOD_S = 30.0
+"""Length of a trial without a fault [s]."""
 
 
 @dataclass(slots=True)
-class Stream:
-    """A trial as it arrives; faults change it from `begin_us` on. Camera clock [us].
+class Run:
+    """Estimates of a stream; T windows.
 
     Attributes:
-        frames: Images, uint16, 0 to `FULL_SCALE`; None for one that does not arrive.
-        mid_us: Centre of each exposure.
-        arrival_us: Arrival of each frame.
-        events: Events.
-        begin_us: When the fault begins.
-        random: For the fault's own choices.
-        other: A trial of another sensor.
+        end_us: End of each window, camera clock [us], int64 [T].
+        force: Estimate [N], float64 [T].
+        deviation: Its standard deviation [N], float64 [T].
+        reason: Number of the `Reason`, int64 [T].
     """
 
-    frames: list[Image | None]
-    mid_us: NDArray[np.int64]
-    arrival_us: NDArray[np.int64]
-    events: Events
-    begin_us: int
-    random: Random
-    other: TrialArrays
+    end_us: NDArray[np.int64]
+    force: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    reason: NDArray[np.int64]
 
     @property
-    def later(self) -> NDArray[np.bool_]:
-        """Which events come after the start of the fault."""
-        return self.events.t >= self.begin_us
+    def valid(self) -> NDArray[np.bool_]:
+        """Which forces are valid."""
+        return np.asarray(self.reason == Reason.TRUSTED)
 
 
-def stream_of(trial: TrialArrays, begin_us: int, other: TrialArrays, seed: int = 0) -> Stream:
-    """Return a trial without a fault."""
+def follow(model: Model, stream: Stream, *, from_us: int = 0, tare_us: int = 0) -> Run:
+    """Run the live estimator on a stream.
+
+    Args:
+        model: Content of a weight file.
+        stream: What arrives.
+        from_us: The estimator starts here; other than 0 without the assumption of no contact.
+        tare_us: When to tare; 0 for never.
+
+    Raises:
+        TareError: The tare was refused.
+    """
+    opened = open_estimator(model)
+    estimator = ForceEstimator(opened, assume_free=not from_us)
+    width = opened.window_us
+    ends = np.arange(from_us // width * width + width, int(stream.arrival_us[-1]), width)
+    cuts = np.searchsorted(stream.events.t, [ends[0] - width, *ends])
+    frame = int(np.searchsorted(stream.arrival_us, from_us))
+    rows: list[Estimate] = []
+    for index, end in enumerate(ends.tolist()):
+        while frame < len(stream.frames) and stream.arrival_us[frame] <= end:
+            image = stream.frames[frame]
+            if image is not None:
+                estimator.push_frame(left_aligned(image), int(stream.mid_us[frame]))
+            frame += 1
+        rows += estimator.push_events(stream.events[cuts[index] : cuts[index + 1]], end)
+        if tare_us and end - width < tare_us <= end:
+            estimator.tare()
+    table = [(each.end_us, each.force, each.deviation or 0.0, int(each.reason)) for each in rows]
+    columns = np.array(table, np.float64).reshape(-1, 4).T
+    return Run(columns[0].astype(np.int64), columns[1], columns[2], columns[3].astype(np.int64))
+
+
+def _reasons(run: Run, chosen: NDArray[np.bool_]) -> dict[str, int]:
+    return dict(Counter(Reason(int(each)).name for each in run.reason[chosen]))
+
+
+def judge_faults(_: Path, weights: Path, spec: TrialSpec, other: TrialSpec) -> dict[str, Any]:
+    """Put every fault into one trial, from two fifths of it on.
+
+    Errors are differences from the same window without the fault: what the model errs without one
+    is no fault's.
+
+    Args:
+        weights: Weight file.
+        spec: The trial.
+        other: Trial of another sensor, for faults that mix two.
+
+    Returns:
+        By fault `seconds` to the first force that is not valid (0 where none changes by more than
+        `AT_MOST_N`, None for never), `worst` change of a valid force [N], `uncovered` the same
+        where the deviation does not cover it, and `reasons`.
+    """
+    model = read_model(weights)
+    trial, theirs = SimulatedSource(spec).load(), SimulatedSource(other).load()
+    begin_us = int(trial.arrival_us[-1]) * 2 // 5
+    seed = spec.trial_seed
+    whole = follow(model, stream_of(trial, begin_us, theirs, seed))
+    scale = fit_scale(whole.force, trial.label().at(whole.end_us).astype(np.float64))
+    found = {}
+    for name, fault in {**SEEN, **UNSEEN}.items():
+        stream = stream_of(trial, begin_us, theirs, seed)
+        fault(stream)
+        run = follow(model, stream)
+        change = scale * np.abs(run.force - np.interp(run.end_us, whole.end_us, whole.force))
+        after = run.end_us > begin_us
+        late = run.end_us[after & ~run.valid]
+        seconds = 1e-6 * float(late[0] - begin_us) if len(late) else None
+        if seconds is None and change[after].max(initial=0.0) < AT_MOST_N:
+            seconds = 0.0
+        trusted = after & run.valid
+        error = change[trusted]
+        excess = error - COVERED * scale * run.deviation[trusted]
+        found[name] = {
+            'seconds': seconds,
+            'worst': float(error.max(initial=0.0)),
+            'uncovered': float(np.minimum(error, excess + AT_MOST_N).max(initial=0.0)),
+            'reasons': sorted(_reasons(run, after & ~run.valid)),
+        }
+    return found
+
+
+def fault_row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the row of a fault.
+
+    Args:
+        name: Name of the fault.
+        found: Its result on each sensor, from `judge_faults`.
+    """
+    seconds = [each['seconds'] for each in found]
+    return {
+        'fault': name,
+        'seen': name in SEEN,
+        'seconds_to_invalid': None if None in seconds else max(seconds),
+        'worst_error_valid_n': round(max(each['worst'] for each in found), 4),
+        'worst_uncovered_n': round(max(each['uncovered'] for each in found), 4),
+        'undetected': seconds.count(None),
+        'trials': len(found),
+        'reasons': sorted({reason for each in found for reason in each['reasons']}),
+    }
+
+
+def judge_good(_: Path, weights: Path, spec: TrialSpec) -> dict[str, Any]:
+    """Follow a trial without a fault.
+
+    Args:
+        weights: Weight file.
+        spec: The trial.
+
+    Returns:
+        `windows`; how many are `invalid`, but for real saturation; how many of these `rightly`,
+        because the force is wrong by more than `AT_MOST_N` and than its deviation covers; and the
+        number of windows by `reasons`.
+    """
+    trial = SimulatedSource(spec).load()
+    run = follow(read_model(weights), stream_of(trial, 0, trial))
+    truth = trial.label().at(run.end_us).astype(np.float64)
+    try:
+        scale = fit_scale(run.force, truth)
+    except CalibrationError:
+        scale = 1.0
+    error = np.abs(scale * run.force - truth)
+    wrong = error > np.maximum(AT_MOST_N, COVERED * scale * run.deviation)
+    invalid = ~run.valid & (run.reason != Reason.SATURATED)
+    return {
+        'windows': len(run.end_us),
+        'invalid': int(invalid.sum()),
+        'rightly': int((invalid & wrong).sum()),
+        'reasons': _reasons(run, invalid),
+    }
+
+
+def false_alarms(found: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return how often forces of trials without a fault are not valid, from `judge_good`."""
+    hours = sum(each['windows'] for each in found) * 2e-3 / 3600.0
+    invalid = sum(each['invalid'] for each in found)
+    reasons = sum((Counter(each['reasons']) for each in found), Counter())
+    return {
+        'false_invalid_per_hour': invalid / hours,
+        'false_invalid_minutes_in_ten_hours': invalid * 2e-3 / 60.0 / hours * 10.0,
+        'rightly_invalid_per_hour': sum(each['rightly'] for each in found) / hours,
+        'invalid_trials': sum(each['invalid'] > 0 for each in found),
+        'invalid_reasons': dict(reasons),
+        'hours_without_fault': hours,
+    }
+
+
+def judge_start(_: Path, weights: Path, spec: TrialSpec) -> dict[str, int]:
+    """Start the estimator, and tare it, while the sensor is pressed with 0.1 N or more.
+
+    Args:
+        weights: Weight file.
+        spec: A trial with a hold; without one, all counts are 0.
+
+    Returns:
+        Counts: `starts`, `forces_valid` after them, `tares`, `tares_accepted`.
+    """
+    counts = dict.fromkeys(('starts', 'forces_valid', 'tares', 'tares_accepted'), 0)
+    model, trial = read_model(weights), SimulatedSource(spec).load()
     middle = (trial.exposure_start_us + trial.exposure_end_us) // 2
-    random = np.random.default_rng(seed)
-    frames: list[Image | None] = list(np.minimum(trial.frames, np.uint16(FULL_SCALE)))
-    return Stream(frames, middle, trial.arrival_us, trial.events, begin_us, random, other)
+    at_us = _held(trial, trial.label().at(middle).astype(np.float64))
+    if at_us is None:
+        return counts
+    stream = stream_of(trial, 0, trial)
+    counts['starts'] += 1
+    run = follow(model, stream, from_us=at_us - 200_000)
+    counts['forces_valid'] += int(run.valid.sum())
+    for from_us in (0, at_us - 200_000):
+        counts['tares'] += 1
+        try:
+            follow(model, stream, from_us=from_us, tare_us=at_us + 200_000)
+        except TareError:
+            continue
+        counts['tares_accepted'] += 1
+    return counts
 
 
-Fault = Callable[[Stream], None]
+def _held(trial: TrialArrays, force: NDArray[np.float64]) -> int | None:
+    """Return the arrival of a frame in the middle of a hold [us], given the force at each frame."""
+    held = [
+        int(trial.arrival_us[k])
+        for k in range(10, len(force) - 20)
+        if force[k - 6 : k + 12].min() > AT_MOST_N and np.ptp(force[k - 6 : k + 12]) < 0.02
+    ]
+    return held[len(held) // 2] if held else None
 
 
-def of_images(change: Callable[[NDArray[np.float64], Random], NDArray[np.floating]]) -> Fault:
-    """Return the fault that changes every image, given as float64 [DN]."""
-
-    def fault(stream: Stream) -> None:
-        for index, (image, middle) in enumerate(zip(stream.frames, stream.mid_us, strict=True)):
-            if image is not None and middle >= stream.begin_us:
-                found = change(image.astype(np.float64), stream.random)
-                stream.frames[index] = np.clip(found, 0, FULL_SCALE).astype(np.uint16)
-
-    return fault
+def _specs(profiles: Sequence[str], count: int, seconds: float, first: int) -> list[TrialSpec]:
+    return [
+        TrialSpec(
+            first + k, first + k, profiles[k % len(profiles)], seconds, PRESETS[k % len(PRESETS)]
+        )
+        for k in range(count)
+    ]
 
 
-def of_events(change: Callable[[Events, Random], Events]) -> Fault:
-    """Return the fault that changes the events after its begin."""
-
-    def fault(stream: Stream) -> None:
-        later = stream.later
-        parts = [stream.events[~later], change(stream.events[later], stream.random)]
-        events = Events.concatenate(parts)
-        stream.events = events[np.argsort(events.t, kind='stable')]
-
-    return fault
-
-
-def both(*faults: Fault) -> Fault:
-    """Return several faults at once."""
-
-    def fault(stream: Stream) -> None:
-        for each in faults:
-            each(stream)
-
-    return fault
-
-
-def _frozen(stream: Stream) -> None:
-    latest = None
-    for index, middle in enumerate(stream.mid_us):
-        if middle < stream.begin_us or latest is None:
-            latest = stream.frames[index]
-        stream.frames[index] = latest
-
-
-def _frames_of_another(stream: Stream) -> None:
-    for index, middle in enumerate(stream.mid_us):
-        if middle >= stream.begin_us:
-            theirs = stream.other.frames[index % len(stream.other.frames)]
-            stream.frames[index] = np.minimum(theirs, np.uint16(FULL_SCALE))
-
-
-def _all_of_another(stream: Stream) -> None:
-    _frames_of_another(stream)
-    events = stream.events[~stream.later]
-    stream.events = Events.concatenate(
-        [events, stream.other.events[stream.other.events.t >= stream.begin_us]]
+def faults(
+    model: ModelName = DEFAULT_MODEL,
+    quick: Annotated[
+        bool, typer.Option('--quick', help='All faults, on two sensors; fewer other trials.')
+    ] = False,
+    hours: Annotated[
+        float | None,
+        typer.Option(min=0.0, help='Hours without a fault; 10 by default, with --quick a minute.'),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help='Folder of results; an interrupted run continues there.')
+    ] = Path('runs/faults'),
+    jobs: Annotated[int, typer.Option(min=1, help='Number of processes.')] = 2,
+    json: JsonFile = None,
+) -> None:
+    """Show how soon a force says that it cannot be trusted, and how often it says so wrongly."""
+    weights = find_model(model)
+    code = code_version('mixtac_events', 'mixtac_fger', stream_of.__module__, __name__)
+    version = f'{simulator_digest()} {code} {files_version([weights])}'
+    sensors, seconds, starts = (2, 5.0, 3) if quick else (6, 12.0, 50)
+    trials = _specs(['dynamic'], sensors, seconds, FIRST_SEED)
+    if hours is None:
+        hours = 1.0 / 60.0 if quick else 10.0
+    good = _specs(GOOD, max(1, round(3600.0 * hours / GOOD_S)), GOOD_S, FIRST_SEED + 4000)
+    held = _specs(['static'], starts, 4.0, FIRST_SEED + 3000)
+    pieces = [
+        *(
+            Piece('faults', judge_faults, (weights, each, trials[k - 1]), version)
+            for k, each in enumerate(trials)
+        ),
+        *(Piece('start', judge_start, (weights, each), version) for each in held),
+        *(Piece('good', judge_good, (weights, each), version) for each in good),
+    ]
+    console, store = Console(), Store(out)
+    with Progress(console=console, transient=True) as progress:
+        bar = progress.add_task('faults, starts, trials without a fault', total=len(pieces))
+        found = store.run(pieces, jobs, lambda: progress.advance(bar))
+    by_sensor, begun, alarms = (
+        found[:sensors],
+        found[sensors : sensors + starts],
+        found[-len(good) :],
     )
-
-
-def _no_frames(stream: Stream) -> None:
-    for index, middle in enumerate(stream.mid_us):
-        if middle >= stream.begin_us:
-            stream.frames[index] = None
-
-
-def _frames_in_a_loop(stream: Stream) -> None:
-    chosen = [k for k, middle in enumerate(stream.mid_us) if middle >= stream.begin_us]
-    loop = stream.frames[chosen[0] - 10 : chosen[0]]
-    for place, index in enumerate(chosen):
-        stream.frames[index] = loop[place % len(loop)]
-
-
-def _events_in_a_loop(stream: Stream) -> None:
-    length = 400_000
-    events, begin = stream.events, stream.begin_us
-    source = events.between(begin - length, begin)
-    end = int(events.t[-1])
-    copies = [source.shifted(shift) for shift in range(length, end - begin, length)]
-    stream.events = Events.concatenate([events[~stream.later], *copies])
-
-
-def _torn(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
-    return np.concatenate([image[130:], image[:130]])
-
-
-def _striped(image: NDArray[np.float64], random: Random) -> NDArray[np.float64]:
-    return image + random.normal(0.0, 150.0, (len(image), 1))
-
-
-def _speckled(image: NDArray[np.float64], random: Random) -> NDArray[np.float64]:
-    return np.where(random.random(image.shape) < 0.1, random.integers(0, 1024, image.shape), image)
-
-
-def _dim(image: NDArray[np.float64], random: Random) -> NDArray[np.float64]:
-    """Return a lamp at a fiftieth of its light, with the shot noise and steps of so little."""
-    electrons = random.poisson(np.maximum(image * 0.02 * 10.0, 0.0))
-    return np.asarray(electrons / 10.0 + random.normal(0.0, 1.0, image.shape))
-
-
-def _blurred(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
-    from scipy.ndimage import gaussian_filter
-
-    return np.asarray(gaussian_filter(image, 6.0))
-
-
-def _turned(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
-    from scipy.ndimage import rotate
-
-    return np.asarray(rotate(image, 2.0, reshape=False, mode='nearest', order=1))
-
-
-def _grown(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
-    from scipy.ndimage import affine_transform
-
-    middle = np.array(image.shape) / 2.0
-    return np.asarray(affine_transform(image, [0.96, 0.96], middle * 0.04, order=1, mode='nearest'))
-
-
-def _covered(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
-    image[60:160, 90:200] = 180.0
-    return image
-
-
-def _drop(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
-    y, x = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
-    return np.asarray(image + 500.0 * np.exp(-((x - 120) ** 2 + (y - 90) ** 2) / 800.0))
-
-
-def _moved(columns: int, rows: int = 0) -> Fault:
-    """Return a camera that moved: frames and events."""
-
-    def shift(events: Events, _: Random) -> Events:
-        x = np.clip(events.x.astype(np.int64) + columns, 0, 345).astype(np.uint16)
-        y = np.clip(events.y.astype(np.int64) + rows, 0, 259).astype(np.uint16)
-        return replace(events, x=x, y=y)
-
-    frames = of_images(lambda image, _: np.roll(image, (rows, columns), (0, 1)))
-    return both(frames, of_events(shift))
-
-
-def _mirrored_events(events: Events, _: Random) -> Events:
-    return replace(events, x=(345 - events.x).astype(np.uint16))
-
-
-def _brighter(events: Events, _: Random) -> Events:
-    return replace(events, polarity=np.ones(len(events), np.bool_))
-
-
-def _hot(events: Events, random: Random) -> Events:
-    """Add 200 pixels that fire a thousand times a second."""
-    first, last = int(events.t[0]), int(events.t[-1])
-    count = int(200 * 1000.0 * 1e-6 * (last - first))
-    places = random.integers(0, 346 * 260, 200)[random.integers(0, 200, count)]
-    hot = Events(
-        np.sort(random.integers(first, last, count)),
-        (places % 346).astype(np.uint16),
-        (places // 346).astype(np.uint16),
-        np.ones(count, np.bool_),
+    rows = [fault_row(name, [each[name] for each in by_sensor]) for name in {**SEEN, **UNSEEN}]
+    pressed = {name: sum(each[name] for each in begun) for name in begun[0]}
+    shown = [
+        (
+            row['fault'] + ('' if row['seen'] else ' *'),
+            'never' if row['seconds_to_invalid'] is None else f'{row["seconds_to_invalid"]:.2f}',
+            f'{row["worst_error_valid_n"]:.3f}',
+            f'{row["worst_uncovered_n"]:.3f}',
+            ', '.join(row['reasons']),
+        )
+        for row in rows
+    ]
+    headings = (
+        'fault (* not known before)',
+        'invalid after [s]',
+        'worst valid [N]',
+        'not covered [N]',
+        'reasons',
     )
-    return Events.concatenate([events, hot])
-
-
-def _swapped(events: Events, _: Random) -> Events:
-    x = np.minimum(events.y.astype(np.int64) * 346 // 260, 345)
-    y = np.minimum(events.x.astype(np.int64) * 260 // 346, 259)
-    return replace(events, x=x.astype(np.uint16), y=y.astype(np.uint16))
-
-
-def _noise_storm(events: Events, random: Random) -> Events:
-    count = int(0.4 * (events.t[-1] - events.t[0]))
-    noise = Events(
-        np.sort(random.integers(events.t[0], events.t[-1], count)),
-        random.integers(0, 346, count).astype(np.uint16),
-        random.integers(0, 260, count).astype(np.uint16),
-        random.random(count) < 0.5,
-    )
-    return Events.concatenate([events, noise])
-
-
-def _half_dark(image: NDArray[np.float64], _: Random) -> NDArray[np.float64]:
-    image[:, :173] = np.minimum(image[:, :173], 4.0)
-    return image
-
-
-def _flat(value: float) -> Fault:
-    return of_images(lambda image, random: random.normal(value, 2.0, image.shape))
-
-
-SEEN: dict[str, Fault] = {
-    'lamp at 2 %': of_images(_dim),
-    'one LED dead': of_images(_half_dark),
-    'all black': _flat(2.0),
-    'all white': _flat(FULL_SCALE + 50.0),
-    'frame frozen': _frozen,
-    'camera moved by 1 px': _moved(1),
-    'camera moved by 3 px': _moved(2, -2),
-    'camera moved by 10 px': _moved(10),
-    'frames mirrored': of_images(lambda image, _: image[:, ::-1]),
-    'camera mirrored': both(
-        of_images(lambda image, _: image[:, ::-1]), of_events(_mirrored_events)
-    ),
-    'no events': of_events(lambda events, _: events[:0]),
-    'one polarity only': of_events(_brighter),
-    '200 hot pixels': of_events(_hot),
-    'another camera': _all_of_another,
-    'no frames': _no_frames,
-    'picture inverted': of_images(lambda image, _: FULL_SCALE - image),
-    'lens out of focus': of_images(_blurred),
-    'lens covered in part': of_images(_covered),
-    'stray light': of_images(lambda image, _: image + 300.0),
-    'events mirrored': of_events(_mirrored_events),
-    'polarity inverted': of_events(lambda events, _: replace(events, polarity=~events.polarity)),
-}
-"""Faults that were known when the checks were made."""
-UNSEEN: dict[str, Fault] = {
-    'frame torn': of_images(_torn),
-    'row noise': of_images(_striped),
-    'a tenth of the pixels random': of_images(_speckled),
-    'picture turned by 2 degrees': of_images(_turned),
-    'picture grown by 4 %': of_images(_grown),
-    'drop on the lens': of_images(_drop),
-    'frames of another sensor': _frames_of_another,
-    'frames in a loop': _frames_in_a_loop,
-    'events in a loop': _events_in_a_loop,
-    'columns and rows of events swapped': of_events(_swapped),
-    'noise of 0.4 Mev/s': of_events(_noise_storm),
-    'a tenth of the events': of_events(
-        lambda events, random: events[random.random(len(events)) < 0.1]
-    ),
-    'upside down': both(
-        of_images(lambda image, _: image[::-1]),
-        of_events(lambda events, _: replace(events, y=(259 - events.y).astype(np.uint16))),
-    ),
-    'two bits lost': of_images(lambda image, _: np.mod(image * 4.0, 1024.0)),
-    'exposure 5 times': of_images(lambda image, _: image * 5.0),
-}
-"""Faults that were written after the thresholds were set."""
+    console.print(make_table('faults, simulated', headings, shown))
+    console.print({**alarms, **pressed})
+    result = {'model': str(weights), 'quick': quick, **alarms, 'pressed': pressed}
+    save_result(json, {**result, 'rows': rows})

@@ -1,65 +1,76 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Faults change a trial from their begin on, and nothing before it."""
+"""Faults, pressed starts and trials without a fault are judged by the live estimator."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from mixtac_events.arrays import Events
-from mixtac_lab.experiments.studies.faults import SEEN, UNSEEN, stream_of
-from mixtac_learning.trials.trial import TrialArrays
+from mixtac_fger.weights import DEFAULT_MODEL, find_model
+from mixtac_lab.experiments.studies import faults
+from mixtac_lab.experiments.studies.stream_faults import SEEN
+from mixtac_sim.world.training_trials import TrialSpec
 
-BEGIN_US = 600_000
-FRAMES = 24
-
-
-def trial(seed: int) -> TrialArrays:
-    random = np.random.default_rng(seed)
-    start = np.arange(FRAMES, dtype=np.int64) * 40_000
-    count = 2000
-    events = Events(
-        np.sort(random.integers(0, 950_000, count)),
-        random.integers(0, 346, count).astype(np.uint16),
-        random.integers(0, 260, count).astype(np.uint16),
-        random.random(count) < 0.5,
-    )
-    frames = random.integers(100, 600, (FRAMES, 260, 346)).astype(np.uint16)
-    return TrialArrays(events, frames, start, start + 6000, start + 15_000, None, None)
+PRESS = TrialSpec(7, 7, 'press', 4.0)
 
 
-@pytest.fixture(scope='module')
-def trials() -> tuple[TrialArrays, TrialArrays]:
-    return trial(1), trial(2)
+@pytest.fixture
+def two_faults(monkeypatch):
+    chosen = {name: SEEN[name] for name in ('no frames', 'all black')}
+    monkeypatch.setattr(faults, 'SEEN', chosen)
+    monkeypatch.setattr(faults, 'UNSEEN', {})
 
 
-def test_there_are_enough_of_both_kinds():
-    assert len({**SEEN, **UNSEEN}) == len(SEEN) + len(UNSEEN) >= 30
-    assert len(UNSEEN) >= 10
+def test_faults_make_the_force_invalid(two_faults, tmp_path):
+    other = TrialSpec(8, 8, 'press', 4.0)
+    found = faults.judge_faults(tmp_path, find_model(DEFAULT_MODEL), PRESS, other)
+    assert set(found) == {'no frames', 'all black'}
+    row = faults.fault_row('all black', [found['all black']])
+    assert 0.0 < row['seconds_to_invalid'] < 0.3
+    assert row['undetected'] == 0
+    assert row['reasons']
+    assert found['no frames']['reasons'] == ['STALE']
 
 
-@pytest.mark.parametrize('name', [*SEEN, *UNSEEN])
-def test_a_fault_changes_what_comes_after_its_begin_alone(trials, name):
-    one, other = trials
-    before = stream_of(one, BEGIN_US, other)
-    after = stream_of(one, BEGIN_US, other)
-    {**SEEN, **UNSEEN}[name](after)
-    early = before.mid_us < BEGIN_US
-    changed = [
-        new is None or not np.array_equal(old, new)
-        for old, new in zip(before.frames, after.frames, strict=True)
-    ]
-    assert not np.array(changed)[early].any()
-    kept = [stream.events[stream.events.t < BEGIN_US] for stream in (before, after)]
-    assert all(
-        np.array_equal(getattr(kept[0], field), getattr(kept[1], field))
-        for field in ('t', 'x', 'y', 'polarity')
-    )
-    assert (np.diff(after.events.t) >= 0).all()
-    same = len(after.events) == len(before.events) and all(
-        np.array_equal(getattr(after.events, field), getattr(before.events, field))
-        for field in ('x', 'y', 'polarity')
-    )
-    assert any(changed) or not same
-    assert all(image is None or image.max() <= 1023 for image in after.frames)
+def test_a_fault_that_one_sensor_misses_is_undetected():
+    seen = {'seconds': 0.1, 'worst': 0.05, 'uncovered': 0.02, 'reasons': ['STALE']}
+    row = faults.fault_row('any', [seen, seen | {'seconds': None, 'worst': 0.4, 'reasons': []}])
+    assert row['seconds_to_invalid'] is None
+    assert row['undetected'] == 1
+    assert row['worst_error_valid_n'] == 0.4
+    assert row['trials'] == 2
+
+
+def test_a_trial_without_a_fault_is_valid(tmp_path):
+    found = faults.judge_good(tmp_path, find_model(DEFAULT_MODEL), PRESS)
+    assert found['windows'] > 1500
+    assert found['invalid'] == 0
+    assert not found['reasons']
+
+
+def test_false_alarms_are_rates_over_all_trials():
+    one = {'windows': 900_000, 'invalid': 0, 'rightly': 0, 'reasons': {}}
+    two = {
+        'windows': 900_000,
+        'invalid': 30,
+        'rightly': 10,
+        'reasons': {'LIGHT_CHANGED': 10, 'CAMERA_MOVED': 20},
+    }
+    rates = faults.false_alarms([one, two])
+    assert rates['hours_without_fault'] == pytest.approx(1.0)
+    assert rates['false_invalid_per_hour'] == pytest.approx(30.0)
+    assert rates['rightly_invalid_per_hour'] == pytest.approx(10.0)
+    assert rates['false_invalid_minutes_in_ten_hours'] == pytest.approx(0.01)
+    assert rates['invalid_trials'] == 1
+    assert rates['invalid_reasons'] == {'LIGHT_CHANGED': 10, 'CAMERA_MOVED': 20}
+
+
+def test_nothing_is_trusted_or_tared_while_pressed(tmp_path):
+    held = TrialSpec(7, 7, 'static', 4.0)
+    counts = faults.judge_start(tmp_path, find_model(DEFAULT_MODEL), held)
+    assert counts == {'starts': 1, 'forces_valid': 0, 'tares': 2, 'tares_accepted': 0}
+
+
+def test_a_trial_without_a_hold_starts_nothing(tmp_path):
+    counts = faults.judge_start(tmp_path, find_model(DEFAULT_MODEL), TrialSpec(7, 7, 'idle', 3.0))
+    assert set(counts.values()) == {0}
