@@ -1,0 +1,246 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of a demo: computed from its bags, drawn, and printed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from rich.table import Table
+
+from mixtac_alignment.align import align
+from mixtac_alignment.bags import read_recording
+from mixtac_alignment.errors import AlignmentError, InconsistentFitError
+from mixtac_cli.demo.drawing import draw_run
+from mixtac_cli.demo.evaluation import (
+    compare,
+    event_rate,
+    frame_jump,
+    host_time,
+    lost_windows,
+    mae,
+    mean_rate_hz,
+    peak_error,
+    phases,
+    read_streams,
+    truth_mae,
+)
+from mixtac_cli.demo.sideways import read_sideways, true_path
+from mixtac_node.topics import DEFAULT_NAMESPACE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+    from rich.console import Console
+
+    from mixtac_alignment.clock_fit import ClockFit
+
+BAG: Final = 'bag'
+SIDEWAYS_BAG: Final = 'bag_sideways'
+PRESET: Final = 'paper_like'
+"""What the shipped model was trained for."""
+MAX_FORCE_GAP_S: Final = 2.0
+"""A busy host may lose reference samples [s]; here their clock is known to be a single one."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was measured while the graph ran.
+
+    Attributes:
+        gain: Factor of the force that the calibration found; 1 if it was refused.
+        dropped: Transfers, words, frames and messages that nodes dropped.
+        computed_s: Time for which simulated time stopped to compute the scenario [s].
+        waited_s: Time for which it stopped later [s].
+        host: `host_idle` and `host_stolen`, as from `evaluate`.
+        clock_pairs: (host, camera) clock pairs [ns] of the scenario, shape (N, 2), int64.
+        arrival_ns: Arrival of each force, host clock [ns], int64.
+        stamp_ns: Stamp of each force, camera clock [ns], int64.
+    """
+
+    gain: float
+    dropped: int
+    computed_s: float
+    waited_s: float
+    host: dict[str, float]
+    clock_pairs: NDArray[np.int64]
+    arrival_ns: NDArray[np.int64]
+    stamp_ns: NDArray[np.int64]
+
+
+def evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -> dict[str, Any]:
+    """Compare the recorded force with the aligned reference, and draw the run.
+
+    Returns:
+        The figures for JSON; simulated sensor, real processes and middleware.
+
+        `seconds`: Length of the scenario [s].
+        `seed`: Seed of the scenario.
+        `device_seed`: Seed of the virtual sensor's build.
+        `force_hz`: Rate of `/mixtac/force` at a subscriber in another process.
+        `lost`: Force samples missing at that subscriber, by their stamps.
+        `invalid`: Force samples marked as not valid; they are published and count in all figures.
+        `latency_ms`: From the end of a window to its force at the subscriber, p50 and p99; from the
+            arrival of the window's last packet if simulated time stopped (`waited_s`).
+        `mae_n`: Mean absolute error against the reference, aligned as by `mixtac align` and less
+            its zero; None, as `rmse_n`, `constant_mae_n`, `reference_zero_n` and `clock_drift_ppm`,
+            if the alignment was refused.
+        `rmse_n`: Root mean square error against the same.
+        `mae_uncalibrated_n`: What `mae_n` would be without the calibration.
+        `gain`: Factor of the force that the calibration found; 1 if it was refused.
+        `peak_error`: Relative error of the peak of the impact; None if it is not known.
+        `frame_jump`: Mean change of the force where a frame corrects it over the mean change
+            elsewhere.
+        `reference_zero_n`: What the reference showed without a load, before and after [N].
+        `constant_mae_n`: Error of the best constant guess on the same samples.
+        `truth_mae_n`: Mean absolute error against the simulated force itself.
+        `event_rate_mev_s`: Mean event rate.
+        `peak_event_rate_mev_s`: Highest event rate in 10 ms.
+        `packet_hz`: Rate of event packets.
+        `lost_packets`: Event packets missing in the recording.
+        `computed_s`: Time for which simulated time stopped to compute the scenario [s].
+        `waited_s`: Time for which it stopped later, because the host was too slow [s].
+        `host_idle`: Part of the host's processor time that nobody used during the scenario.
+        `host_stolen`: Part of it that a virtual machine's host gave to others: with more than a
+            hundredth, `latency_ms` is the host's and not the graph's.
+        `dropped`: Transfers, words, frames and messages dropped inside nodes .
+        `clock_drift_ppm`: Drift of the reference clock found by the alignment.
+        `aligned_by`: Method of the alignment, `refined` if the frames agree with the taps.
+        `refused`: Why the alignment was refused, or empty.
+        `sideways_mae_n`: Mean absolute error per axis of the sideways force against the simulated
+            one, in the second part, while it touches; None if it was never known.
+        `sideways_size_n`: Mean absolute value of the same force per axis.
+        `sideways_peak_n`: Its largest magnitude.
+        `sideways_unknown`: Windows of the second part in contact without a sideways force.
+    """
+    streams = read_streams(out / BAG, DEFAULT_NAMESPACE)
+    comparison, refused = None, ''
+    try:
+        comparison = compare(streams, aligned(out / BAG))
+    except AlignmentError as error:
+        refused = str(error)
+    pairs = run.clock_pairs if run.waited_s == 0.0 else None
+    latency = (run.arrival_ns - host_time(streams, run.stamp_ns, pairs)) / 1e6
+    rate = event_rate(streams, comparison)
+    shown = phases(seconds, seed)
+    path_mm = true_path(seed, PRESET)
+    sideways = read_sideways(out / SIDEWAYS_BAG, DEFAULT_NAMESPACE, path_mm)
+    report: dict[str, Any] = {
+        'seconds': seconds,
+        'seed': seed,
+        'device_seed': device_seed,
+        'force_hz': mean_rate_hz(run.arrival_ns),
+        'lost': lost_windows(run.stamp_ns),
+        'invalid': streams.invalid,
+        'latency_ms': {
+            'p50': float(np.quantile(latency, 0.5)),
+            'p99': float(np.quantile(latency, 0.99)),
+        },
+        'mae_n': mae(comparison) if comparison else None,
+        'rmse_n': comparison.rmse_n if comparison else None,
+        'mae_uncalibrated_n': mae(comparison, 1.0 / run.gain) if comparison else None,
+        'gain': run.gain,
+        'peak_error': peak_error(comparison, shown) if comparison else None,
+        'frame_jump': frame_jump(streams),
+        'reference_zero_n': comparison.zeros_n if comparison else None,
+        'constant_mae_n': comparison.constant_mae_n if comparison else None,
+        'truth_mae_n': truth_mae(streams, pairs),
+        'event_rate_mev_s': float(rate[1].mean() / 1e6),
+        'peak_event_rate_mev_s': float(rate[1].max() / 1e6),
+        'packet_hz': len(streams.complete_us) / (np.ptp(streams.force_ns) / 1e9),
+        'lost_packets': streams.lost_packets,
+        'computed_s': run.computed_s,
+        'waited_s': run.waited_s,
+        **run.host,
+        'dropped': run.dropped,
+        'clock_drift_ppm': comparison.fit.drift_ppm if comparison else None,
+        'aligned_by': comparison.fit.method if comparison else None,
+        'refused': refused,
+        **sideways.figures,
+    }
+    if comparison is not None:
+        title = (
+            f'Virtual sensor (simulated), seed {seed}: MAE {report["mae_n"]:.3f} N against the '
+            f'aligned reference, {report["force_hz"]:.1f} Hz, {report["lost"]} lost'
+        )
+        draw_run(out / 'demo.png', comparison, rate, shown, title, sideways)
+    return report
+
+
+def aligned(bag: Path) -> ClockFit:
+    """Return the clock map: refined with the frames, or by the taps alone where these contradict.
+
+    Raises:
+        AlignmentError: The taps were not found.
+    """
+    recording = read_recording(bag)
+    try:
+        return align(recording, max_gap_s=MAX_FORCE_GAP_S)[0]
+    except InconsistentFitError:
+        # A simulated clock never jumps; what contradicts is the model of the gel.
+        return align(recording, method='two_impulse', max_gap_s=MAX_FORCE_GAP_S)[0]
+
+
+def print_summary(console: Console, report: Mapping[str, Any], folder: Path) -> None:
+    """Print the results of a demo and where its bag and figure are."""
+    table = Table(title='Measured on the virtual sensor (simulated)', title_justify='left')
+    table.add_column('figure')
+    table.add_column('value', justify='right')
+    for name, value in _rows(report):
+        table.add_row(name, value)
+    console.print(table)
+    if report['refused']:
+        console.print(
+            f'no error against the reference and no figure: {report["refused"]}', soft_wrap=True
+        )
+    else:
+        console.print(f'figure   {folder / "demo.png"}', soft_wrap=True)
+    console.print(f'bag      {folder / BAG}', soft_wrap=True)
+    console.print(f'summary  {folder / "demo.json"}', soft_wrap=True)
+
+
+def _rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
+    latency = report['latency_ms']
+    return [
+        ('event rate, mean', f'{report["event_rate_mev_s"]:.3f} Mev/s'),
+        ('event rate, highest in 10 ms', f'{report["peak_event_rate_mev_s"]:.2f} Mev/s'),
+        ('event packets', f'{report["packet_hz"]:.0f} Hz'),
+        ('force', f'{report["force_hz"]:.1f} Hz'),
+        ('latency p50 / p99', f'{latency["p50"]:.2f} / {latency["p99"]:.2f} ms'),
+        (
+            'error against the reference, MAE / RMSE',
+            f'{_figure(report["mae_n"])} / {_figure(report["rmse_n"])} N',
+        ),
+        ('  before the calibration, MAE', f'{_figure(report["mae_uncalibrated_n"])} N'),
+        ('  best constant guess, MAE', f'{_figure(report["constant_mae_n"])} N'),
+        ('error against the simulated force, MAE', f'{report["truth_mae_n"]:.3f} N'),
+        ("error of the impact's peak", _percent(report['peak_error'])),
+        ('change at frames over change between', _figure(report['frame_jump'], 1)),
+        (
+            'sideways force, MAE / mean size / largest',
+            ' / '.join(_figure(report[f'sideways_{name}_n']) for name in ('mae', 'size', 'peak'))
+            + ' N',
+        ),
+        ('reference clock drift found', f'{_figure(report["clock_drift_ppm"], 1)} ppm'),
+        ('lost: force samples', str(report['lost'])),
+        ('lost: event packets', str(report['lost_packets'])),
+        ('forces marked as not valid', str(report['invalid'])),
+        ('dropped inside nodes', str(report['dropped'])),
+        ('simulated time stopped for a slow host', f'{report["waited_s"]:.2f} s'),
+        (
+            'processors of the host idle / taken by others',
+            f'{_percent(report["host_idle"], "")} / {_percent(report["host_stolen"], "")}',
+        ),
+    ]
+
+
+def _figure(value: float | None, digits: int = 3) -> str:
+    return '-' if value is None else f'{value:.{digits}f}'
+
+
+def _percent(value: float | None, sign: str = '+') -> str:
+    return '-' if value is None else f'{100 * value:{sign}.1f} %'
