@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from sensor_msgs.msg import CameraInfo, CompressedImage, TimeReference
 
+    from mixtac_fger.contact_tracking import ContactTracker, Touch
     from mixtac_fger.estimator import Estimate, Estimator
     from mixtac_fger.shear import Shear
     from mixtac_fger.weights import Model
@@ -321,15 +322,30 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if self._quality.get_subscription_count():
             for estimate in estimates:
                 self._quality.publish(self._quality_of(estimate))
-        self._publish_contact(feed, estimates)
-        if self._field:
-            self._publish_field(feed, estimates[-1].end_us)
+        self._publish_touch(feed, estimates)
 
-    def _publish_contact(self, feed: LiveFeed, estimates: list[Estimate]) -> None:
-        wanted = [each.get_subscription_count() for each in self._contact]
+    def _publish_touch(self, feed: LiveFeed, estimates: list[Estimate]) -> None:
+        """Publish contact and displacement; without a subscriber they are not even computed."""
+        contact, field = (
+            [each.get_subscription_count() > 0 for each in publishers]
+            for publishers in (self._contact, self._field)
+        )
+        feed.estimator.contact_wanted = any(contact) or any(field)
         tracker = feed.estimator.contact
-        if not any(wanted) or tracker is None:
+        if tracker is None:
             return
+        if any(contact):
+            self._publish_contact(feed, tracker, estimates, contact)
+        if any(field) and tracker.touch is not None:
+            self._publish_field(feed, tracker, tracker.touch, estimates[-1].end_us, field)
+
+    def _publish_contact(
+        self,
+        feed: LiveFeed,
+        tracker: ContactTracker,
+        estimates: list[Estimate],
+        wanted: list[bool],
+    ) -> None:
         where = tracker.settings.scale, feed.estimator.size
         for estimate in estimates:
             found = estimate.contact
@@ -346,18 +362,21 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
                 fill_point(place.point, found)
                 self._contact[1].publish(place)
 
-    def _publish_field(self, feed: LiveFeed, end_us: int) -> None:
+    def _publish_field(
+        self,
+        feed: LiveFeed,
+        tracker: ContactTracker,
+        touch: Touch,
+        end_us: int,
+        wanted: list[bool],
+    ) -> None:
         """Publish the displacement of a new frame, or of each window."""
-        tracker = feed.estimator.contact
-        if tracker is None or tracker.touch is None:
-            return
         carried = self._settings.displacement == 'windows'
         stamp_us = end_us if carried else tracker.frame_us
-        wanted = [each.get_subscription_count() for each in self._field]
-        if stamp_us == self._field_us or not any(wanted):
+        if stamp_us == self._field_us:
             return
         self._field_us = stamp_us
-        field, scale = tracker.touch.field, tracker.settings.scale
+        field, scale = touch.field, tracker.settings.scale
         moved = metric(tracker.moved() if carried else field.moved, scale)
         if wanted[0]:
             image = self._stamped(Image(), stamp_us)

@@ -32,6 +32,7 @@ class FrameWorker:
     Attributes:
         refused: Frames of a size that the model does not read.
         problem: Why the latest of these was refused.
+        feels: Whether the contact is wanted; may be changed at any time.
         felt: Centre of the exposure [us] and contact of the latest frame whose contact is known.
 
     Args:
@@ -46,6 +47,7 @@ class FrameWorker:
         self._replaced = self._unfetched = 0
         self.refused = 0
         self.problem = ''
+        self.feels = True
         self.felt: tuple[int, Touch] | None = None
         self._closed = False
         self._thread.start()
@@ -100,7 +102,8 @@ class FrameWorker:
                 if encoded is not None:
                     # The force waits for nothing.
                     self._hand_out(encoded)
-                    self.felt = feel(encoded) or self.felt
+                    if self.feels:
+                        self.felt = feel(encoded) or self.felt
             self._inbox.task_done()
 
     def _hand_out(self, frame: EncodedFrame) -> None:

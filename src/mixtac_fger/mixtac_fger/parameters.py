@@ -43,8 +43,8 @@ class FgerParameters:
             are the reference where no reference is named. Set by `mixtac up` and the launch files
             for the virtual sensor and recordings.
         contact_threshold: Forces above this count as contact; ~/tare is refused during contact.
-        contact: Find where the sensor is touched, and publish `contact` and `contact_point` to
-            those who subscribe. Takes effect at the next activation, as the next five.
+        contact: Find where the sensor is touched, and publish `contact` and `contact_point`, while
+            somebody subscribes. Takes effect at the next activation, as the next five.
         contact_on: Force from which on `contact` says that something touches the sensor. Up to 0.05
             N, a brightening of the skin tells it, too.
         contact_off: Force below which `contact` says that the touch has ended.

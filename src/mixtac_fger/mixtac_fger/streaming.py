@@ -201,6 +201,7 @@ class ForceEstimator:
         self.stale_frame_us = stale_frame_us
         self._estimator = estimator
         self.contact = contact_tracker(contact, estimator)
+        self._contact_wanted = True
         if estimator.reference is not None:
             estimator.reference.assume_free = assume_free
         self._width_us = estimator.window_us
@@ -219,6 +220,19 @@ class ForceEstimator:
         self._deviation: float | None = None
         self._since_us = -NO_LIMIT_US
         self._count = EstimatorCounters()
+
+    @property
+    def contact_wanted(self) -> bool:
+        """Whether somebody wants the contact: without, none is computed."""
+        return self._contact_wanted
+
+    @contact_wanted.setter
+    def contact_wanted(self, wanted: bool) -> None:
+        if wanted and not self._contact_wanted and self.contact is not None:
+            self.contact.clear()
+        self._contact_wanted = wanted
+        if self._worker is not None:
+            self._worker.feels = wanted
 
     @property
     def size(self) -> tuple[int, int]:
@@ -264,7 +278,7 @@ class ForceEstimator:
         encoded = self._estimator.encode(seen(image), mid_us)
         if encoded is not None:
             self._keep([encoded])
-            self._felt = feel(encoded)
+            self._felt = feel(encoded) if self._contact_wanted else None
 
     def drain(self) -> None:
         """Wait until all frames pushed so far are encoded; for runs that must be repeatable."""
@@ -458,7 +472,9 @@ class ForceEstimator:
         count.incomplete += not complete
         count.saturated += saturated
         count.invalid += reason is not Reason.TRUSTED
-        found = None if self.contact is None else self.contact.window(end_us, force)
+        found = None
+        if self.contact is not None and self._contact_wanted:
+            found = self.contact.window(end_us, force)
         shear = known_shear(self._estimator, self.force_scale, self.sideways_scale)
         return Estimate(end_us, force, deviation, age_us, complete, saturated, reason, found, shear)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mixtac_events.arrays import Events
+from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.features import ImageError
 from mixtac_fger.fger_net import SPREAD_WINDOWS, FgerEstimator
 from mixtac_fger.reference import REST_FRAMES, TareError, ZeroWatch
@@ -85,6 +86,25 @@ def test_a_correction_beyond_the_deviation_is_applied_at_once(model, trial, monk
     monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_WINDOWS', 1)
     at_once = corrected(model, trial, SPREAD_WINDOWS)
     assert np.all(np.abs(at_once[:, 0] - spread[:, 0]) <= 1e-3 * at_once[:, 1])
+
+
+def test_a_contact_is_followed_while_somebody_wants_it(model, trial):
+    estimator = ForceEstimator(FgerEstimator(model), contact=ContactSettings())
+    pressed = trial.frames[np.argmax(np.ptp(trial.frames - trial.frames[0], axis=(1, 2)))]
+    found = {}
+    end_us = 200_000
+    still_frames(estimator, trial)
+    estimator.push_events(Events.empty(), end_us)
+    for wanted in (False, True, False):
+        estimator.contact_wanted = wanted
+        estimator.push_frame(pressed, end_us - 1000)
+        end_us += 20_000
+        estimates = estimator.push_events(Events.empty(), end_us)
+        found[end_us] = {each.contact is None for each in estimates}, estimator.contact.touch
+    (before, _), (during, touch), (after, _) = found.values()
+    assert before == after == {True}
+    assert during == {False}
+    assert touch is not None
 
 
 def test_motion_restarts_the_reference(model, trial):
