@@ -55,6 +55,7 @@ class AdvanceLaw:
         """
         self.total = self._floor = 0.0
         self._preload = preload
+        self._speed = self._parameters.preload_speed
         self._held = 0
         self._excess = 0.0
         self._backing_off = False
@@ -78,9 +79,11 @@ class AdvanceLaw:
         self.total = min(max(before + wanted, 0.0), max(limit, 0.0))
         return self.total - before
 
-    def aim(self, force: float) -> None:
-        """Keep another force between slips [N]."""
+    def aim(self, force: float, stiffness: float) -> None:
+        """Keep another force between slips [N], on a contact of a stiffness [N/m]."""
+        p = self._parameters
         self._preload = force
+        self._speed = min(p.preload_rate / max(stiffness, 1.0), p.preload_speed)
 
     def add(self, advance: float) -> None:
         """Take over an advance [m] >= 0 made for another reason; it is held as if by slip."""
@@ -105,7 +108,7 @@ class AdvanceLaw:
             return 0.0
         excess = force - self._preload
         if excess < -p.force_band:
-            return p.preload_speed * p.window
+            return self._speed * p.window
         if excess > p.force_band and p.back_off > 0.0:
             room = self.total - self._floor
             self._backing_off = self._backing_off or room > 0.0
@@ -221,7 +224,7 @@ class Advance:
         if probing and not probe.active:
             stiffness.settle()
         force = None if probe.active else stiffness.present
-        self._law.aim(self._grip.wanted(self._preload))
+        self._law.aim(self._grip.wanted(self._preload), stiffness.stiffness)
         room = limit - probe.advance
         self._law.update(count, detectors.law_threshold, force, room, slipping=detectors.slipping)
         self.limit = max(limit, 0.0)

@@ -25,7 +25,7 @@ FEWEST_FOLLOWED: Final = 100
 LEAST_REACH_PX: Final = 10.0
 """Shortest reach of the contact: a few bins of the image gradient."""
 ADJUSTABLE_WHILE_ENABLED: Final = frozenset(
-    ('gain', 'max_step', 'hold_time', 'back_off', 'preload_speed', 'force_band')
+    ('gain', 'max_step', 'hold_time', 'back_off', 'preload_rate', 'preload_speed', 'force_band')
 )
 """Parameters that may change while slip control is enabled; the others set what protects the arm or
 would make the detectors learn again."""
@@ -125,8 +125,9 @@ class SlipControlParameters:
         hold_time: Time without slip for which the advance is held.
         back_off: Speed of the return towards the preload after hold_time; 0 never returns. A slip
             during the return ends it until slip control is enabled again.
-        preload_speed: Speed of the advance that keeps the preload (the force at enabling) as the
-            gel relaxes; 0 does not keep it.
+        preload_rate: Rate at which the force is raised to the preload (the force at enabling, or
+            what `grip_margin` needs), by the measured stiffness. It must exceed what a load adds.
+        preload_speed: Largest speed of that advance; 0 does not keep the preload.
         force_band: Deviation of the force from the preload that is tolerated.
         grip_margin: Normal force over the smallest that holds which the arm keeps, slowly; 1 keeps
             the preload only.
@@ -221,7 +222,8 @@ class SlipControlParameters:
     max_total: float = parameter(1e-3, unit='m', within=(0.0, 2e-2))
     hold_time: float = parameter(0.3, unit='s', within=(0.2, 3600.0))
     back_off: float = parameter(2e-5, unit='m/s', within=(0.0, 1e-2))
-    preload_speed: float = parameter(1e-4, unit='m/s', within=(0.0, 1e-2))
+    preload_rate: float = parameter(0.5, unit='N/s', within=(1e-3, 100.0))
+    preload_speed: float = parameter(5e-4, unit='m/s', within=(0.0, 1e-2))
     force_band: float = parameter(0.03, unit='N', within=(0.0, None))
     grip_margin: float = parameter(1.3, within=(1.0, 5.0))
     max_grip_force: float = parameter(1.0, unit='N', within=(0.01, 100.0))

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from mixtac_slip_control.bounds import (
     DRIFT,
+    GAIN_SIGMAS,
     RESERVE,
     SIGMAS,
     AdvanceBound,
@@ -225,7 +226,7 @@ def test_an_uncertain_sensor_leaves_less_room() -> None:
     before = bound.goal
     for _ in range(1000):
         bound.upper(0.5, 0.1, (0.0, 0.0), calm=True)
-    assert bound.goal == pytest.approx(before / (1.0 + 1.5 * 0.1 / 0.7), rel=0.02)
+    assert bound.goal == pytest.approx(before / (1.0 + GAIN_SIGMAS * 0.1 / 0.7), rel=0.02)
 
 
 def test_the_upper_bound_rests_on_the_better_of_sensor_and_advance() -> None:

@@ -50,7 +50,14 @@ def events(ms: int, count: int) -> Events:
 
 
 def peak_force(
-    contact: Contact, delay_ms: int, slip_ms: int, seed: int, *, probe: bool
+    contact: Contact,
+    delay_ms: int,
+    slip_ms: int,
+    seed: int,
+    *,
+    probe: bool,
+    gain: float = 1.0,
+    share: float = 0.0,
 ) -> tuple[float, SlipController]:
     """Return the largest force of a run in which slip, once begun, never ends."""
     chosen = SlipControlParameters(
@@ -75,8 +82,9 @@ def peak_force(
         q = READY if path is None else path.derivatives(at)[0]
         controller.on_joint_state(q.tolist(), now)
         if ms >= delay_ms and ms % 2 == 0:
-            force = forces[ms - delay_ms] + float(rng.normal(0.0, 0.03))
-            controller.on_force(force, 1000 * (ms + 1 - delay_ms), now)
+            force = gain * forces[ms - delay_ms] + float(rng.normal(0.0, 0.03))
+            stamp_us = 1000 * (ms + 1 - delay_ms)
+            controller.on_force(force, stamp_us, now, deviation=share * abs(force))
         slips = ms >= LEARNED_MS + slip_ms
         count = 4000 if slips else int(rng.poisson(30))
         controller.on_events(events(ms, count), 1000 * (ms + 1), now)
@@ -116,6 +124,19 @@ def test_the_ceiling_is_never_reached(
     # Near the ceiling the noise of the force may stop it; nothing else may.
     stopped = controller.interlock.state is not InterlockState.ENABLED
     assert not stopped or peak > CEILING_N - 0.15
+
+
+@pytest.mark.parametrize('n_per_mm', [1.0, 5.0, 10.0])
+@pytest.mark.parametrize('sphere', [False, True])
+def test_a_sensor_that_tells_too_little_does_not_lead_above_it(
+    n_per_mm: float, *, sphere: bool
+) -> None:
+    contact = Contact(0.6, n_per_mm, 3.5e-3, sphere=sphere)
+    deviation = 0.14
+    wrong = {'gain': 1.0 / (1.0 + 2.5 * deviation), 'share': deviation}
+    peak, controller = peak_force(contact, 3, 2000, 0, probe=True, **wrong)
+    assert 0.9 <= peak <= CEILING_N
+    assert controller.interlock.state is InterlockState.ENABLED
 
 
 @pytest.mark.parametrize('n_per_mm', [2.0, 5.0, 10.0])

@@ -115,6 +115,19 @@ def test_the_preload_is_kept_as_the_gel_relaxes() -> None:
     assert AdvanceLaw(SETTINGS).update(30, 60.0, 0.0, LIMIT, slipping=False) == 0.0
 
 
+@pytest.mark.parametrize('stiffness', [700.0, 1e3, 1e4])
+def test_a_wanted_force_is_approached_as_fast_on_soft_contacts_as_on_stiff_ones(
+    stiffness: float,
+) -> None:
+    law = AdvanceLaw(dataclasses.replace(SETTINGS, preload_rate=0.4, preload_speed=6e-4))
+    law.reset(preload=0.5)
+    law.aim(0.7, stiffness)
+    steps = [law.update(30, 60.0, 0.5, LIMIT, slipping=False) for _ in range(HOLD + 2)]
+    assert stiffness * sum(steps[HOLD:]) == pytest.approx(2 * 0.4e-3)
+    law.aim(0.7, 100.0)  # softer than its largest speed can follow
+    assert law.update(30, 60.0, 0.5, LIMIT, slipping=False) == pytest.approx(6e-7)
+
+
 def test_what_was_added_is_held_and_returned_like_an_answer_to_slip() -> None:
     law = AdvanceLaw(SETTINGS)
     law.reset(preload=0.5)

@@ -41,7 +41,6 @@ from mixtac_lab.slip.trials import (
 from mixtac_lab.store import Store
 from mixtac_node.graph import NodeSpec
 from mixtac_node.process import GraphError, JsonProcess
-from mixtac_slip_control.parameters import SlipControlParameters
 
 NAMESPACE = 'mixtac_slip_bench'
 TRAJECTORIES = f'/{NAMESPACE}/joint_trajectory'
@@ -63,8 +62,6 @@ MARGINS = (1.005, 1.02, 1.05, 1.2)
 """Grasp forces over the smallest that holds."""
 LOADED_MARGIN = 1.05
 """Grasp force of objects that are loaded, over the smallest that holds them at first."""
-LOADED_SPEED = 3e-4
-"""`preload_speed` with these [m/s]: what 10 g/s need on a cup of 0.7 N/mm."""
 FIRST_LOADED = 71_000
 QUICK_TRIALS = 6
 Force = Literal['estimated', 'true']
@@ -290,8 +287,7 @@ def slip(
         )
         for each in margins
     }
-    faster = SlipControlParameters(preload_speed=LOADED_SPEED)
-    cup = replace(plan, name='cup', margin=LOADED_MARGIN, settings=faster)
+    cup = replace(plan, name='cup', margin=LOADED_MARGIN)
     loaded = [load_piece(replace(cup, seed=FIRST_LOADED + k)) for k in range(loads)]
     loads_found = store.run_shown('slow loads', loaded, console) if loaded else []
     latency = None

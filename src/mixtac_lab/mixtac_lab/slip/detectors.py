@@ -70,6 +70,8 @@ def score_trial(
     by_count, by_flow = CountDetector(settings), FlowDetector(settings)
     rows = []
     for number, window in enumerate(windows):
+        if window.light:
+            continue  # as of `Detectors`
         by_count.update(window)
         by_flow.update(window)
         if number < learning:
@@ -172,7 +174,7 @@ def _auc(
     return float(mannwhitneyu(positive, negative).statistic / (len(positive) * len(negative)))
 
 
-QuietName = Literal['hold', 'load', 'flicker']
+QuietName = Literal['hold', 'load', 'flicker', 'switched']
 QUIET: tuple[QuietName, ...] = get_args(QuietName)
 FORCE_N = 0.7
 SWING_N = 0.3
@@ -187,6 +189,9 @@ FLICKER_DEPTHS = (0.08, 0.12, 0.15)
 """Ripple of the light in the sensor, by the seed of the scene: a lamp with 30 % ripple that makes a
 quarter, 40 % or half of the light, beside the steady LED of the sensor (estimates; an opaque skin
 lets far less light in). From about 20 % the pixels fire by themselves and saturate the readout."""
+DARK = Flicker(0.0, 0.0, 0.0)
+SWITCH_S = (0.1, 0.4)
+"""Range of the time for which a lamp that is switched stays on, and off [s]."""
 BLOCK_STEPS = 32
 
 
@@ -196,7 +201,8 @@ def quiet_blocks(
     """Yield the sensor data of an object that does not slip, in blocks of 4 ms.
 
     Args:
-        name: Steady hold, slow change of the load, or flickering lamps.
+        name: Steady hold, slow change of the load, a flickering lamp, or one that is switched on
+            and off again and again.
         seconds: Length [s].
         seed: Seed of sensor and day.
         preset_name: Difficulty preset of the sensor.
@@ -210,18 +216,22 @@ def quiet_blocks(
         flicker=flicker_of(seed) if name == 'flicker' else None,
     )
     still = np.zeros(BLOCK_STEPS)
+    rng, lit, switch_s = np.random.default_rng([seed, 11]), False, LEARN_S
     for block in range(round(1e6 * seconds / (BLOCK_STEPS * STEP_US))):
         force = None
         if name == 'load':
             t = 1e-6 * STEP_US * (block * BLOCK_STEPS + np.arange(BLOCK_STEPS) + 1)
             turns = SWING_HZ[seed % len(SWING_HZ)] * t
             force = FORCE_N + SWING_N * 0.5 * (1.0 - np.cos(2.0 * np.pi * turns))
+        if name == 'switched' and 1e-6 * STEP_US * BLOCK_STEPS * block >= switch_s:
+            lit, switch_s = not lit, switch_s + rng.uniform(*SWITCH_S)
+            scene.light_by(flicker_of(seed, rng.uniform()) if lit else DARK)
         yield scene.advance(still, force)
 
 
-def flicker_of(seed: int) -> Flicker:
-    """Return the flicker of a scene."""
-    phase = (0.618 * seed) % 1.0
+def flicker_of(seed: int, phase: float | None = None) -> Flicker:
+    """Return the flicker of a scene, of any phase [turns]."""
+    phase = (0.618 * seed) % 1.0 if phase is None else phase
     return Flicker(FLICKER_DEPTHS[seed % len(FLICKER_DEPTHS)], FLICKER_HZ, phase)
 
 

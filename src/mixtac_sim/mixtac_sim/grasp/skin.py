@@ -437,6 +437,7 @@ class SkinCamera:
         )
         self.configure_aps = self._camera.configure_aps
         self.configure_pixels = self._camera.configure_pixels
+        self.light_by = self._camera.light_by
 
     @property
     def now_us(self) -> int:

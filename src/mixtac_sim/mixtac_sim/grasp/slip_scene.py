@@ -96,6 +96,7 @@ class SlipScene:
         self._camera = SkinCamera(
             device, conditions, preset, seed, self._press, self._skin, direction, flicker
         )
+        self.light_by = self._camera.light_by
 
     def advance(self, speed_mm_s: Floats, force_n: Floats | None = None) -> SceneBlock:
         """Advance by one block.

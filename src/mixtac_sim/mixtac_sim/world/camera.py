@@ -70,13 +70,17 @@ class Camera:
         self._dvs.settle(self._renderer.cover)
         self._rest_light = self._dvs.light.ravel()[:PIXELS].copy()
         self._noise = self._noise_source(settings)
-        self._flicker = draw_flicker(seed, preset.light) if flicker is None else flicker
-        self._dvs.light_by(self._flicker)
+        self.light_by(draw_flicker(seed, preset.light) if flicker is None else flicker)
         speed = preset.bandwidth
         self._readout = Readout(speed.service_ns, speed.latency_ns, speed.jitter_ns)
         self._latency = BlockStreams(seed, 'event latency')
         self._block = 0
         self.now_us = 0
+
+    def light_by(self, flicker: Flicker) -> None:
+        """Let the lamp flicker like this from the next block on."""
+        self._flicker = flicker
+        self._dvs.light_by(flicker)
 
     def _noise_source(self, settings: PixelSettings) -> NoiseSource:
         device = self._device
