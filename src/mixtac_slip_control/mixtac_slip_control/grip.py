@@ -13,8 +13,8 @@ object begins to slip. Its logarithm starts as a guess with a spread,
   distribution is cut there, which moves its mean up and narrows it.
 
 The margin is :math:`\mu` over the present ratio. `GripMargin.wanted` is the normal force at which
-the margin would be `grip_margin`, were :math:`\mu` lower by one standard deviation. It only ever
-raises the preload, up to `max_grip_force`.
+the margin would be `grip_margin`, were :math:`\mu` lower by two standard deviations, but not lower
+than the ratio that held. It only ever raises the preload, up to `max_grip_force`.
 """
 
 from __future__ import annotations
@@ -44,6 +44,10 @@ LEAST_SPREAD: Final = 0.06
 """Relative standard deviation below which it is never believed to be: surfaces are uneven."""
 RATIO_SPREAD: Final = 0.05
 """Relative standard deviation of the ratio of an object at rest, gains aside."""
+PULL_NOISE: Final = 0.03
+"""Standard deviation of a small pull, as FGER-Net tells it where there is none [N]."""
+SURE_SIGMAS: Final = 2.0
+"""Standard deviations of the ratio by which the coefficient may lie lower than it is believed."""
 
 
 def above(mean: float, spread: float, least: float) -> tuple[float, float]:
@@ -117,7 +121,7 @@ class GripMargin:
             return math.inf, math.inf
         friction, spread = self.friction
         margin = friction * self.normal / self.pull
-        return margin, margin * math.hypot(spread, RATIO_SPREAD)
+        return margin, margin * math.hypot(spread, RATIO_SPREAD, PULL_NOISE / self.pull)
 
     def on_force(self, normal: float, pull: float, stamp_us: int, *, still: bool) -> None:
         """Take what the sensor measures.
@@ -162,7 +166,9 @@ class GripMargin:
         if not self.known or p.grip_margin <= 1.0:
             return preload
         friction, spread = self.friction
-        needed = p.grip_margin * self.pull / (friction * math.exp(-spread))
+        spread = math.hypot(spread, PULL_NOISE / self.pull)
+        least = max(friction * math.exp(-SURE_SIGMAS * spread), self._held)
+        needed = p.grip_margin * self.pull / least
         return max(preload, min(needed, p.max_grip_force))
 
     def figures(self) -> dict[str, float]:

@@ -58,7 +58,7 @@ class AdvanceLaw:
         self._speed = self._parameters.preload_speed
         self._held = 0
         self._excess = 0.0
-        self._backing_off = False
+        self._backing_off = self._raising = False
 
     def update(
         self, count: int, threshold: float, force: float | None, limit: float, *, slipping: bool
@@ -107,7 +107,9 @@ class AdvanceLaw:
         if self._held <= p.windows(p.hold_time) or force is None or self._preload is None:
             return 0.0
         excess = force - self._preload
-        if excess < -p.force_band:
+        # Once it is raised, the force comes up to the preload, not to the edge of the band.
+        self._raising = excess < (0.0 if self._raising else -p.force_band)
+        if self._raising:
             return self._speed * p.window
         if excess > p.force_band and p.back_off > 0.0:
             room = self.total - self._floor

@@ -112,6 +112,9 @@ def test_the_preload_is_kept_as_the_gel_relaxes() -> None:
     steps = [law.update(30, 60.0, 0.45, LIMIT, slipping=False) for _ in range(HOLD + 2)]
     assert steps[:HOLD] == [0.0] * HOLD
     assert steps[HOLD:] == pytest.approx([2e-6] * 2)
+    # It comes up to the preload, and waits until the force has left the band again.
+    found = [law.update(30, 60.0, f, LIMIT, slipping=False) for f in (0.495, 0.501, 0.495, 0.45)]
+    assert found == pytest.approx([2e-6, 0.0, 0.0, 2e-6])
     assert AdvanceLaw(SETTINGS).update(30, 60.0, 0.0, LIMIT, slipping=False) == 0.0
 
 
