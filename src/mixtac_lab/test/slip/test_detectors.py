@@ -36,3 +36,12 @@ def test_lamps_ripple_at_twice_the_mains_by_several_depths() -> None:
     assert {lamp.hz for lamp in lamps} == {100.0}
     assert len({lamp.depth for lamp in lamps}) == 3
     assert not any(lamp.small for lamp in lamps)
+
+
+def test_a_lamp_that_is_switched_on_makes_a_burst_of_events(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detectors, 'LEARN_S', 0.02)
+    blocks = detectors.quiet_blocks('switched', 0.04, 2, 'easy')
+    counts = [(block.end_us, len(block.events)) for block in blocks]
+    before = max(count for end_us, count in counts if end_us <= 20_000)
+    after = max(count for end_us, count in counts if end_us > 20_000)
+    assert after > 5 * before
