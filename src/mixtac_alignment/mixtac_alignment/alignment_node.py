@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections import deque
+from functools import partial
 
 import numpy as np
 from event_camera_msgs.msg import EventPacket
@@ -188,10 +188,4 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         return Status(WARN if stale else OK, self._fit.summary(), values)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the alignment node."""
-    return run(AlignmentNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, AlignmentNode)

@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections import deque
+from functools import partial
 
 from message_filters import ApproximateTimeSynchronizer, Subscriber
 from rclpy.node import Node
@@ -102,10 +102,4 @@ class ForceErrorNode(BaseNode, Node):  # type: ignore[misc]
         return Status(OK, f'MAE {error.mae:.3f} N, RMSE {error.rmse:.3f} N', values)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the force error node."""
-    return run(ForceErrorNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, ForceErrorNode)

@@ -79,31 +79,6 @@ STRONG: Final = 0.02
 thirty times that of a tap."""
 
 
-def fit_two_impulses(
-    events_t_us: NDArray[np.int64],
-    force_t_s: NDArray[np.float64],
-    force_N: NDArray[np.float64],
-    parameters: AlignmentParameters = DEFAULTS,
-) -> ClockFit:
-    """Fit the clock map to the first and the last impulse of a recording.
-
-    Args:
-        events_t_us: Event times, camera clock [us], ``int64``.
-        force_t_s: Force sample times, reference clock [s], increasing, ``float64``.
-        force_N: Normal force [N], either sign, ``float64``.
-        parameters: What counts as an impulse, latency of the events, limits of clocks.
-
-    Raises:
-        NoImpulseError: Fewer than two impulses in one recording, or none that match.
-        AmbiguousImpulsesError: More than one way to match.
-        SaturatedImpulseError: An impulse went over the range of the force sensor.
-        ShortBaselineError: The impulses are too close to each other.
-        DriftError: The drift is not believable.
-        AlignmentError: Arrays that are no recording.
-    """
-    return fit_counts(EventCounts.of(events_t_us), force_t_s, force_N, parameters)
-
-
 def fit_counts(
     counts: EventCounts,
     force_t_s: NDArray[np.float64],
@@ -113,18 +88,23 @@ def fit_counts(
     use_all: bool = False,
     max_gap_s: float = FORCE_GAP_S,
 ) -> ClockFit:
-    """Fit the clock map to impulses, from event counts instead of events.
+    """Fit the clock map to the first and the last impulse of a recording.
 
     Args:
         counts: Event counts, camera clock.
-        force_t_s: As `fit_two_impulses`.
-        force_N: As `fit_two_impulses`.
-        parameters: As `fit_two_impulses`.
+        force_t_s: Force sample times, reference clock [s], increasing, ``float64``.
+        force_N: Normal force [N], either sign, ``float64``.
+        parameters: What counts as an impulse, latency of the events, limits of clocks.
         use_all: Fit all strong impulses by least squares instead of the first and the last.
         max_gap_s: Longest stretch without force samples [s].
 
     Raises:
-        AlignmentError: As `fit_two_impulses`.
+        NoImpulseError: Fewer than two impulses in one recording, or none that match.
+        AmbiguousImpulsesError: More than one way to match.
+        SaturatedImpulseError: An impulse went over the range of the force sensor.
+        ShortBaselineError: The impulses are too close to each other.
+        DriftError: The drift is not believable.
+        AlignmentError: Arrays that are no recording.
     """
     pairs, start_s = paired_impulses(
         counts, force_t_s, force_N, parameters, find_event_impulses, max_gap_s=max_gap_s
@@ -153,15 +133,15 @@ def paired_impulses(
 
     Args:
         counts: Event counts, camera clock.
-        force_t_s: As `fit_two_impulses`.
-        force_N: As `fit_two_impulses`.
+        force_t_s: As `fit_counts`.
+        force_N: As `fit_counts`.
         parameters: What counts as an impulse, latency of the events, limits of clocks.
         find: Finds impulses in event counts in which gaps are marked, by the parameters.
         match_s: Largest disagreement of two impulses that are the same [s].
         max_gap_s: Longest stretch without force samples [s].
 
     Raises:
-        AlignmentError: As `fit_two_impulses`.
+        AlignmentError: As `fit_counts`.
     """
     if len(force_t_s) == 0:
         raise AlignmentError('no force recorded: check the topic of the reference sensor')

@@ -7,8 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixtac_alignment.histories import EventCounts
 from mixtac_alignment.impulses import Impulse, prefer_isolated
-from mixtac_alignment.two_impulse import fit_two_impulses
+from mixtac_alignment.two_impulse import fit_counts
 
 
 def impulse(at: float) -> Impulse:
@@ -44,9 +45,8 @@ def test_a_tap_during_a_hold_does_not_stand_alone():
 @pytest.mark.parametrize('seed', [9001, 9003])
 def test_trials_with_a_dropped_weight_are_aligned(seed: int):
     trial = pytest.importorskip('mixtac_sim.world.trial').simulate_trial(seed, seed, 'demo', 14.0)
-    fit = fit_two_impulses(
-        trial.events.t, trial.reference_t_us * 1e-6, trial.reference_wrench[:, 2]
-    )
+    counts = EventCounts.of(trial.events.t)
+    fit = fit_counts(counts, trial.reference_t_us * 1e-6, trial.reference_wrench[:, 2])
     rate, offset_us = trial.clock
     at = np.array([1, 7, 13]) * 1_000_000
     error_s = fit.to_reference(at) - 1e-6 * (rate * at + offset_us)

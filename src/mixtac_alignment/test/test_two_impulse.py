@@ -17,7 +17,11 @@ from mixtac_alignment.errors import (
     ShortBaselineError,
 )
 from mixtac_alignment.histories import EventCounts
-from mixtac_alignment.two_impulse import fit_counts, fit_two_impulses
+from mixtac_alignment.two_impulse import fit_counts
+
+
+def fit_two_impulses(events: np.ndarray, t: np.ndarray, force: np.ndarray) -> Any:
+    return fit_counts(EventCounts.of(events), t, force)
 
 
 def errors_ms(fit: Any, scene: Any) -> np.ndarray:

@@ -12,35 +12,29 @@ import math
 import threading
 import time
 from array import array
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from sensor_msgs.msg import Image, TimeReference
 from std_srvs.srv import Trigger
 
 from mixtac_node import topics
 from mixtac_node.base_node import BaseNode, secure_start
+from mixtac_node.graph import NodeSpec
 from mixtac_node.lifecycle_node import LifecycleClient
-from mixtac_node.process import GraphError
+from mixtac_node.process import GraphError, ProcessGroup
 from mixtac_node.stamps import stamp_to_ns
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from diagnostic_msgs.msg import DiagnosticArray
-    from numpy.typing import NDArray
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
-    from sensor_msgs.msg import Image, TimeReference
-
-    from mixtac_node.graph import NodeSpec
-    from mixtac_node.process import ProcessGroup
-
 
 R = TypeVar('R', bound='Receiver')
 SERVICE_TIMEOUT_S = 20.0

@@ -10,10 +10,9 @@ has to acquire the interpreter lock.
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections.abc import Callable, Mapping
-from functools import wraps
+from functools import partial, wraps
 from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -183,10 +182,4 @@ def make_nodes() -> list[Any]:
     return [DirectFger(topics), DirectDriver(topics)]
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run driver and estimator."""
-    return run_together(make_nodes, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run_together, make_nodes)

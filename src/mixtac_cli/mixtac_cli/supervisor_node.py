@@ -7,8 +7,8 @@ All times are on the node's clock, which is that of the simulation if `use_sim_t
 
 from __future__ import annotations
 
-import sys
 import time
+from functools import partial
 from pathlib import Path
 
 from geometry_msgs.msg import PointStamped
@@ -148,10 +148,4 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         disabled.add_done_callback(lambda _: self._put_back.call_async(Trigger.Request()))
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run(Supervisor, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, Supervisor)

@@ -9,7 +9,7 @@ same frames, and this node is not needed.
 
 from __future__ import annotations
 
-import sys
+from functools import partial
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
@@ -57,10 +57,4 @@ def transform(frame: FixedFrame, stamp: object) -> TransformStamped:
     return message
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run(FramesNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, FramesNode)

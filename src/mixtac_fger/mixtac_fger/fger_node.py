@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PointStamped
@@ -446,10 +446,4 @@ def _reference_file(settings: FgerParameters, serial: str) -> str:
     return reference_name(serial)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run(FgerNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, FgerNode)

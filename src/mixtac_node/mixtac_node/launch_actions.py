@@ -10,26 +10,22 @@ from __future__ import annotations
 import functools
 import os
 import subprocess
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
+from launch import LaunchContext
 from launch.actions import DeclareLaunchArgument, RegisterEventHandler, SetEnvironmentVariable
 from launch.event_handlers import OnProcessExit, OnProcessIO
 from launch.logging import get_logger
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from mixtac_node.graph import NodeSpec
 from mixtac_node.process import FATAL, GraphError, profile_environment
 from mixtac_node.topics import DEFAULT_NAMESPACE
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from launch import LaunchContext
-
-    from mixtac_node.graph import NodeSpec
 
 BOOLEAN = ['true', 'false']
 LOGGER = get_logger('launch')

@@ -5,19 +5,15 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import rclpy
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.node import Node
 
 from mixtac_node.process import GraphError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rclpy.node import Node
-
 
 TIMEOUT_S = 180.0
 """A first start compiles, which takes minutes on a busy computer."""

@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, Any
 
 import cv2
 import numpy as np
@@ -122,28 +122,6 @@ def open_hdf5(path: Path, mode: str) -> Any:  # noqa: ANN401
         raise RecordingError(f'{path} cannot be opened as HDF5: {error}') from error
 
 
-class Sink(Protocol):
-    """Receives recorded data, each kind in order of time."""
-
-    def events(self, events: Events) -> None:
-        """Write events, at least one."""
-
-    def frame(self, frame: Frame) -> None:
-        """Write a frame."""
-
-    def samples(self, samples: InertialSamples) -> None:
-        """Write inertial samples, at least one."""
-
-    def edges(self, edges: Edges) -> None:
-        """Write edges, at least one."""
-
-    def wrenches(self, topic: str, rows: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Write stamps [ns, clock of the topic], shape (N,), and wrenches [N, N m], (N, 6)."""
-
-    def close(self) -> None:
-        """Finish the files."""
-
-
 class Aedat4Sink:
     """One AEDAT4 file, which cannot hold wrenches.
 
@@ -214,15 +192,29 @@ def topic_file(topic: str) -> str:
 
 
 class TableSink(ABC):
-    """What tables hold: arrays by name, one row per reading."""
+    """What receives recorded data, each kind in order of time, as tables with a row per reading."""
 
     @abstractmethod
     def table(self, name: str, **columns: NDArray[Any]) -> None:
         """Append rows to a table; columns of several numbers are of shape (N, numbers)."""
 
+    @abstractmethod
+    def close(self) -> None:
+        """Finish the files."""
+
     def events(self, events: Events) -> None:
         """Write events."""
         self.table('events', t=events.t, x=events.x, y=events.y, polarity=events.polarity)
+
+    def frame(self, frame: Frame) -> None:
+        """Write a frame."""
+        self.table(
+            'frames',
+            exposure_start=np.array([frame.exposure_start_us]),
+            exposure_end=np.array([frame.exposure_end_us]),
+            origin=np.array([[frame.x, frame.y]]),
+            image=frame.image[None],
+        )
 
     def samples(self, samples: InertialSamples) -> None:
         """Write inertial samples."""
@@ -239,7 +231,7 @@ class TableSink(ABC):
         self.table('edges', t=edges.t, kind=edges.kind)
 
     def wrenches(self, topic: str, rows: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Write wrenches."""
+        """Write stamps [ns, clock of the topic], shape (N,), and wrenches [N, N m], (N, 6)."""
         self.table(topic_file(topic), t=rows, force=values[:, :3], torque=values[:, 3:])
 
 
@@ -304,10 +296,6 @@ class NpzSink(TableSink):
             file = self._files[name] = GrowingNpz(self._folder / f'{name}.npz')
         for key, rows in columns.items():
             file.append(key, rows)
-
-    def frame(self, frame: Frame) -> None:
-        """Write a frame."""
-        self.table('frames', **frame_columns(frame))
 
     def close(self) -> None:
         """Finish the files."""
@@ -383,10 +371,6 @@ class Hdf5Sink(TableSink):
         p = events.polarity.astype(np.uint8)
         self.table('events', p=p, x=events.x, y=events.y, t=t.astype(np.uint32))
 
-    def frame(self, frame: Frame) -> None:
-        """Write a frame."""
-        self.table('frames', **frame_columns(frame))
-
     def close(self) -> None:
         """Write what waits, offset and index of the events, and the units."""
         for name in list(self._waiting):
@@ -396,16 +380,6 @@ class Hdf5Sink(TableSink):
             self._file['ms_to_idx'] = np.concatenate(self._starts).astype(np.uint64)
         self._file.attrs['units'] = UNITS
         self._file.close()
-
-
-def frame_columns(frame: Frame) -> dict[str, NDArray[Any]]:
-    """Return a frame as a row of a table."""
-    return {
-        'exposure_start': np.array([frame.exposure_start_us]),
-        'exposure_end': np.array([frame.exposure_end_us]),
-        'origin': np.array([[frame.x, frame.y]]),
-        'image': frame.image[None],
-    }
 
 
 UNITS = """\
@@ -479,16 +453,19 @@ def export_recording(
     return counts
 
 
-def _sink(kind: str, out: Path, recording: Recording) -> Sink:
+def _sink(kind: str, out: Path, recording: Recording) -> Aedat4Sink | TableSink:
     if kind == 'aedat4':
         return Aedat4Sink(out, recording.info)
-    if kind == 'hdf5':
-        return Hdf5Sink(out)
-    return CsvSink(out) if kind == 'csv' else NpzSink(out)
+    sinks: dict[str, type[CsvSink | Hdf5Sink | NpzSink]]
+    sinks = {'csv': CsvSink, 'hdf5': Hdf5Sink, 'npz': NpzSink}
+    return sinks[kind](out)
 
 
 def _export_camera(
-    recording: Recording, sink: Sink, counts: Counts, progress: Callable[[float], None]
+    recording: Recording,
+    sink: Aedat4Sink | TableSink,
+    counts: Counts,
+    progress: Callable[[float], None],
 ) -> None:
     info, reported = recording.info, 0.0
     packet: list[Events] = []
@@ -517,7 +494,7 @@ def _export_camera(
     progress(1.0)
 
 
-def _export_wrenches(path: Path, sink: Sink, counts: Counts) -> None:
+def _export_wrenches(path: Path, sink: Aedat4Sink | TableSink, counts: Counts) -> None:
     with BagFile(path) as bag:
         for topic in bag.topics(REFERENCE_WRENCH.type_name):
             messages = (message for _, _, message in bag.messages(topic))

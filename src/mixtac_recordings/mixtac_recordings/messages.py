@@ -10,25 +10,21 @@ the camera clock, epoch-based, except the stamp of an event packet: its arrival 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mixtac_events.packetizer import Packet
 from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node import topics
 from mixtac_node.images import ImageConversionError, fill, pixels, set_octets
 from mixtac_node.stamps import stamp_to_us
 from mixtac_recordings.recording import RecordingError
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mixtac_events.packetizer import Packet
-
-    New = Callable[[str], Any]
+New = Callable[[str], Any]
 
 
 BIT_SHIFT = 6

@@ -8,20 +8,18 @@ the driver and of the estimator node.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from mixtac_events.arrays import Events
 from mixtac_events.packetizer import ENCODING, PACKET_BYTES, PACKET_PERIOD_US, Packetizer
+from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node import topics
+from mixtac_node.topics import Topic
 from mixtac_recordings import messages
 from mixtac_recordings.bag import blank_message, typestore
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from mixtac_events.arrays import Events
-    from mixtac_events.readings import Edges, Frame, InertialSamples
-    from mixtac_node.topics import Topic
 
 
 class Bag(Protocol):

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-import sys
+from functools import partial
 
 import numpy as np
 from rclpy.node import Node
@@ -149,10 +149,4 @@ def _fields(message: JointTrajectory, start_s: float) -> Trajectory:
     )
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run(VirtualArmNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, VirtualArmNode)

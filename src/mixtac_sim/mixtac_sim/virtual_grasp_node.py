@@ -11,8 +11,8 @@ than the host's; with `publish_clock`, nodes that take their time from `/clock` 
 from __future__ import annotations
 
 import struct
-import sys
 import time
+from functools import partial
 from threading import Event, Thread
 
 import numpy as np
@@ -211,10 +211,4 @@ def _make(settings: VirtualGraspParameters, clock: PacedClock) -> tuple[LiveGras
     return grasp, sensor
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run(VirtualGraspNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, VirtualGraspNode)

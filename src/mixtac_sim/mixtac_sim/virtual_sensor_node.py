@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Callable
 from functools import partial
 from threading import Event, Thread
@@ -195,7 +194,3 @@ def main(args: list[str] | None = None) -> int:
     """Run the node."""
     # Forked while this process has one thread.
     return run(partial(VirtualSensorNode, SimulationProcess()), args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import math
-import sys
+from functools import partial
 from typing import Any, Final
 
 from event_camera_msgs.msg import EventPacket
@@ -427,10 +427,4 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         return Status(*node_status(self._controller, self._counts, self._latest, now_s))
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the slip control node."""
-    return run(SlipControlNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, SlipControlNode)

@@ -8,7 +8,6 @@ The recorder node is for machines without `ros2 bag record`.
 from __future__ import annotations
 
 import contextlib
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -261,10 +260,4 @@ class RecorderNode(Listener):
         return Status(WARN if missing else OK, 'recording', values)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the recorder node."""
-    return run(RecorderNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, RecorderNode)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from functools import partial
@@ -116,10 +115,4 @@ class ViewNode(BaseNode, Node):  # type: ignore[misc]
         return Status(WARN if bad else OK, f'{bad} undecodable' if bad else 'showing', values)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the view node."""
-    return run(ViewNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, ViewNode)

@@ -54,9 +54,11 @@ MODELS = {
 """Names of the coefficients by model."""
 MAX_ANGLE_RAD = np.deg2rad(85.0)
 """Largest angle off the axis; a plane cannot show 90 degrees."""
+FOCAL_AND_CENTRE, POSE = 4, 6
+"""Unknowns of a camera beside its distortion, and of the place of a board."""
 _STEPS = 4000
 _NEWTON_STEPS = 8
-_TOLERANCE = 1e-8
+_TOLERANCE, _STILL = 1e-8, 1e-12
 
 
 def check_model(model: str) -> None:
@@ -82,9 +84,7 @@ def distort(model: str, coefficients: Floats, points: Floats) -> Floats:
     """
     radius = np.hypot(points[:, 0], points[:, 1])
     inside = np.where(radius <= fold_radius(model, coefficients), 1.0, np.nan)[:, None]
-    if model == EQUIDISTANT:
-        return points * inside * _angle_gain(coefficients, radius)[:, None]
-    return inside * _brown(coefficients, points)[0]
+    return inside * _forward(model, coefficients, points)[0]
 
 
 def undistort(model: str, coefficients: Floats, points: Floats) -> Floats:
@@ -104,7 +104,10 @@ def undistort(model: str, coefficients: Floats, points: Floats) -> Floats:
     ideal = points * (guess / np.maximum(bent, 1e-12))[:, None]
     for _ in range(_NEWTON_STEPS):
         shown, jacobian = _forward(model, coefficients, ideal)
-        ideal = ideal - _solve(jacobian, shown - points)
+        step = _solve(jacobian, shown - points)
+        ideal = ideal - step
+        if np.abs(np.nan_to_num(step)).max(initial=0.0) < _STILL:
+            break
     error = np.abs(_forward(model, coefficients, ideal)[0] - points).max(axis=1, initial=0.0)
     with np.errstate(invalid='ignore'):
         good = (error < _TOLERANCE) & (np.hypot(ideal[:, 0], ideal[:, 1]) <= 1.001 * radii[-1])
@@ -121,66 +124,52 @@ def fold_radius(model: str, coefficients: Floats) -> float:
 
 
 def _radial(model: str, coefficients: Floats, radius: Floats) -> Floats:
-    if model == EQUIDISTANT:
-        return radius * _angle_gain(coefficients, radius)
-    return radius * _radial_gain(coefficients, radius**2)[0]
-
-
-def _angle_gain(coefficients: Floats, radius: Floats) -> Floats:
-    angle = np.arctan(radius)
-    square = angle**2
-    k1, k2, k3, k4 = coefficients
-    shown = angle * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
-    return np.where(radius > 1e-9, shown / np.maximum(radius, 1e-9), 1.0)
-
-
-def _radial_gain(coefficients: Floats, square: Floats) -> tuple[Floats, Floats]:
-    """Return Brown's radial factor and its derivative by the squared radius."""
-    k1, k2, _, _, k3, k4, k5, k6 = np.pad(coefficients, (0, 8 - len(coefficients)))
-    above = 1.0 + square * (k1 + square * (k2 + square * k3))
-    below = 1.0 + square * (k4 + square * (k5 + square * k6))
-    slope_above = k1 + square * (2.0 * k2 + 3.0 * square * k3)
-    slope_below = k4 + square * (2.0 * k5 + 3.0 * square * k6)
-    return above / below, (slope_above * below - above * slope_below) / below**2
-
-
-def _brown(coefficients: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Return distorted points [n, 2] and their derivatives by the ideal ones [n, 2, 2]."""
-    p1, p2 = coefficients[2:4]
-    x, y = points[:, 0], points[:, 1]
-    square = x * x + y * y
-    gain, slope = _radial_gain(coefficients, square)
-    shown = np.stack(
-        [
-            x * gain + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
-            y * gain + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ],
-        axis=1,
-    )
-    cross = 2.0 * slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-    jacobian = np.empty((len(x), 2, 2))
-    jacobian[:, 0, 0] = gain + 2.0 * slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-    jacobian[:, 0, 1] = jacobian[:, 1, 0] = cross
-    jacobian[:, 1, 1] = gain + 2.0 * slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-    return shown, jacobian
+    """Return the distorted radius along an axis, without Brown's tangential terms."""
+    even = coefficients.copy()
+    if model != EQUIDISTANT:
+        even[2:4] = 0.0
+    return _forward(model, even, np.stack([radius, np.zeros_like(radius)], axis=1))[0][:, 0]
 
 
 def _forward(model: str, coefficients: Floats, points: Floats) -> tuple[Floats, Floats]:
-    if model != EQUIDISTANT:
-        return _brown(coefficients, points)
-    radius = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
-    gain = _angle_gain(coefficients, radius)
-    square = np.arctan(radius) ** 2
-    k1, k2, k3, k4 = coefficients
-    slope = 1.0 + square * (
-        3.0 * k1 + square * (5.0 * k2 + square * (7.0 * k3 + 9.0 * square * k4))
+    """Return distorted points [n, 2] and their derivatives by the ideal ones [n, 2, 2]."""
+    rays = np.column_stack([points, np.ones(len(points))])
+    shown, _, by_pose = project(rays, np.zeros(3), np.zeros(3), np.eye(3), coefficients, model)
+    return shown, by_pose.reshape(-1, 2, POSE)[:, :, 3:5]
+
+
+def project(
+    points: Floats, turn: Floats, place: Floats, matrix: Floats, coefficients: Floats, model: str
+) -> tuple[Floats, Floats, Floats]:
+    """Return the image of board points, and its derivatives.
+
+    Args:
+        points: Board points [n, 3] [m].
+        turn: Rotation vector of the board [3] [rad].
+        place: Position of the board [3] [m].
+        matrix: K [3, 3].
+        coefficients: Distortion.
+        model: One of MODELS.
+
+    Returns:
+        Pixels [n, 2]; derivatives by fx, fy, cx, cy and coefficients [2 n, 4 + k]; derivatives by
+        the pose [2 n, 6].
+    """
+    import cv2
+
+    shaped = points.reshape(-1, 1, 3)
+    if model == EQUIDISTANT:
+        pixels, jacobian = cv2.fisheye.projectPoints(shaped, turn, place, matrix, coefficients)
+        lens = FOCAL_AND_CENTRE + len(MODELS[model])
+        by_lens, by_pose = jacobian[:, :lens], jacobian[:, lens : lens + POSE]
+    else:
+        pixels, jacobian = cv2.projectPoints(shaped, turn, place, matrix, coefficients)
+        by_lens, by_pose = jacobian[:, POSE:], jacobian[:, :POSE]
+    return (
+        np.asarray(pixels, np.float64).reshape(-1, 2),
+        np.asarray(by_lens, np.float64),
+        np.asarray(by_pose, np.float64),
     )
-    # d(gain)/d(radius), over radius, times the outer product of the point with itself.
-    bend = (slope / (1.0 + radius**2) - gain) / radius**2
-    jacobian = bend[:, None, None] * points[:, :, None] * points[:, None, :]
-    jacobian[:, 0, 0] += gain
-    jacobian[:, 1, 1] += gain
-    return points * gain[:, None], jacobian
 
 
 def _solve(jacobian: Floats, error: Floats) -> Floats:

@@ -14,14 +14,17 @@ import numpy as np
 from mixtac_driver.calibration.board import MIN_DISTANCE, View, ViewMeasures, coverage, measure
 from mixtac_driver.calibration.lens import (
     EQUIDISTANT,
+    FOCAL_AND_CENTRE,
     MAX_ANGLE_RAD,
     MODELS,
+    POSE,
     CalibrationError,
     CameraCalibration,
     Refusal,
     RefusedError,
     check_model,
     fold_radius,
+    project,
     undistort,
 )
 from mixtac_events.arrays import Floats
@@ -32,8 +35,6 @@ _RECOMPUTE = (
     getattr(cv2.fisheye, 'CALIB_RECOMPUTE_EXTRINSIC', None) or cv2.CALIB_RECOMPUTE_EXTRINSIC
 )
 _FIX_SKEW = getattr(cv2.fisheye, 'CALIB_FIX_SKEW', None) or cv2.CALIB_FIX_SKEW
-_FOCAL_AND_CENTRE = 4
-_POSE = 6
 _RATIONAL = 'rational_polynomial'
 _K3, _K6 = 4, 7
 _CLEARLY_MORE = 1.03
@@ -86,7 +87,7 @@ def fit_lens(views: Sequence[View], model: str) -> LensFit:
             f'no {model} lens fits these {len(views)} views ({cause})',
             'hold the board flat, and tilt it in different ways',
         ) from error
-    fixed = [_FOCAL_AND_CENTRE + index for index in held]
+    fixed = [FOCAL_AND_CENTRE + index for index in held]
     residuals, inner, outer = [], [], []
     for view, turn, place in zip(views, turns, places, strict=True):
         points = view.board.points()
@@ -96,45 +97,13 @@ def fit_lens(views: Sequence[View], model: str) -> LensFit:
         outer.append(by_pose)
     if not all(np.isfinite(each).all() for each in residuals):
         raise RefusedError(Refusal.NO_FIT, f'the {model} fit diverged', _STEADIER)
-    deviations = np.zeros(_FOCAL_AND_CENTRE + len(MODELS[model]))
+    deviations = np.zeros(FOCAL_AND_CENTRE + len(MODELS[model]))
     free = np.delete(np.arange(len(deviations)), fixed)
     try:
         deviations[free] = _deviations(residuals, inner, outer)
     except np.linalg.LinAlgError as error:
         raise RefusedError(Refusal.NO_FIT, f'the {model} fit diverged', _STEADIER) from error
     return LensFit(matrix, distortion, turns, places, residuals, deviations)
-
-
-def project(
-    points: Floats, turn: Floats, place: Floats, matrix: Floats, coefficients: Floats, model: str
-) -> tuple[Floats, Floats, Floats]:
-    """Return the image of board points, and its derivatives.
-
-    Args:
-        points: Board points [n, 3] [m].
-        turn: Rotation vector of the board [3] [rad].
-        place: Position of the board [3] [m].
-        matrix: K [3, 3].
-        coefficients: Distortion.
-        model: One of `lens.MODELS`.
-
-    Returns:
-        Pixels [n, 2]; derivatives by fx, fy, cx, cy and coefficients [2 n, 4 + k]; derivatives by
-        the pose [2 n, 6].
-    """
-    shaped = points.reshape(-1, 1, 3)
-    if model == EQUIDISTANT:
-        pixels, jacobian = cv2.fisheye.projectPoints(shaped, turn, place, matrix, coefficients)
-        lens = _FOCAL_AND_CENTRE + len(MODELS[model])
-        by_lens, by_pose = jacobian[:, :lens], jacobian[:, lens : lens + _POSE]
-    else:
-        pixels, jacobian = cv2.projectPoints(shaped, turn, place, matrix, coefficients)
-        by_lens, by_pose = jacobian[:, _POSE:], jacobian[:, :_POSE]
-    return (
-        np.asarray(pixels, np.float64).reshape(-1, 2),
-        np.asarray(by_lens, np.float64),
-        np.asarray(by_pose, np.float64),
-    )
 
 
 _Lens = tuple[Floats, Floats, Floats, Floats]
@@ -203,7 +172,7 @@ def _deviations(residuals: list[Floats], by_lens: list[Floats], by_pose: list[Fl
         information * scale[:, None] * scale[None, :], rcond=1e-13, hermitian=True
     )
     errors = np.concatenate([each.ravel() for each in residuals])
-    freedom = max(1, len(errors) - unknowns - _POSE * len(residuals))
+    freedom = max(1, len(errors) - unknowns - POSE * len(residuals))
     variance = float(errors @ errors) / freedom
     return np.asarray(scale * np.sqrt(np.maximum(inverse.diagonal(), 0.0) * variance))
 

@@ -5,23 +5,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_driver.calibration.camera_info import read_camera_info, resolve, write_camera_info
 from mixtac_driver.calibration.lens import CalibrationError, CameraCalibration
+from mixtac_driver.parameters import DeviceParameters
 from mixtac_driver.pixels import event_buffers, move_events
 from mixtac_events.arrays import Events
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_driver.parameters import DeviceParameters
-
-    Image = NDArray[np.uint8 | np.uint16]
+Image = NDArray[np.uint8 | np.uint16]
 
 
 _BAYER = 'bayer_'

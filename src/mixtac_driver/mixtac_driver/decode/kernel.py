@@ -21,9 +21,11 @@ info byte says which groups follow: acceleration (bytes 0 .. 5), temperature (6,
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 from numba import int64, njit, uint64
+from numpy.typing import NDArray
 
 from mixtac_driver.decode.events import BLOCK, take_block, take_event_word
 from mixtac_driver.decode.frames import (
@@ -42,13 +44,8 @@ from mixtac_driver.decode.state import (
     IMU_BYTES,
     IMU_OUTSIDE,
     READINGS_CAPACITY,
+    Buffers,
 )
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from mixtac_driver.decode.state import Buffers
 
 DONE, FULL, FRAME, RESET = range(4)
 """Reasons why `decode_words` returns: end of the words, no room, frame complete, clock reset."""

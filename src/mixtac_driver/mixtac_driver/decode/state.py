@@ -9,17 +9,14 @@ between compiled functions is cheap; for arrays, numba counts references at ever
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mixtac_driver.davis346.model import Geometry
+from mixtac_driver.davis346.model import Geometry
 
 RESET_COLUMN, SIGNAL_COLUMN, NO_COLUMN = 0, 1, -1
 IMU_BYTES = 14

@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-import sys
 import time
+from functools import partial
 
 import numpy as np
 from rclpy.node import Node
@@ -213,10 +213,4 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
             self.get_logger().info(line)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the driver node."""
-    return run(DriverNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, DriverNode)

@@ -5,8 +5,6 @@
 Streams are larger than the caches, so decoder and copy both read from memory. They alternate many
 times, each over the whole stream, in pieces of about a millisecond. The shortest time of each
 piece counts, which removes most of the influence of other load.
-
-Run `mixtac bench decode` or `python -m mixtac_lab.bench.decode`.
 """
 
 from __future__ import annotations
@@ -239,7 +237,3 @@ def decode(
     console.print(f'memory copy {figures["memcpy_bytes_per_s"] / 1e9:.1f} GB/s')
     console.print(f'start-up of the decoder, compiled before: {figures["start_s"]:.2f} s')
     save_result(json, figures)
-
-
-if __name__ == '__main__':
-    typer.run(decode)

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fuzz test of the decoder: random words and corrupted valid streams, with all output checked.
 
-Run `mixtac bench fuzz` or `python -m mixtac_lab.bench.fuzz --words 1e9 --seed 0`. The words come
-in sessions, each with its own camera geometry. A session depends only on the seed and its number,
-so a failing one can be repeated alone.
+The words come in sessions, each with its own camera geometry. A session depends only on the seed
+and its number, so a failing one can be repeated alone.
 """
 
 from __future__ import annotations
@@ -320,7 +319,3 @@ def fuzz(
             if done >= words:
                 break
     console.print(f'{done} words, seed {seed}: no errors')
-
-
-if __name__ == '__main__':
-    typer.run(fuzz)

@@ -366,7 +366,3 @@ def _row(run: Mapping[str, Any]) -> tuple[object, ...]:
         'yes' if run['ended'] else 'no',
         f'{max(slowest.values()):.1f}' if slowest else '',
     )
-
-
-if __name__ == '__main__':
-    typer.run(fuzz_nodes)

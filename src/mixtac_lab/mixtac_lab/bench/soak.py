@@ -201,7 +201,3 @@ def draw(samples: Sequence[Mapping[str, float]], path: Path, title: str) -> None
     axes[0].set_title(title)
     axes[-1].set_xlabel('minutes')
     save_figure(canvas, path)
-
-
-if __name__ == '__main__':
-    typer.run(soak)

@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, List, Optional  # noqa: UP035
+from typing import Annotated, Any, List, Optional  # noqa: UP035
 
 import numpy as np
 import typer
@@ -32,13 +32,10 @@ from mixtac_lab.experiments import report, sizes
 from mixtac_lab.experiments.report import Outcome, Row, Value
 from mixtac_lab.experiments.sizes import Sizes
 from mixtac_lab.store import Piece, Store
+from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import Metrics, measure, peak_error
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.world.training_trials import simulator_digest
-
-if TYPE_CHECKING:
-    from mixtac_learning.judge.estimators import TrialEstimate
-
 
 GROUP = 'mixtac.experiments'
 """Entry points of all experiments."""

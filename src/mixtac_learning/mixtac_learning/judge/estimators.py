@@ -7,13 +7,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.errors import MixtacError
-from mixtac_fger.estimator import open_estimator
+from mixtac_fger.estimator import Estimate, open_estimator
 from mixtac_fger.fger_net import CALIBRATED_DEVIATION
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import Model
@@ -30,9 +30,6 @@ from mixtac_learning.trials.trial import (
     window_ends,
 )
 from mixtac_recordings.messages import left_aligned
-
-if TYPE_CHECKING:
-    from mixtac_fger.estimator import Estimate
 
 
 @dataclass(frozen=True, slots=True, eq=False)

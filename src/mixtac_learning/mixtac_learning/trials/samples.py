@@ -4,9 +4,6 @@
 
 from __future__ import annotations
 
-import json
-import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +13,7 @@ from numpy.typing import NDArray
 
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
+from mixtac_learning.trials.store import read_arrays, write_arrays
 from mixtac_learning.trials.trial import (
     DatasetError,
     ForceLabel,
@@ -23,7 +21,6 @@ from mixtac_learning.trials.trial import (
     frame_arrivals,
     window_ends,
 )
-from mixtac_node.files import replacing
 
 CONTACT_N = 0.01
 """Largest true force during the reference frames [N]."""
@@ -142,14 +139,14 @@ def _features(
 
 
 def save_sample(path: Path, sample: Sample, config: FgerConfig) -> None:
-    """Write a sample as .npz (no pickles) with its configuration."""
-    header = json.dumps({'config': config.to_dict(), 'origin': sample.origin})
+    """Write a sample with its configuration as a folder of arrays, whole or not at all."""
     arrays = {name: getattr(sample, name) for name in _ARRAYS}
-    with replacing(path) as scratch:
-        np.savez(scratch, header=np.array(header), **arrays)
+    facts = {'config': config.to_dict(), 'origin': sample.origin}
+    write_arrays(path, arrays, facts, _FACTS)
 
 
 _ARRAYS = Sample.__slots__[:-1]
+_FACTS = 'sample.json'
 UNSEEN_BY_SAMPLES = {
     'reference_stillness',
     'event_hidden',
@@ -172,53 +169,41 @@ def load_sample(path: Path, config: FgerConfig) -> Sample:
     """Read a sample and check that it was prepared as `config` asks.
 
     Raises:
-        DatasetError: The file is missing, damaged or was prepared in another way.
+        DatasetError: The folder is missing, damaged or was prepared in another way.
     """
-    header, arrays = _read_part(
-        path,
-        lambda file: (json.loads(str(file['header'])), {name: file[name] for name in _ARRAYS}),
-    )
+    mapped, facts = read_arrays(path, _FACTS, _ARRAYS)
     wanted = config.to_dict()
     for name in set(wanted) - UNSEEN_BY_SAMPLES:
-        if header['config'].get(name) != wanted[name]:
+        if facts['config'].get(name) != wanted[name]:
             raise DatasetError(
-                f'sample {path} was prepared with {name} = {header["config"].get(name)}, but'
+                f'sample {path} was prepared with {name} = {facts["config"].get(name)}, but'
                 f' {wanted[name]} is needed: remove it'
             )
-    return Sample(**arrays, origin=header['origin'])
+    arrays = {name: np.array(mapped[name]) for name in _ARRAYS}
+    return Sample(**arrays, origin=facts['origin'])
 
 
 def sample_origin(path: Path) -> dict[str, Any]:
-    """Return where the sample in a file came from, without reading the rest.
+    """Return where a sample came from.
 
     Raises:
-        DatasetError: The file cannot be read.
+        DatasetError: The folder cannot be read.
     """
-    return dict(_read_part(path, lambda file: json.loads(str(file['header']))['origin']))
+    return dict(read_arrays(path, _FACTS, ())[1]['origin'])
 
 
 def sample_windows(path: Path) -> int:
-    """Return the number of windows of the sample in a file.
+    """Return the number of windows of a sample.
 
     Raises:
-        DatasetError: The file cannot be read.
+        DatasetError: The folder cannot be read.
     """
-    return int(_read_part(path, lambda file: len(file['force'])))
-
-
-def _read_part(path: Path, part: Callable[[Any], Any]) -> Any:  # noqa: ANN401
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return part(file)
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise DatasetError(
-            f'sample {path} cannot be read ({error})', remedy='remove it; it is then prepared again'
-        ) from error
+    return len(read_arrays(path, _FACTS, ('force',))[0]['force'])
 
 
 @dataclass(frozen=True, slots=True)
 class FgerRecipe:
-    """Features of frames and windows, in one file per trial.
+    """Features of frames and windows, in one folder per trial.
 
     Attributes:
         config: Network configuration.
@@ -227,7 +212,7 @@ class FgerRecipe:
 
     config: FgerConfig
     label: str = 'best'
-    suffix = '.npz'
+    suffix = '.fger'
 
     def fingerprint(self) -> dict[str, Any]:
         """Return what changes a sample."""

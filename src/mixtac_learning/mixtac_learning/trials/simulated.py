@@ -5,17 +5,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mixtac_learning.trials.trial import AcrossLabel, TrialArrays, aligned_force, true_force
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.sensor import truth_wrench
-
-if TYPE_CHECKING:
-    from mixtac_sim.world.training_trials import TrialSpec
-    from mixtac_sim.world.trial import Trial
+from mixtac_sim.world.training_trials import TrialSpec
+from mixtac_sim.world.trial import Trial
 
 
 @dataclass(frozen=True, slots=True)

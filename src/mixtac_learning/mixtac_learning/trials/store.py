@@ -123,7 +123,7 @@ def read_arrays(
         facts = json.loads((path / facts_file).read_text(encoding='utf-8'))
         names = {*needed, *(file.stem for file in path.glob('*.npy'))}
         return {name: np.load(path / f'{name}.npy', mmap_mode='r') for name in names}, facts
-    except (OSError, ValueError) as error:
+    except (OSError, EOFError, ValueError) as error:
         raise DatasetError(
             f'{path} cannot be read ({error})', remedy='remove it; it is then prepared again'
         ) from error

@@ -65,22 +65,28 @@ def test_simulated_truth_becomes_a_label():
 
 def test_samples_survive_the_disk(tmp_path, config, trial):
     sample = make_sample(config, trial, trial.label(), {'device_seed': 3})
-    save_sample(tmp_path / 'a' / 's.npz', sample, config)
-    loaded = load_sample(tmp_path / 'a' / 's.npz', FgerConfig(lstm_size=12))
+    save_sample(tmp_path / 'a' / 's', sample, config)
+    loaded = load_sample(tmp_path / 'a' / 's', FgerConfig(lstm_size=12))
     assert loaded.origin == {'device_seed': 3}
     for name in Sample.__slots__[:-1]:
         assert np.array_equal(getattr(loaded, name), getattr(sample, name))
     with pytest.raises(DatasetError):
-        load_sample(tmp_path / 'a' / 's.npz', FgerConfig(flow_radius=2))
+        load_sample(tmp_path / 'a' / 's', FgerConfig(flow_radius=2))
 
 
-@pytest.mark.parametrize('content', [None, b'', b'rubbish', b'PK\x03\x04 cut short'])
-def test_unreadable_samples_are_named(tmp_path, config, content):
-    path = tmp_path / 's.npz'
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(DatasetError):
-        load_sample(path, config)
+@pytest.mark.parametrize('content', [None, b'', b'rubbish', b'\x93NUMPY cut short'])
+def test_unreadable_samples_are_named(tmp_path, config, trial, content):
+    path = tmp_path / 's'
+    save_sample(path, make_sample(config, trial, trial.label(), {}), config)
+    for file in path.iterdir():
+        whole = file.read_bytes()
+        if content is None:
+            file.unlink()
+        else:
+            file.write_bytes(content)
+        with pytest.raises(DatasetError):
+            load_sample(path, config)
+        file.write_bytes(whole)
 
 
 def test_a_trial_that_begins_in_contact_is_refused(config, trial):

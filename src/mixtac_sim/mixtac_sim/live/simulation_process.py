@@ -12,20 +12,16 @@ import contextlib
 import multiprocessing
 import os
 import signal
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mixtac_sim import SimulationError
 from mixtac_sim.live.touch import LiveProfile
-from mixtac_sim.world.sensor import TactileSensor
-
-if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
-
-    from mixtac_sim.pixels.aps import ApsSettings
-    from mixtac_sim.pixels.biases import PixelSettings
-    from mixtac_sim.world.effects import Preset
-    from mixtac_sim.world.sensor import SensorOutput
+from mixtac_sim.pixels.aps import ApsSettings
+from mixtac_sim.pixels.biases import PixelSettings
+from mixtac_sim.world.effects import Preset
+from mixtac_sim.world.sensor import SensorOutput, TactileSensor
 
 
 class SimulationProcess:

@@ -15,37 +15,30 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event, Lock, Thread
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_node.process import lower_priority
 from mixtac_sim import SimulationError
 from mixtac_sim.live import touch
+from mixtac_sim.live.simulation_process import SimulationProcess
 from mixtac_sim.live.touch import LiveProfile
-from mixtac_sim.mechanics.indenters import LIVE_INDENTERS
+from mixtac_sim.mechanics.indenters import LIVE_INDENTERS, Indenter
+from mixtac_sim.parameters import TouchParameters
 from mixtac_sim.pixels.aps import READOUT_US, RESET_US, ApsSettings
 from mixtac_sim.pixels.biases import DEFAULT_REGISTERS, PixelSettings
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.usb.registers import Module
-from mixtac_sim.world.effects import EASY
+from mixtac_sim.world.effects import EASY, Preset
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor, WrenchSamples
-from mixtac_sim.world.sensor import TactileSensor, truth_wrench
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from mixtac_sim.live.simulation_process import SimulationProcess
-    from mixtac_sim.mechanics.indenters import Indenter
-    from mixtac_sim.parameters import TouchParameters
-    from mixtac_sim.world.effects import Preset
-    from mixtac_sim.world.profiles import Profile
-    from mixtac_sim.world.sensor import SensorOutput
+from mixtac_sim.world.profiles import Profile
+from mixtac_sim.world.sensor import SensorOutput, TactileSensor, truth_wrench
 
 
 class SimulationClock:

@@ -20,22 +20,17 @@ a commanded depth (F_e known) and for a commanded force (F known) alike.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Floats
 from mixtac_sim.grids import STEP_US
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from mixtac_sim.mechanics.elastomer import ForceLaw
+from mixtac_sim.mechanics.elastomer import ForceLaw
 
 
 @dataclass(frozen=True, slots=True)

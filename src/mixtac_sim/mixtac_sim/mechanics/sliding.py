@@ -19,18 +19,15 @@ the contact and pulls at nothing: free rolling without creep, and without the sk
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from mixtac_events.arrays import Floats
 from mixtac_sim.grids import STEP_US
-from mixtac_sim.mechanics.contact import force_terms, relax
-
-if TYPE_CHECKING:
-    from mixtac_sim.mechanics.contact import ContactPath, PronySeries
-    from mixtac_sim.mechanics.elastomer import Shear
+from mixtac_sim.mechanics.contact import ContactPath, PronySeries, force_terms, relax
+from mixtac_sim.mechanics.elastomer import Shear
 
 WHOLE_SLIP = 1.5
 """Way over largest pull and stiffness at which the whole contact slides."""

@@ -8,20 +8,17 @@ A defect lasts until `FaultKind.CLEAR`, also while the camera is unplugged. Time
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from mixtac_events.arrays import Events
 from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb.faults import Fault, FaultKind
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_sim.usb.words import ImuReading
+from mixtac_sim.usb.words import ImuReading
 
 DEFECTS: Final = frozenset(
     {

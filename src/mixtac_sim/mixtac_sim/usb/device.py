@@ -9,29 +9,25 @@ from __future__ import annotations
 
 import math
 import time
+from array import array
+from collections.abc import Callable, Hashable, Iterable
 from threading import Condition
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
+from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb import endpoints
 from mixtac_sim.usb.defects import DEFECTS, Defects
 from mixtac_sim.usb.endpoints import ControlEndpoint, DataEndpoint, Presence
 from mixtac_sim.usb.faults import Fault, FaultInjector, FaultKind
 from mixtac_sim.usb.registers import Aps, Board, Dvs, Imu, Module, Mux, RegisterFile, Usb
 from mixtac_sim.usb.stream import FILTER_REGISTERS, ByteFifo, Oscillator, StreamAssembler
+from mixtac_sim.usb.words import ImuReading
 
-if TYPE_CHECKING:
-    from array import array
-    from collections.abc import Callable, Hashable, Iterable
-
-    from numpy.typing import NDArray
-
-    from mixtac_sim.pixels.aps import ApsFrame
-    from mixtac_sim.usb.words import ImuReading
-
-    Buffer = array[int] | bytearray | memoryview
+Buffer = array[int] | bytearray | memoryview
 
 
 _IN: Final = 0x80

@@ -11,19 +11,21 @@ import math
 import struct
 import sys
 import time
+from collections.abc import Callable, Hashable
+from threading import Condition
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from mixtac_sim.usb.faults import UsbBusy, UsbGone, UsbStall, UsbTimeout, VirtualUsbError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
-    from threading import Condition
-
-    from mixtac_sim.usb.faults import FaultInjector
-    from mixtac_sim.usb.registers import RegisterFile
-    from mixtac_sim.usb.stream import ByteFifo
-
+from mixtac_sim.usb.faults import (
+    FaultInjector,
+    UsbBusy,
+    UsbGone,
+    UsbStall,
+    UsbTimeout,
+    VirtualUsbError,
+)
+from mixtac_sim.usb.registers import RegisterFile
+from mixtac_sim.usb.stream import ByteFifo
 
 VENDOR_ID: Final = 0x152A
 PRODUCT_ID: Final = 0x841A

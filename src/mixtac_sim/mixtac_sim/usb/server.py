@@ -13,14 +13,11 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from mixtac_sim.usb import wire
+from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import Fault, UsbTimeout, VirtualUsbError
-
-if TYPE_CHECKING:
-    from mixtac_sim.usb.device import VirtualDavis346
-
 
 # How long a read may wait in the device before the server checks that the host is still there.
 _SLICE_S: Final = 0.25

@@ -12,13 +12,10 @@ import functools
 import hashlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from mixtac_sim.world.trial import Trial
-
+from mixtac_sim.world.trial import Trial
 
 TRAINING_PROFILES = (
     'dynamic',
