@@ -7,6 +7,7 @@ from __future__ import annotations
 import datetime as dt
 import platform
 import sys
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
@@ -113,14 +114,7 @@ def check_camera(
         'version': version('mixtac_driver'),
         'date': dt.datetime.now(dt.timezone.utc).date().isoformat(),
         'checks': [
-            {
-                'number': check.number,
-                'name': check.name,
-                'outcome': check.outcome.value,
-                'figure': check.figure,
-                'limit': check.limit,
-                'found': check.found,
-            }
+            {'name': check.name, **asdict(check), 'outcome': check.outcome.value}
             for check in sorted(checks, key=lambda each: each.number)
         ],
     }

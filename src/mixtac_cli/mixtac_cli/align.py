@@ -28,7 +28,7 @@ from mixtac_alignment.bags import (
 )
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_cli.figures import EVENTS, MARK, REFERENCE, new_figure, save_figure
-from mixtac_cli.options import JsonFile, OptionalPath, ReferenceTopic
+from mixtac_cli.options import JsonFile, OptionalPath, ReferenceTopic, one_of
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.files import write_json
@@ -90,7 +90,8 @@ def align(
         str,
         typer.Option(
             help='refined; two_impulse: taps only; paper: only trough and peak of the taps; '
-            'edges: external_edges against reference_edges, instead of taps.'
+            'edges: external_edges against reference_edges, instead of taps.',
+            callback=one_of(*METHODS),
         ),
     ] = 'refined',
     pool: Annotated[
@@ -104,8 +105,6 @@ def align(
     json: JsonFile = None,
 ) -> None:
     """Fit the clock of the reference force to the camera's; write the fit beside each bag."""
-    if method not in METHODS:
-        raise typer.BadParameter(f'method {method!r}: choose one of {", ".join(METHODS)}')
     found = [bag for path in bags for bag in find_bags(path)]
     if not found:
         raise typer.BadParameter(f'no bag in {", ".join(map(str, bags))}')

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -186,14 +187,8 @@ def _row(section: str, finding: Finding) -> dict[str, object]:
         key: None if isinstance(value, float) and not math.isfinite(value) else value
         for key, value in finding.values.items()
     }
-    return {
-        'section': section,
-        'name': finding.name,
-        'level': finding.level.name.lower(),
-        'found': finding.found,
-        'remedy': finding.remedy,
-        'values': values,
-    }
+    level = finding.level.name.lower()
+    return {'section': section, **asdict(finding), 'level': level, 'values': values}
 
 
 def examine(

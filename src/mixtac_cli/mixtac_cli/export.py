@@ -16,10 +16,10 @@ from rich.table import Table
 
 from mixtac_alignment.bags import write_fit
 from mixtac_alignment.clock_fit import ClockFit
-from mixtac_cli.options import OptionalPath
+from mixtac_cli.options import OptionalPath, Split
 from mixtac_node.topics import REFERENCE
 from mixtac_recordings.bag_writer import repair as repair_bag
-from mixtac_recordings.dataset import SPLITS, add_recording
+from mixtac_recordings.dataset import add_recording
 from mixtac_recordings.export import export_recording
 from mixtac_recordings.importing import TableOptions, import_recording
 from mixtac_recordings.recording import AEDAT4_SUFFIX, DamagedRecordingError
@@ -80,11 +80,9 @@ def import_(
     profile: Annotated[
         str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')
     ] = '',
-    split: Annotated[str, typer.Option(help='train or test, for dataset.yaml.')] = '',
+    split: Split = '',
 ) -> None:
     """Make a bag of events, frames and forces in other files: csv, NPZ, HDF5, AEDAT4."""
-    if split not in {'', *SPLITS}:
-        raise typer.BadParameter(f'{split!r}: choose train or test', param_hint='--split')
     options = TableOptions(time_unit, force_unit, _size(size))
     console = Console()
     with console.status(f'reading {source}'):

@@ -12,6 +12,7 @@ from typing import Annotated, Optional
 import typer
 
 from mixtac_node.files import writable
+from mixtac_recordings.dataset import SPLITS
 
 OptionalPath = Optional[Path]  # noqa: UP045  (typer evaluates this under Python 3.10)
 JsonFile = Annotated[
@@ -35,12 +36,13 @@ def check_namespace(value: str) -> str:
 
 
 def one_of(*names: str) -> Callable[[str], str]:
-    """Return a callback that takes one of some words only, in lower case."""
+    """Return a callback that takes one of some words only, and returns it in lower case."""
 
     def check(value: str) -> str:
         if value.lower() not in names:
-            raise typer.BadParameter(f'{value[:_LONGEST]!r}: choose one of {", ".join(names)}')
-        return value
+            known = ', '.join(filter(None, names))
+            raise typer.BadParameter(f'{value[:_LONGEST]!r}: choose one of {known}')
+        return value.lower()
 
     return check
 
@@ -53,6 +55,9 @@ Namespace = Annotated[
 ParamsFile = Annotated[
     OptionalPath,
     typer.Option('--params-file', exists=True, help='Parameter file that overrides the defaults.'),
+]
+Split = Annotated[
+    str, typer.Option(help='train or test, for dataset.yaml.', callback=one_of('', *SPLITS))
 ]
 RunTime = Annotated[
     float, typer.Option('--seconds', min=0, help='Run time (s); 0 runs until Ctrl-C.')

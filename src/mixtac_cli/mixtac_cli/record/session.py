@@ -18,7 +18,7 @@ from rich.live import Live
 from rich.table import Table
 
 from mixtac_cli.doctor import table
-from mixtac_cli.options import JsonFile, Namespace
+from mixtac_cli.options import JsonFile, Namespace, Split
 from mixtac_cli.record.meter import RecordingSummary, TopicMeter
 from mixtac_cli.record.recorder_node import Listener, running_listener
 from mixtac_driver.doctor.computer import Finding, Level, ok
@@ -54,7 +54,7 @@ def record(
     profile: Annotated[
         str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')
     ] = '',
-    split: Annotated[str, typer.Option(help='train or test, for dataset.yaml.')] = '',
+    split: Split = '',
     check: Annotated[
         bool, typer.Option('--check', help='Only check the sensor; record nothing.')
     ] = False,
@@ -70,8 +70,6 @@ def record(
     json: JsonFile = None,
 ) -> None:
     """Check disk, topics and clocks, record the running sensor, and report the losses."""
-    if split not in {'', 'train', 'test'}:
-        raise typer.BadParameter(f'{split!r}: choose train or test', param_hint='--split')
     if out.exists():
         raise RecordingError(f'{out} exists', remedy='name a new folder')
     read_recordings(out.absolute().parent / FILE_NAME)

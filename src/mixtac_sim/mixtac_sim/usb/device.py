@@ -12,7 +12,7 @@ import time
 from array import array
 from collections.abc import Callable, Hashable, Iterable
 from threading import Condition
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from mixtac_sim.usb.registers import Aps, Board, Dvs, Imu, Module, Mux, Register
 from mixtac_sim.usb.stream import FILTER_REGISTERS, ByteFifo, Oscillator, StreamAssembler
 from mixtac_sim.usb.words import ImuReading
 
-Buffer = array[int] | bytearray | memoryview
+Buffer: TypeAlias = 'array[int] | bytearray | memoryview'
 
 
 _IN: Final = 0x80
