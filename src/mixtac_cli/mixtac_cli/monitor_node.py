@@ -103,12 +103,14 @@ class Monitor(Receiver):
         self._arrival_ns = np.zeros(size, np.int64)
         self._stamp_ns = np.zeros(size, np.int64)
         self._force = np.zeros(size)
+        self._across = np.zeros((size, 2))
         self._count = 0
         self.diagnostics: dict[str, dict[str, str]] = {}
         self.reference_n = float('nan')
         self._clients: dict[str, Any] = {}
         self._reference_ns = array('q')
         self._reference = array('d')
+        self._reference_across = array('d')
         self.serial = ''
         self._clock_pairs: list[tuple[int, int]] = []
 
@@ -222,6 +224,10 @@ class Monitor(Receiver):
         n = self._count
         return self._arrival_ns[:n], self._stamp_ns[:n], self._force[:n]
 
+    def sideways(self) -> NDArray[np.float64]:
+        """Return the sideways force of each sample of `force` [N], [T, 2], as a view."""
+        return self._across[: self._count]
+
     @property
     def reference_count(self) -> int:
         """Return the number of reference samples received."""
@@ -231,6 +237,11 @@ class Monitor(Receiver):
         """Return arrival [ns, host clock] and reference force [N]."""
         n = len(self._reference)
         return np.array(self._reference_ns[:n]), np.array(self._reference[:n])
+
+    def reference_sideways(self) -> NDArray[np.float64]:
+        """Return the force along x and y of each sample of `reference` [N], [T, 2]."""
+        n = 2 * len(self._reference)
+        return np.array(self._reference_across[:n]).reshape(-1, 2)
 
     def clock_pairs(self) -> NDArray[np.int64]:
         """Return (host, camera) clock pairs [ns], shape (N, 2), as the driver published them."""
@@ -248,11 +259,13 @@ class Monitor(Receiver):
         self._arrival_ns[i] = arrival
         self._stamp_ns[i] = stamp_to_ns(message.header.stamp)
         self._force[i] = topics.normal_force(message)
+        self._across[i] = topics.sideways_force(message)
         self._count = i + 1
 
     def _on_reference(self, message: topics.ForceMessage) -> None:
         self.reference_n = topics.normal_force(message)
         self._reference_ns.append(time.time_ns())
+        self._reference_across.extend(topics.sideways_force(message))
         self._reference.append(self.reference_n)
 
     def _on_clock(self, message: TimeReference) -> None:

@@ -32,7 +32,20 @@ from numpy.typing import NDArray
 from mixtac_events.errors import MixtacError
 
 F64 = NDArray[np.float64]
-Reason = Literal['contact', 'rocking', 'creep', 'zero', 'units', 'loads', 'few', 'order', 'changed']
+Reason = Literal[
+    'contact',
+    'rocking',
+    'creep',
+    'zero',
+    'units',
+    'loads',
+    'few',
+    'order',
+    'changed',
+    'pull',
+    'slid',
+    'ways',
+]
 REMEDIES: dict[Reason, str] = {
     'contact': 'put it on the middle of the gel, and nothing else',
     'rocking': 'let it rest, do not touch the table, and try again',
@@ -43,6 +56,9 @@ REMEDIES: dict[Reason, str] = {
     'few': 'give two loads or more, such as 20,50,100',
     'order': 'name each load that was put on, in this order, or record again',
     'changed': 'look at gel, lamp and mount, then calibrate it again',
+    'pull': 'pull at what presses, straight and level, while it presses',
+    'slid': 'press harder or pull less: a fifth of the load that presses is enough',
+    'ways': 'pull towards +x, to the right in the image, and +y, upwards in the image',
 }
 GRAVITY = 9.80665
 """Standard gravity [m/s^2]."""
@@ -59,7 +75,8 @@ class ForceCalibrationError(MixtacError):
     Attributes:
         reason: `contact` (no load arrived), `rocking` (not held still), `creep`, `zero` (the
             sensor moved), `units` (a gain that no gel explains), `loads` (they disagree), `few`
-            (too few loads), `order` (more plateaus than loads) or `changed` (a check failed).
+            (too few loads), `order` (more plateaus than loads), `changed` (a check failed), `pull`
+            (none arrived), `slid` (what presses slid aside) or `ways` (other directions).
     """
 
     def __init__(self, message: str, reason: Reason, remedy: str = '') -> None:
@@ -137,17 +154,28 @@ def steady_stretches(t_s: F64, force_n: F64) -> list[Stretch]:
         t_s: Times, increasing [s].
         force_n: Forces at these times [N].
     """
-    times, means = binned(t_s, force_n)
+    return [stretch for (stretch,) in steady_together(t_s, force_n)]
+
+
+def steady_together(t_s: F64, *series: F64) -> list[tuple[Stretch, ...]]:
+    """Return the stretches in which several series are steady at once, one of each; as above."""
     reach = round(REACH_S / BIN_S)
-    if len(means) < reach:
+    binned_series = [binned(t_s, each) for each in series]
+    times = binned_series[0][0]
+    if len(times) < reach:
         return []
-    ends = [np.full(reach, part.mean()) for part in (means[: reach // 2], means[-reach // 2 :])]
-    # A gap makes NaN of all that it touches, which is never steady.
-    moving = sliding_window_view(np.concatenate([ends[0], means, ends[1]]), reach).mean(axis=1)
-    before, after = moving[: -reach - 1], moving[reach + 1 :]
-    level = np.maximum(np.abs(before), np.abs(after))
-    steady = np.abs(after - before) <= np.maximum(STEADY_N, STEADY_PART * level)
-    return [_stretch(times[a:b], means[a:b]) for a, b in _long_runs(steady)]
+    steady = np.ones(len(times), np.bool_)
+    for _, means in binned_series:
+        ends = [np.full(reach, part.mean()) for part in (means[: reach // 2], means[-reach // 2 :])]
+        # A gap makes NaN of all that it touches, which is never steady.
+        moving = sliding_window_view(np.concatenate([ends[0], means, ends[1]]), reach).mean(axis=1)
+        before, after = moving[: -reach - 1], moving[reach + 1 :]
+        level = np.maximum(np.abs(before), np.abs(after))
+        steady &= np.abs(after - before) <= np.maximum(STEADY_N, STEADY_PART * level)
+    return [
+        tuple(stretch_of(times[a:b], means[a:b]) for _, means in binned_series)
+        for a, b in _long_runs(steady)
+    ]
 
 
 def _long_runs(where: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -171,8 +199,8 @@ def binned(t_s: F64, force_n: F64) -> tuple[F64, F64]:
     return (t_s[0] + BIN_S * (np.arange(len(means)) + 0.5))[:-1], means[:-1]
 
 
-def _stretch(times: F64, means: F64) -> Stretch:
-    """Describe a run of steps of which each is there."""
+def stretch_of(times: F64, means: F64) -> Stretch:
+    """Describe a run of steps of which each is there, as of `binned`; ten of them or more."""
     kept = slice(0, round(LONGEST_S / BIN_S))
     times, means = times[kept], means[kept]
     slope, _ = np.polyfit(times - times.mean(), means, 1)
@@ -588,13 +616,13 @@ def check_gain(load: Load, plateau: Plateau, relative_sd: float) -> GainCheck:
 
 
 def reference_loads(
-    t_s: F64, reference_n: F64, plateaus: Sequence[Plateau], zeros: Sequence[Stretch]
+    t_s: F64, reference_n: F64, plateaus: Sequence[Plateau | Stretch], zeros: Sequence[Stretch]
 ) -> list[Load]:
     """Return what a reference sensor measured during plateaus.
 
     Args:
         t_s: Times on the clock of the plateaus [s]; to a tenth of a second is enough.
-        reference_n: Normal forces of the reference sensor [N].
+        reference_n: Forces of the reference sensor along one axis [N].
         plateaus: Plateaus of the estimate.
         zeros: Stretches without a load, between which the zero of the reference sensor drifts.
 

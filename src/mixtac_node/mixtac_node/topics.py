@@ -216,6 +216,12 @@ def normal_force(message: ForceMessage) -> float:
     return float(message.wrench.force.z)
 
 
+def sideways_force(message: ForceMessage) -> tuple[float, float]:
+    """Return the force along x and y [N] of such a message."""
+    force = message.wrench.force
+    return float(force.x), float(force.y)
+
+
 _STAMP = struct.Struct('<iI')
 _NUMBERS = struct.Struct('<6d')
 _LITTLE_ENDIAN = b'\0\1\0\0'
@@ -396,6 +402,11 @@ SERVICES = (
     Service(
         'virtual_sensor/vibrate',
         'Virtual sensor only: vibrates `object` on the skin, by the `vibration_` parameters.',
+    ),
+    Service(
+        'virtual_sensor/pull',
+        'Virtual sensor only: presses `object` and pulls it aside with `pull_force`, as a hanging '
+        'weight would; goes on from a press or pull.',
     ),
     Service(
         'virtual_sensor/slide',

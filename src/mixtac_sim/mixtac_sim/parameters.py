@@ -41,7 +41,10 @@ class TouchParameters:
 
     Attributes:
         object: Object that touches the sensor on request; ~/load and ~/drop need one with a mass
-        press_force: Force of ~/press, ~/slide and ~/torsion
+        press_force: Force of ~/press, ~/pull, ~/slide and ~/torsion
+        pull_force: Force of ~/pull across the normal
+        pull_direction: Its direction in the image: 0 to the right (x of the contact frame), 90
+            upwards (y)
         hold_seconds: Duration of the contact; 0 holds it until ~/release
         drop_height: Height from which ~/drop releases the object
         vibration_frequency: Frequency of ~/vibrate
@@ -53,6 +56,8 @@ class TouchParameters:
 
     object: str = parameter('hemisphere', choices=tuple(LIVE_INDENTERS))
     press_force: float = parameter(0.5, unit='N', within=(0.0, 20.0))
+    pull_force: float = parameter(0.2, unit='N', within=(0.0, 20.0))
+    pull_direction: float = parameter(0.0, unit='deg', within=(-180.0, 180.0))
     hold_seconds: float = parameter(2.0, unit='s', within=(0.0, 3600.0))
     drop_height: float = parameter(50.0, unit='mm', within=(0.0, 200.0))
     vibration_frequency: float = parameter(100.0, unit='Hz', within=(1.0, 500.0))

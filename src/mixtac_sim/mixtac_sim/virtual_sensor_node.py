@@ -39,7 +39,7 @@ class VirtualSensorNode(BaseNode, Node):  # type: ignore[misc]
     """Runs a virtual sensor, serves its camera and publishes the measurements of a bench.
 
     Topics: the reference wrench (its own clock) and ``truth/wrench`` (host time). Service
-    ``~/play`` plays the scenario; ``~/press``, ``~/load``, ``~/drop``,
+    ``~/play`` plays the scenario; ``~/press``, ``~/pull``, ``~/load``, ``~/drop``,
     ``~/vibrate``, ``~/slide``, ``~/torsion`` and ``~/release`` do what the parameters say.
     ``~/force_command`` sets a force [N] that fades when no new one comes.
 

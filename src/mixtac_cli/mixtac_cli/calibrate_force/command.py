@@ -18,12 +18,14 @@ from mixtac_cli.options import JsonFile, Namespace, OptionalPath, ParamsFile, Re
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import SERIAL_KEY
 from mixtac_fger.force_calibration import (
+    DOUBT,
     ForceCalibration,
     ForceCalibrationError,
     check_gain,
     fit_gain,
     load_of,
 )
+from mixtac_fger.pull_calibration import PullCalibration, fit_pulls, parse_pulls
 from mixtac_fger.weights import DEFAULT_MODEL, SUFFIX, Model, ModelCard, find_model, read_model
 from mixtac_node.files import write_json
 from mixtac_node.topics import DEFAULT_NAMESPACE, REFERENCE
@@ -43,6 +45,14 @@ def calibrate_force(
             help='Loads (g) in their order, such as 20,50,100. A smaller one after a larger one is '
             'reached by taking weight off. If empty, a reference force sensor is used if one '
             'publishes, else 20,50,100 (50 with --check).'
+        ),
+    ] = '',
+    sideways_loads: Annotated[
+        str,
+        typer.Option(
+            help='Loads (g) that pull the largest of the others aside, for the sideways force: 20'
+            ' for 20 g towards +x, -x, +y and -y of the contact frame, or +x:20,-y:30. Last contact'
+            ' of a recording.'
         ),
     ] = '',
     scale: Annotated[
@@ -81,18 +91,19 @@ def calibrate_force(
     """Calibrate the force of a sensor by weights or a kitchen scale; no force sensor needed."""
     start = find_model(model)
     content = read_model(start)
-    card_sd = _checked(content, start, out, check=check)
+    card_sd = _checked(content, start, out, check=check, sideways=bool(sideways_loads))
     sd_g = load_sd if load_sd is not None else SCALE_SD_G if scale else LOAD_SD_G
+    pulls = parse_pulls(sideways_loads, sd_g) if sideways_loads else []
     asked = parse_loads(loads or (CHECK_LOADS if check else DEFAULT_LOADS))
     known = [load_of(grams, sd_g) for grams in asked]
     console = Console()
     if bag is not None:
-        session = from_bag(bag, content, known, '' if loads else reference)
+        session = from_bag(bag, content, known, '' if loads else reference, pulls)
     else:
         live = LiveProcedure(
             console, namespace, device, scale=scale, yes=yes, fewest=1 if check else 2
         )
-        session = live.run(start, known, params_file, known=bool(loads))
+        session = live.run(start, known, params_file, known=bool(loads), pulls=pulls)
     if scale and session.known_by == 'weights':
         session.known_by = 'scale'
     if check:
@@ -100,12 +111,16 @@ def calibrate_force(
         return
     assert out is not None  # noqa: S101  (checked above)
     calibration = fit_gain(session.loads, session.plateaus)
+    sideways = fit_pulls(session.pulls) if session.pulls else None
     entry = card_entry(calibration, session, gel, start.name)
     _report(console, calibration)
+    if sideways is not None:
+        entry['sideways'] = sideways_entry(sideways, calibration.gain)
+        _report_pulls(console, sideways)
     if figure is not None:
         draw(figure, session, calibration, entry)
         console.print(f'drawn: {figure}')
-    save_calibrated(out, content, calibration, entry)
+    save_calibrated(out, content, calibration, entry, sideways)
     console.print(f'wrote {out}; name it as `model` of fger in a parameter file')
     if json is not None:
         write_json(json, {'model': str(start), 'out': str(out), 'device': device} | entry)
@@ -128,10 +143,20 @@ def parse_loads(text: str) -> list[float]:
     return grams
 
 
-def _checked(content: Model, path: Path, out: Path | None, *, check: bool) -> float:
+def _checked(content: Model, path: Path, out: Path | None, *, check: bool, sideways: bool) -> float:
     """Refuse what could only fail after the procedure; return the card's relative uncertainty."""
     from mixtac_fger.fger_net import checked_config
 
+    if check and sideways:
+        raise ForceCalibrationError(
+            '--check and --sideways-loads do not go together',
+            'pull',
+            'check the normal force alone, or calibrate both again',
+        )
+    if sideways and not checked_config(content).shear:
+        raise ModelError(
+            f'{path} gives no sideways force', remedy='give no --sideways-loads, or another model'
+        )
     if check:
         found = content.card.training.get(KEY)
         if not isinstance(found, dict):
@@ -192,27 +217,66 @@ def card_entry(
     }
 
 
+def sideways_entry(calibration: PullCalibration, normal_gain: float) -> dict[str, Any]:
+    """Return what the model card and the JSON file say about the sideways force.
+
+    Args:
+        calibration: The fit.
+        normal_gain: Gain of the normal force, which counts for the sideways force as well.
+    """
+    c = calibration
+    return {
+        'gain': round(c.gain / normal_gain, 5),
+        'gain_sd': round(c.gain_sd / normal_gain, 5),
+        'turn_deg': None if c.turn is None else round(float(np.degrees(c.turn)), 1),
+        'turn_sd_deg': None if c.turn is None else round(float(np.degrees(c.turn_sd)), 1),
+        'mae_before_n': round(c.mae_before_n, 4),
+        'mae_after_n': round(c.mae_after_n, 4),
+        'loads': [
+            {
+                'load_g': round(pull.load.grams, 2),
+                'load_n': round(pull.load.force_n, 4),
+                'load_sd_n': round(pull.load.sd_n, 4),
+                'way_deg': None if pull.way is None else round(float(np.angle(pull.way, deg=True))),
+                'estimate_n': [round(pull.seen.real, 4), round(pull.seen.imag, 4)],
+                'residual_n': round(residual, 4),
+                'residual_across_n': round(across, 4),
+                'allowed_n': round(allowed, 4),
+                'left_n': round(pull.left_n, 4),
+            }
+            for pull, residual, across, allowed in c.points
+        ],
+    }
+
+
 def save_calibrated(
-    out: Path, model: Model, calibration: ForceCalibration, entry: dict[str, Any]
+    out: Path,
+    model: Model,
+    calibration: ForceCalibration,
+    entry: dict[str, Any],
+    sideways: PullCalibration | None = None,
 ) -> None:
-    """Write a weight file that contains the gain, and its card.
+    """Write a weight file that contains the gains, and its card.
 
     Args:
         out: Weight file.
         model: Model that was calibrated.
         calibration: The fit.
         entry: Its entry in the card.
+        sideways: That of the sideways force; None to leave it at the gain of the normal force.
 
     Raises:
         FileError: It cannot be written.
     """
-    from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
+    from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain, with_sideways_gain
     from mixtac_fger.weights import save_model
 
     training = model.card.training | {KEY: entry}
     if entry['serial']:
         training[SERIAL_KEY] = entry['serial']
     scaled = with_gain(model, calibration.gain, CALIBRATED_DEVIATION)
+    if sideways is not None:
+        scaled = with_sideways_gain(scaled, sideways.gain / calibration.gain)
     card = ModelCard(training, model.card.metrics)
     save_model(out, Model(scaled.architecture, scaled.version, scaled.config, card, scaled.tensors))
 
@@ -245,6 +309,29 @@ def _report(console: Console, calibration: ForceCalibration) -> None:
         f' the loads {c.mae_before_n:.3f} N before, {c.mae_after_n:.3f} N after',
         highlight=False,
     )
+
+
+def _report_pulls(console: Console, calibration: PullCalibration) -> None:
+    c = calibration
+    names = ('pull [g]', 'known', 'estimate x', 'y', 'residual', 'across', 'left behind')
+    columns = [Column(name, justify='right') for name in names]
+    table = Table(*columns, title='Known pulls; forces in N', title_justify='left')
+    for pull, residual, across, _ in c.points:
+        parts = (pull.seen.real, pull.seen.imag, residual, across)
+        cells = (f'{pull.load.grams:.1f}', f'{pull.load.force_n:.3f}')
+        table.add_row(*cells, *(f'{part:+.3f}' for part in parts), f'{pull.left_n:.3f}')
+    console.print(table)
+    console.print(
+        f'sideways: known pulls are {c.gain:.3f} +- {c.gain_sd:.3f} times the estimates; mean error'
+        f' at the pulls {c.mae_before_n:.3f} N before, {c.mae_after_n:.3f} N after',
+        highlight=False,
+    )
+    if c.turn is not None and abs(c.turn) > DOUBT * c.turn_sd:
+        console.print(
+            f'warning: the pulls are seen {-np.degrees(c.turn):+.0f} +- {np.degrees(c.turn_sd):.0f}'
+            ' degrees from their directions, from x to y; pull along the edges of the image, or'
+            ' correct how the sensor is mounted in the robot description'
+        )
 
 
 def _check(

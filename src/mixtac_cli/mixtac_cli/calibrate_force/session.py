@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,8 +35,23 @@ from mixtac_fger.force_calibration import (
     plateau_of,
     reference_loads,
     steady_stretches,
+    steady_together,
     unsteady,
     zero_lost,
+)
+from mixtac_fger.pull_calibration import (
+    LEAST_PULL_N,
+    SLID_PART,
+    WAYS,
+    Both,
+    KnownPull,
+    find_pulls,
+    last_contact,
+    mean_of,
+    measured,
+    no_pull,
+    pull_of,
+    slid,
 )
 from mixtac_node.graph import is_virtual, sensor_graph
 from mixtac_node.process import GraphError, ProcessGroup
@@ -45,6 +61,9 @@ if TYPE_CHECKING:
     from mixtac_recordings.recording import Recording
 
 F64 = NDArray[np.float64]
+Sideways = tuple[Load, str]
+"""A pull and its direction, of `WAYS`."""
+WORDS = {'+x': 'to the right', '-x': 'to the left', '+y': 'upwards', '-y': 'downwards'}
 HOLD_S = 1.2
 """Length of a live plateau [s]."""
 RECENT_S = 6.0
@@ -67,6 +86,7 @@ class Session:
         plateaus: Plateau of each load.
         loads: Known loads.
         zeros: Steady stretches without a load.
+        pulls: Known pulls to the side, and what the estimate made of them.
         serial: Serial number of the camera, empty while unknown.
         known_by: `weights`, `scale` or `reference`.
         stopped_early: Further loads would not have told anything.
@@ -77,6 +97,7 @@ class Session:
     plateaus: list[Plateau] = field(default_factory=list)
     loads: list[Load] = field(default_factory=list)
     zeros: list[Stretch] = field(default_factory=list)
+    pulls: list[KnownPull] = field(default_factory=list)
     serial: str = ''
     known_by: str = 'weights'
     stopped_early: bool = False
@@ -111,7 +132,13 @@ class LiveProcedure:
         self._session = Session()
 
     def run(
-        self, model: Path, loads: Sequence[Load], params_file: Path | None, *, known: bool
+        self,
+        model: Path,
+        loads: Sequence[Load],
+        params_file: Path | None,
+        *,
+        known: bool,
+        pulls: Sequence[Sideways] = (),
     ) -> Session:
         """Start the sensor, lead through the loads, stop the sensor.
 
@@ -120,6 +147,7 @@ class LiveProcedure:
             loads: Loads to ask for.
             params_file: Parameter file of the nodes.
             known: Take these loads even where a reference sensor measures them.
+            pulls: Loads to the side to ask for afterwards, under the largest of the others.
 
         Raises:
             ForceCalibrationError: The sensor cannot be calibrated by what was seen.
@@ -136,10 +164,16 @@ class LiveProcedure:
             monitor.bring_up_all(nodes, processes)
             monitor.listen()
             monitor.wait_for_force(processes.check)
-            return self.lead(processes, monitor, loads, known=known)
+            return self.lead(processes, monitor, loads, known=known, pulls=pulls)
 
     def lead(
-        self, processes: ProcessGroup, monitor: Monitor, loads: Sequence[Load], *, known: bool
+        self,
+        processes: ProcessGroup,
+        monitor: Monitor,
+        loads: Sequence[Load],
+        *,
+        known: bool,
+        pulls: Sequence[Sideways] = (),
     ) -> Session:
         """Lead through the loads on a sensor that gives forces.
 
@@ -148,6 +182,7 @@ class LiveProcedure:
             monitor: Listens to it.
             loads: Loads to ask for.
             known: Take these loads even where a reference sensor measures them.
+            pulls: Loads to the side to ask for afterwards, under the largest of the others.
 
         Raises:
             ForceCalibrationError: The sensor cannot be calibrated by what was seen.
@@ -160,7 +195,11 @@ class LiveProcedure:
             self._session.known_by = 'reference'
             self._console.print('the reference sensor measures the loads')
         self._put_all(zero, loads, by_reference=by_reference)
-        self._session.t_s, self._session.force_n = self._series()
+        if pulls:
+            press = max(loads, key=lambda load: load.force_n)
+            self._pull_all(press, pulls, by_reference=by_reference)
+        t_s, forces = self._series()
+        self._session.t_s, self._session.force_n = t_s, forces[:, 0]
         self._session.serial = monitor.serial
         return self._session
 
@@ -171,11 +210,11 @@ class LiveProcedure:
                 self._console.input('Press Enter when it is free ...')
             except EOFError as error:
                 raise GraphError('there is no Enter key here', remedy='give --yes') from error
-        self._wait('still and free', is_still)
+        self._wait_steady('still and free', is_still)
         self._monitor.trigger('fger/tare', self._processes.check)
         # The estimate starts over: what was before belongs to another zero.
         self._begin = self._monitor.force_count
-        return self._wait('zero', is_still)
+        return self._wait_steady('zero', is_still)
 
     def _put_all(self, zero: Stretch, loads: Sequence[Load], *, by_reference: bool) -> None:
         session = self._session
@@ -204,8 +243,77 @@ class LiveProcedure:
                 self._console.print('further loads would tell nothing more')
                 return
 
-    def _put(self, load: Load, zero: Stretch, previous: tuple[Load, Stretch] | None) -> Stretch:
-        """Prompt for a load and return its plateau."""
+    def _pull_all(self, press: Load, pulls: Sequence[Sideways], *, by_reference: bool) -> None:
+        """Lead through the pulls at what presses."""
+        pressed = self._put(press, self._session.zeros[-1], None, loose=True)
+        refused = [slid('the sideways force is never steady')]
+        rest = self._wait_sideways('rest', partial(_is_near, 0j, float('inf')), refused)
+        rests, found = [rest], self._session.pulls
+        for load, way in pulls:
+            pulled = self._pull(press, load, way, rest)
+            self._console.print('Take the mass off its thread; leave what presses on the gel.')
+            self._touch(press, 0.0, way)
+            seen = abs(mean_of(pulled) - mean_of(rest))
+            start, most = mean_of(rest), max(LEAST_PULL_N, SLID_PART * seen)
+            refused = [slid(f'the pull of {load.grams:.1f} g leaves more than {most:.3f} N behind')]
+            after = self._wait_sideways('rest', partial(_is_near, start, most), refused)
+            found.append(pull_of(load, WAYS[way], pulled, rest, after))
+            rest = after
+            rests.append(rest)
+        self._take_off(pressed)
+        if by_reference:
+            t_s, _, across = self._reference()
+            found[:] = measured(t_s, across, found, [x for x, _ in rests])
+
+    def _pull(self, press: Load, load: Load, way: str, rest: Both) -> Both:
+        """Prompt for a pull and return its plateau."""
+        self._console.print(
+            f'Pull what presses aside with {load.grams:g} g on a thread, towards {way}'
+            f' ({WORDS[way]} in the image), and keep still.'
+        )
+        self._touch(press, load.force_n, way)
+        refused = [slid(f'the force is never steady under the pull of {load.grams:.1f} g')]
+
+        def is_pulled(span: Both) -> bool:
+            seen = abs(mean_of(span) - mean_of(rest))
+            if span[0].end_s - span[0].start_s < HOLD_S:
+                return False
+            try:
+                if seen < LEAST_PULL_N:
+                    raise no_pull(load, seen)
+                pull_of(load, WAYS[way], span, rest, None)
+            except ForceCalibrationError as error:
+                refused[:] = [error]
+                return False
+            return True
+
+        found = self._wait_sideways(f'{load.grams:g} g {way}', is_pulled, refused)
+        seen = mean_of(found) - mean_of(rest)
+        self._console.print(
+            f'  {load.grams:g} g {way}: estimate {seen.real:+.3f}, {seen.imag:+.3f} N',
+            highlight=False,
+        )
+        return found
+
+    def _touch(self, press: Load, pull_n: float, way: str) -> None:
+        """Let the virtual sensor press with a load while a force pulls it aside."""
+        if not self._drives:
+            return
+        check, direction = self._processes.check, float(np.degrees(np.angle(WAYS[way])))
+        settings = {'press_force': press.force_n, 'hold_seconds': 0.0}
+        settings |= {'pull_force': pull_n, 'pull_direction': direction}
+        self._monitor.set_parameters('virtual_sensor', settings, check)
+        self._monitor.trigger('virtual_sensor/pull', check)
+
+    def _put(
+        self,
+        load: Load,
+        zero: Stretch,
+        previous: tuple[Load, Stretch] | None,
+        *,
+        loose: bool = False,
+    ) -> Stretch:
+        """Prompt for a load and return its plateau; nothing holds a loose one sideways."""
         grams = load.grams
         less = previous is not None
         if self._scale:
@@ -214,7 +322,9 @@ class LiveProcedure:
             way = 'Take weight off until' if less else 'Put'
             prompt = f'{way} {grams:g} g {"are left" if less else "on"}, and keep still.'
         self._console.print(prompt)
-        if self._drives:
+        if loose:
+            self._touch(load, 0.0, '+x')
+        elif self._drives:
             settings = {'press_force': load.force_n, 'hold_seconds': 0.0}
             check = self._processes.check
             self._monitor.set_parameters('virtual_sensor', settings, check)
@@ -238,7 +348,7 @@ class LiveProcedure:
                 return False
             return True
 
-        found = self._wait(f'{grams:g} g', is_plateau, refused)
+        found = self._wait_steady(f'{grams:g} g', is_plateau, refused)
         self._console.print(
             f'  {grams:g} g: estimate {found.mean_n - zero.mean_n:.3f} N,'
             f' creep {found.creep_n_per_s:+.4f} N/s',
@@ -262,19 +372,35 @@ class LiveProcedure:
                 refused[:] = [zero_lost(zero.mean_n, stretch.mean_n)]
             return back
 
-        return self._wait('zero', is_zero, refused)
+        return self._wait_steady('zero', is_zero, refused)
 
-    def _wait(
+    def _wait_steady(
         self,
         what: str,
         is_it: Callable[[Stretch], bool],
         refused: Sequence[ForceCalibrationError] = (),
     ) -> Stretch:
-        """Wait for a steady stretch in the forces from now on, and show them meanwhile.
+        return self._wait(what, [0], lambda spans: is_it(spans[0]), refused)[0]
+
+    def _wait_sideways(
+        self, what: str, is_it: Callable[[Both], bool], refused: Sequence[ForceCalibrationError]
+    ) -> Both:
+        x, y = self._wait(what, [1, 2], lambda spans: is_it((spans[0], spans[1])), refused)
+        return x, y
+
+    def _wait(
+        self,
+        what: str,
+        axes: list[int],
+        is_it: Callable[[tuple[Stretch, ...]], bool],
+        refused: Sequence[ForceCalibrationError],
+    ) -> tuple[Stretch, ...]:
+        """Wait until forces from now on are steady, and show them meanwhile.
 
         Args:
             what: What is waited for.
-            is_it: Whether a recent stretch is what is waited for.
+            axes: Which forces: normal, x, y.
+            is_it: Whether recent stretches are what is waited for.
             refused: Why what was seen meanwhile could not be used, filled by `is_it`.
 
         Raises:
@@ -294,28 +420,41 @@ class LiveProcedure:
                     raise GraphError(f'no force for {SILENCE_S:.0f} s while waiting for {what}')
                 if seen - first < 2:
                     continue
-                t_s, force_n = (each[first - self._begin :] for each in self._series())
+                t_s, forces = (each[first - self._begin :] for each in self._series())
+                series = forces[:, axes].T
                 recent = t_s > t_s[-1] - RECENT_S
-                for stretch in steady_stretches(t_s[recent], force_n[recent]):
-                    if is_it(stretch):
-                        return stretch
+                for spans in steady_together(t_s[recent], *series[:, recent]):
+                    if is_it(spans):
+                        return spans
                 left_s = PATIENCE_S - (t_s[-1] - t_s[0])
-                status.update(f'{what}: {force_n[-50:].mean():6.3f} N, {left_s:3.0f} s left')
+                now = ', '.join(f'{each[-50:].mean():6.3f}' for each in series)
+                status.update(f'{what}: {now} N, {left_s:3.0f} s left')
                 if left_s < 0.0:
-                    raise refused[-1] if refused else unsteady(t_s, force_n)
+                    raise refused[-1] if refused else unsteady(t_s, series[0])
 
     def _series(self) -> tuple[F64, F64]:
-        """Return times [s, sensor time] and forces [N] since the sensor was tared."""
+        """Return times [s, sensor time] and forces [N] [T, 3] since the sensor was tared."""
         _, stamps, force = self._monitor.force()
-        return 1e-9 * (stamps[self._begin :] - stamps[0]), force[self._begin :].copy()
+        forces = np.column_stack([force, self._monitor.sideways()[: len(force)]])
+        return 1e-9 * (stamps[self._begin :] - stamps[0]), forces[self._begin :]
 
-    def _measured(self) -> list[Load]:
-        """Return the loads by the reference sensor, on the clock of the plateaus."""
+    def _reference(self) -> tuple[F64, F64, F64]:
+        """Return times of the reference on the clock of the plateaus [s], and its forces [N]."""
         arrival, stamps, _ = self._monitor.force()
         times, values = self._monitor.reference()
+        across = self._monitor.reference_sideways()[: len(times)]
         # What arrived together belongs together.
         t_s = 1e-9 * np.interp(times - arrival[0], arrival - arrival[0], stamps - stamps[0])
+        return t_s, values, across
+
+    def _measured(self) -> list[Load]:
+        """Return the loads by the reference sensor."""
+        t_s, values, _ = self._reference()
         return reference_loads(t_s, values, self._session.plateaus, self._session.zeros)
+
+
+def _is_near(mean_n: complex, most_n: float, span: Both) -> bool:
+    return abs(mean_of(span) - mean_n) < most_n
 
 
 def is_still(stretch: Stretch) -> bool:
@@ -323,7 +462,13 @@ def is_still(stretch: Stretch) -> bool:
     return stretch.sd_n < CONTACT_N
 
 
-def from_bag(path: Path, model: Model, loads: Sequence[Load], reference: str) -> Session:
+def from_bag(
+    path: Path,
+    model: Model,
+    loads: Sequence[Load],
+    reference: str,
+    pulls: Sequence[Sideways] = (),
+) -> Session:
     """Return the plateaus of a recording of the procedure.
 
     Args:
@@ -331,6 +476,7 @@ def from_bag(path: Path, model: Model, loads: Sequence[Load], reference: str) ->
         model: Model that estimates its forces.
         loads: Loads in their order.
         reference: Topic of a reference force to take instead if the bag has it; empty for none.
+        pulls: Loads to the side in their order, all in the last contact; empty for none.
 
     Raises:
         MixtacError: The recording cannot be read, or the sensor cannot be calibrated by it.
@@ -339,7 +485,7 @@ def from_bag(path: Path, model: Model, loads: Sequence[Load], reference: str) ->
 
     recording = open_recording(path)
     try:
-        t_us, force_n = estimated(recording, model)
+        t_us, forces = estimated(recording, model)
     finally:
         recording.close()
     if not len(t_us):
@@ -348,45 +494,59 @@ def from_bag(path: Path, model: Model, loads: Sequence[Load], reference: str) ->
             'contact',
             'record events and frames, and begin with a second without a load',
         )
-    session = Session(1e-6 * (t_us - t_us[0]), force_n, loads=list(loads))
-    measured = None
+    session = Session(1e-6 * (t_us - t_us[0]), forces[:, 0], loads=list(loads))
+    by = None
     if path.is_dir() or path.suffix in {'.mcap', '.db3'}:
-        measured = _bag_facts(path, session, recording, int(t_us[0]), reference)
-    if measured is None:
-        session.plateaus = find_plateaus(session.t_s, force_n, loads)
+        by = _bag_facts(path, session, recording, int(t_us[0]), reference)
+    t_s, force_n, last = session.t_s, session.force_n, len(t_us)
+    if pulls:
+        last, contact = last_contact(t_s, force_n)
+        session.pulls, rests = find_pulls(t_s[contact], forces[contact, 1:], pulls)
+        if by is not None:
+            session.pulls = measured(by[0], by[1][:, 1:], session.pulls, rests)
+    if by is None:
+        session.plateaus = find_plateaus(t_s[:last], force_n[:last], loads)
     else:
         session.known_by = 'reference'
-        session.plateaus = find_plateaus(session.t_s, force_n, ())
-        free = steady_stretches(session.t_s, force_n)
+        session.plateaus = find_plateaus(t_s[:last], force_n[:last], ())
+        free = steady_stretches(t_s, force_n)
         session.zeros = [each for each in free if abs(each.mean_n - free[0].mean_n) < CONTACT_N]
-        session.loads = reference_loads(*measured, session.plateaus, session.zeros)
+        session.loads = reference_loads(by[0], by[1][:, 0], session.plateaus, session.zeros)
     return session
 
 
 def estimated(recording: Recording, model: Model) -> tuple[NDArray[np.int64], F64]:
-    """Return window ends [us, recorded camera clock] and estimates [N] of a recording."""
+    """Return window ends [us, recorded camera clock] and estimates of a recording.
+
+    Estimates are the normal force, and that along x and y, NaN where it is unknown [N], [T, 3].
+    """
     from mixtac_fger.estimator import open_estimator
     from mixtac_fger.streaming import ForceEstimator
     from mixtac_recordings.messages import left_aligned
 
     estimator = ForceEstimator(open_estimator(model))
-    rows: list[tuple[int, float]] = []
+    rows: list[tuple[float, ...]] = []
     for piece in recording.pieces(recording.info.start_us):
         for frame in piece.frames:
             image = left_aligned(np.minimum(frame.image, np.uint16(1023)))
             estimator.push_frame(image, frame.middle_us)
         if piece.advances:
             found = estimator.push_events(piece.events, piece.until_us)
-            rows += [(each.end_us, each.force) for each in found]
-    table = np.array(rows, np.float64).reshape(-1, 2)
-    return table[:, 0].astype(np.int64), table[:, 1]
+            for each in found:
+                x, y = (np.nan, np.nan) if each.shear is None else each.shear[:2]
+                rows.append((each.end_us, each.force, x, y))
+    table = np.array(rows, np.float64).reshape(-1, 4)
+    return table[:, 0].astype(np.int64), table[:, 1:]
 
 
 def _bag_facts(
     path: Path, session: Session, recording: Recording, start_us: int, reference: str
 ) -> tuple[F64, F64] | None:
-    """Note the camera's serial number; return times and forces of the reference if it is there."""
-    from mixtac_node.topics import CAMERA_CLOCK, normal_force
+    """Note the camera's serial number; return times and forces of the reference if it is there.
+
+    Forces are the normal one, x and y [N], [T, 3].
+    """
+    from mixtac_node.topics import CAMERA_CLOCK, normal_force, sideways_force
     from mixtac_recordings.bag import BagFile
 
     with BagFile(path) as bag:
@@ -398,6 +558,9 @@ def _bag_facts(
         _, received_ns, _ = next(bag.messages(leader))
         # Plateaus last seconds: the first packet's delay and the clocks' drift do not matter.
         begin_ns = received_ns + 1000 * (start_us - recording.info.start_us)
-        rows = [(ns - begin_ns, normal_force(m)) for _, ns, m in bag.messages(reference)]
+        rows = [
+            (ns - begin_ns, normal_force(m), *sideways_force(m))
+            for _, ns, m in bag.messages(reference)
+        ]
     table = np.array(rows, np.float64)
-    return 1e-9 * table[:, 0], table[:, 1]
+    return 1e-9 * table[:, 0], table[:, 1:]

@@ -19,7 +19,7 @@ from mixtac_recordings.bag import BagFile
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.world.device import draw_conditions
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.profiles import make_profile, still
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -79,9 +79,9 @@ def true_path(seed: int, level: str) -> NDArray[np.float64]:
     count = round(1e6 * SECONDS / STEP_US)
     steps, (modes, _, _) = profile.motion(0, count), profile.commands(0, count)
     if steps is None:
-        steps = np.zeros((count, 5))
+        steps = still(count)
     start = np.array(draw_conditions(seed, difficulty).contact_mm)
-    path = start + np.cumsum(steps[:, :2] + steps[:, 3:], axis=0)
+    path = start + np.cumsum(steps[:, :2] + steps[:, 3:5], axis=0)
     return np.asarray(path[modes > 0] * (1.0, -1.0), np.float64)
 
 

@@ -4,21 +4,26 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
+from itertools import pairwise
 
+import numpy as np
 import pytest
 import typer
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 from typer.testing import CliRunner
 
+from mixtac_cli.calibrate_force import session
 from mixtac_cli.calibrate_force.command import calibrate_force, parse_loads
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import SERIAL_KEY
 from mixtac_fger.force_calibration import GRAVITY, ForceCalibrationError
 from mixtac_fger.weights import find_model, read_model
+from mixtac_recordings import camera_stream
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.bags.trial_bag import write_trial
 from mixtac_sim.mechanics.contact import Mode
@@ -54,6 +59,72 @@ def bag(tmp_path_factory):
         patch.setitem(profiles.PROFILES, 'weights', weights)
         write_trial(spec, folder)
     return folder / spec.name
+
+
+def held(*levels):
+    """Return normal force, x and y [N] at 500 Hz that rest at each level for 2 s."""
+    table = np.array(levels)
+    rows = [np.repeat(table[:1], 1000, axis=0)]
+    for before, after in pairwise(table):
+        rows += [np.linspace(before, after, 100), np.repeat([after], 1000, axis=0)]
+    return np.concatenate(rows)
+
+
+@pytest.fixture
+def pulled(tmp_path, monkeypatch):
+    """Return a recording with 50 g and 100 g, and with 100 g that 20 g pull to +x and to +y.
+
+    The estimate is 1.25 times too small, that of the sideways force 2 times.
+    """
+    free, half, press = (0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.1, 0.002, -0.001)
+    levels = [free, half, free, press, free, press, (0.1, 0.022, -0.001), press]
+    levels += [(0.1, 0.002, 0.019), press, free]
+    forces = GRAVITY * held(*levels) / [1.25, 2.0, 2.0]
+    forces += np.random.default_rng(1).normal(0.0, 0.003, forces.shape)
+    monkeypatch.setattr(
+        session, 'estimated', lambda *_: (2000 * np.arange(len(forces), dtype=np.int64), forces)
+    )
+    monkeypatch.setattr(camera_stream, 'open_recording', lambda _: io.BytesIO())
+    path = tmp_path / 'recording.aedat4'
+    path.touch()
+    return path
+
+
+def test_sideways_loads_give_the_gain_of_the_sideways_force(pulled, tmp_path):
+    out, figures = tmp_path / 'm.safetensors', tmp_path / 'f.json'
+    words = ('--bag', pulled, '--loads', '50,100', '--out', out, '--json', figures)
+    result = calibrate(*words, '--sideways-loads', '+x:20,+y:20')
+    assert result.exit_code == 0, result.output
+    found = json.loads(figures.read_text())
+    sideways = found['sideways']
+    assert found['gain'] == pytest.approx(1.25, rel=0.02)
+    # Beside that of the normal force.
+    assert sideways['gain'] == pytest.approx(2.0 / 1.25, rel=0.03)
+    assert [each['way_deg'] for each in sideways['loads']] == [0, 90]
+    assert abs(sideways['turn_deg']) < 3.0
+    model, shipped = (read_model(find_model(name)) for name in (str(out), 'fger_small'))
+    assert model.card.training['calibrated']['sideways'] == sideways
+    unit = model.tensors['shear.unit'] / shipped.tensors['shear.unit']
+    assert unit == pytest.approx([2.0, 2.0, 1.25], rel=0.03)
+
+
+def test_pulls_that_are_not_in_the_recording_are_refused(pulled, tmp_path):
+    out = tmp_path / 'm.safetensors'
+    words = ('--bag', pulled, '--loads', '50,100', '--out', out, '--sideways-loads')
+    reasons = {
+        '20': 'slid',
+        '20g': 'units',
+        '+z:20': 'units',
+        '+x:20': 'few',
+        '-x:20,+y:20': 'ways',
+    }
+    for text, reason in reasons.items():
+        result = calibrate(*words, text)
+        assert isinstance(result.exception, ForceCalibrationError)
+        assert result.exception.reason == reason
+    result = calibrate('--bag', pulled, '--check', '--sideways-loads', '20')
+    assert isinstance(result.exception, ForceCalibrationError)
+    assert not out.exists()
 
 
 def calibrate(*words):
@@ -156,6 +227,7 @@ def test_the_virtual_sensor_is_calibrated_live(ros_domain, tmp_path):
     model, figures = tmp_path / 'm.safetensors', tmp_path / 'f.json'
     words = [sys.executable, '-m', 'mixtac_cli', 'calibrate-force', '--device', 'virtual', '--yes']
     words += ['--loads', '50,100', '--out', str(model), '--json', str(figures)]
+    words += ['--sideways-loads', '+x:20,+y:20']
     result = subprocess.run(
         words, env=ros_domain, capture_output=True, text=True, timeout=500, check=False
     )
@@ -163,4 +235,6 @@ def test_the_virtual_sensor_is_calibrated_live(ros_domain, tmp_path):
     found = json.loads(figures.read_text())
     assert 0.2 < found['gain'] < 5.0
     assert found['mae_after_n'] < 0.05
+    assert found['sideways']['mae_after_n'] < 0.05
+    assert [each['way_deg'] for each in found['sideways']['loads']] == [0, 90]
     assert read_model(model).card.training[SERIAL_KEY] == found['serial'] != ''

@@ -22,14 +22,16 @@ from torch import Tensor, nn
 
 from mixtac_fger import fger_net
 from mixtac_fger.estimator import SERIAL_KEY
+from mixtac_fger.force_calibration import GAINS
+from mixtac_fger.pull_calibration import PullCalibration
 from mixtac_fger.weights import Model, ModelCard, read_model, save_model
 from mixtac_learning.adapt.presses import (
     Load,
     PressSet,
+    fit_sideways,
     folds,
     gather_presses,
     parse_load,
-    sideways_gain,
 )
 from mixtac_learning.judge.estimators import stream
 from mixtac_learning.judge.metrics import SMALLEST_FORCE_N, CalibrationError, fit_scale
@@ -131,8 +133,6 @@ LEAST_WIN_N = 1e-3
 """And by this much [N]."""
 SHORTEST_PRESSED_S = 2.0
 """Known forces above `SMALLEST_FORCE_N` that are needed [s]."""
-GAINS = (0.2, 5.0)
-"""Limits of a gain that a gel can explain (estimate)."""
 LEAST_CORRELATION = 0.7
 """Smallest correlation of estimate and known force that belong together (estimate)."""
 
@@ -298,8 +298,10 @@ def run_adaptation(
     figures = adaptation_figures(adapted, presses)
     content = model_of(adapted.network, ModelCard())
     if pulls:
-        content, figures['sideways_gain'] = with_sideways_loads(content, sources[0], pulls)
-        console.print(f'sideways gain {figures["sideways_gain"]:.3f}')
+        fit = sideways_fit(content, sources[0], pulls)
+        content = fger_net.with_sideways_gain(content, fit.gain)
+        figures |= {'sideways_gain': round(fit.gain, 4), 'sideways_gain_sd': round(fit.gain_sd, 4)}
+        console.print(f'sideways gain {fit.gain:.3f} +- {fit.gain_sd:.3f}')
     training = start.card.training | {
         'adapted': {'from': model.name, 'bags': [each.name for each in sources]} | figures
     }
@@ -312,10 +314,8 @@ def run_adaptation(
         write_json(json, {'model': str(model), 'out': str(out)} | figures)
 
 
-def with_sideways_loads(
-    model: Model, source: BagSource, loads: Sequence[Load]
-) -> tuple[Model, float]:
-    """Return a model whose sideways force is calibrated by known pulls, and the gain.
+def sideways_fit(model: Model, source: BagSource, loads: Sequence[Load]) -> PullCalibration:
+    """Return the gain of the sideways force by known pulls.
 
     Args:
         model: Calibrated for the normal force.
@@ -323,21 +323,14 @@ def with_sideways_loads(
         loads: Size of each pull, and when.
 
     Raises:
-        CalibrationError: The pulls are not seen, or no gel explains the gain.
-        MixtacError: The recording or the model cannot be used.
+        MixtacError: The recording or the model cannot be used, or not calibrated by these pulls.
     """
     trial = source.load_camera()
     start_us = int(min(trial.events.t[0], trial.exposure_start_us[0]))
     times = np.array([start_us, camera_end_us(trial)], np.float64)
     found = stream(model, replace(trial, truth=ForceLabel(times, np.zeros(2))))
     across = np.full((len(found.t_us), 2), np.nan) if found.across is None else found.across
-    gain = sideways_gain((found.t_us - start_us) / 1e6, across, loads)
-    if not GAINS[0] < gain < GAINS[1]:
-        raise CalibrationError(
-            f'the known pulls are {gain:.2f} times the estimates: no gel explains that; check the'
-            ' unit of the loads'
-        )
-    return fger_net.with_sideways_gain(model, gain), round(gain, 4)
+    return fit_sideways((found.t_us - start_us) / 1e6, across, loads)
 
 
 def _sources(bags: Sequence[Path], reference: str, *, loads: bool) -> list[BagSource]:

@@ -16,6 +16,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_fger import force_calibration
+from mixtac_fger.pull_calibration import PullCalibration, fit_pulls, pull_of, span_at
 from mixtac_learning.judge.metrics import CalibrationError
 from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.batches import stack
@@ -63,13 +65,13 @@ def parse_load(text: str) -> Load:
 
 REST_S = 0.5
 """Time without the pull before each sideways load [s]."""
-LEAST_PULL_N = 0.03
-"""A sideways load changes the estimate by this at least [N]."""
+PULL_SD_N = 0.01
+"""Standard uncertainty of a sideways load [N]: a gram."""
 
 
-def sideways_gain(
-    since_s: NDArray[np.floating], across: NDArray[np.floating], loads: Sequence[Load]
-) -> float:
+def fit_sideways(
+    since_s: NDArray[np.float64], across: NDArray[np.float64], loads: Sequence[Load]
+) -> PullCalibration:
     """Return the gain of the sideways force by known pulls: a weight that hangs from the tip.
 
     What counts is how the estimate differs from that of the `REST_S` before the load, in the same
@@ -81,28 +83,22 @@ def sideways_gain(
         loads: Size of each pull, and when.
 
     Raises:
-        CalibrationError: A load is outside the recording, or the estimate hardly sees it.
+        CalibrationError: A load is outside the recording.
+        ForceCalibrationError: The estimate hardly sees a pull, or the pulls disagree.
     """
-    known, seen = [], []
+    pulls = []
     for load in loads:
-        before = (since_s > load.start_s - REST_S - MARGIN_S) & (since_s < load.start_s - MARGIN_S)
-        inside = (since_s > load.start_s + MARGIN_S) & (since_s < load.end_s - MARGIN_S)
-        kept = np.isfinite(across[:, :2]).all(axis=1)
-        if not (before & kept).any() or not (inside & kept).any():
+        times = (load.start_s - REST_S - MARGIN_S, load.start_s - MARGIN_S)
+        before = span_at(since_s, across, *times)
+        inside = span_at(since_s, across, load.start_s + MARGIN_S, load.end_s - MARGIN_S)
+        if before is None or inside is None:
             raise CalibrationError(
                 f'no sideways force from {load.start_s - REST_S} to {load.end_s} s: correct the'
                 ' times, and use a model that gives it'
             )
-        change = across[inside & kept, :2].mean(axis=0) - across[before & kept, :2].mean(axis=0)
-        pull = float(np.hypot(*change))
-        if pull < LEAST_PULL_N:
-            raise CalibrationError(
-                f'the pull of {load.force} N changes the estimate by {pull:.3f} N: press the tip'
-                ' while the weight hangs, and check the times'
-            )
-        known.append(load.force)
-        seen.append(pull)
-    return float(np.dot(known, seen) / np.dot(seen, seen))
+        known = force_calibration.Load(load.force, PULL_SD_N)
+        pulls.append(pull_of(known, None, inside, before, None))
+    return fit_pulls(pulls)
 
 
 def load_label(loads: Sequence[Load], start_us: int, end_us: int) -> ForceLabel:

@@ -7,9 +7,10 @@ import pytest
 
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.fger_net import checked_config
+from mixtac_fger.force_calibration import ForceCalibrationError
 from mixtac_fger.shear import POWERS
 from mixtac_fger.weights import find_model, read_model
-from mixtac_learning.adapt.presses import parse_load, sideways_gain
+from mixtac_learning.adapt.presses import fit_sideways, parse_load
 from mixtac_learning.judge.metrics import CalibrationError, across_errors
 from mixtac_learning.train.shear import HELD_OUT, ShearRecipe, ShearSample, fit_head, train_shear
 from mixtac_learning.trials.simulated import SimulatedSource
@@ -51,11 +52,14 @@ def test_a_hanging_weight_gives_the_gain_whatever_pulled_before():
     since_s = np.arange(0.0, 10.0, 0.002)
     across = np.tile([0.05, -0.02, 0.0], (len(since_s), 1))
     across[(since_s > 3.0) & (since_s < 6.0), :2] += 0.1, 0.1
-    gain = sideways_gain(since_s, across, [parse_load('0.2:3-6')])
-    assert gain == pytest.approx(0.2 / np.hypot(0.1, 0.1))
-    for text in ('0.2:7-9', '0.2:20-22'):  # nothing pulls there; outside
-        with pytest.raises(CalibrationError):
-            sideways_gain(since_s, across, [parse_load(text)])
+    found = fit_sideways(since_s, across, [parse_load('0.2:3-6')])
+    assert found.gain == pytest.approx(0.2 / np.hypot(0.1, 0.1))
+    assert 0.0 < found.gain_sd < 0.2 * found.gain
+    assert found.turn is None
+    with pytest.raises(ForceCalibrationError):  # nothing pulls there
+        fit_sideways(since_s, across, [parse_load('0.2:7-9')])
+    with pytest.raises(CalibrationError):
+        fit_sideways(since_s, across, [parse_load('0.2:20-22')])
 
 
 def test_errors_leave_out_what_is_unknown():

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Contacts of the live sensor on request: press, load, drop, vibrate, follow, release.
+"""Contacts of the live sensor on request: press, pull, load, drop, vibrate, follow, release.
 
 Each request becomes a short profile that is played at once. `LiveProfile` replaces the fixed
 profile of a trial; nothing touches the sensor until it plays.
@@ -19,7 +19,7 @@ from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY, Mode
 from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G, Indenter
-from mixtac_sim.world.profiles import Commands, Profile, Segment, Tone
+from mixtac_sim.world.profiles import Commands, Profile, Pulled, Segment, Tone, still
 
 RAMP_S: Final = 0.2
 """Time in which an object approaches or leaves [s]."""
@@ -59,6 +59,35 @@ def press(
         segments.append(Segment(end, end + RAMP_S, Mode.FREE, indenter=tool, move=back))
         end += RAMP_S
     return Profile('press', end, tuple(segments))
+
+
+def pull(
+    tool: Indenter,
+    force_n: tuple[float, float],
+    pull_n: Pulled,
+    hold_s: float,
+) -> Profile:
+    """Return a press that a force pulls aside, as a weight on a thread would; then it is let go.
+
+    Args:
+        tool: The object.
+        force_n: Normal force before and after [N].
+        pull_n: Force across the normal before and after [N].
+        hold_s: Duration of the hold [s].
+    """
+    _, after = force_n
+    first, last = pull_n
+    down, rest = RAMP_S, RAMP_S + MOVE_S * (first != last)
+    up, end = rest + hold_s, rest + hold_s + RAMP_S
+    segments = [
+        Segment(0.0, down, Mode.FORCE, (0.0, RAMP_S), force_n, indenter=tool, pull=(first, first)),
+        Segment(rest, up, Mode.FORCE, (0.0,), (after,), indenter=tool, pull=(last, last)),
+        Segment(up, end, Mode.FORCE, (0.0, RAMP_S), (after, 0.0), indenter=tool),
+    ]
+    if rest > down:
+        way = Segment(down, rest, Mode.FORCE, (0.0,), (after,), indenter=tool, pull=pull_n)
+        segments.insert(1, way)
+    return Profile('pull', end, tuple(segments))
 
 
 def load(tool: Indenter, hold_s: float) -> Profile:
@@ -218,6 +247,12 @@ class LiveProfile:
             return 0.0, None
         return float(targets[0]), self.indenters[tools[0]]
 
+    def pull_at(self, t_us: int) -> tuple[float, float]:
+        """Return the force across the normal commanded at a time [us]; none where none is."""
+        motion = self.motion(-(-t_us // STEP_US) - 1, 1)
+        right, down = np.nan_to_num(still(1) if motion is None else motion)[0, 5:].tolist()
+        return right, down
+
     def longest_step(self, first: int, count: int) -> int:
         """Return the most grid steps that may be taken at once from ``first`` on."""
         longest = count
@@ -227,7 +262,7 @@ class LiveProfile:
 
     def motion(self, first: int, count: int) -> Floats | None:
         """Return the motion across the normal; as in `mixtac_sim.world.profiles.Profile`."""
-        steps = np.zeros((count, 5))
+        steps = still(count)
         for begin, end, play in self._spans(first, count):
             part = play.scenario.motion(begin - play.start, end - begin)
             if part is not None:

@@ -257,6 +257,10 @@ class VirtualSensor:
         """Return the force [N] commanded when a scenario would begin now, and of what."""
         return self._profile.force_at(self._next_start_us())
 
+    def commanded_pull(self) -> tuple[float, float]:
+        """Return the force across the normal [N] commanded when a scenario would begin now."""
+        return self._profile.pull_at(self._next_start_us())
+
     def _next_start_us(self) -> int:
         return self._simulated_us + 2 * _CHUNK_US
 
@@ -448,6 +452,7 @@ class TouchControl:
         self._sensor = sensor
         self.gestures: dict[str, Callable[[TouchParameters], str]] = {
             'press': self.press,
+            'pull': self.pull,
             'load': self.load,
             'drop': self.drop,
             'vibrate': self.vibrate,
@@ -460,6 +465,21 @@ class TouchControl:
         """Press the object on the skin; return a description for the user."""
         self._sensor.play(touch.press(LIVE_INDENTERS[p.object], p.press_force, _hold_s(p)))
         return f'pressing {p.object} with {p.press_force} N {_for(p)}'
+
+    def pull(self, p: TouchParameters) -> str:
+        """Press the object and pull it aside; return a description for the user.
+
+        It goes on from a press or pull of the same object.
+        """
+        tool, angle = LIVE_INDENTERS[p.object], math.radians(p.pull_direction)
+        before_n, before = self._sensor.commanded_force()
+        same = before == tool
+        pull_n = (p.pull_force * math.cos(angle), -p.pull_force * math.sin(angle))
+        forces = (before_n if same else 0.0, p.press_force)
+        pulls = (self._sensor.commanded_pull() if same else (0.0, 0.0), pull_n)
+        self._sensor.play(touch.pull(tool, forces, pulls, _hold_s(p)))
+        where = f'towards {p.pull_direction} deg'
+        return f'pulling {p.object} by {p.pull_force} N {where} under {p.press_force} N, {_for(p)}'
 
     def load(self, p: TouchParameters) -> str:
         """Put the object down; return a description for the user.

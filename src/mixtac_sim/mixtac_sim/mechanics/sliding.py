@@ -14,7 +14,8 @@ indenter's way x against the skin, in units of stiffness and largest pull, is
 and beyond its end the whole contact slides; without partial slip it sticks up to there. Under a
 round body friction bears a torque of 3 pi / 16 mu F a. Of partial slip nothing is remembered
 (a reversal has no loop of its own), and a slide and a turn do not share the friction. Rolling moves
-the contact and pulls at nothing: free rolling without creep, and without the skin's loss.
+the contact and pulls at nothing: free rolling without creep, and without the skin's loss. Where
+a force pulls at the indenter, its way follows from these laws; beyond friction it slides.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ WHOLE_TURN = 1.9823764
 """The same of a turn: where Deresiewicz's torque is 3 pi / 16."""
 TORQUE_SHARE = 3.0 * np.pi / 16.0
 """Largest torque over friction, force and radius."""
+SLIDING_MM_S = 10.0
+"""Speed at which a force beyond friction moves the indenter [mm/s] (estimate)."""
 SMALLEST_MM = 0.05
 """A contact counts as this wide at least [mm]."""
 
@@ -78,22 +81,21 @@ class Sliding:
         """Move the indenter.
 
         Args:
-            moves: Motion over each step: right and down [mm], turn [rad], and how far the contact
-                rolls, right and down [mm] [n, 5].
+            moves: Motion over each step and pull, as of `CommandSource.motion` [n, 7].
             path: The contact along the normal [n].
             radius_mm: Contact radius [n] [mm].
         """
         shear, radius = self._shear, np.maximum(radius_mm, SMALLEST_MM)
         deeper = np.diff(path.depth_mm, prepend=self._depth_mm)
         self._depth_mm = float(path.depth_mm[-1])
-        way, rolled = moves[:, :3].copy(), moves[:, 3:]
+        way, rolled, pulled = moves[:, :3].copy(), moves[:, 3:5], moves[:, 5:]
         way[:, :2] += deeper[:, None] * shear.lean
         stiffness = np.stack([shear.stiffness(radius), shear.turn_stiffness(radius)], axis=1)
         friction = shear.limit(path.force_n)
         limit = np.stack([friction, TORQUE_SHARE * friction * radius], axis=1)
         steps = np.empty((len(moves), 3, 3))
         state, branches = self._state, self._branches
-        given = (way, rolled, stiffness, limit)
+        given = (way, rolled, pulled, stiffness, limit)
         _advance(state, branches, self._update, *given, shear.partial_slip, steps)
         return Across(
             steps[:, 0, :2],
@@ -128,12 +130,44 @@ def borne(held: float, limit: float, turn: bool, partial_slip: bool) -> float:
 
 
 @njit(cache=True, nogil=True)
+def held_by(pull: float, limit: float, partial_slip: bool) -> float:
+    """Return the pull if all of it stuck of a contact that bears `pull` [N], up to `limit`."""
+    if not partial_slip or pull >= limit:
+        return pull
+    return float(WHOLE_SLIP * limit * (1.0 - (1.0 - pull / limit) ** (2.0 / 3.0)))
+
+
+@njit(cache=True, nogil=True)
+def _follow(
+    pulled: Floats,
+    limit: float,
+    stiffness: float,
+    partial_slip: bool,
+    carried: Floats,
+    gain: float,
+    held: Floats,
+    way: Floats,
+) -> None:
+    """Write the way on which an indenter follows a force, if one pulls; see ``_advance``."""
+    wanted = np.hypot(pulled[0], pulled[1])
+    if not wanted >= 0.0:
+        return
+    part = held_by(wanted, limit, partial_slip) / stiffness
+    for axis in range(2):
+        along = pulled[axis] / max(wanted, 1e-12)
+        way[axis] = (part * along - carried[axis]) / gain - held[axis]
+        if wanted >= limit:
+            way[axis] = along * SLIDING_MM_S * 1e-6 * STEP_US * (limit > 0.0)
+
+
+@njit(cache=True, nogil=True)
 def _advance(
     state: Floats,
     branches: Floats,
     update: Floats,
     way: Floats,
     rolled: Floats,
+    pulled: Floats,
     stiffness: Floats,
     limit: Floats,
     partial_slip: bool,
@@ -148,6 +182,7 @@ def _advance(
         update: Coefficients of a step, of ``PronySeries.update``.
         way: Motion of the indenter against the skin [n, axis].
         rolled: How far the contact rolls [n, 2].
+        pulled: Force that pulls at the indenter [n, 2] [N], nan where none does.
         stiffness: Of shear [N/mm] and of the turn [N mm/rad] [n, 2].
         limit: Largest pull [N] and torque [N mm] [n, 2].
         partial_slip: Whether the rim slips first.
@@ -158,6 +193,11 @@ def _advance(
         for axis in range(3):
             spring = stiffness[k, axis // 2]
             carried[axis], gain = force_terms(branches[axis], update, state[1, axis])
+        _follow(
+            pulled[k], limit[k, 0], stiffness[k, 0], partial_slip, carried, gain, state[0], way[k]
+        )
+        for axis in range(3):
+            spring = stiffness[k, axis // 2]
             state[0, axis] += way[k, axis]
             state[3, axis] += way[k, axis]
             if axis < 2:

@@ -48,6 +48,12 @@ class Tone:
     fade_s: float = 0.1
 
 
+Pulled = tuple[tuple[float, float], tuple[float, float]]
+"""Force across the normal at the start and the end of a span, right and down [N]."""
+FREE: Pulled = ((0.0, 0.0), (0.0, 0.0))
+"""Nothing holds the indenter, nothing pulls at it."""
+
+
 @dataclass(frozen=True, slots=True)
 class Segment:
     """One command over a span of time.
@@ -63,6 +69,8 @@ class Segment:
         move: Its motion across the normal over the segment, from rest to rest: right and down
             [mm], and turn from right to down [rad]. It stays there afterwards.
         roll: How far the contact rolls over the segment, right and down [mm].
+        pull: Force across the normal from the start to the end of the segment, right and down
+            [N], as of a weight on a thread; None where `move` says where the indenter is.
     """
 
     start_s: float
@@ -74,6 +82,7 @@ class Segment:
     indenter: Indenter = HEMISPHERE
     move: tuple[float, float, float] = (0.0, 0.0, 0.0)
     roll: tuple[float, float] = (0.0, 0.0)
+    pull: Pulled | None = None
 
     def __post_init__(self) -> None:
         """Refuse to drop what has no weight.
@@ -125,13 +134,19 @@ class CommandSource(Protocol):
     def motion(self, first: int, count: int) -> Floats | None:
         """Return the motion across the normal over some grid steps; None if there never is one.
 
-        Right and down [mm], turn [rad], and rolling to the right and down [mm] [count, 5].
+        Right and down [mm], turn [rad], rolling to the right and down [mm], and the pull to the
+        right and down at the end of each step [N], nan where nothing pulls [count, 7].
         """
 
 
+def still(count: int) -> Floats:
+    """Return the motion of an indenter that is held, as `CommandSource.motion` does."""
+    return np.tile([0.0, 0.0, 0.0, 0.0, 0.0, np.nan, np.nan], (count, 1))
+
+
 def _movers(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
-    """Return the segments with a motion across the normal."""
-    return tuple(segment for segment in segments if any(segment.move) or any(segment.roll))
+    """Return the segments with a motion or a pull across the normal."""
+    return tuple(each for each in segments if any(each.move) or any(each.roll) or each.pull)
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,12 +207,18 @@ class Profile:
         if not self._moving:
             return None
         times = np.arange(first, first + count + 1, dtype=np.float64) * (1e-6 * STEP_US)
-        steps = np.zeros((count, 5))
+        steps = still(count)
         for segment in self._moving:
             if segment.start_s < times[-1] and segment.end_s > times[0]:
                 u = (times - segment.start_s) / (segment.end_s - segment.start_s)
                 u = np.clip(u, 0.0, 1.0)
-                steps += np.outer(np.diff(u * u * (3.0 - 2.0 * u)), (*segment.move, *segment.roll))
+                share = u * u * (3.0 - 2.0 * u)
+                steps[:, :5] += np.outer(np.diff(share), (*segment.move, *segment.roll))
+                if segment.pull is not None:
+                    inside = (times[1:] > segment.start_s) & (times[1:] <= segment.end_s)
+                    first, last = np.array(segment.pull)
+                    pull = first + np.outer(share[1:], last - first)
+                    steps[inside, 5:] = pull[inside]
         return steps
 
     def longest_step(self, first: int, count: int) -> int:
@@ -407,6 +428,34 @@ def pull_and_roll(rng: Generator, start_s: float, span_s: float) -> list[Segment
     return first + touch(rng, start_s + half, half, roll=rolled, rest_s=0.4)
 
 
+PULLED_G = 20.0
+"""Mass whose weight pulls in the profile `pulls` [g]."""
+PULL_WAYS = ((1.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
+"""Its directions in turn, right and down: +x, -x, +y, -y of the contact frame."""
+
+
+def pulls(rng: Generator, start_s: float, span_s: float) -> list[Segment]:
+    """Return a weight of 100 g that a mass on a thread pulls aside in four directions."""
+    press, pull = (1e-3 * GRAVITY * grams for grams in (WEIGHTS_G[-1], PULLED_G))
+    now, turn = start_s + 0.05 * span_s, 0.19 * span_s
+
+    def held(length: float, values: tuple[float, float], pulled: Pulled = FREE) -> Segment:
+        nonlocal now
+        begin, now = now, now + length
+        tones = tremor(rng, press) if values[0] == values[1] else ()
+        return Segment(begin, now, Mode.FORCE, (0.0, length), values, tones, pull=pulled)
+
+    segments = [held(0.3, (0.0, press)), held(0.1 * span_s, (press, press))]
+    for right, down in PULL_WAYS:
+        aside, ramp = (pull * right, pull * down), rng.uniform(0.15, 0.3)
+        way = ((FREE[0], aside), (aside, aside), (aside, FREE[0]), FREE)
+        lengths = (ramp, 0.5 * turn - ramp, ramp, 0.5 * turn - ramp)
+        segments += [
+            held(length, (press, press), part) for length, part in zip(lengths, way, strict=True)
+        ]
+    return [*segments, held(0.2, (press, 0.0))]
+
+
 HANDLING_MM = 2.0
 """Farthest that `handling` moves the indenter along an axis [mm]."""
 
@@ -514,6 +563,7 @@ def make_profile(
             5 cm, bounces, hold), ``dynamic`` (all paces between 0 and 1 N), ``static`` (steps
             and ramps between 0 and 1 N; one long hold at ``easy``), ``long_term`` (one long
             hold), ``vibration`` (50 to 250 Hz), ``weights`` (20, 50 and 100 g in turn),
+            ``pulls`` (100 g, pulled aside by 20 g in four directions; give it 24 s),
             ``touch``, ``shear``, ``slide``, ``torsion``, ``roll`` (presses with a long rest after
             each, that are held still, pulled sideways with and without a slide, turned about the
             normal or rolled), ``handling`` (all of these without a rest), ``pull_and_roll`` (one
@@ -611,6 +661,7 @@ PROFILES: dict[str, Body] = {
     'long_term': long_hold,
     'vibration': _repeated(vibration, 2.0, 4.0),
     'weights': weights,
+    'pulls': pulls,
     'touch': _repeated(touch, 2.6, 3.4),
     'shear': _repeated(shear, 2.6, 3.4),
     'slide': _repeated(slide, 2.6, 3.4),

@@ -39,6 +39,9 @@ class Sensor:
     def commanded_force(self):
         return self.profile.force_at(self.now_us + AHEAD_US)
 
+    def commanded_pull(self):
+        return self.profile.pull_at(self.now_us + AHEAD_US)
+
     def commands(self, until_us):
         """Return modes and targets from now on and move on."""
         first, last = self.now_us // STEP_US, until_us // STEP_US
@@ -63,7 +66,7 @@ P = TouchParameters()
 def test_every_gesture_is_a_service_and_says_what_it_does(control):
     p = replace(P, object='weight_20_g')
     assert set(control.gestures) == {
-        *('press', 'load', 'drop', 'vibrate', 'slide', 'torsion', 'release')
+        *('press', 'pull', 'load', 'drop', 'vibrate', 'slide', 'torsion', 'release')
     }
     assert all(gesture(p) for gesture in control.gestures.values())
 
@@ -81,12 +84,34 @@ def test_a_slide_and_a_turn_move_the_object_there_and_back(sensor, control):
     assert sensor.profile.motion(0, 32) is None
     control.slide(replace(P, slide_distance=1.5, hold_seconds=0.5))
     steps = sensor.profile.motion(0, 24_000)
-    assert steps.sum(axis=0) == pytest.approx([0.0] * 5, abs=1e-9)
+    assert steps[:, :5].sum(axis=0) == pytest.approx([0.0] * 5, abs=1e-9)
+    assert np.isnan(steps[:, 5:]).all()
     assert np.cumsum(steps[:, 0]).max() == pytest.approx(1.5)
     sensor.commands(3_000_000)
     control.torsion(replace(P, torsion_angle=-30.0, hold_seconds=0.0))
     turned = sensor.profile.motion(24_000, 80_000)[:, 2]
     assert turned.sum() == pytest.approx(np.radians(-30.0))
+
+
+def test_a_pull_goes_on_from_the_press_and_from_the_pull_before(sensor, control):
+    held = replace(P, press_force=0.8, hold_seconds=0.0)
+    control.pull(replace(held, pull_force=0.0))
+    sensor.commands(1_000_000)
+    control.pull(replace(held, pull_force=0.3, pull_direction=90.0))
+    first, last = 1_000_000 // STEP_US, 3_000_000 // STEP_US
+    pull = sensor.profile.motion(first, last - first)[:, 5:]
+    _, targets = sensor.commands(3_000_000)
+    assert targets == pytest.approx(0.8)
+    assert np.abs(np.diff(pull, axis=0)).max() < 1e-4
+    assert pull[0] == pytest.approx([0.0, 0.0], abs=1e-4)
+    # Upwards in the image is against the rows.
+    assert pull[-1] == pytest.approx([0.0, -0.3])
+    assert sensor.commanded_pull() == pytest.approx((0.0, -0.3))
+    control.pull(replace(held, pull_force=0.2))
+    assert sensor.profile.motion(last, 80)[-1, 5:] == pytest.approx([0.0, -0.3], abs=0.01)
+    control.release(P)
+    sensor.commands(4_000_000)
+    assert sensor.commanded_pull() == (0.0, 0.0)
 
 
 def test_a_load_is_the_weight_of_the_object(sensor, control):

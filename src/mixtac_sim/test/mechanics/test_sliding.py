@@ -7,7 +7,8 @@ import pytest
 
 from mixtac_sim.mechanics.contact import ContactPath, PronySeries
 from mixtac_sim.mechanics.elastomer import Layer, Shear
-from mixtac_sim.mechanics.sliding import Sliding
+from mixtac_sim.mechanics.sliding import SLIDING_MM_S, Sliding
+from mixtac_sim.world.profiles import still
 
 LAYER, RADIUS, MU = Layer(150.0, 4.0), 2.5, 0.6
 SHEAR_MODULUS = 0.05  # MPa
@@ -22,12 +23,13 @@ def path(force_n):
 def moved(steps, force_n=0.8, radius=RADIUS, *, prony=ELASTIC, layer=LAYER, mu=MU, partial=True):
     """Return what motion steps [n, 3] do under a force that is constant unless it is a series.
 
-    Steps of five columns roll as well.
+    Steps of five columns roll as well, those of seven are pulled.
     """
     sliding = Sliding(Shear(layer, mu, (0.0, 0.0), partial_slip=partial), prony)
     force = np.broadcast_to(force_n, len(steps))
-    steps = np.pad(steps, ((0, 0), (0, 5 - np.shape(steps)[1])))
-    return sliding.advance(steps, path(force), np.full(len(steps), radius))
+    all_steps = still(len(steps))
+    all_steps[:, : np.shape(steps)[1]] = steps
+    return sliding.advance(all_steps, path(force), np.full(len(steps), radius))
 
 
 def along(axis, way, count=200):
@@ -161,3 +163,37 @@ def test_a_contact_is_where_the_indenter_touches():
     # In the air the dent stays; the next contact is where the indenter is then.
     assert np.ptp(found.place_mm[200:400, 0]) == 0.0
     assert found.place_mm[-1, 0] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize('partial', [True, False])
+def test_a_force_pulls_the_skin_as_far_as_the_way_that_takes_this_force(partial):
+    pull = np.zeros((2000, 7))
+    # To three quarters of the friction along a slant, then held while the gel creeps.
+    rise = np.minimum(np.arange(2000) / 1000, 1.0) * 0.75 * MU * 0.8
+    pull[:, 5], pull[:, 6] = 0.6 * rise, -0.8 * rise
+    prony = PronySeries((0.2,), (0.02,))
+    found = moved(pull, prony=prony, partial=partial)
+    np.testing.assert_allclose(found.pull_n, pull[:, 5:], atol=1e-9)
+    crept = np.hypot(*found.shear_mm.T)
+    assert crept[1999] > crept[1000] > 0.0
+    # Moved by as much as the force moved it, the skin pulls back as much.
+    way = np.zeros((2000, 3))
+    way[:, :2] = np.diff(found.place_mm + found.shear_mm, axis=0, prepend=0.0)
+    if not partial:
+        back = moved(way, prony=prony, partial=partial)
+        np.testing.assert_allclose(back.pull_n, found.pull_n, atol=1e-6)
+    # Let go of the thread, the contact is free.
+    free = moved(np.concatenate([pull, np.zeros((200, 7))]), prony=prony, partial=partial)
+    assert np.abs(free.pull_n[2000:]).max() < 1e-12
+
+
+def test_a_force_beyond_friction_slides_and_pulls_at_the_friction():
+    pull = np.zeros((1500, 7))
+    pull[:, 5] = 2.0 * MU * 0.8
+    found = moved(pull)
+    assert found.pull_n[-1] == pytest.approx([MU * 0.8, 0.0])
+    assert np.diff(found.place_mm[1300:, 0]) == pytest.approx(SLIDING_MM_S * 125e-6)
+    # In the air nothing holds it, and it stays where it was.
+    off = moved(pull, np.zeros(1500))
+    assert not off.pull_n.any()
+    assert not off.place_mm.any()

@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.world.profiles import PROFILES, Segment, Tone, make_profile
+from mixtac_sim.world.profiles import (
+    PROFILES,
+    PULL_WAYS,
+    PULLED_G,
+    Segment,
+    Tone,
+    make_profile,
+)
 
 
 def commands(profile):
@@ -75,7 +82,7 @@ def test_commands_do_not_depend_on_how_they_are_asked_for():
 def test_slides_and_turns_move_only_while_they_press_and_end_where_they_began(name, axes):
     profile = make_profile(name, 4, 12.0, sync=True)
     modes, targets, _ = commands(profile)
-    steps = profile.motion(0, len(modes))
+    steps = profile.motion(0, len(modes))[:, :5]
     still = [axis for axis in range(5) if axis not in axes]
     assert not steps[:, still].any()
     assert np.abs(np.cumsum(steps, axis=0)).max() > 0.15
@@ -83,7 +90,7 @@ def test_slides_and_turns_move_only_while_they_press_and_end_where_they_began(na
     moving = steps.any(axis=1)
     assert set(modes[moving].tolist()) <= {Mode.FREE, Mode.FORCE, Mode.HOLD}
     assert np.all(targets[moving & (modes == Mode.FORCE)] > 0.2)
-    parts = [profile.motion(k, 32) for k in range(0, len(modes), 32)]
+    parts = [profile.motion(k, 32)[:, :5] for k in range(0, len(modes), 32)]
     np.testing.assert_array_equal(np.concatenate(parts), steps)
     assert make_profile('touch', 4, 12.0).motion(0, 32) is None
 
@@ -91,11 +98,32 @@ def test_slides_and_turns_move_only_while_they_press_and_end_where_they_began(na
 def test_handling_moves_every_way_while_it_presses_and_ends_where_it_began():
     profile = make_profile('handling', 5, 20.0)
     modes, targets, _ = commands(profile)
-    steps = profile.motion(0, len(modes))
+    steps = profile.motion(0, len(modes))[:, :5]
     assert steps.any(axis=0).all()
     assert np.abs(steps.sum(axis=0)).max() < 1e-9
     assert np.abs(np.cumsum(steps, axis=0))[:, [0, 1, 3, 4]].max() <= 2.0 + 1e-9
     assert np.all(targets[steps.any(axis=1) & (modes == Mode.FORCE)] > 0.0)
+
+
+def test_a_hanging_mass_pulls_in_four_directions_and_rests_in_between():
+    profile = make_profile('pulls', 3, 24.0)
+    modes, targets, _ = commands(profile)
+    steps = profile.motion(0, len(modes))
+    assert not steps[:, :5].any()
+    pull = steps[modes == Mode.FORCE, 5:]
+    force = targets[modes == Mode.FORCE]
+    assert np.isfinite(pull).all()
+    assert np.isnan(steps[modes != Mode.FORCE, 5:]).all()
+    assert np.abs(np.diff(pull, axis=0)).max() < 1e-3
+    weight = 1e-3 * PULLED_G * 9.80665
+    held = np.isclose(np.abs(pull), weight, rtol=1e-9).any(axis=1)
+    starts = np.flatnonzero(held[1:] & ~held[:-1]) + 1
+    assert pull[starts] == pytest.approx(weight * np.array(PULL_WAYS))
+    # Each pull, and each rest without one, lasts long enough for a steady mean.
+    assert (np.diff(np.flatnonzero(np.diff(held.astype(int))))).min() > 1.8 * 8000
+    assert force[held].min() > 0.9
+    parts = [profile.motion(k, 32) for k in range(0, len(modes), 32)]
+    np.testing.assert_array_equal(np.concatenate(parts), steps)
 
 
 def test_targets_pass_through_their_knots_and_tones():

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sideways force and torsion on unseen simulated sensors, by what the contact does.
 
-Each sensor is calibrated by one press and one pull whose forces are known (another day, another
-place), then handled, rolled and turned. A window of a contact sticks, slips at its rim or slides by
+Each sensor is calibrated by a press of known force and by a mass on a thread, as
+`calibrate-force --sideways-loads` does (another day, another place), then handled, rolled and
+turned. A window of a contact sticks, slips at its rim or slides by
 the share of the friction that it uses, which the simulator knows.
 """
 
@@ -19,7 +20,16 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
+from mixtac_cli.calibrate_force.command import LOAD_SD_G
 from mixtac_cli.options import JsonFile, ModelName
+from mixtac_fger.force_calibration import ForceCalibrationError
+from mixtac_fger.pull_calibration import (
+    PullCalibration,
+    find_pulls,
+    fit_pulls,
+    last_contact,
+    parse_pulls,
+)
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.figures import make_table, save_result
@@ -28,6 +38,7 @@ from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_sim.mechanics.elastomer import Shear
 from mixtac_sim.world.device import draw_conditions, draw_device
 from mixtac_sim.world.effects import preset
+from mixtac_sim.world.profiles import PULLED_G
 from mixtac_sim.world.training_trials import TrialSpec
 
 FIRST_DEVICE = 920_000
@@ -40,8 +51,8 @@ TOUCHED_N = 0.03
 """True normal force from which on a window counts [N]."""
 STICKS, SLIDES = 0.3, 0.95
 """Shares of the friction below which a contact counts as stuck, and above which it slides."""
-PULLED_N = 0.05
-"""Pulls that the gain is fitted to [N]."""
+PULLS_S = 24.0
+"""Length of the trial with the mass on a thread [s]."""
 TARGETS = {'sideways force [N]': 0.05, 'torsion [N mm]': 0.5}
 ANCHORS = {
     'source': 'arXiv 2606.09451: events, measured, 100 Hz',
@@ -75,11 +86,17 @@ def _known(estimate: TrialEstimate) -> NDArray[np.float64]:
     return estimate.known_across
 
 
-def sideways_gain(estimate: TrialEstimate) -> float:
-    """Return the least-squares gain of the sideways force in a trial of known pulls."""
-    known, found = _known(estimate)[:, :2], np.asarray(estimate.across)[:, :2]
-    kept = (np.hypot(*known.T) > PULLED_N) & np.isfinite(found).all(axis=1)
-    return float((known[kept] * found[kept]).sum() / (found[kept] ** 2).sum())
+def sideways_gain(estimate: TrialEstimate) -> PullCalibration:
+    """Return the gain of the sideways force by a trial of the profile `pulls`.
+
+    Raises:
+        ForceCalibrationError: The sensor cannot be calibrated so.
+    """
+    t_s = 1e-6 * (estimate.t_us - estimate.t_us[0])
+    _, contact = last_contact(t_s, estimate.force)
+    across = np.asarray(estimate.across)[contact, :2]
+    pulls, _ = find_pulls(t_s[contact], across, parse_pulls(f'{PULLED_G:g}', LOAD_SD_G))
+    return fit_pulls(pulls)
 
 
 def case_masks(
@@ -119,9 +136,20 @@ def sensor_rows(model: Model, device: int, advance: Callable[[], None]) -> dict[
     press = TrialSpec(device, near_seed(device + 10_000), 'press', 6.0, PRESET)
     (normal,) = sensor_scales(estimator, [SimulatedSource(press)], fallback=1.0).values()
     advance()
-    sideways = sideways_gain(judged('shear', 6.0, 1)[0])
+    sideways, sideways_sd, refused = normal, 0.0, ''
+    try:
+        fit = sideways_gain(judged('pulls', PULLS_S, 1)[0])
+        sideways, sideways_sd = fit.gain, fit.gain_sd
+    except ForceCalibrationError as error:
+        refused = error.reason
     gains = np.array([sideways, sideways, normal])
-    found: dict[str, Any] = {'normal_gain': normal, 'sideways_gain': sideways, 'cases': {}}
+    found: dict[str, Any] = {
+        'normal_gain': normal,
+        'sideways_gain': sideways,
+        'sideways_gain_sd': sideways_sd,
+        'refused': refused,
+        'cases': {},
+    }
     for number, (profile, seconds) in enumerate(SECONDS.items()):
         estimate, spec = judged(profile, seconds, 2 + number)
         units = np.array([1.0, 1.0, 1e3])
@@ -165,7 +193,7 @@ def summarise(sensors: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def contact(
     model: ModelName = DEFAULT_MODEL,
-    quick: Annotated[bool, typer.Option('--quick', help='Three sensors in place of 12.')] = False,
+    quick: Annotated[bool, typer.Option('--quick', help='Three sensors of 12.')] = False,
     json: JsonFile = None,
 ) -> None:
     """Show the errors of sideways force and torsion on unseen sensors, by what the contact does."""
@@ -186,6 +214,6 @@ def contact(
     ]
     headings = ('error of', 'contact', *(name.replace('_', ' ') for name in names), 'target')
     Console().print(make_table(f'contact, {count} unseen sensors, simulated', headings, shown))
-    gains = [{name: each[name] for name in ('normal_gain', 'sideways_gain')} for each in sensors]
+    gains = [{name: each[name] for name in each if name != 'cases'} for each in sensors]
     result = {'model': str(find_model(model)), 'quick': quick, 'simulated': True}
     save_result(json, {**result, 'gains': gains, 'anchors': ANCHORS, 'rows': rows})
