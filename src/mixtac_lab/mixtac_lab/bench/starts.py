@@ -112,7 +112,7 @@ def start_and_end(command: Sequence[str], monitor: Monitor, output: Path) -> dic
                 raise GraphError(f'no force came: {output.read_text()[-500:]}')
             time.sleep(POLL_S)
         force_s = time.monotonic() - began_s
-        nodes = psutil.Process(launch.pid).children(recursive=True)
+        nodes = _nodes_of(launch)
         stopped_s = time.monotonic()
         launch.send_signal(signal.SIGINT)
         status = launch.wait(END_TIMEOUT_S)
@@ -120,6 +120,7 @@ def start_and_end(command: Sequence[str], monitor: Monitor, output: Path) -> dic
     except subprocess.TimeoutExpired as error:
         raise GraphError(f'the launch did not end within {END_TIMEOUT_S:g} s') from error
     finally:
+        nodes = nodes or _nodes_of(launch)
         launch.kill()
         orphans = [each for each in nodes if each.is_running()]
         for each in orphans:
@@ -134,6 +135,13 @@ def start_and_end(command: Sequence[str], monitor: Monitor, output: Path) -> dic
         'orphans': len(orphans),
         'clean': clean,
     }
+
+
+def _nodes_of(launch: subprocess.Popen[bytes]) -> list[psutil.Process]:
+    try:
+        return psutil.Process(launch.pid).children(recursive=True)
+    except psutil.NoSuchProcess:
+        return []
 
 
 def summarise(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:

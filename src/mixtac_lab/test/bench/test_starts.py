@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from types import SimpleNamespace
 
+import psutil
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
@@ -50,3 +52,27 @@ def test_a_launch_that_ends_before_a_force_is_an_error(tmp_path):
     monitor = SimpleNamespace(force_count=0)
     with pytest.raises(GraphError):
         start_and_end([sys.executable, '-c', ''], monitor, tmp_path / 'output.txt')
+
+
+def test_an_interrupt_before_the_first_force_leaves_no_node(tmp_path):
+    node = tmp_path / 'node'
+    code = (
+        'import subprocess, sys\n'
+        "child = subprocess.Popen(['sleep', '600'])\n"
+        f"open({str(node)!r} + '.part', 'w').write(str(child.pid))\n"
+        f'import os; os.rename({str(node)!r} + ".part", {str(node)!r})\n'
+        'child.wait()\n'
+    )
+
+    class Interrupted:
+        @property
+        def force_count(self) -> int:
+            if node.exists():
+                raise KeyboardInterrupt
+            return 0
+
+    with pytest.raises(KeyboardInterrupt):
+        start_and_end([sys.executable, '-c', code], Interrupted(), tmp_path / 'output.txt')
+    with contextlib.suppress(psutil.NoSuchProcess):
+        psutil.Process(int(node.read_text())).wait(10)
+    assert not psutil.pid_exists(int(node.read_text()))
