@@ -13,6 +13,7 @@ import stat
 import struct
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -36,10 +37,12 @@ def device():
 
 
 @pytest.fixture
-def path(tmp_path, monkeypatch):
-    monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path))
-    monkeypatch.setenv('ROS_DOMAIN_ID', '17')
-    return wire.default_socket_path()
+def path(monkeypatch):
+    # pytest's folders, with the user's name and the test's, are too long for a socket.
+    with tempfile.TemporaryDirectory(prefix='mixtac-') as folder:
+        monkeypatch.setenv('XDG_RUNTIME_DIR', folder)
+        monkeypatch.setenv('ROS_DOMAIN_ID', '17')
+        yield wire.default_socket_path()
 
 
 @pytest.fixture
