@@ -38,7 +38,9 @@ def test_lamps_ripple_at_twice_the_mains_by_several_depths() -> None:
     assert not any(lamp.small for lamp in lamps)
 
 
-def test_a_lamp_that_is_switched_on_makes_a_burst_of_events(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lamp_that_is_switched_on_makes_a_burst_of_events(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(detectors, 'LEARN_S', 0.02)
     blocks = detectors.quiet_blocks('switched', 0.04, 2, 'easy')
     counts = [(block.end_us, len(block.events)) for block in blocks]
