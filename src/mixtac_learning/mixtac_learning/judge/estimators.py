@@ -192,7 +192,12 @@ def paper_estimate(network: PaperNetwork, trial: TrialArrays) -> TrialEstimate:
     sample = make_paper_sample(network.config, trial)
     (force,) = run_samples(network, [sample])
     later = sample.window_end_us > _settled_us(trial)
-    found = _estimate(trial, sample.window_end_us[later], force[later].astype(np.float64))
+    found = _estimate(
+        trial,
+        sample.window_end_us[later],
+        force[later].astype(np.float64),
+        corrected=(sample.slots >= 0)[later],
+    )
     if not len(found.t_us):
         raise DatasetError(f'{found.name} gives no estimate at a time with a known force')
     return found

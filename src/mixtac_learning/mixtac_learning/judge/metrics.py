@@ -188,15 +188,20 @@ def rolling_errors(
     return np.array([part.mean() for part in np.array_split(error, count)])
 
 
+_ROUNDING = 1e-6
+"""Part of the steps at frames that rounding may change between them."""
+
+
 def frame_jump(estimate: NDArray[np.float64], corrected: NDArray[np.bool_]) -> float:
     """Return the mean change in windows that a frame corrects over that in the others.
 
-    1 means that frames leave no steps; nan without both kinds.
+    1 means that frames leave no steps; nan without both kinds, and where only frames change it.
     """
     change, frames = np.abs(np.diff(estimate)), corrected[1:]
     if frames.all() or not frames.any():
         return float('nan')
-    return float(change[frames].mean() / change[~frames].mean())
+    steps, between = float(change[frames].mean()), float(change[~frames].mean())
+    return steps / between if between > _ROUNDING * steps else float('nan')
 
 
 HOLD_S, HOLD_N = 1.0, 0.04

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import torch
@@ -92,6 +92,11 @@ class Scale(nn.Module):
         self.register_buffer('deviation', torch.ones(size))
         self.follows = False
 
+    def reset(self) -> None:
+        """Leave values as they are."""
+        self.mean.zero_()
+        self.deviation.fill_(1.0)
+
     def fit(self, values: Tensor, part: float = 1.0) -> tuple[Tensor, Tensor]:
         """Move the constants towards those of values [n, size], which are returned, by a part.
 
@@ -114,12 +119,25 @@ class Scale(nn.Module):
         return (values - mean) / deviation
 
 
-_STEEP = 6.0
-"""Spread of the initial slopes of the ramps of the point network, per half the sensor."""
+_AT_RANDOM = 0.1
+"""Part of the usual initial weights that is left where channels begin as cells."""
+_BY_TIME = 0.5
+"""How much more a channel begins to tell of the last event of a packet than of the first."""
 _FOLLOWED = 0.05
 """Part of the way that the constants of a scale go in an update."""
 SAME = 1e-6
 """Relative spread below which a channel is constant."""
+
+
+def _grid(ramps: int, channels: int) -> tuple[int, int]:
+    """Return how many columns and rows of cells so many ramps and channels can make."""
+    rows = max(math.isqrt(channels // 2), 1)
+    columns = max(channels // 2 // rows, 1)
+    while 2 * (columns + rows - 2) + 3 > ramps and max(columns, rows) > 1:
+        columns, rows = (columns - 1, rows) if columns >= rows else (columns, rows - 1)
+    return columns, rows
+
+
 _GROUPS = 8
 """Groups of channels that are normalised together."""
 
@@ -188,10 +206,14 @@ class FrameBackbone(nn.Module):
         return logs - logs.mean((2, 3), keepdim=True)
 
     def forward(self, frames: Tensor) -> Tensor:
-        """Return f_frame [N, channels] of frames as `seen` takes them."""
-        inputs = self.input_scale(self.seen(frames.float()))
-        maps = self.stage(self.stem(inputs.contiguous(memory_format=torch.channels_last)))
-        return torch.Tensor(self.scale(maps.float().mean((2, 3))))
+        """Return f_frame [N, channels] of frames as `seen` takes them, in full precision.
+
+        Features vary by no more than bfloat16 resolves.
+        """
+        with torch.autocast(frames.device.type, enabled=False):
+            inputs = self.input_scale(self.seen(frames.float()))
+            maps = self.stage(self.stem(inputs.contiguous(memory_format=torch.channels_last)))
+            return torch.Tensor(self.scale(maps.mean((2, 3))))
 
 
 class PointEncoder(nn.Module):
@@ -208,23 +230,49 @@ class PointEncoder(nn.Module):
         for size in config.event_widths:
             layers += [nn.Linear(width, size), nn.ReLU()]
             width = size
-        self.layers = nn.Sequential(*layers)
+        # The maximum begins at zero, which is the last rectifier.
+        self.layers = nn.Sequential(*layers[:-1])
         self.size = width
         self.scale = Scale(width)
-        self._spread_out()
+        if len(config.event_widths) > 1:
+            self._begin_with_cells()
 
     @torch.no_grad()
-    def _spread_out(self) -> None:
-        """Let the ramps of the first layer begin anywhere on the sensor, and be steep.
+    def _begin_with_cells(self) -> None:
+        """Let channels begin as one cell of the sensor and one polarity each.
 
-        A maximum tells only whether there was an event, so a channel has to be of one place. With
-        the usual initial weights every ramp is as wide as the sensor.
+        A maximum tells only whether there was an event, so that a channel has to be of one place.
+        With the usual initial weights every ramp is as wide as the sensor. The value grows with
+        the time of the latest event, which is the later the more there are.
         """
-        first = self.layers.get_submodule('0')
-        weight, bias = first.get_parameter('weight'), first.get_parameter('bias')
-        weight[:, :2].normal_(0.0, _STEEP)
-        place = torch.rand_like(weight[:, :2]) * 2.0 - 1.0
-        bias.copy_(-(weight[:, :2] * place).sum(1))
+        first, second = (self.layers.get_submodule(name) for name in ('0', '2'))
+        ramps, ramp_bias = first.get_parameter('weight'), first.get_parameter('bias')
+        sums, sum_bias = second.get_parameter('weight'), second.get_parameter('bias')
+        cells = _grid(len(ramps), len(sums))
+        # Ramps up and down from each border between cells; polarity ON, OFF; time.
+        used = 3
+        beyond: list[int] = []
+        below: list[int] = []
+        ramps[:3], ramp_bias[:3] = 0.0, 0.0
+        ramps[0, 3], ramps[1, 3], ramps[2, 2] = 1.0, -1.0, 1.0
+        for axis, count in enumerate(cells):
+            borders = torch.linspace(-1.0, 1.0, count + 1)[1:-1]
+            for starts, sign in ((beyond, 1.0), (below, -1.0)):
+                rows = slice(used, used + count - 1)
+                ramps[rows], ramp_bias[rows] = 0.0, -sign * borders
+                ramps[rows, axis] = sign
+                starts.append(used)
+                used += count - 1
+        sums *= _AT_RANDOM
+        for channel, (column, row, other) in enumerate(product(*map(range, cells), (0, 1))):
+            sums[channel, :used], sum_bias[channel] = 0.0, 1.0
+            sums[channel, 2] = _BY_TIME
+            sums[channel, other] = -2.0
+            for axis, place in enumerate((column, row)):
+                if place < cells[axis] - 1:
+                    sums[channel, beyond[axis] + place] = -float(cells[axis])
+                if place:
+                    sums[channel, below[axis] + place - 1] = -float(cells[axis])
 
     def forward(self, points: Tensor, packet: Tensor, packets: int) -> Tensor:
         """Return f_e [packets, size]; an empty packet has the maximum zero, scaled.
@@ -236,7 +284,6 @@ class PointEncoder(nn.Module):
         """
         features = self.layers(points)
         empty = features.new_zeros(packets, self.size)
-        # After a rectifier nothing is below zero, so that zeros leave the maximum as it is.
         index = packet[:, None].expand(-1, self.size)
         pooled = empty.scatter_reduce(0, index, features, 'amax', include_self=True)
         return torch.Tensor(self.scale(pooled))

@@ -209,7 +209,7 @@ class FrameStage(PaperStage):
         found = arrivals(self.samples, self.own)
         flips = self.flips(random)
         features = labels = None
-        if self.frozen:
+        if 'frame' in self.frozen:
             features, labels = self._encoded(self.samples, found, flips)
         order = torch.randperm(len(found), generator=random)
         size = self.settings.frame_batch
@@ -225,6 +225,10 @@ class FrameStage(PaperStage):
 
     def validate(self) -> float | None:
         """Return the mean absolute error at the frames of the trials to validate on [N]."""
+        if 'frame' not in self.frozen:
+            # Constants that follow are some updates late, which features that vary by thousandths
+            # of their mean do not bear.
+            fit_frame_scales(self.network, self.samples)
         if not self.checked:
             return None
         found = arrivals(self.checked, range(len(self.checked)))
@@ -264,7 +268,7 @@ class FrameStage(PaperStage):
                     for first in range(0, len(found), _ENCODED)
                 ]
             both = torch.cat([each for each, _ in parts]), torch.cat([each for _, each in parts])
-            if not self.frozen:
+            if 'frame' not in self.frozen:
                 return both
             self._kept[key] = both
         found_before: tuple[Tensor, Tensor] = self._kept[key]
@@ -439,17 +443,14 @@ def mirrored(batch: SegmentBatch, axes: Sequence[int]) -> SegmentBatch:
 def fit_scales(network: PaperNetwork, samples: Sequence[PaperSample]) -> None:
     """Set the scales of fresh weights to the mean and spread over some windows of the trials."""
     config, device = network.config, next(network.parameters()).device
-    found = arrivals(samples, range(len(samples)))
-    chosen = found[:: -(-len(found) // _FITTED)]
+    chosen = _some(samples)
     norms = [each for each in network.modules() if isinstance(each, _BatchNorm)]
     for norm in norms:
         norm.momentum = 1.0  # the statistics of these frames
     if not isinstance(network, EventsOnly):
-        frames, event_frames, _ = (part.to(device) for part in frame_batch(samples, chosen, config))
+        frames = frame_batch(samples, chosen, config).frames.to(device)
         network.frame.input_scale.fit(network.frame.seen(frames).reshape(-1, 1))
-        network.frame.scale.fit(network.frame(frames))
-        if isinstance(network, FeatureFusion):
-            network.events.scale.fit(network.events(event_frames))
+        fit_frame_scales(network, samples)
     if not isinstance(network, FrameModel):
         segments = [Segment(trial, window, window + 1) for trial, window in chosen.tolist()]
         batch = assemble(samples, segments, replace(config, model='events')).to(device)
@@ -458,6 +459,26 @@ def fit_scales(network: PaperNetwork, samples: Sequence[PaperSample]) -> None:
         network.recurrence.unit.fill_(max(float(changes.std()), SAME))
     for norm in norms:
         norm.momentum = 0.1
+
+
+@torch.no_grad()
+def fit_frame_scales(network: PaperNetwork, samples: Sequence[PaperSample]) -> None:
+    """Set the scales of the features of frames to their mean and spread over some frames."""
+    if isinstance(network, EventsOnly):
+        return
+    device = next(network.parameters()).device
+    batch = frame_batch(samples, _some(samples), network.config)
+    frames, event_frames, _ = (part.to(device) for part in batch)
+    network.frame.scale.reset()
+    network.frame.scale.fit(network.frame(frames))
+    if isinstance(network, FeatureFusion):
+        network.events.scale.reset()
+        network.events.scale.fit(network.events(event_frames))
+
+
+def _some(samples: Sequence[PaperSample]) -> NDArray[np.int64]:
+    found = arrivals(samples, range(len(samples)))
+    return found[:: -(-len(found) // _FITTED)]
 
 
 _FITTED = 256

@@ -47,6 +47,7 @@ def test_steps_at_frames_are_told_from_motion():
     assert frame_jump(motion, corrected) == pytest.approx(1.0)
     assert frame_jump(motion + 0.004 * np.cumsum(corrected), corrected) == pytest.approx(5.0)
     assert np.isnan(frame_jump(motion, np.zeros(200, np.bool_)))
+    assert np.isnan(frame_jump(np.cumsum(corrected) + 1e-9 * motion, corrected))
 
 
 def test_noise_of_a_hold_is_that_without_drift_and_without_the_way_there():

@@ -190,6 +190,20 @@ def test_an_empty_packet_has_no_feature():
     assert not alone.any()
 
 
+def test_channels_begin_as_cells_of_one_polarity():
+    torch.manual_seed(0)
+    encoder = PointEncoder(PaperConfig(model='events'))
+    places = (torch.arange(8) + 0.5) / 4 - 1
+    points = torch.cartesian_prod(places, places, torch.tensor([0.5]), torch.tensor([1.0, -1.0]))
+    found = encoder(points, torch.arange(len(points)), len(points))
+    assert found.argmax(1).sort().values.tolist() == list(range(128))
+    # Each tells of neither the other polarity nor of places two cells away.
+    own = points[found.argmax(0)]
+    for channel, place in enumerate(own):
+        away = (points[:, :2] - place[:2]).abs().amax(1) > 0.45
+        assert not found[away | (points[:, 3] != place[3]), channel].any()
+
+
 def test_sparse_convolutions_touch_active_pixels_only():
     torch.manual_seed(0)
     maps = torch.zeros(1, 2, 8, 8)

@@ -63,12 +63,15 @@ def features_of(trial: TrialArrays, sample: PaperSample, config: PaperConfig) ->
     encoder = EventRecurrence(config).encoder
     windows = len(sample.force)
     packet = torch.from_numpy(np.repeat(np.arange(windows), np.diff(sample.starts)))
+    points = torch.from_numpy(np.array(sample.points, np.float32))
     with torch.no_grad():
-        each = encoder.layers(torch.from_numpy(np.array(sample.points, np.float32)))
-        none = torch.zeros(windows, encoder.size)
-        index = packet[:, None].expand(-1, encoder.size)
-        largest = none.scatter_reduce(0, index, each, 'amax')
-        total = none.index_add(0, packet, each)
+        cells = encoder(points, packet, windows)
+        for layer in encoder.layers:
+            if isinstance(layer, torch.nn.Linear):
+                layer.reset_parameters()
+        largest = encoder(points, packet, windows)
+        each = torch.relu(encoder.layers(points))
+        total = torch.zeros(windows, encoder.size).index_add(0, packet, each)
     ends = sample.window_end_us
     span_us = (int(ends[0]) - config.window_us, int(ends[-1]))
     image = trial.frames[:SETTLE_FRAMES].mean(axis=0)
@@ -77,6 +80,7 @@ def features_of(trial: TrialArrays, sample: PaperSample, config: PaperConfig) ->
     return {
         'perceptron, random weights, maximum (paper)': largest.double().numpy(),
         'perceptron, random weights, sum': total.double().numpy(),
+        'perceptron that begins with cells, maximum': cells.double().numpy(),
         'number of events': (on + off).sum(1, keepdims=True),
         'number of ON and of OFF events': np.stack([on.sum(1), off.sum(1)], 1),
         'whether there are ON, OFF events by cell': np.minimum(counts, 1.0),

@@ -41,6 +41,10 @@ from mixtac_lab.experiments.sizes import (
     CHOICES,
     CONSTANT,
     DYNAMIC,
+    EVENTS,
+    FGER,
+    FRAMES,
+    FUSION,
     HOLD,
     IMPACT,
     OTHER_DAYS,
@@ -56,8 +60,15 @@ from mixtac_lab.experiments.sizes import (
     Sizes,
     run_config,
 )
-from mixtac_lab.experiments.training import learning_version, train
-from mixtac_lab.figures import make_table, save_result
+from mixtac_lab.experiments.training import MODELS, learning_version, train
+from mixtac_lab.figures import (
+    make_table,
+    mark,
+    new_figure,
+    plot_forces,
+    save_figure,
+    save_result,
+)
 from mixtac_lab.store import Piece
 from mixtac_learning.adapt.adaptation import adapt
 from mixtac_learning.adapt.presses import gather_presses
@@ -98,6 +109,9 @@ FIGURES = (
     'peak_error',
     'fast_mae',
     'rolling_worst_mae',
+    'frame_jump',
+    'hold_noise',
+    'lag_ms',
     'coverage_68',
     'coverage_95',
     COST,
@@ -363,7 +377,50 @@ def train_and_test(
     found: dict[str, list[dict[str, Any]]] = {name: [] for name in chosen}
     for (name, _), figures in zip(weights, context.run('testing', pieces), strict=True):
         found[name].append(figures)
+    shown = {name: weights[name, 0] for name in MODELS if (name, 0) in weights}
+    if shown:
+        arguments = (sizes, protocol, shown)
+        drawn = Piece(f'trials_{sizes.name}_{protocol}', draw_trials, arguments, learning_version())
+        context.run('drawing', [drawn])
     return found
+
+
+SHOWN_S = {DYNAMIC: 3.0, HOLD: 1.0}
+"""Length of the part of a trial that is drawn, by its profile [s]."""
+
+
+def draw_trials(
+    base: Path, sizes: Sizes, protocol: str, weights: Mapping[str, str]
+) -> dict[str, Any]:
+    """Draw a part of the first trial of each of `SHOWN_S`; a piece of work.
+
+    Args:
+        base: Path of the result; the picture has the same name.
+        sizes: Numbers and lengths of the trials.
+        protocol: One of `PROTOCOLS`.
+        weights: Stem of the weight file in the folder of the result, by names of `MODELS`.
+    """
+    torch.set_num_threads(1)
+    (first, *_) = training_sources(table_data(sizes, OURS))
+    specs = {s.profile: s for s in test_specs(sizes, first.origin['device_seed'], protocol)[::-1]}
+    figure, axes = new_figure(rows=len(SHOWN_S), columns=2, width=11.0, height=6.0)
+    estimators = {
+        name: trial_estimator(read_model(base.with_name(f'{stem}.safetensors')))
+        for name, stem in weights.items()
+    }
+    for (profile, seconds), *pair in zip(SHOWN_S.items(), axes[::2], axes[1::2], strict=True):
+        trial = CachedSource(SimulatedSource(specs[profile]), base.parent.parent / 'trials').load()
+        known = known_force(trial)
+        start = float(known.t_us[int(0.4 * len(known.t_us))])
+        for ax, names in zip(pair, ((FRAMES, EVENTS), (FUSION, FGER, OURS)), strict=True):
+            curves = {MODELS[each]: estimators[each](trial) for each in names if each in weights}
+            plot_forces(ax, known, curves, start, (0.0, seconds), simulated=True)
+            ax.legend(frameon=False, fontsize=8)
+        pair[0].set_ylabel('normal force [N]')
+        pair[0].set_title(f'{profile.replace("_", " ")}, {mark(simulated=True)}', fontsize=10)
+    axes[-1].set_xlabel('time [s]')
+    axes[-2].set_xlabel('time [s]')
+    return {'file': save_figure(figure, base.with_name(f'{base.name}.png')).name}
 
 
 BEFORE, WEIGHTS, ONE_GAIN, ADAPTED = 'before', 'known_weights', 'one_gain', 'adapted'
