@@ -263,8 +263,10 @@ class PointEncoder(nn.Module):
                 ramps[rows, axis] = sign
                 starts.append(used)
                 used += count - 1
-        sums *= _AT_RANDOM
-        for channel, (column, row, other) in enumerate(product(*map(range, cells), (0, 1))):
+        sums.mul_(_AT_RANDOM)
+        for channel, (column, row, other) in enumerate(
+            product(range(cells[0]), range(cells[1]), (0, 1))
+        ):
             sums[channel, :used], sum_bias[channel] = 0.0, 1.0
             sums[channel, 2] = _BY_TIME
             sums[channel, other] = -2.0
