@@ -25,6 +25,7 @@ import numpy as np
 from mixtac_fger.contact import ContactFit, ContactFitter, contact_shape, is_sensible
 from mixtac_fger.displacement import DisplacementField, FieldMeter, SkinScale
 from mixtac_fger.features import bin_cells
+from mixtac_fger.mesh_scale import by_mesh
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -121,10 +122,12 @@ class Touch(NamedTuple):
     Attributes:
         field: Displacement of the beads.
         fit: The contact that explains it best.
+        scale: Of the skin in the picture.
     """
 
     field: DisplacementField
     fit: ContactFit
+    scale: SkinScale
 
 
 class TouchMeter:
@@ -136,8 +139,10 @@ class TouchMeter:
     """
 
     def __init__(self, config: FgerConfig, scale: SkinScale) -> None:
-        self._meter = FieldMeter(config)
-        self._fitter = ContactFitter((config.width, config.height), scale, config.grid_shape)
+        self._meter, self._bin, self._given = FieldMeter(config), config.frame_bin, scale
+        self._size = config.width, config.height
+        self._fitter = ContactFitter(self._size, scale, config.grid_shape)
+        self._reference: F32 | None = None
 
     def measure(self, reference: F32, image: F32) -> Touch:
         """Return what a picture tells.
@@ -146,8 +151,11 @@ class TouchMeter:
             reference: Coarse log contrast without contact, float32 `FgerConfig.frame_shape`.
             image: Coarse log contrast now, same shape.
         """
+        if reference is not self._reference:
+            self._fitter.scale = by_mesh(self._given, reference, self._bin, self._size)
+            self._reference = reference
         found = self._meter.measure(reference, image)
-        return Touch(found, self._fitter.fit(found))
+        return Touch(found, self._fitter.fit(found), self._fitter.scale)
 
 
 class Contact(NamedTuple):
@@ -321,7 +329,12 @@ class ContactTracker:
         touch = self.touch
         if not self._touching or touch is None or not touch.fit.seen:
             return Contact(end_us, self._touching, None)
-        return Contact(end_us, True, self._shape(touch.fit))
+        return Contact(end_us, True, self._shape(touch))
+
+    @property
+    def scale(self) -> SkinScale:
+        """Scale of the skin in the picture, by the best that is known so far."""
+        return self.settings.scale if self.touch is None else self.touch.scale
 
     def moved(self) -> F32:
         """Return the displacement now, by the latest frame and events, as its field has it [px]."""
@@ -395,15 +408,16 @@ class ContactTracker:
         lead = LEAD_S * min(slope, 0.0) if above < LEAD_BELOW_N else 0.0
         return above + lead > self.settings.off_n
 
-    def _shape(self, fit: ContactFit) -> ContactShape:
-        p, settings = fit.parameters, self.settings
+    def _shape(self, touch: Touch) -> ContactShape:
+        fit = touch.fit
+        p = fit.parameters
         if fit.gains is not None:
             change = fit.gains.reshape(len(p), -1) @ self._carrier.since(self._start).ravel()
             change[3:5] = np.clip(change[3:5], -MOST_CARRIED_MM, MOST_CARRIED_MM)
             carried = p + change
             if carried[0] > 0.0 and is_sensible(carried):
                 p = carried
-        return contact_shape(p, fit.covariance, settings.scale, settings.object_radius)
+        return contact_shape(p, fit.covariance, touch.scale, self.settings.object_radius)
 
 
 def contact_tracker(settings: ContactSettings | None, estimator: object) -> ContactTracker | None:

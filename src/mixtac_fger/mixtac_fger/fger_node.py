@@ -346,7 +346,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         estimates: list[Estimate],
         wanted: list[bool],
     ) -> None:
-        where = tracker.settings.scale, feed.estimator.size
+        where = tracker.scale, feed.estimator.size
         for estimate in estimates:
             found = estimate.contact
             if found is None:
@@ -376,7 +376,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if stamp_us == self._field_us:
             return
         self._field_us = stamp_us
-        field, scale = touch.field, tracker.settings.scale
+        field, scale = touch.field, touch.scale
         moved = metric(tracker.moved() if carried else field.moved, scale)
         if wanted[0]:
             image = self._stamped(Image(), stamp_us)

@@ -118,7 +118,7 @@ class Finder:
 
 def touch_at(x, y):
     field = pressed((x, y))
-    return Touch(field, ContactFitter(SIZE, SCALE, GRID).fit(field))
+    return Touch(field, ContactFitter(SIZE, SCALE, GRID).fit(field), SCALE)
 
 
 def cell_flow(before, after, threshold):
@@ -244,7 +244,7 @@ def test_a_release_is_told_before_the_estimate_has_fallen_and_leaves_no_new_cont
 def test_what_is_left_of_a_release_ends_with_a_picture_without_contact():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
     free = pressed((0.0, 0.0), strength=0.0, noise=0.01)
-    unseen = Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free))
+    unseen = Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free), SCALE)
     assert tracker.window(2000, 0.2).touching
     # Exposed too early to tell.
     tracker.frame(3000, unseen)

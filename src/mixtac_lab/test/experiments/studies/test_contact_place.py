@@ -10,7 +10,8 @@ import pytest
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.contact import ContactFitter, contact_shape
 from mixtac_fger.displacement import FieldMeter, SkinScale
-from mixtac_fger.features import FramePreparation
+from mixtac_fger.features import FramePreparation, mean_contrast
+from mixtac_fger.mesh_scale import GEL_MM, by_mesh
 from mixtac_lab.experiments.studies.contact_place import (
     FIRST_DEVICE,
     Touched,
@@ -21,7 +22,7 @@ from mixtac_lab.experiments.studies.contact_place import (
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.device import draw_conditions
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.profiles import Profile, Segment
+from mixtac_sim.world.profiles import Profile, Segment, make_profile
 from mixtac_sim.world.sensor import TactileSensor
 from mixtac_sim.world.training_trials import TRAINING_DEVICES, UNSEEN
 
@@ -71,3 +72,27 @@ def test_a_simulated_press_is_found_where_it_is(pressed):
     error = np.hypot(found.x_mm - right, found.y_mm + down)
     assert error < 4.0 * found.deviation_mm
     assert found.major_mm < 1.5 * found.minor_mm
+
+
+@pytest.mark.parametrize(
+    ('device', 'name'), [(970_000, 'paper_like'), (970_001, 'paper_like'), (971_000, 'hard')]
+)
+def test_the_mesh_in_view_gives_the_scale_of_sensors(device, name):
+    level, config = preset(name), FgerConfig()
+    profile = make_profile('idle', 1, 2.0, preset=level)
+    sensor = TactileSensor(device, device + 50, profile, preset=level)
+    preparation = FramePreparation(config)
+    frames = [frame.intensity for frame in sensor.advance(260_000).frames[:5]]
+    shown = mean_contrast([preparation.contrast(frame).coarse for frame in frames])
+    lens, size = sensor.device.lens, (config.width, config.height)
+    true = px_per_mm(lens)
+    given = SkinScale(mesh_mm=1.08, gel_mm=lens.thickness_mm)
+    found = by_mesh(given, shown, config.frame_bin, size)
+    assert found.deviation < 0.015
+    assert found.px_per_mm == pytest.approx(true, rel=0.03)
+    usual = by_mesh(SkinScale(mesh_mm=1.08), shown, config.frame_bin, size)
+    assert 0.03 < usual.deviation < 0.05
+    # What is unknown of the gel is a fifth of the way to the skin.
+    assert usual.px_per_mm / true - 1.0 == pytest.approx(
+        0.2 * (lens.thickness_mm / GEL_MM[0] - 1.0), abs=0.03
+    )
