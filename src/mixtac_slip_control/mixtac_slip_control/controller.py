@@ -47,7 +47,7 @@ class SlipStep:
         background_sigma: Scale of the tail of the counts at rest.
         threshold: Count above which the paper's law detects slip.
         count_slipping: Decision of the paper's law.
-        flow: Translation of the skin [px per contrast threshold].
+        flow: Translation of the skin [px per contrast threshold]; 0 where the events do not agree.
         flow_threshold: Translation above which the flow detector detects slip.
         flow_slipping: Decision of the flow detector.
         slipping: Decision of the chosen detector.

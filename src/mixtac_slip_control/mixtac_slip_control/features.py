@@ -154,10 +154,11 @@ def window_sums(
     fields: NDArray[np.float32],
     bin_size: int,
     sums: NDArray[np.float64],
+    squares: NDArray[np.float64],
     zones: NDArray[np.uint8],
     signs: NDArray[np.int64],
 ) -> None:
-    """Write the signed sums of the fields over some events; events outside are left out.
+    """Write sums of the fields over some events; events outside are left out.
 
     Args:
         x: Columns, uint16 [n].
@@ -165,12 +166,14 @@ def window_sums(
         polarity: True where brighter, bool [n].
         fields: Of a `FlowGuide`, float32 [modes, rows, columns] of bins.
         bin_size: Pixels along a bin.
-        sums: Written, float64 [modes].
+        sums: Written: of sign times field, float64 [modes].
+        squares: Written: of the fields squared, float64 [modes].
         zones: Zone of each bin, uint8 [rows, columns].
         signs: Written: brighter less darker events, and all, of each zone, int64 [2, zones].
     """
     modes, rows, columns = fields.shape
     sums[:] = 0.0
+    squares[:] = 0.0
     signs[:] = 0
     for index in range(x.shape[0]):
         row, column = y[index] // bin_size, x[index] // bin_size
@@ -181,7 +184,9 @@ def window_sums(
         signs[0, zone] += 1 if polarity[index] else -1
         signs[1, zone] += 1
         for mode in range(modes):
-            sums[mode] += sign * fields[mode, row, column]
+            value = fields[mode, row, column]
+            sums[mode] += sign * value
+            squares[mode] += value * value
 
 
 MAX_EMPTY_RUN: Final = 20
@@ -228,6 +233,8 @@ class SlipWindow:
         guided: Whether a recent frame was there to measure motion with; else the three above are 0.
         complete: False where packets of the window were lost.
         light: Whether its events may come from a change of light, in this window or just before.
+        noise: Mean square of the translation that as many events at the same places would give with
+            signs at random; the unit of `flow_x`, squared.
     """
 
     end_us: int
@@ -238,6 +245,7 @@ class SlipWindow:
     guided: bool
     complete: bool
     light: bool = False
+    noise: float = 0.0
 
 
 class SlipFeatures:
@@ -257,7 +265,7 @@ class SlipFeatures:
         self._size: tuple[int, int] | None = None
         # Without a frame every event lies outside the fields, and the sums stay 0.
         self._blank = np.zeros((MODES, 1, 1), np.float32)
-        self._sums = np.zeros(MODES)
+        self._sums, self._squares = np.zeros(MODES), np.zeros(MODES)
         self._nowhere = np.zeros((1, 1), np.uint8)
         self._signs = np.zeros((2, ZONES), np.int64)
         self._lost_until_us = self._light_until_us = 0
@@ -270,7 +278,8 @@ class SlipFeatures:
     def warm_up(self) -> None:
         """Compile (or load) the kernels, for frames of 8 and of 16 bits."""
         none16, none = np.empty(0, np.uint16), np.empty(0, np.bool_)
-        window_sums(none16, none16, none, self._blank, BIN, self._sums, self._nowhere, self._signs)
+        sums = self._sums, self._squares
+        window_sums(none16, none16, none, self._blank, BIN, *sums, self._nowhere, self._signs)
         maker = GuideMaker(self._maker.parameters)
         maker.make(np.ones((4 * BIN, 4 * BIN), np.uint8), 0)
         maker.make(np.ones((4 * BIN, 4 * BIN), np.uint16), 0)
@@ -329,12 +338,15 @@ class SlipFeatures:
         fields = guide.fields if guide is not None and fresh else self._blank
         zones = guide.zones if guide is not None and fresh else self._nowhere
         places = events.x, events.y, events.polarity
-        window_sums(*places, fields, BIN, self._sums, zones, self._signs)
+        window_sums(*places, fields, BIN, self._sums, self._squares, zones, self._signs)
         if guide is not None and fresh and is_light(self._signs, guide.bins):
             self._light_until_us = end_us + LIGHT_HOLD_US
         # A clock that starts anew must not leave it on.
         lit = 0 <= self._light_until_us - end_us <= LIGHT_HOLD_US
-        motion = -(guide.solver @ self._sums) if guide is not None and fresh else self._sums
+        motion, noise = self._sums, 0.0
+        if guide is not None and fresh:
+            motion = -(guide.solver @ self._sums)
+            noise = float((guide.solver[:2] ** 2 @ self._squares).sum())
         return SlipWindow(
             end_us=end_us,
             count=len(events),
@@ -344,4 +356,5 @@ class SlipFeatures:
             guided=fresh,
             complete=end_us - self.slicer.width_us >= self._lost_until_us,
             light=lit,
+            noise=noise,
         )

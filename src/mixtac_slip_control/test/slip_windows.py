@@ -35,8 +35,9 @@ def window(
     guided: bool = True,
     complete: bool = True,
     light: bool = False,
+    noise: float = 0.0,
 ) -> SlipWindow:
-    return SlipWindow(1000 * (index + 1), count, *flow, 0.0, guided, complete, light)
+    return SlipWindow(1000 * (index + 1), count, *flow, 0.0, guided, complete, light, noise)
 
 
 def quiet_windows(number: int, seed: int = 0) -> list[SlipWindow]:

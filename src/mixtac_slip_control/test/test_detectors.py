@@ -139,3 +139,26 @@ def test_a_change_of_light_is_no_slip_and_is_not_learned(chosen: str) -> None:
     assert both.count.background.median == before
     assert both.update(window(2000, 5000, (0.5, 0.0)), 0.0)
     assert not both.update(window(2001, 5000, (0.5, 0.0), light=True), 0.0)
+
+
+def test_events_that_do_not_agree_on_a_translation_are_no_slip() -> None:
+    detector = taught(FlowDetector)
+    many = [window(k, 5000, (0.1 * (-1) ** k, 0.0), noise=0.04**2) for k in range(20)]
+    assert not any(detector.update(each) for each in many)
+    assert detector.flow == 0.0
+    assert detector.update(window(20, 5000, (0.15, 0.0), noise=0.04**2))
+    # Once it slips, the skin may stand still under it.
+    assert detector.update(window(21, 5000, (0.1, 0.0), noise=0.04**2))
+
+
+def test_a_small_slip_while_it_learns_does_not_raise_the_threshold() -> None:
+    known, detector = taught(FlowDetector), FlowDetector(parameters())
+    for each in quiet_windows(LEARNED + 20):
+        slips = 100_000 < each.end_us <= 110_000
+        given = window(0, 60, (0.05, 0.0), noise=0.01**2) if slips else each
+        detector.update(given)
+        detector.learn(given)
+    assert detector.learned
+    detector.update(window(0))
+    known.update(window(0))
+    assert detector.threshold == pytest.approx(known.threshold, rel=0.1)

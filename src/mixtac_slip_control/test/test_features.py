@@ -68,6 +68,23 @@ def test_translation_is_measured_in_thresholds(angle: float) -> None:
     assert abs(window.pressing) < 0.2 * size
 
 
+def test_events_of_a_motion_agree_and_those_of_a_flash_do_not() -> None:
+    moved = seen(0.4 * PATCH, STILL)
+    assert moved.flow_x**2 + moved.flow_y**2 > 25.0 * moved.noise > 0.0
+    # Where bright pixels fire first: the beads, all around their middles.
+    y, x = np.nonzero(np.quantile(REST, 0.8) < REST)
+    bright = Events(
+        np.zeros(len(x), np.int64),
+        x.astype(np.uint16),
+        y.astype(np.uint16),
+        np.ones(len(x), np.bool_),
+    )
+    features = SlipFeatures(SlipControlParameters())
+    features.frame(np.round(REST).astype(np.uint16), 0)
+    (flash,) = features.push(bright, 1000)
+    assert flash.flow_x**2 + flash.flow_y**2 < 9.0 * flash.noise
+
+
 def test_pressing_cancels_in_the_translation() -> None:
     window = seen(0.4 * AWAY_X / 90.0 * PATCH, 0.4 * AWAY_Y / 90.0 * PATCH)
     assert window.pressing == pytest.approx(0.4 / CONTRAST, rel=0.2)
