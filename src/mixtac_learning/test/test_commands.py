@@ -153,7 +153,8 @@ def test_the_papers_networks_train_and_are_judged(tmp_path, simulated, model):
         # Events between two frames are counted in whole windows.
         assert np.abs(force - direct.force).max() < 0.2 * np.ptp(direct.force) + 1e-3
     else:
-        assert np.abs(force - direct.force).max() < 1e-4
+        # Increments of an untrained network add up to any force.
+        assert np.abs(force - direct.force).max() < 1e-4 + 1e-4 * np.ptp(direct.force)
     with pytest.raises(ModelError):
         network_of(read_model(out))
 
