@@ -243,8 +243,17 @@ def _read(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
     try:
         with np.load(path, allow_pickle=False) as file:
             return np.asarray(file['contrast']), np.asarray(file['preparation'])
-    # np.load gives a plain array, which is no context manager, for a .npy file.
-    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
+    # np.load gives a plain array, which is no context manager, for a .npy file: TypeError, and
+    # AttributeError before Python 3.11.
+    except (
+        AttributeError,
+        OSError,
+        ValueError,
+        KeyError,
+        EOFError,
+        TypeError,
+        zipfile.BadZipFile,
+    ) as error:
         raise ReferenceFileError(
             f'{path} is not a reference file ({error})', remedy=_REMEDY
         ) from error

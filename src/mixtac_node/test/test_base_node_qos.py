@@ -33,9 +33,9 @@ rclpy.init(args=['--ros-args', *arguments])
 node = Probe('probe', namespace='ns')
 plain = node.create_publisher(Time, 'plain', QOS_EVENTS)
 managed = node.create_lifecycle_publisher(Time, 'managed', QOS_EVENTS)
-heard = node.create_subscription(Time, 'heard', print, QOS_EVENTS)
+heard = node.create_subscription(Time, 'heard', lambda _message: None, QOS_EVENTS)
 node.destroy_subscription(heard)
-again = node.create_subscription(Time, 'heard', print, QOS_EVENTS)
+again = node.create_subscription(Time, 'heard', lambda _message: None, QOS_EVENTS)
 other = node.create_publisher(Time, 'other', QOS_EVENTS)
 print(json.dumps({
     'plain': plain.qos_profile.depth,

@@ -543,7 +543,8 @@ class _NpzTables(_Tables):
         try:
             with np.load(path, allow_pickle=False) as file:
                 columns = {key: file[key] for key in file.files}
-        except (OSError, ValueError, TypeError, zipfile.BadZipFile) as error:
+        # A .npy file is an array, no context manager: AttributeError before Python 3.11.
+        except (AttributeError, OSError, ValueError, TypeError, zipfile.BadZipFile) as error:
             raise RecordingError(f'{path} is no NPZ file of arrays: {error}') from error
         yield from _sliced(columns, name)
 

@@ -163,6 +163,14 @@ def test_bad_tables_are_refused_and_leave_nothing(tmp_path: Path, text: str):
     assert [each.name for each in tmp_path.iterdir()] == ['events.csv']
 
 
+def test_an_array_that_is_no_npz_is_refused(tmp_path: Path):
+    path = tmp_path / 'events.npz'
+    with path.open('wb') as file:
+        np.save(file, np.zeros(3))
+    with pytest.raises(RecordingError):
+        import_recording(path, tmp_path / 'bag')
+
+
 def test_a_bag_is_described_by_its_folders(tmp_path: Path):
     for name in ('static/one', 'static/test/two', 'train/dynamic/three'):
         (tmp_path / name).mkdir(parents=True)
