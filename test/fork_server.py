@@ -3,8 +3,8 @@
 """Processes of nodes under test, forked from a server that has imported their modules before.
 
 Imports and compiled code cost a node 1 to 3 s of processor time, more than most tests need beside.
-A forked node runs its module as `python -m MODULE` does, from the first line of the module to the
-end of the interpreter. The server itself never initialises ROS, and starts no thread.
+A forked node runs the function `main` of its module, as its executable does, to the end of the
+interpreter. The server itself never initialises ROS, and starts no thread.
 
 Run as a script, this is the server.
 """
@@ -18,7 +18,6 @@ import importlib
 import itertools
 import json
 import os
-import runpy
 import signal
 import socket
 import subprocess
@@ -247,7 +246,7 @@ def main() -> None:
     sys.path[:1] = [request['folder'], *added]
     sys.argv = [request['module'], *request['arguments']]
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
-    runpy.run_module(request['module'], run_name='__main__', alter_sys=True)
+    sys.exit(importlib.import_module(request['module']).main())
 
 
 if __name__ == '__main__':

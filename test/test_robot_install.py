@@ -32,7 +32,7 @@ NODES = {
 }
 HIDE = textwrap.dedent(
     """
-    import runpy, sys
+    import importlib, sys
 
     class Hide:
         def find_spec(self, name, path=None, target=None):
@@ -41,7 +41,7 @@ HIDE = textwrap.dedent(
 
     sys.meta_path.insert(0, Hide())
     sys.argv = sys.argv[1:]
-    runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)
+    sys.exit(importlib.import_module(sys.argv[0]).main())
     """
 ).format(hidden=HIDDEN)
 
