@@ -139,9 +139,10 @@ def start_and_end(command: Sequence[str], monitor: Monitor, output: Path) -> dic
 
 def _nodes_of(launch: subprocess.Popen[bytes]) -> list[psutil.Process]:
     try:
-        return psutil.Process(launch.pid).children(recursive=True)
+        nodes: list[psutil.Process] = psutil.Process(launch.pid).children(recursive=True)
     except psutil.NoSuchProcess:
         return []
+    return nodes
 
 
 def summarise(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
