@@ -306,11 +306,8 @@ def faults(
     with Progress(console=console, transient=True) as progress:
         bar = progress.add_task('faults, starts, trials without a fault', total=len(pieces))
         found = store.run(pieces, jobs, lambda: progress.advance(bar))
-    by_sensor, begun, alarms = (
-        found[:sensors],
-        found[sensors : sensors + starts],
-        found[-len(good) :],
-    )
+    by_sensor, begun = found[:sensors], found[sensors : sensors + starts]
+    alarms = false_alarms(found[-len(good) :])
     rows = [fault_row(name, [each[name] for each in by_sensor]) for name in {**SEEN, **UNSEEN}]
     pressed = {name: sum(each[name] for each in begun) for name in begun[0]}
     shown = [

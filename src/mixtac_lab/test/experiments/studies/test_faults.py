@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from mixtac_fger.weights import DEFAULT_MODEL, find_model
@@ -63,6 +65,30 @@ def test_false_alarms_are_rates_over_all_trials():
     assert rates['false_invalid_minutes_in_ten_hours'] == pytest.approx(0.01)
     assert rates['invalid_trials'] == 1
     assert rates['invalid_reasons'] == {'LIGHT_CHANGED': 10, 'CAMERA_MOVED': 20}
+
+
+def test_the_command_reports_faults_alarms_and_starts(two_faults, monkeypatch, tmp_path):
+    fault = {'seconds': 0.1, 'worst': 0.2, 'uncovered': 0.0, 'reasons': {}}
+    given = {
+        'faults': dict.fromkeys(('no frames', 'all black'), fault),
+        'start': {'starts': 1, 'trusted': 0},
+        'good': {'windows': 1000, 'invalid': 1, 'rightly': 0, 'reasons': {'DARK': 1}},
+    }
+
+    class Computed:
+        def __init__(self, _folder):
+            pass
+
+        def run(self, pieces, _jobs, _done):
+            return [given[piece.label] for piece in pieces]
+
+    monkeypatch.setattr(faults, 'Store', Computed)
+    path = tmp_path / 'faults.json'
+    faults.faults(quick=True, hours=0.01, out=tmp_path, jobs=1, json=path)
+    report = json.loads(path.read_text())
+    assert report['pressed'] == {'starts': 3, 'trusted': 0}
+    assert report['invalid_reasons']['DARK'] == report['invalid_trials'] > 0
+    assert [row['fault'] for row in report['rows']] == ['no frames', 'all black']
 
 
 def test_nothing_is_trusted_or_tared_while_pressed(tmp_path):
