@@ -122,7 +122,7 @@ class Touch(NamedTuple):
     Attributes:
         field: Displacement of the beads.
         fit: The contact that explains it best.
-        scale: Of the skin in the picture.
+        scale: Scale of the skin in the picture.
     """
 
     field: DisplacementField
@@ -297,10 +297,7 @@ class ContactTracker:
         finder.find_contacts(settings.scale)
         self.touch: Touch | None = None
         self.frame_us = 0
-        rows, columns = finder.flow.shape[:2]
-        self._carrier = FlowCarrier((rows, columns))
-        self._start = self._carrier.until(0)
-        self._forget()
+        self.clear()
 
     def frame(self, mid_us: int, touch: Touch) -> None:
         """Take a frame.
@@ -347,14 +344,10 @@ class ContactTracker:
 
     def clear(self) -> None:
         """Forget frames and contact."""
+        rows, columns = self._finder.flow.shape[:2]
         self.touch = None
-        rows, columns = self._start.shape[:2]
         self._carrier = FlowCarrier((rows, columns))
-        self._forget()
-
-    def _forget(self) -> None:
-        """Forget the contact, and what belongs to telling it by force and brightness."""
-        rows, columns = self._start.shape[:2]
+        self._start = self._carrier.until(0)
         self._onset = Onset((rows, columns))
         self._touching, self._promised = False, False
         self._end_us, self._since_us, self._ended_us = 0, 0, -AFTER_US

@@ -34,7 +34,7 @@ def series(loads, gain=1.4, turn=0.0, *, left=0.0, noise=0.004, swing=0.0, drift
         noise: Of each estimate [N].
         swing: Amplitude at 3 Hz under a pull [N].
         drift: Change under a pull [N/s].
-        seed: Of the noise.
+        seed: Seed of the noise.
     """
     parts, kept = [np.zeros(int(REST_S * RATE_HZ), complex)], 0j
     for load, way in loads:

@@ -120,7 +120,7 @@ def evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -
     streams = read_streams(out / BAG, DEFAULT_NAMESPACE)
     comparison, refused = None, ''
     try:
-        comparison = compare(streams, aligned(out / BAG))
+        comparison = compare(streams, _aligned(out / BAG))
     except AlignmentError as error:
         refused = str(error)
     pairs = run.clock_pairs if run.waited_s == 0.0 else None
@@ -171,7 +171,7 @@ def evaluate(out: Path, run: Run, seconds: float, seed: int, device_seed: int) -
     return report
 
 
-def aligned(bag: Path) -> ClockFit:
+def _aligned(bag: Path) -> ClockFit:
     """Return the clock map: refined with the frames, or by the taps alone where these contradict.
 
     Raises:
