@@ -13,7 +13,8 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from mixtac_cli.calibrate_force.session import LiveProcedure, Session, from_bag
+from mixtac_cli.calibrate_force.live import LiveProcedure
+from mixtac_cli.calibrate_force.session import Session, from_bag
 from mixtac_cli.options import JsonFile, Namespace, OptionalPath, ParamsFile, ReferenceTopic
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import SERIAL_KEY

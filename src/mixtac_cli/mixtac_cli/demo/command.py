@@ -16,7 +16,7 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console
 
-from mixtac_cli.calibrate_force.session import LiveProcedure
+from mixtac_cli.calibrate_force.live import LiveProcedure
 from mixtac_cli.demo.evaluation import WINDOW_NS
 from mixtac_cli.demo.live_table import PERIOD_S, LiveTable
 from mixtac_cli.demo.report import BAG, PRESET, SIDEWAYS_BAG, Run, evaluate, print_summary
