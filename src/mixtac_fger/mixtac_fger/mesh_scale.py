@@ -20,6 +20,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -155,16 +156,8 @@ def _between(values: F64, row: F64, column: F64) -> F64:
 
 def _smooth(picture: F64, width_px: float) -> F64:
     """Return a picture of `STEP_PX` under a Gaussian of this standard deviation."""
-    reach = round(3.0 * width_px / STEP_PX)
-    shape = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP_PX / width_px) ** 2)
-    shape /= shape.sum()
-    for _ in range(2):
-        padded = np.pad(picture, ((reach, reach), (0, 0)), mode='reflect')
-        rows = len(picture)
-        picture = sum(
-            (share * padded[k : k + rows] for k, share in enumerate(shape)), 0.0 * picture
-        ).T
-    return picture
+    side, width = 2 * round(3.0 * width_px / STEP_PX) + 1, width_px / STEP_PX
+    return np.asarray(cv2.GaussianBlur(picture, (side, side), width), np.float64)
 
 
 @lru_cache(maxsize=1)
