@@ -64,6 +64,11 @@ def test_lost_packets_with_a_restart_of_the_driver(tmp_path, numbers, lost):
     assert streams.lost_packets == lost
 
 
+def _normal(force_n):
+    """Return a normal force with nothing along x and y."""
+    return np.pad(np.reshape(force_n, (-1, 1)), ((0, 0), (2, 0)))
+
+
 def streams_of(force_n, ages_ms, complete_us=(), arrival_ns=()) -> Streams:
     """Return a run with a force every 2 ms, and the age of the frame at each."""
     end_ns = 2_000_000 * np.arange(1, len(force_n) + 1)
@@ -74,13 +79,14 @@ def streams_of(force_n, ages_ms, complete_us=(), arrival_ns=()) -> Streams:
         complete_us=np.array(complete_us, np.int64),
         arrival_ns=np.array(arrival_ns, np.int64),
         force_ns=end_ns,
-        force_n=np.array(force_n),
+        force_n=_normal(force_n),
+        sideways_ns=nothing,
         frame_ages=np.stack([end_ns, 1_000_000 * np.array(ages_ms)], axis=1),
         invalid=0,
         reference_ns=nothing,
         reference_n=np.empty(0),
         truth_ns=nothing,
-        truth_n=np.empty(0),
+        truth_n=_normal(()),
     )
 
 

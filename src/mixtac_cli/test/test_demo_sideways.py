@@ -38,7 +38,7 @@ def run_of(truth, force, unknown=0) -> SidewaysRun:
 
 def test_only_windows_in_contact_count():
     run = run_of(
-        [(0.0, 9.0, 9.0), (0.5, 0.3, -0.4), (0.5, 0.1, 0.0)], [(0, 0), (0.2, -0.4), (0, 0)]
+        [(9.0, 9.0, 0.0), (0.3, -0.4, 0.5), (0.1, 0.0, 0.5)], [(0, 0), (0.2, -0.4), (0, 0)]
     )
     figures = run.figures
     assert figures['sideways_mae_n'] == pytest.approx(0.05)
@@ -140,7 +140,7 @@ def test_the_picture_shows_both_parts(tmp_path):
         rmse_n=0.0,
         constant_mae_n=0.0,
     )
-    run = run_of([(0.5, 0.1, 0.2)] * 20, [(0.1, 0.1)] * 20)
+    run = run_of([(0.1, 0.2, 0.5)] * 20, [(0.1, 0.1)] * 20)
     path = tmp_path / 'demo.png'
     draw_run(path, comparison, (time_s, 1.0 + time_s), [('press', 0.0, 1.0)], 'simulated', run)
     assert path.read_bytes().startswith(b'\x89PNG')

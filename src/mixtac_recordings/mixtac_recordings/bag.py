@@ -218,12 +218,12 @@ class BagFile:
                 yield connection.topic, received_ns, message
 
     def wrenches(self, topic: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the stamps [ns, the topic's own clock] and normal forces [N] of a topic."""
+        """Return the stamps [n] [ns, the topic's own clock] and forces x, y, z [n, 3] [N]."""
         stamps, forces = [], []
         for _, _, message in self.messages(topic):
             stamps.append(stamp_to_ns(message.header.stamp))
-            forces.append(topics.normal_force(message))
-        return np.array(stamps, np.int64), np.array(forces, np.float64)
+            forces.append((*topics.sideways_force(message), topics.normal_force(message)))
+        return np.array(stamps, np.int64), np.array(forces, np.float64).reshape(-1, 3)
 
     def _open(self, *, whole: bool) -> None:
         """Open the bag by its index or, where that fails, its files one by one."""

@@ -84,7 +84,7 @@ def _sideways(
     """Draw the second part: sideways force over time, and places of the contact."""
     forces = figure.add_subplot(forces_at)
     for axis, (name, style) in enumerate((('right', '-'), ('up', '--'))):
-        truth, found = run.truth_n[:, 1 + axis], run.force_n[:, axis]
+        truth, found = run.truth_n[:, axis], run.force_n[:, axis]
         forces.plot(run.time_s, truth, style, color=REFERENCE, lw=1.4, label=f'{name}, simulated')
         forces.plot(run.time_s, found, style, color=FORCE, lw=1.0, label=f'{name}, estimate')
     forces.set(xlabel='time of the second part [s]', ylabel='sideways force [N]')

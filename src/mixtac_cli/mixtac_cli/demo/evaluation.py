@@ -45,14 +45,15 @@ class Streams:
         complete_us: Time up to which each event packet is complete, camera clock [us], int64.
         arrival_ns: Arrival of each event packet at the host [ns], int64.
         force_ns: Ends of the force windows, camera clock [ns], int64.
-        force_n: Estimated normal force [N].
+        force_n: Estimated force, x, y and normal, shape (N, 3) [N].
+        sideways_ns: Those of the windows whose force along x and y is known, int64.
         frame_ages: (end of the window [ns, camera clock], age of the latest frame [ns]) of each
             force, shape (N, 2), int64.
         invalid: Forces that are marked as not valid.
         reference_ns: Stamps of the reference, reference clock [ns], int64.
         reference_n: Reference normal force [N].
         truth_ns: Stamps of the simulated force, host clock [ns], int64.
-        truth_n: Simulated normal force [N].
+        truth_n: Simulated force, x, y and normal, shape (N, 3) [N].
     """
 
     event_t_us: NDArray[np.int64]
@@ -61,6 +62,7 @@ class Streams:
     arrival_ns: NDArray[np.int64]
     force_ns: NDArray[np.int64]
     force_n: NDArray[np.float64]
+    sideways_ns: NDArray[np.int64]
     frame_ages: NDArray[np.int64]
     invalid: int
     reference_ns: NDArray[np.int64]
@@ -105,7 +107,7 @@ def read_streams(path: Path, namespace: str) -> Streams:
         RecordingError: A topic is missing or the bag is damaged.
     """
     times: list[NDArray[np.int64]] = []
-    complete_us, arrival_ns, ages = [], [], []
+    complete_us, arrival_ns, ages, known_ns = [], [], [], []
     events, quality = (each.resolved(namespace) for each in (topics.EVENTS, topics.FORCE_QUALITY))
     counter, invalid = SequenceCounter(), 0
     with BagFile(path) as bag:
@@ -114,6 +116,8 @@ def read_streams(path: Path, namespace: str) -> Streams:
             if topic == quality:
                 ages.append((stamp_ns, round(1e9 * message.frame_age)))
                 invalid += not message.valid
+                if message.sideways_known:
+                    known_ns.append(stamp_ns)
                 continue
             counter.update(message.seq)
             packet = decode_message(message)
@@ -121,7 +125,7 @@ def read_streams(path: Path, namespace: str) -> Streams:
             complete_us.append(packet.complete_until)
             arrival_ns.append(stamp_ns)
         force = bag.wrenches(topics.FORCE.resolved(namespace))
-        reference = bag.wrenches(topics.REFERENCE)
+        reference_ns, reference = bag.wrenches(topics.REFERENCE)
         truth = bag.wrenches(topics.TRUTH_WRENCH.resolved(namespace))
     event_t_us = np.concatenate(times) if times else np.empty(0, np.int64)
     return Streams(
@@ -130,9 +134,11 @@ def read_streams(path: Path, namespace: str) -> Streams:
         np.array(complete_us, np.int64),
         np.array(arrival_ns, np.int64),
         *force,
+        np.array(known_ns, np.int64),
         np.array(ages, np.int64).reshape(-1, 2),
         invalid,
-        *reference,
+        reference_ns,
+        reference[:, 2],
         *truth,
     )
 
@@ -148,7 +154,7 @@ def compare(streams: Streams, fit: ClockFit) -> Comparison:
     force_us = streams.force_ns // 1000
     first_us, last_us = fit.anchors[0].camera_us - EDGE_US, fit.anchors[-1].camera_us + EDGE_US
     inside = (force_us >= first_us) & (force_us <= last_us)
-    estimate = streams.force_n[inside]
+    estimate = streams.force_n[inside, 2]
     samples, zeros = _less_zero(
         reference_us, streams.reference_n, fit.anchors[0].camera_us, fit.anchors[-1].camera_us
     )
@@ -227,8 +233,8 @@ def truth_mae(streams: Streams, clock_pairs: NDArray[np.int64] | None) -> float:
     inside = (host_ns >= streams.truth_ns[0]) & (host_ns <= streams.truth_ns[-1])
     if clock_pairs is not None:
         inside &= streams.force_ns >= clock_pairs[0, 1]
-    truth = np.interp(host_ns[inside], streams.truth_ns, streams.truth_n)
-    return float(np.abs(streams.force_n[inside] - truth).mean())
+    truth = np.interp(host_ns[inside], streams.truth_ns, streams.truth_n[:, 2])
+    return float(np.abs(streams.force_n[inside, 2] - truth).mean())
 
 
 def mae(comparison: Comparison, factor: float = 1.0) -> float:
@@ -264,7 +270,7 @@ def _between(
 
 def frame_jump(streams: Streams) -> float | None:
     """Return the mean change of the force at frames over that between them; None without frames."""
-    change = np.abs(np.diff(streams.force_n))
+    change = np.abs(np.diff(streams.force_n[:, 2]))
     ages = dict(streams.frame_ages.tolist())
     age = np.array([ages.get(end_ns, -1) for end_ns in streams.force_ns.tolist()])
     in_order = np.diff(streams.force_ns) == WINDOW_NS

@@ -14,7 +14,6 @@ import numpy as np
 
 from mixtac_cli.demo.evaluation import host_time, read_streams
 from mixtac_node import topics
-from mixtac_node.stamps import stamp_to_ns
 from mixtac_recordings.bag import BagFile
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.world.device import draw_conditions
@@ -40,7 +39,7 @@ class SidewaysRun:
     Attributes:
         time_s: Ends of the windows since the first, float64 [n].
         force_n: Estimated sideways force, right and up in the image [n, 2] [N].
-        truth_n: Simulated normal and sideways force, z, x, y [n, 3] [N].
+        truth_n: Simulated force, x, y and normal [n, 3] [N].
         unknown: Windows in contact without a sideways force.
         place_mm: Estimated places of the contact [m, 2].
         path_mm: Simulated path of the indenter [k, 2].
@@ -56,8 +55,8 @@ class SidewaysRun:
     @property
     def figures(self) -> dict[str, float | int | None]:
         """`sideways_mae_n`, `sideways_size_n`, `sideways_peak_n` and `sideways_unknown`."""
-        touched = self.truth_n[:, 0] > TOUCHED_N
-        truth, found = self.truth_n[touched, 1:], self.force_n[touched]
+        touched = self.truth_n[:, 2] > TOUCHED_N
+        truth, found = self.truth_n[touched, :2], self.force_n[touched]
         known = len(truth) > 0
         return {
             'sideways_mae_n': float(np.abs(found - truth).mean()) if known else None,
@@ -96,37 +95,25 @@ def read_sideways(bag: Path, namespace: str, path_mm: NDArray[np.float64]) -> Si
     Raises:
         RecordingError: A topic is missing or the bag is damaged.
     """
-    force, truth, quality, contact = (
-        each.resolved(namespace)
-        for each in (topics.FORCE, topics.TRUTH_WRENCH, topics.FORCE_QUALITY, topics.CONTACT)
-    )
     streams = read_streams(bag, namespace)
-    wrenches: dict[str, list[tuple[float, float, float]]] = {force: [], truth: []}
-    knows: set[int] = set()
-    places = []
     with BagFile(bag) as opened:
-        for topic, _, message in opened.messages(force, truth, quality, contact):
-            if topic == quality:
-                if message.sideways_known:
-                    knows.add(stamp_to_ns(message.header.stamp))
-            elif topic == contact:
-                if message.located:
-                    places.append((1e3 * message.position.x, 1e3 * message.position.y))
-            else:
-                each = message.wrench.force
-                wrenches[topic].append((each.z, each.x, each.y))
+        places = [
+            (1e3 * message.position.x, 1e3 * message.position.y)
+            for _, _, message in opened.messages(topics.CONTACT.resolved(namespace))
+            if message.located
+        ]
     # The clock of the camera stood still while the scenario was computed.
     host_ns = host_time(streams, streams.force_ns, None)
     inside = (host_ns >= streams.truth_ns[0]) & (host_ns <= streams.truth_ns[-1])
-    true = np.array(wrenches[truth])
-    at = np.stack([np.interp(host_ns, streams.truth_ns, column) for column in true.T], axis=1)
-    known = np.array([stamp in knows for stamp in streams.force_ns.tolist()], np.bool_)
+    true = [np.interp(host_ns, streams.truth_ns, column) for column in streams.truth_n.T]
+    at = np.stack(true, axis=1)
+    known = np.isin(streams.force_ns, streams.sideways_ns)
     kept = inside & known
     return SidewaysRun(
         time_s=1e-9 * (streams.force_ns[kept] - streams.force_ns[0]),
-        force_n=np.array(wrenches[force])[kept, 1:],
+        force_n=streams.force_n[kept, :2],
         truth_n=at[kept],
-        unknown=int((inside & ~known & (at[:, 0] > TOUCHED_N)).sum()),
+        unknown=int((inside & ~known & (at[:, 2] > TOUCHED_N)).sum()),
         place_mm=np.array(places, np.float64).reshape(-1, 2),
         path_mm=path_mm,
     )
