@@ -36,6 +36,7 @@ Changes = dict[str, tuple[str, dict[str, Any], dict[str, Any]]]
 PAPER_CHOICES: Changes = {
     FGER_REFERENCE: (FGER, {'light': 'reference'}, {}),
     'fger_continuous': (FGER, {'correction': 'continuous'}, {}),
+    'fger_periodic': (FGER, {'correction': 'periodic'}, {}),
     'fger_batch_norm': (FGER, {'norm': 'batch'}, {}),
     'fger_intensity': (FGER, {'light': 'intensity'}, {}),
     FGER_AS_STATED: (

@@ -12,8 +12,9 @@ from mixtac_fger.config import ConfigError, from_mapping, to_mapping
 
 MODELS = ('fger', 'frames', 'events', 'fusion')
 """FGER-Net; frames only; events only; feature level deep fusion."""
-CORRECTIONS = ('continuous', 'periodic')
-"""What is given out: every window corrected by the latest frame, or only where one arrives."""
+CORRECTIONS = ('continuous', 'periodic', 'spread')
+"""What is given out: every window corrected by the latest frame, or only where one arrives, or each
+correction in equal parts over the cycle after it."""
 LIGHTS = ('intensity', 'relative', 'reference')
 """What the frame network sees: intensities; their logarithm less its mean over the frame, which
 takes out lamp and exposure; or that less the same of the trial's first frames, without contact."""
@@ -64,7 +65,7 @@ class PaperConfig:
     increment_size: int = 135
     correction_size: int = 128
     sparse_channels: tuple[int, ...] = (16, 32, 64)
-    correction: str = 'periodic'
+    correction: str = 'spread'
     light: str = 'relative'
     norm: str = 'group'
 

@@ -57,6 +57,8 @@ class PaperState(NamedTuple):
         force: Estimate [B] in N.
         feature: Feature of the latest frame [B, channels].
         seen: Whether there is one, bool [B].
+        withheld: Part of `force` that is not given out yet [B] in N (`spread`).
+        share: What each window gives out of it [B] in N.
     """
 
     hidden: Tensor
@@ -64,6 +66,8 @@ class PaperState(NamedTuple):
     force: Tensor
     feature: Tensor
     seen: Tensor
+    withheld: Tensor
+    share: Tensor
 
 
 POINT_SIZE = 4
@@ -396,7 +400,8 @@ class RecurrentModel(nn.Module):
         zeros = like.new_zeros(sequences, self.config.lstm_size)
         feature = like.new_zeros(sequences, self.config.channels)
         seen = torch.zeros(sequences, dtype=torch.bool, device=like.device)
-        return PaperState(zeros, zeros.clone(), like.new_zeros(sequences), feature, seen)
+        force, withheld, share = like.new_zeros(3, sequences)
+        return PaperState(zeros, zeros.clone(), force, feature, seen, withheld, share)
 
 
 class EventsOnly(RecurrentModel):
@@ -425,9 +430,11 @@ class FgerPaper(RecurrentModel):
     """FGER-Net.
 
     The estimate that is carried on is corrected once per cycle, by the frame whose arrival ends
-    it. `PaperConfig.correction` applies to what is given out, in training as in use: with
+    it. `PaperConfig.correction` applies to what is given out, in training as in use. With
     `continuous` every window's estimate is corrected by the latest frame. That correction is not
-    carried on: fed back 500 times a second it is unstable.
+    carried on: fed back 500 times a second it is unstable. With `spread` each correction, after
+    the first, is given out in equal parts over the windows of the next cycle, so that the force
+    does not jump at frames.
 
     Args:
         config: Shapes.
@@ -476,13 +483,24 @@ class FgerPaper(RecurrentModel):
         state = self.recurrence.step(features, state)
         fresh = slots >= 0
         if arrives:
+            known, before = state.seen, state.force
             state = _see(state, frames, slots)
             force = torch.where(fresh, self.corrected(state.force, state.feature), state.force)
             state = state._replace(force=force)
+            if self.config.correction == 'spread':
+                withheld = state.withheld + torch.where(known, force - before, 0.0)
+                windows = CYCLE_US // self.config.window_us
+                share = torch.where(fresh, withheld / windows, state.share)
+                state = state._replace(withheld=withheld, share=share)
         given = state.force
         if self.config.correction == 'continuous':
             corrected = self.corrected(given, state.feature)
             given = torch.where(state.seen & ~fresh, corrected, given)
+        elif self.config.correction == 'spread':
+            more = state.withheld.abs() > state.share.abs()
+            withheld = torch.where(more, state.withheld - state.share, 0.0)
+            state = state._replace(withheld=withheld)
+            given = state.force - withheld
         return given, state
 
     def corrected(self, force: Tensor, feature: Tensor) -> Tensor:
@@ -515,7 +533,8 @@ class FrameModel(nn.Module):
         device = next(self.parameters()).device
         none = torch.zeros(sequences, 0, device=device)
         seen = torch.zeros(sequences, dtype=torch.bool, device=device)
-        return PaperState(none, none, torch.zeros(sequences, device=device), none, seen)
+        force, withheld, share = torch.zeros(3, sequences, device=device)
+        return PaperState(none, none, force, none, seen, withheld, share)
 
     def features(self, frames: Tensor, event_frames: Tensor) -> Tensor:
         """Return what the head reads of each frame, [N, size]; inputs as in `SegmentBatch`."""

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from mixtac_learning.network import count_parameters
-from mixtac_learning.paper.config import MODELS, NORMS, PaperConfig
+from mixtac_learning.paper.config import CORRECTIONS, MODELS, NORMS, PaperConfig
 from mixtac_learning.paper.networks import (
     PointEncoder,
     SegmentBatch,
@@ -53,7 +53,7 @@ def batch() -> SegmentBatch:
     )
 
 
-def algorithm_1(network, batch: SegmentBatch, column: int, continuous: bool) -> list[float]:
+def algorithm_1(network, batch: SegmentBatch, column: int, correction: str) -> list[float]:
     """Run one sequence, line by line as the paper writes it, in NumPy where it can be."""
     weights = {name: value.detach().numpy() for name, value in network.named_parameters()}
 
@@ -68,6 +68,7 @@ def algorithm_1(network, batch: SegmentBatch, column: int, continuous: bool) -> 
     latest = features[batch.before[column]] if batch.before[column] >= 0 else None
     h = c = np.zeros(network.config.lstm_size)
     f, out = 0.0, []
+    withheld, since = 0.0, 0
     for window in range(WINDOWS):
         own = batch.points[batch.packet == window * SEQUENCES + column].numpy()
         f_e = np.zeros(network.config.event_widths[-1])
@@ -87,22 +88,25 @@ def algorithm_1(network, batch: SegmentBatch, column: int, continuous: bool) -> 
         slot = int(batch.slots[window, column])
         given = f
         if slot >= 0:
-            latest = features[slot]
-            f = given = f + perceptron('correction', np.concatenate([[f], latest]))
-        elif continuous and latest is not None:
+            step = perceptron('correction', np.concatenate([[f], features[slot]]))
+            withheld = withheld * (1 - since / 20) + (step if latest is not None else 0.0)
+            latest, since = features[slot], 0
+            f = given = f + step
+        elif correction == 'continuous' and latest is not None:
             given = f + perceptron('correction', np.concatenate([[f], latest]))
-        out.append(given)
+        since += 1
+        out.append(given - withheld * (1 - since / 20) if correction == 'spread' else given)
     return out
 
 
-@pytest.mark.parametrize('correction', ['periodic', 'continuous'])
+@pytest.mark.parametrize('correction', CORRECTIONS)
 def test_fger_net_is_algorithm_1(batch, correction):
     torch.manual_seed(0)
     network = build(replace(SMALL, correction=correction)).eval()
     with torch.no_grad():
         force, _ = network(batch, network.initial_state(SEQUENCES))
         for column in range(SEQUENCES):
-            wanted = algorithm_1(network, batch, column, correction == 'continuous')
+            wanted = algorithm_1(network, batch, column, correction)
             assert force[:, column].tolist() == pytest.approx(wanted, abs=1e-5)
 
 
@@ -117,6 +121,27 @@ def test_another_lamp_and_exposure_change_nothing(light):
     assert torch.allclose(dim, bright, atol=1e-5)
     # Nor does what else is in the batch.
     assert torch.allclose(2 * alone, 2 * network.frame_force(frames, frames)[:1], atol=1e-5)
+
+
+def test_a_correction_is_given_out_within_one_cycle():
+    torch.manual_seed(0)
+    spread = build(replace(SMALL, correction='spread')).eval()
+    network = build(replace(SMALL, correction='periodic')).eval()
+    network.load_state_dict(spread.state_dict())
+    events, frames = torch.zeros(1, 10), torch.rand(2, 8)
+    state = [each.initial_state(1) for each in (network, spread)]
+    with torch.no_grad():
+        for window in range(45):
+            slots = torch.tensor([{0: 0, 20: 1}.get(window, -1)])
+            given = []
+            for index, each in enumerate((network, spread)):
+                arrives = bool(slots >= 0)
+                force, state[index] = each.window(
+                    events, frames, slots, state[index], arrives=arrives
+                )
+                given.append(float(force))
+            # The first frame is used at once, the second within the 20 windows after it.
+            assert (given[0] == pytest.approx(given[1], abs=1e-6)) == (not 20 <= window < 39)
 
 
 def test_both_normalisations_have_the_stated_size():

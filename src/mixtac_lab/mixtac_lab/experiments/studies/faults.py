@@ -206,14 +206,18 @@ def judge_good(_: Path, weights: Path, spec: TrialSpec) -> dict[str, Any]:
 
 
 def false_alarms(found: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return how often forces of trials without a fault are not valid, from `judge_good`."""
+    """Return how often forces of trials without a fault are not valid, from `judge_good`.
+
+    Falsely, where the force was right; `rightly`, where it was not.
+    """
     hours = sum(each['windows'] for each in found) * 2e-3 / 3600.0
-    invalid = sum(each['invalid'] for each in found)
+    rightly = sum(each['rightly'] for each in found)
+    falsely = sum(each['invalid'] for each in found) - rightly
     reasons = sum((Counter(each['reasons']) for each in found), Counter())
     return {
-        'false_invalid_per_hour': invalid / hours,
-        'false_invalid_minutes_in_ten_hours': invalid * 2e-3 / 60.0 / hours * 10.0,
-        'rightly_invalid_per_hour': sum(each['rightly'] for each in found) / hours,
+        'false_invalid_per_hour': falsely / hours,
+        'false_invalid_minutes_in_ten_hours': falsely * 2e-3 / 60.0 / hours * 10.0,
+        'rightly_invalid_per_hour': rightly / hours,
         'invalid_trials': sum(each['invalid'] > 0 for each in found),
         'invalid_reasons': dict(reasons),
         'hours_without_fault': hours,

@@ -60,9 +60,9 @@ def test_false_alarms_are_rates_over_all_trials():
     }
     rates = faults.false_alarms([one, two])
     assert rates['hours_without_fault'] == pytest.approx(1.0)
-    assert rates['false_invalid_per_hour'] == pytest.approx(30.0)
+    assert rates['false_invalid_per_hour'] == pytest.approx(20.0)
     assert rates['rightly_invalid_per_hour'] == pytest.approx(10.0)
-    assert rates['false_invalid_minutes_in_ten_hours'] == pytest.approx(0.01)
+    assert rates['false_invalid_minutes_in_ten_hours'] == pytest.approx(0.4 / 60)
     assert rates['invalid_trials'] == 1
     assert rates['invalid_reasons'] == {'LIGHT_CHANGED': 10, 'CAMERA_MOVED': 20}
 
