@@ -296,6 +296,10 @@ class WindowFeatures:
             out[..., :2] = 0.0
 
 
+EXPOSED_WINDOWS = 2
+"""Windows before and after the centre of an exposure that its frame is the mean of."""
+
+
 def correction_lag(estimate_us: int, mid_us: int, window_us: int) -> int:
     """Return how many windows before the estimate at `estimate_us` the one nearest `mid_us` is.
 

@@ -11,15 +11,19 @@ c over the next :math:`N` windows, an equal share in each:
 where the pending part p grows by c and n starts over when a frame corrects. What exceeds three
 standard deviations is applied at once: that is news, not noise. The deviation :math:`\sigma` of the
 output is :math:`\sqrt{\sigma_t^2 + p_t^2}`.
+
+While the force vibrates, the network forgets within a window what a frame has told it: events of
+both signs in turn draw F to where it was. Frames then correct the output: see `Vibration`.
 """
 
 from __future__ import annotations
 
 import math
 import threading
+from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -35,7 +39,7 @@ from mixtac_fger.config import (
 )
 from mixtac_fger.contact_tracking import TouchMeter
 from mixtac_fger.estimator import EncodedFrame
-from mixtac_fger.features import EventGuide, FramePreparation, WindowFeatures
+from mixtac_fger.features import EXPOSED_WINDOWS, EventGuide, FramePreparation, WindowFeatures
 from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
 from mixtac_fger.recurrent_network import RecurrentPath
 from mixtac_fger.reference import Reference
@@ -99,6 +103,96 @@ def checked_config(model: Model) -> FgerConfig:
                 remedy=MODEL_REMEDY,
             )
     return config
+
+
+class Vibration:
+    r"""Recognises a force that vibrates, and follows its mean by frames.
+
+    The force vibrates where the sum of the increments turned back `TURNS` times by `SWING_N` or
+    more within the latest `SPAN` windows, until fewer than `TURNS_LEFT` turns are left or there was
+    none in `QUIET` windows: 50 Hz turn twelve times, and rebounds have rest between them. Then the
+    output is
+
+    .. math:: f_t = F_t + o, \quad o \leftarrow o + k (F_{frame} - \bar F - o),
+
+    where the mean is over the exposure; k is 1 for the first frame and `SHARE` for each after it.
+    The deviation follows the phase of a vibration, but not the error: it is at least its mean over
+    a frame interval, and what frames differ by adds to it.
+
+    Args:
+        unit: What one newton of the constants is; see `FgerConfig.force_unit`.
+
+    Attributes:
+        active: Whether the force vibrates.
+        offset: What frames add to the force [N].
+        misfit: Root mean square by which they differed from it [N].
+    """
+
+    SWING_N: Final = 0.02
+    SPAN: Final = 60
+    TURNS: Final = 12
+    TURNS_LEFT: Final = 9
+    QUIET: Final = 10
+    SHARE: Final = 0.5
+    MEAN_WINDOWS: Final = 20
+
+    def __init__(self, unit: float) -> None:
+        self._swing = unit * self.SWING_N
+        self._turns: deque[int] = deque()
+        self.offset = self.misfit = self._mean_deviation = 0.0
+        self._compared = False
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.active = False
+        self._turns.clear()
+        self._window, self._way = 0, 1.0
+        self._sum = self._farthest = 0.0
+        self.end()
+
+    def step(self, increment: float) -> None:
+        """Take the change of the force in a window, without corrections [N]."""
+        self._window += 1
+        self._sum += increment
+        ahead = self._way * (self._sum - self._farthest)
+        if ahead > 0.0:
+            self._farthest = self._sum
+        elif ahead < -self._swing:
+            self._way, self._farthest = -self._way, self._sum
+            self._turns.append(self._window)
+        if self._turns and self._turns[-1] <= self._window - self.QUIET:
+            self._turns.clear()
+        while self._turns and self._turns[0] <= self._window - self.SPAN:
+            self._turns.popleft()
+        self.active = len(self._turns) >= (self.TURNS_LEFT if self.active else self.TURNS)
+
+    def correct(self, difference: float) -> float:
+        """Take a frame and return how the offset changes [N].
+
+        Args:
+            difference: The frame's force, less the mean of F in its exposure [N].
+        """
+        change = difference - self.offset
+        if self._compared:
+            self.misfit = math.sqrt(self.misfit**2 + self.SHARE * (change**2 - self.misfit**2))
+            change *= self.SHARE
+        self._compared = True
+        self.offset += change
+        return change
+
+    def deviation(self, deviation: float) -> float:
+        """Return the standard deviation, given that of the network in each window [N]."""
+        mean = self._mean_deviation or deviation
+        self._mean_deviation = mean + (deviation - mean) / self.MEAN_WINDOWS
+        return math.hypot(max(deviation, mean), self.misfit)
+
+    def end(self) -> float:
+        """Return the offset of a vibration that has ended, and forget it."""
+        offset, self.offset = self.offset, 0.0
+        self.misfit = self._mean_deviation = 0.0
+        self._compared = False
+        return offset
 
 
 CALIBRATED_DEVIATION = 0.58
@@ -189,6 +283,7 @@ class FgerEstimator:
         self._features = np.zeros(self._window_features.shape, np.float32)
         self._guide: EventGuide | None = None
         self._pending_n, self._pending_windows = 0.0, 0
+        self._vibration = Vibration(config.force_unit)
         self._touch: TouchMeter | None = None
         self._shear = ShearHead(config, model.tensors) if config.shear else None
 
@@ -238,6 +333,11 @@ class FgerEstimator:
             self._touch = None if scale is None else TouchMeter(self.config, scale)
 
     @property
+    def vibrating(self) -> bool:
+        """Whether the force vibrates; see `Vibration`."""
+        return self._vibration.active
+
+    @property
     def shear(self) -> Shear | None:
         """Sideways force and torsion after the latest window; None where they are unknown."""
         return None if self._shear is None else self._shear.value
@@ -268,7 +368,11 @@ class FgerEstimator:
 
     def correct(self, frame: EncodedFrame, lag: int) -> None:
         """Correct the estimate at the centre of the exposure, and with it all later ones."""
-        self._pending_n += self._path.correct(frame.content.feature, lag)
+        if self._vibration.active:
+            then = self._path.mean(lag, EXPOSED_WINDOWS)
+            self._pending_n += self._vibration.correct(frame.force - then)
+        else:
+            self._pending_n += self._path.correct(frame.content.feature, lag)
         self._pending_windows = SPREAD_WINDOWS
         self._guide = frame.content.guide
         if self._shear is not None:
@@ -277,6 +381,7 @@ class FgerEstimator:
     def start_at(self, frame: EncodedFrame) -> None:
         """Start over at the frames-only force."""
         self._pending_n = 0.0
+        self._vibration.clear()
         # A start at zero would take several frames to recover from, if in contact.
         self._path.start_at(frame.force)
         self._guide = frame.content.guide
@@ -288,7 +393,19 @@ class FgerEstimator:
         """Advance by one window; returns force and standard deviation [N]."""
         assert self._guide is not None  # noqa: S101  (the caller waits for a frame)
         self._window_features.compute(events, self._guide, self._features)
-        force, deviation = self._path.step(self._features), self._path.deviation
+        path, vibration = self._path, self._vibration
+        before, vibrated = path.force, vibration.active
+        force, deviation = path.step(self._features), path.deviation
+        vibration.step(force - before)
+        if vibration.active and not vibrated:
+            # The network has forgotten what frames told it.
+            self._pending_n = 0.0
+        if vibrated:
+            force += vibration.offset
+            if deviation is not None:
+                deviation = vibration.deviation(deviation)
+            if not vibration.active:
+                path.shift(vibration.end())
         if self._shear is not None:
             self._shear.step(self._features, force)
         if self._pending_n == 0.0:
@@ -304,6 +421,7 @@ class FgerEstimator:
     def clear(self) -> None:
         """Forget the recurrent state."""
         self._pending_n = 0.0
+        self._vibration.clear()
         self._path.clear()
         if self._shear is not None:
             self._shear.clear()

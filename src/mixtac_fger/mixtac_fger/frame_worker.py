@@ -8,7 +8,7 @@ import contextlib
 import queue
 import threading
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from mixtac_fger.features import ImageError
 from mixtac_node.images import ImageConversionError
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from mixtac_fger.contact_tracking import Touch
     from mixtac_fger.estimator import EncodedFrame, Estimator, Image
 
+Job: TypeAlias = 'tuple[Image | Callable[[], Image], int, bool]'
+"""A frame, the centre of its exposure [us], and whether its contact is wanted."""
 UNFETCHED_FRAMES = 4
 """Encoded frames that wait to be fetched; beyond that the oldest are dropped."""
 NICENESS = 5
@@ -32,7 +34,6 @@ class FrameWorker:
     Attributes:
         refused: Frames of a size that the model does not read.
         problem: Why the latest of these was refused.
-        feels: Whether the contact is wanted; may be changed at any time.
         felt: Centre of the exposure [us] and contact of the latest frame whose contact is known.
 
     Args:
@@ -41,13 +42,14 @@ class FrameWorker:
 
     def __init__(self, estimator: Estimator) -> None:
         self._estimator = estimator
-        self._inbox: queue.Queue[tuple[Image | Callable[[], Image], int] | None] = queue.Queue()
+        self._inbox: queue.Queue[tuple[Image | Callable[[], Image], int, bool] | None] = (
+            queue.Queue()
+        )
         self._outbox: deque[EncodedFrame] = deque()
         self._thread = threading.Thread(target=self._run, name='fger_frames', daemon=True)
         self._replaced = self._unfetched = 0
         self.refused = 0
         self.problem = ''
-        self.feels = True
         self.felt: tuple[int, Touch] | None = None
         self._closed = False
         self._thread.start()
@@ -62,13 +64,13 @@ class FrameWorker:
         """Frames replaced by a newer one before they were encoded or fetched."""
         return self._replaced + self._unfetched
 
-    def push(self, image: Image | Callable[[], Image], mid_us: int) -> None:
-        """Take a frame, see `ForceEstimator.push_frame`."""
+    def push(self, image: Image | Callable[[], Image], mid_us: int, *, feels: bool = True) -> None:
+        """Take a frame, see `ForceEstimator.push_frame`; `feels` asks for its contact."""
         with contextlib.suppress(queue.Empty):
             while self._inbox.get_nowait() is not None:
                 self._inbox.task_done()
                 self._replaced += 1
-        self._inbox.put((image, mid_us))
+        self._inbox.put((image, mid_us, feels))
 
     def results(self) -> list[EncodedFrame]:
         """Return the frames encoded since the last call, oldest first."""
@@ -93,8 +95,9 @@ class FrameWorker:
     def _run(self) -> None:
         lower_priority(NICENESS)
         while (job := self._inbox.get()) is not None:
+            image, mid_us, feels = job
             try:
-                encoded = self._estimator.encode(seen(job[0]), job[1])
+                encoded = self._estimator.encode(seen(image), mid_us)
             except (ImageError, ImageConversionError) as error:
                 self.refused += 1
                 self.problem = str(error)
@@ -102,7 +105,7 @@ class FrameWorker:
                 if encoded is not None:
                     # The force waits for nothing.
                     self._hand_out(encoded)
-                    if self.feels:
+                    if feels:
                         self.felt = feel(encoded) or self.felt
             self._inbox.task_done()
 

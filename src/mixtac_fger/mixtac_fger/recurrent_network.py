@@ -434,6 +434,23 @@ class RecurrentPath:
         self._state.force[0] += change
         return float(change)
 
+    def mean(self, lag: int, half: int) -> float:
+        """Return the mean of past estimates [N].
+
+        Args:
+            lag: Windows between the last estimate and their middle.
+            half: Windows before and after it, fewer where there are none after it yet.
+        """
+        half = min(half, lag)
+        places = np.arange(self._newest - lag - half, self._newest - lag + half + 1)
+        return float(self._history.take(places, mode='wrap').mean())
+
+    def shift(self, change: float) -> None:
+        """Change the estimate and its past [N]."""
+        self._history += np.float32(change)
+        self._state.force[0] += change
+        self._response.forget_frame()
+
     def step(self, features: F32) -> float:
         """Advance by one window and return the force [N] at its end.
 

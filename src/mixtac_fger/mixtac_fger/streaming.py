@@ -35,7 +35,7 @@ from mixtac_events.windows import WindowSlicer
 from mixtac_fger import comparisons
 from mixtac_fger.contact_tracking import ContactSettings, contact_tracker
 from mixtac_fger.estimator import Estimate, EstimatorCounters, EstimatorStatus, known_shear
-from mixtac_fger.features import correction_lag
+from mixtac_fger.features import EXPOSED_WINDOWS, correction_lag
 from mixtac_fger.frame_worker import FrameWorker, feel, seen
 from mixtac_fger.reference import Reference, TareError, ZeroWatch
 from mixtac_fger.validity import (
@@ -231,8 +231,6 @@ class ForceEstimator:
         if wanted and not self._contact_wanted and self.contact is not None:
             self.contact.clear()
         self._contact_wanted = wanted
-        if self._worker is not None:
-            self._worker.feels = wanted
 
     @property
     def size(self) -> tuple[int, int]:
@@ -273,7 +271,7 @@ class ForceEstimator:
                 `EstimatorStatus.bad_frames` instead).
         """
         if self._worker is not None:
-            self._worker.push(image, mid_us)
+            self._worker.push(image, mid_us, feels=self._contact_wanted)
             return
         encoded = self._estimator.encode(seen(image), mid_us)
         if encoded is not None:
@@ -478,8 +476,19 @@ class ForceEstimator:
         shear = known_shear(self._estimator, self.force_scale, self.sideways_scale)
         return Estimate(end_us, force, deviation, age_us, complete, saturated, reason, found, shear)
 
-    def _check(self, frame: EncodedFrame, then: float | None) -> None:
-        self._validity.frame(frame.mid_us, frame.contrast, frame.picture, frame.force, then)
+    def _check(self, frame: EncodedFrame, lag: int | None) -> None:
+        """Check a frame that was exposed so many windows before the last estimate."""
+        picture = frame.picture
+        # Only some estimators tell; and what nothing touches only seems to vibrate.
+        vibrating = getattr(self._estimator, 'vibrating', False)
+        vibrating = vibrating and (picture is None or picture.outward > CONTACT)
+        half = EXPOSED_WINDOWS * vibrating
+        around = () if lag is None else range(max(lag - half, 0), lag + half + 1)
+        known = [self._recent[-1 - each] for each in around if each < len(self._recent)]
+        then = sum(known) / len(known) if known else None
+        self._validity.frame(
+            frame.mid_us, frame.contrast, picture, frame.force, then, vibrating=vibrating
+        )
         if frame.picture is not None:
             self._release.frame(frame.picture)
             self._watch_zero(frame.force, abs(frame.picture.outward) < CONTACT)
@@ -536,8 +545,7 @@ class ForceEstimator:
         else:
             width = self._width_us
             lag = correction_lag(end_us - width, frame.mid_us, width)
-            then = self._recent[-1 - lag] if lag < len(self._recent) else None
-            self._check(frame, then)
+            self._check(frame, lag)
             self._estimator.correct(frame, lag)
         self._frame = frame
         self._saturated = False

@@ -225,7 +225,7 @@ class Validity:
         self._anchor: F32 | None = None
         self._signs = np.zeros((0, 0), np.float32)
         self._age = self._untold = self._low = self._unalike = 0
-        self._busy = False
+        self._busy = self._vibrating = False
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
         self._frames, self._marks = _Recent(), _Recent()
 
@@ -263,6 +263,8 @@ class Validity:
         picture: PictureFigures | None,
         force: float,
         estimate: float | None,
+        *,
+        vibrating: bool = False,
     ) -> None:
         """Take a frame that corrects the estimate.
 
@@ -272,8 +274,18 @@ class Validity:
             picture: Comparison with the reference; None without one.
             force: Its force [N].
             estimate: Estimate at the centre of its exposure [N]; None if there is none.
+            vibrating: The force vibrates, and the skin moves to and fro within an exposure: the
+                frame is neither compared with the events nor a picture of rest.
         """
         found = set() if picture is None else picture_findings(picture)
+        if vibrating and not self._vibrating:
+            # What was found was the vibration, and this is the first frame to lead the estimate.
+            self._held.pop(Reason.EVENTS_DISAGREE, None)
+            self._held.pop(Reason.EVENTS_WITHOUT_MOTION, None)
+            self._disagreements.clear()
+            self._untold = self._unalike = self._low = 0
+            estimate = None
+        self._vibrating = vibrating
         if contrast is not None:
             found |= self._compare(mid_us, contrast)
         if estimate is not None:
@@ -319,7 +331,7 @@ class Validity:
         self._age += 1
         busy = self._is_busy(before_us, mid_us)
         self._busy |= busy
-        found = self._judge_pair(before, contrast, told, chosen)
+        found = set() if self._vibrating else self._judge_pair(before, contrast, told, chosen)
         if repeated:
             found.add(Reason.EVENTS_DISAGREE)
         *_, strong, slope = agreement(self._anchor, contrast, self._signs)
@@ -381,7 +393,9 @@ class Validity:
         return chosen if count and whole - 1 <= count <= whole + 1 else None
 
     def _is_busy(self, start_us: int, end_us: int) -> bool:
-        """Return whether there was a blow in a comparison or at its ends."""
+        """Return whether there was a vibration, or a blow, in a comparison or at its ends."""
+        if self._vibrating:
+            return True
         most = BUSY_PER_MS * self._window_us // 1000
         near = self._windows.between(start_us - BUSY_MARGIN_US, end_us + BUSY_MARGIN_US)
         return max(self._windows.numbers[near], default=0) > most

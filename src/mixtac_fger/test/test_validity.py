@@ -320,5 +320,41 @@ def test_a_lasting_difference_between_frame_and_estimate_is_found(trial, encoded
         assert validity.reason is expected
 
 
+def test_frames_of_a_vibration_are_not_compared_with_events():
+    random = np.random.default_rng(3)
+    pattern = random.normal(0.0, 0.5, (65, 86))
+    # The sensor rests, vibrates, rests, and moves: the events of both motions are those of another.
+    states = [0] * 6 + [1] * 8 + [0] * 6 + [2] * 6
+    for tells in (True, False):
+        validity = Validity(WINDOW_US, WIDTH)
+        reasons, before = {0: set(), 1: set(), 2: set()}, np.zeros_like(pattern)
+        for index, state in enumerate(states):
+            start = 1_000_000 + index * INTERVAL_US
+            after = pattern * (0.3 * (index % 2) if state else 0.0)
+            told = told_by_events(before[:, ::-1], after[:, ::-1], start, index)
+            for end in range(start + WINDOW_US, start + INTERVAL_US + 1, WINDOW_US):
+                parts = [told.between(end - WINDOW_US, end), noise(end - 2000, end)]
+                validity.window(end, Events.concatenate(parts), complete=True)
+            picture = (after + random.normal(0.0, 0.01, after.shape)).astype(np.float32)
+            mid_us, vibrating = start + INTERVAL_US, tells and state == 1
+            validity.frame(mid_us, picture, None, 0.0, 0.0, vibrating=vibrating)
+            reasons[state].add(validity.reason)
+            before = after
+        assert (reasons[1] == {Reason.TRUSTED}) is tells
+        assert Reason.EVENTS_DISAGREE in reasons[2]
+
+
+def test_the_rest_between_two_vibrations_is_learnt_from_neither():
+    validity = Validity(WINDOW_US, WIDTH)
+    random = np.random.default_rng(3)
+    for end in range(WINDOW_US, 2_000_000, WINDOW_US):
+        shaken = 500_000 < end < 1_500_000
+        if end % INTERVAL_US == 0:
+            still = random.normal(0.0, 0.01, (65, 86)).astype(np.float32)
+            validity.frame(end, still, None, 0.0, 0.0, vibrating=shaken)
+        validity.window(end, noise(end - 2000, end, 1000 if shaken else 60), complete=True)
+        assert validity.reason is Reason.TRUSTED
+
+
 def test_every_reason_has_a_text():
     assert len({reason.text for reason in Reason}) == len(Reason)

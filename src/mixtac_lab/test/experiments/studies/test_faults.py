@@ -50,6 +50,13 @@ def test_a_trial_without_a_fault_is_valid(tmp_path):
     assert not found['reasons']
 
 
+@pytest.mark.parametrize('seed', [890_000, 890_003])
+def test_a_vibration_is_no_fault(tmp_path, seed):
+    spec = TrialSpec(seed, seed, 'vibration', 3.0, 'paper_like')
+    found = faults.judge_good(tmp_path, find_model(DEFAULT_MODEL), spec)
+    assert found['invalid'] <= 0.02 * found['windows']
+
+
 def test_false_alarms_are_rates_over_all_trials():
     one = {'windows': 900_000, 'invalid': 0, 'rightly': 0, 'reasons': {}}
     two = {
