@@ -5,10 +5,10 @@ r"""The advance law: how far the arm shall advance along the contact normal.
 Section Closed loop Slip Control of the paper: :math:`\Delta d_t = k\,(N_t - N_{th})`. Here k is
 G / C, where C is events per metre of skin motion, so that G is a plain number: advance over motion
 of the skin. Added are a memory, because an object that slides over a fully stretched skin causes no
-more events (an excess is answered for some windows on while the slip lasts), and what protects arm,
-gel and object: a limit per window, a limit of the sum, a hold after each slip, and between slips a
-slow servo on the force, which takes back the advance that is no longer needed and makes up for
-relaxation of the gel.
+more events (an excess is answered for some windows on while the slip lasts), a least answer to slips
+that the motion of the skin tells and that make few events, and what protects arm, gel and object: a
+limit per window, a limit of the sum, a hold after each slip, and between slips a slow servo on the
+force, which takes back the advance that is no longer needed and makes up for relaxation of the gel.
 
 `Advance` combines the law with the bound of the advance (`bounds`) and with the planner, which
 knows the commanded advance.
@@ -55,7 +55,7 @@ class AdvanceLaw:
         """
         self.total = self._floor = 0.0
         self._preload = preload
-        self._speed = self._parameters.preload_speed
+        self._speed, self._least = self._parameters.preload_speed, 0.0
         self._held = 0
         self._excess = 0.0
         self._backing_off = self._raising = False
@@ -84,6 +84,9 @@ class AdvanceLaw:
         p = self._parameters
         self._preload = force
         self._speed = min(p.preload_rate / max(stiffness, 1.0), p.preload_speed)
+        # Counts above the threshold of the paper's law are what it knows slip by.
+        rate = p.slip_rate if p.detector == 'flow' else 0.0
+        self._least = rate / max(stiffness, 1.0) * p.window
 
     def add(self, advance: float) -> None:
         """Take over an advance [m] >= 0 made for another reason; it is held as if by slip."""
@@ -98,7 +101,7 @@ class AdvanceLaw:
         self._held = 0
         p = self._parameters
         self._excess = max(count - threshold, self._fade * self._excess, 0.0)
-        return min(self._per_event * self._excess, p.max_step)
+        return min(max(self._per_event * self._excess, self._least), p.max_step)
 
     def _at_rest(self, force: float | None) -> float:
         p = self._parameters

@@ -119,6 +119,8 @@ class SlipControlParameters:
         arm_lag: Delay from commanded to actual arm position.
         memory_time: Time in which the answer to an excess of events fades to 1/e while the slip
             lasts: a fully stretched skin causes no more events. 0 is the law of the paper.
+        slip_rate: Least rate at which the force rises while the detector `flow` says slip, by the
+            measured stiffness: some slips make few events. 0 answers the count alone.
         max_step: Largest advance in one window; max_step / window is the largest speed asked for.
         max_total: Largest total advance since enabling, whatever the force allows. The arm must be
             able to reach that far in a straight line, or enabling is refused.
@@ -218,6 +220,7 @@ class SlipControlParameters:
     advance_flow_per_mm: float = parameter(4.0, unit='px/mm', within=(0.0, 1e4))
     arm_lag: float = parameter(4e-3, unit='s', within=(0.0, 0.2))
     memory_time: float = parameter(0.01, unit='s', within=(0.0, 0.1))
+    slip_rate: float = parameter(20.0, unit='N/s', within=(0.0, 1e3))
     max_step: float = parameter(1e-4, unit='m', within=(0.0, 1e-3))
     max_total: float = parameter(1e-3, unit='m', within=(0.0, 2e-2))
     hold_time: float = parameter(0.3, unit='s', within=(0.2, 3600.0))

@@ -18,6 +18,7 @@ SETTINGS = SlipControlParameters(
     gain=0.5,
     events_per_mm=1e4,
     memory_time=0.0,
+    slip_rate=0.0,
     max_step=4e-5,
     hold_time=0.2,
     back_off=1e-3,
@@ -138,3 +139,26 @@ def test_what_was_added_is_held_and_returned_like_an_answer_to_slip() -> None:
     assert law.total == 5e-6
     held = [law.update(30, 60.0, 0.9, LIMIT, slipping=False) for _ in range(HOLD + 1)]
     assert held == pytest.approx([0.0] * HOLD + [-1e-6])
+
+
+@pytest.mark.parametrize('stiffness', [1e3, 1e4])
+def test_a_slip_without_events_is_answered_by_a_rising_force(stiffness: float) -> None:
+    law = AdvanceLaw(dataclasses.replace(SETTINGS, slip_rate=20.0))
+    law.reset(preload=0.5)
+    law.aim(0.5, stiffness)
+    steps = [law.update(10, 60.0, 0.5, LIMIT, slipping=True) for _ in range(3)]
+    assert stiffness * sum(steps) == pytest.approx(3 * 0.02)
+    # It is the least: events ask for more.
+    assert law.update(760, 60.0, 0.5, LIMIT, slipping=True) == pytest.approx(700 * 0.5 / 1e7)
+    assert law.update(10, 60.0, 0.5, LIMIT, slipping=False) == 0.0
+
+
+@pytest.mark.parametrize(('detector', 'stiffness'), [('count', 1e3), ('flow', 1.0)])
+def test_that_rise_is_for_slip_told_by_motion_and_within_the_largest_step(
+    detector: str, stiffness: float
+) -> None:
+    law = AdvanceLaw(dataclasses.replace(SETTINGS, slip_rate=20.0, detector=detector))
+    law.reset(preload=0.5)
+    law.aim(0.5, stiffness)
+    step = law.update(10, 60.0, 0.5, LIMIT, slipping=True)
+    assert step == (0.0 if detector == 'count' else SETTINGS.max_step)

@@ -25,7 +25,7 @@ from mixtac_lab.store import Piece, code_version
 from mixtac_sim.arm.fr3 import READY
 from mixtac_sim.arm.plant import TRACKING_LAG_S
 from mixtac_sim.grasp.grasp import Grasp
-from mixtac_sim.grasp.objects import ObjectName, draw_setup
+from mixtac_sim.grasp.objects import Friction, ObjectName, draw_setup
 from mixtac_sim.grasp.skin import SETTLE_S
 from mixtac_sim.world.effects import preset
 from mixtac_slip_control.arm.kinematics import SerialArm
@@ -40,6 +40,8 @@ LOOK_BACK_US = 20_000
 MOVED_MM = 5e-3
 """An object that moved farther than this during the look-back slipped by itself [mm]. With little
 margin, some objects do so before the knock."""
+SLID_MM = 0.1
+"""An object that moved farther before the controller was enabled had begun to slide [mm]."""
 AFTER_KNOCK_S = 0.35
 """Time from the knock to the end of a trial [s]."""
 
@@ -51,7 +53,8 @@ class TrialPlan:
     Attributes:
         name: Kind of object.
         seed: Seed of the object, the day and the sensor.
-        margin: Ratio of the grasp force to the smallest force that holds the object.
+        margin: Ratio of the grasp force to the smallest force that holds the object for the length
+            of the trial, with the arm at rest and without a knock.
         knock_mm_s: Speed of the object after the knock [mm/s]; None to compute it from a random
             share of the momentum of the falling weight.
         stiffness_n_per_mm: Stiffness of the whole contact [N/mm]; None for that of gel, mesh and
@@ -97,7 +100,8 @@ class TrialPlan:
             knock_s=knock_s,
             stiffness_n_per_mm=self.stiffness_n_per_mm,
         )
-        return Grasp(setup, self.seed, self.seed, preset(self.preset), camera=camera)
+        day = self.seed, self.seed, preset(self.preset)
+        return Grasp(setup, *day, camera=camera, rest_s=1e-6 * self.onset_us + AFTER_KNOCK_S)
 
     def reach(self, *, ideal: bool) -> ArmReach:
         """Return the limits of the arm along the normal; an ideal arm has no lag."""
@@ -147,6 +151,7 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
             in at the onset, before any gross slip.
         `peak_n`: Largest normal force [N].
         `advance_mm`: Advance at the end [mm].
+        `slid_before`: Whether the object slid more than 0.1 mm before the controller was enabled.
         `false_alarms`: Slips reported before the knock while the object did not move.
         `limit_violations`: Samples of the commanded motion that violate a limit.
         `rejected`: Trajectories rejected by the controller of the arm.
@@ -192,9 +197,10 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
         'floor_ms': floor.arrest_ms,
         'chain_mm': chain.slip_mm,
         'chain_ms': chain.arrest_ms,
-        'friction_error': _friction_error(record, plan, onset_us),
+        'friction_error': _friction_error(record, setup.friction, onset_us),
         'peak_n': float(record.normal_n.max()),
         'advance_mm': float(record.advance_mm[-1]),
+        'slid_before': bool(np.interp(1e6 * ENABLE_S, record.t_us, record.object_mm) > SLID_MM),
         'false_alarms': _alarms_before(record, onset_us),
         'limit_violations': record.violations,
         'rejected': record.rejected,
@@ -256,13 +262,12 @@ def _published_ms(record: LoopRecord, onset_us: float) -> float:
     return _after_ms(record.published_us[answers], onset_us)
 
 
-def _friction_error(record: LoopRecord, plan: TrialPlan, onset_us: float) -> float:
+def _friction_error(record: LoopRecord, friction: Friction, onset_us: float) -> float:
     """Return the relative error of the friction before the onset; NaN where none is told."""
     before = [s for s in record.steps if s.end_us < onset_us]
     if not before or not before[-1].margin:
         return float('nan')
-    true = plan.grasp(camera=False).setup.friction.static(SETTLE_S)
-    return before[-1].friction / true - 1.0
+    return before[-1].friction / friction.static(SETTLE_S) - 1.0
 
 
 def _force_at(record: LoopRecord, time_us: float) -> float:
@@ -309,7 +314,7 @@ def summary(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     values = {name: [each[name] for each in results] for name in results[0]}
     latencies = ('detection_ms', 'count_ms', 'flow_ms', 'publish_ms')
     medians = ('arrest_ms', 'knock_mm_s', 'stiffness_n_per_mm', 'grasp_n', 'knock_share', 'peak_n')
-    totals = ('false_alarms', 'limit_violations', 'rejected')
+    totals = ('false_alarms', 'limit_violations', 'rejected', 'slid_before')
     mean = round(float(np.mean(values['slip_mm'])), 4)
     return {
         'trials': count,
@@ -333,7 +338,8 @@ def margin_row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
     `held` and `open_held`: shares held with and without control. `undetected`: share of knocks
     without a detection. `median_mm` and `open_median_mm`: displacement with and without control.
-    `peak_n`: largest true force. `stopped`: interlock stops. `trials`: their number.
+    `peak_n`: largest true force. `stopped`: interlock stops. `slid_before`: objects among these
+    that had begun to slide before slip control was enabled. `trials`: their number.
     """
     count = len(results)
     return {
@@ -344,6 +350,7 @@ def margin_row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         'open_median_mm': round(float(np.median([each['open_slip_mm'] for each in results])), 4),
         'peak_n': round(max(each['peak_n'] for each in results), 3),
         'stopped': sum(bool(each['stopped']) for each in results),
+        'slid_before': sum(each['slid_before'] for each in results),
         'trials': count,
     }
 

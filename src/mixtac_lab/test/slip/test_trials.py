@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
-from mixtac_lab.slip.trials import latency_quantiles, load_row, margin_row
+import numpy as np
+import pytest
+
+from mixtac_lab.slip.trials import AFTER_KNOCK_S, TrialPlan, latency_quantiles, load_row, margin_row
 
 
 def test_misses_are_later_than_everything() -> None:
@@ -23,6 +26,7 @@ def trial(*, held: bool, detection_ms: float | None, slip_mm: float) -> dict[str
         'open_slip_mm': 50.0,
         'peak_n': 1.0 + slip_mm,
         'stopped': '' if held else 'force',
+        'slid_before': not held,
     }
 
 
@@ -41,6 +45,7 @@ def test_a_margin_counts_held_undetected_and_stops() -> None:
     assert row['open_held'] == 0.0
     assert row['peak_n'] == 21.0
     assert row['stopped'] == 1
+    assert row['slid_before'] == 1
     assert row['trials'] == 4
 
 
@@ -51,3 +56,14 @@ def test_a_slow_load_counts_what_was_dropped() -> None:
     row = load_row([both[0], *both])
     assert (row['trials'], row['dropped'], row['slips'], row['stopped']) == (3, 1, 4, 1)
     assert (row['median_mm'], row['force_ratio'], row['peak_n']) == (0.1, 2.0, 0.7)
+
+
+@pytest.mark.parametrize('wait_s', [0.0, 2.0])
+def test_what_hardly_holds_an_object_holds_it_for_the_whole_trial(wait_s: float) -> None:
+    # Three of these fall within 3.8 s if the smallest force is judged over the first 0.4 s alone.
+    for seed in range(980_016, 980_020):
+        plan = TrialPlan(seed=seed, margin=1.005, knock_mm_s=0.0, wait_s=wait_s)
+        grasp = plan.grasp(camera=False)
+        seconds = 1e-6 * plan.onset_us + AFTER_KNOCK_S
+        block = grasp.advance(np.zeros(round(seconds / 125e-6)))
+        assert block.object_mm[-1] < 0.1

@@ -9,6 +9,7 @@ force that does so, times a margin.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,14 +78,17 @@ def advance_object(
         patches[k] = skin.shear
 
 
-HOLD_S = 0.4
-"""Time for which an object must stay to count as held [s]."""
+HOLD_S = 0.2
+"""Time in which an object settles, and for which it must then stay to count as held [s]."""
 MOVED_MM = 0.02
-"""Largest motion in the second half of that time [mm]."""
+"""Largest motion of an object that stays [mm]."""
+FALLEN_MM = 1.0
+"""Motion after which it is not watched longer [mm]."""
 SEARCH_STEP = 1.02
 """Step of the search for the smallest force."""
 SEARCH_START = 0.95
 """Force from which the search goes up, over what the static frictions hold together."""
+HOLD_STEPS = round(1e6 * HOLD_S / STEP_US)
 
 
 def hold(
@@ -107,33 +111,64 @@ def hold(
     skin = Skin(layer, radius_mm, setup.friction, rng, round_face=is_round)
     static = setup.friction.static(SETTLE_S)
     skin.rest(setup.weight_n * static / (static + setup.wall_mu), SETTLE_S)
-    body = np.zeros(3)
-    constants = (*setup.constants()[:4], 2.0 * HOLD_S, 1.0, 0.0)
-    count = round(0.5e6 * HOLD_S / STEP_US)
-    path, patches = np.empty((count, 3)), np.empty((count, len(skin.shear_mm)))
-    places = []
-    for _ in range(2):
-        force = np.full(count, force_n)
-        advance_object(body, constants, skin.patches(), force, path, patches)
-        places.append(float(body[1]))
-        if places[-1] > 1.0:
-            return skin, False
+    *_, settled, last = creep_mm(setup, skin, np.full(2 * HOLD_STEPS, force_n))
+    if last > FALLEN_MM:
+        return skin, False
     skin.slid_mm[:] = 0.0
-    return skin, places[1] - places[0] < MOVED_MM
+    return skin, last - settled < MOVED_MM
 
 
-def critical_force_n(setup: GraspSetup, layer: Layer, radius_mm: float, surface_seed: int) -> float:
+def creep_mm(setup: GraspSetup, skin: Skin, normal_n: Floats) -> list[float]:
+    """Return the places of an object that nothing strikes, from 0 on, each `HOLD_S` [mm].
+
+    The list ends where it has fallen.
+
+    Args:
+        setup: The object.
+        skin: Holds it; changed.
+        normal_n: Normal force over each step of 125 us [n] [N].
+    """
+    body, places = np.zeros(3), [0.0]
+    constants = (*setup.constants()[:4], np.inf, 1.0, 0.0)
+    for first in range(0, len(normal_n), HOLD_STEPS):
+        part = normal_n[first : first + HOLD_STEPS]
+        path, patches = np.empty((len(part), 3)), np.empty((len(part), len(skin.shear_mm)))
+        advance_object(body, constants, skin.patches(), part, path, patches)
+        places.append(float(body[1]))
+        if places[-1] > FALLEN_MM:
+            break
+    return places
+
+
+def critical_force_n(
+    setup: GraspSetup,
+    layer: Layer,
+    radius_mm: float,
+    surface_seed: int,
+    press: Callable[[float], Press],
+    rest_s: float = 0.0,
+) -> float:
     """Return the smallest force that holds an object, to 2 % [N].
 
-    Arguments are those of ``hold``.
+    Args:
+        setup: The object.
+        layer: The gel.
+        radius_mm: Contact radius [mm].
+        surface_seed: Draws the object's surface.
+        press: Returns the fingertip that presses with a force [N].
+        rest_s: Time for which the object must stay after it has settled, with the fingertip at rest
+            while the gel relaxes [s].
 
     Raises:
         SimulationError: Not even twice what the static frictions say holds it.
     """
     static = setup.weight_n / (setup.friction.static(SETTLE_S) + setup.wall_mu)
-    force = SEARCH_START * static
+    force, still = SEARCH_START * static, np.zeros(round(1e6 * rest_s / STEP_US))
     while force < 2.0 * static:
-        if hold(setup, layer, radius_mm, force, surface_seed)[1]:
+        skin, held = hold(setup, layer, radius_mm, force, surface_seed)
+        if held and len(still):
+            held = creep_mm(setup, skin, press(force).move(still).force_n)[-1] < MOVED_MM
+        if held:
             return force
         force *= SEARCH_STEP
     raise SimulationError(f'no force up to {force:.2f} N holds {setup}; its surface is too uneven')
@@ -183,6 +218,7 @@ class Grasp:
         seed: Seed of the trial: conditions, surface of the object, noise.
         preset: Difficulty of the sensor.
         camera: Simulate the camera; without it a trial takes milliseconds.
+        rest_s: Time for which the smallest force holds the object, fingertip at rest [s].
 
     Attributes:
         device: The sensor.
@@ -200,6 +236,7 @@ class Grasp:
         preset: Preset = PAPER_LIKE,
         *,
         camera: bool = True,
+        rest_s: float = 0.0,
     ) -> None:
         self.setup = setup
         conditions, device = draw_conditions(seed, preset), draw_device(device_seed, preset)
@@ -208,11 +245,14 @@ class Grasp:
         gel = force_law(layer, face, device.mesh_n_per_mm, device.stiffening)
         surface = int(stream(seed, 'grasp surface').integers(1 << 62))
         radius = float(gel.radius_at(setup.margin * 0.5 * setup.weight_n))
-        self.critical_n = critical_force_n(setup, layer, radius, surface)
+
+        def press(force_n: float) -> Press:
+            stiffness = setup.stiffness_n_per_mm
+            return Press(device, layer, face, setup.n_per_mm, force_n, stiffness)
+
+        self.critical_n = critical_force_n(setup, layer, radius, surface, press, rest_s)
         self.grasp_n = setup.margin * self.critical_n
-        self._press = Press(
-            device, layer, face, setup.n_per_mm, self.grasp_n, setup.stiffness_n_per_mm
-        )
+        self._press = press(self.grasp_n)
         self.stiffness_n_per_mm = self._press.stiffness_n_per_mm
         self._skin, _ = hold(setup, layer, radius, self.grasp_n, surface)
         self._held = (self._skin.shear_mm.copy(), self._skin.age_s.copy())
