@@ -6,9 +6,9 @@ Section Closed loop Slip Control of the paper: :math:`\Delta d_t = k\,(N_t - N_{
 G / C, where C is events per metre of skin motion, so that G is a plain number: advance over motion
 of the skin. Added are a memory, because an object that slides over a fully stretched skin causes no
 more events (an excess is answered for some windows on while the slip lasts), a least answer to slips
-that the motion of the skin tells and that make few events, and what protects arm, gel and object: a
-limit per window, a limit of the sum, a hold after each slip, and between slips a slow servo on the
-force, which takes back the advance that is no longer needed and makes up for relaxation of the gel.
+that make few events, and what protects arm, gel and object: a limit per window, a limit of the sum,
+a hold after each slip, and between slips a slow servo on the force, which takes back the advance
+that is no longer needed and makes up for relaxation of the gel.
 
 `Advance` combines the law with the bound of the advance (`bounds`) and with the planner, which
 knows the commanded advance.
