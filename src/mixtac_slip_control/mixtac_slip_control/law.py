@@ -5,8 +5,8 @@ r"""The advance law: how far the arm shall advance along the contact normal.
 Section Closed loop Slip Control of the paper: :math:`\Delta d_t = k\,(N_t - N_{th})`. Here k is
 G / C, where C is events per metre of skin motion, so that G is a plain number: advance over motion
 of the skin. Added are a memory, because an object that slides over a fully stretched skin causes no
-more events (an excess is answered for some windows on while the slip lasts), a least answer to slips
-that make few events, and what protects arm, gel and object: a limit per window, a limit of the sum,
+more events (an excess is answered for some windows on while the slip lasts), a least answer where
+a slip makes few, and what protects arm, gel and object: a limit per window, a limit of the sum,
 a hold after each slip, and between slips a slow servo on the force, which takes back the advance
 that is no longer needed and makes up for relaxation of the gel.
 
