@@ -15,7 +15,6 @@ import typer
 from matplotlib.axes import Axes
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from mixtac_alignment.align import Method, Recording
 from mixtac_alignment.align import align as align_recording
@@ -27,7 +26,7 @@ from mixtac_alignment.bags import (
     write_fit,
 )
 from mixtac_alignment.clock_fit import ClockFit
-from mixtac_cli.figures import EVENTS, MARK, REFERENCE, new_figure, save_figure
+from mixtac_cli.figures import EVENTS, MARK, REFERENCE, make_table, new_figure, save_figure
 from mixtac_cli.options import JsonFile, OptionalPath, ReferenceTopic, one_of
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
@@ -126,17 +125,14 @@ def align(
         )
         for bag in track(found, 'aligning', console=console, disable=not many)
     ]
-    columns = (r'drift \[ppm]', r'std. mid-recording \[ms]', r'baseline \[s]', r'time \[s]')
-    table = Table('bag', 'method', *columns)
-    for outcome in outcomes:
-        table.add_row(*outcome.row())
-    console.print(table)
+    columns = ('drift [ppm]', 'std. mid-recording [ms]', 'baseline [s]', 'time [s]')
+    rows = [outcome.row() for outcome in outcomes]
+    console.print(make_table('', ('bag', 'method', *columns), rows, words=3))
     for outcome in outcomes:
         if outcome.damage:
             text = f'warning: {outcome.bag}: {outcome.damage}'
             console.print(text, style='yellow', markup=False)
-    if json is not None:
-        write_json(json, [outcome.as_dict() for outcome in outcomes])
+    write_json(json, [outcome.as_dict() for outcome in outcomes])
     if any(outcome.fit is None for outcome in outcomes):
         sys.exit(1)
 

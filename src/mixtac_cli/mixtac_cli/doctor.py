@@ -116,8 +116,7 @@ def doctor(
     rows = [_row(section, finding) for section, found in sections for finding in found]
     report: dict[str, Any] = {'device': device, 'level': level.name.lower(), 'verdict': verdict}
     report['findings'] = rows
-    if json is not None:
-        write_json(json, report)
+    write_json(json, report)
     if collected is not None and bundle is not None:
         collected.write(bundle, collected.members(report, HostFiles(), device), console)
     if level is Level.ERROR:
@@ -143,8 +142,7 @@ def _accept(
     line = row(report)
     console.print('row for docs/hardware_reports.md:', soft_wrap=True)
     print(line)
-    if json is not None:
-        write_json(json, report | {'row': line})
+    write_json(json, report | {'row': line})
     if failures(report):
         raise typer.Exit(1)
 
@@ -177,8 +175,7 @@ def capture(
     counts = dict(writer.counts)
     losses = result.losses | {'transfers_dropped': result.transport.dropped_transfers}
     print(', '.join(f'{count} {name}' for name, count in counts.items()) + f' in {file}')
-    if json is not None:
-        write_json(json, {'device': device, 'seconds': result.seconds, **counts, 'losses': losses})
+    write_json(json, {'device': device, 'seconds': result.seconds, **counts, 'losses': losses})
 
 
 def _row(section: str, finding: Finding) -> dict[str, object]:

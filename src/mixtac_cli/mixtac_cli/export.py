@@ -12,10 +12,10 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from mixtac_alignment.bags import write_fit
 from mixtac_alignment.clock_fit import ClockFit
+from mixtac_cli.figures import make_table
 from mixtac_cli.options import OptionalPath, Split
 from mixtac_node.topics import REFERENCE
 from mixtac_recordings.bag_writer import repair as repair_bag
@@ -130,19 +130,14 @@ def inspect(
     Exit status 1 if the recording is incomplete.
     """
     summary = summarise(bag)
-    table = Table(title=f'{bag}, {summary.duration_s:.1f} s', title_justify='left')
-    for heading in ('topic', 'type', 'messages', 'events', 'lost packets'):
-        table.add_column(heading, justify='left' if heading in ('topic', 'type') else 'right')
+    rows = []
     for topic, count in sorted(summary.counts.items()):
         events = summary.events.get(topic)
-        table.add_row(
-            topic,
-            summary.types[topic],
-            str(count),
-            str(events.events) if events else '',
-            str(events.lost_packets) if events else '',
-        )
-    Console().print(table)
+        counted = (events.events, events.lost_packets) if events else ('', '')
+        rows.append((topic, summary.types[topic], count, *counted))
+    headings = ('topic', 'type', 'messages', 'events', 'lost packets')
+    title = f'{bag}, {summary.duration_s:.1f} s'
+    Console().print(make_table(title, headings, rows, words=2))
     if summary.damage:
         raise DamagedRecordingError(f'{bag}: {summary.damage}')
 

@@ -1,18 +1,50 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Style of the figures that commands draw, and saving them."""
+"""Figures, tables and progress bars of commands."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress
+from rich.table import Table
 
 from mixtac_node.files import FileError, replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FORCE, REFERENCE, EVENTS, MARK = '#e07b00', '#1f4e8c', '#5a5a5a', '#c0392b'
 """Colours of the estimated force, the reference force, events, and marked moments or outliers."""
 DPI = 110
+
+
+def make_table(
+    title: str, headings: Sequence[str], rows: Iterable[Sequence[object]], *, words: int = 1
+) -> Table:
+    """Return a table; its first `words` columns are aligned to the left, values to the right."""
+    table = Table(title=escape(title) or None, title_justify='left')
+    for number, heading in enumerate(headings):
+        table.add_column(escape(heading), justify='left' if number < words else 'right')
+    for row in rows:
+        table.add_row(*(escape(str(cell)) for cell in row))
+    return table
+
+
+@contextmanager
+def progress_bar(
+    title: str, total: int, console: Console | None = None
+) -> Iterator[Callable[[], None]]:
+    """Show a bar until the block ends; yield the function that moves it on by one step."""
+    with Progress(console=console, transient=True) as progress:
+        bar = progress.add_task(title, total=total)
+        yield lambda: progress.advance(bar)
 
 
 def new_figure(width_in: float, height_in: float, title: str = '') -> Figure:
@@ -23,14 +55,30 @@ def new_figure(width_in: float, height_in: float, title: str = '') -> Figure:
         height_in: Height.
         title: Title; says that the data are simulated if they are.
     """
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width_in, height_in), layout='constrained')
     if title:
         figure.suptitle(title, x=0.01, ha='left', fontsize=11)
     return figure
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Save a figure; the suffix of the path gives the format.
+def new_axes(
+    columns: int = 1, rows: int = 1, width: float = 8.0, height: float = 3.4
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure and its axes with a grid, row by row; sizes in inches."""
+    figure = new_figure(width, height)
+    axes = figure.subplots(rows, columns, squeeze=False)
+    flat = [ax for row in axes for ax in row]
+    for ax in flat:
+        ax.spines[['top', 'right']].set_visible(False)
+        ax.grid(visible=True, alpha=0.25, linewidth=0.6)
+        ax.set_axisbelow(True)
+    return figure, flat
+
+
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Save a figure and return its path; its suffix gives the format.
 
     Raises:
         FileError: The file cannot be written, or its suffix is not that of a format.
@@ -42,3 +90,4 @@ def save_figure(figure: Figure, path: Path) -> None:
         raise FileError(
             f'cannot write {path}: {error}', remedy='name a .png or .pdf file'
         ) from error
+    return path

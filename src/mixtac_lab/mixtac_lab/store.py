@@ -22,8 +22,8 @@ from typing import Any
 
 import joblib
 from rich.console import Console
-from rich.progress import Progress
 
+from mixtac_cli.figures import progress_bar
 from mixtac_events.errors import MixtacError
 from mixtac_node.files import write_json
 
@@ -147,12 +147,11 @@ class Store:
         return [results[index] for index in range(len(pieces))]
 
     def run_shown(
-        self, title: str, pieces: Sequence[Piece], console: Console
+        self, title: str, pieces: Sequence[Piece], console: Console, jobs: int = 1
     ) -> list[dict[str, Any]]:
         """Return the results of pieces as `run` does, with a progress bar of that title."""
-        with Progress(console=console, transient=True) as progress:
-            bar = progress.add_task(title, total=len(pieces))
-            return self.run(pieces, advance=lambda: progress.advance(bar))
+        with progress_bar(title, len(pieces), console) as advance:
+            return self.run(pieces, jobs, advance)
 
 
 def _compute(index: int, piece: Piece, folder: Path) -> tuple[int, dict[str, Any]]:

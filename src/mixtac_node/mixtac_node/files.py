@@ -118,13 +118,14 @@ def write_text(path: Path, text: str) -> None:
         scratch.write_text(text, encoding='utf-8')
 
 
-def write_json(path: Path, data: object) -> None:
-    """Write a JSON file with an indent of 2, whole or not at all.
+def write_json(path: Path | None, data: object) -> None:
+    """Write a JSON file with an indent of 2, whole or not at all; nothing to None.
 
     Raises:
         FileError: It cannot be written.
     """
-    write_text(path, json.dumps(data, indent=2) + '\n')
+    if path is not None:
+        write_text(path, json.dumps(data, indent=2) + '\n')
 
 
 def read_data(path: Path) -> Any:  # noqa: ANN401

@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mixtac_cli.calibrate.session import CalibrationSession, bag_images, grey_image, image_label
-from mixtac_cli.figures import FORCE, REFERENCE, new_figure, save_figure
+from mixtac_cli.figures import FORCE, REFERENCE, make_table, new_figure, save_figure
 from mixtac_cli.monitor_node import ImageReceiver
 from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_cli.up import start_nodes
@@ -119,8 +119,7 @@ def calibrate(
     console.print(f'written to {out}')
     if figure is not None:
         draw_calibration(figure, solution, session)
-    if json is not None:
-        write_json(json, _summary(solution, session))
+    write_json(json, _summary(solution, session))
 
 
 def _collect_live(
@@ -222,17 +221,13 @@ class CollectionDisplay:
 def print_solution(console: Console, solution: Solution) -> None:
     """Print the parameters with their standard deviations, and the errors."""
     calibration = solution.calibration
-    table = Table(
-        title=f'{calibration.name}, {calibration.width}x{calibration.height}, {calibration.model}',
-        title_justify='left',
-    )
-    for heading in ('parameter', 'value', 'std. deviation'):
-        table.add_column(heading, justify='left' if heading == 'parameter' else 'right')
+    title = f'{calibration.name}, {calibration.width}x{calibration.height}, {calibration.model}'
+    rows = []
     for name, (value, deviation) in solution.parameters().items():
         pixels = name in ('fx', 'fy', 'cx', 'cy')
         unit, digits = (' px', 2) if pixels else ('', 5)
-        table.add_row(name, f'{value:.{digits}f}{unit}', f'{deviation:.{digits + 1}f}{unit}')
-    console.print(table)
+        rows.append((name, f'{value:.{digits}f}{unit}', f'{deviation:.{digits + 1}f}{unit}'))
+    console.print(make_table(title, ('parameter', 'value', 'std. deviation'), rows))
     console.print(
         f'reprojection error {solution.rms_px:.3f} px, largest {solution.max_px:.2f} px, '
         f'{len(solution.views)} views, corners in {100 * solution.coverage:.0f} % of the image'

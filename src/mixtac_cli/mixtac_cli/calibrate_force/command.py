@@ -11,10 +11,11 @@ from typing import Annotated, Any, Optional
 import numpy as np
 import typer
 from rich.console import Console
-from rich.table import Column, Table
 
 from mixtac_cli.calibrate_force.live import LiveProcedure
 from mixtac_cli.calibrate_force.session import Session, from_bag
+from mixtac_cli.figures import FORCE, MARK, make_table, new_figure, save_figure
+from mixtac_cli.figures import REFERENCE as KNOWN
 from mixtac_cli.options import JsonFile, Namespace, OptionalPath, ParamsFile, ReferenceTopic
 from mixtac_fger.config import ModelError
 from mixtac_fger.estimator import SERIAL_KEY
@@ -123,8 +124,7 @@ def calibrate_force(
         console.print(f'drawn: {figure}')
     save_calibrated(out, content, calibration, entry, sideways)
     console.print(f'wrote {out}; name it as `model` of fger in a parameter file')
-    if json is not None:
-        write_json(json, {'model': str(start), 'out': str(out), 'device': device} | entry)
+    write_json(json, {'model': str(start), 'out': str(out), 'device': device} | entry)
 
 
 def parse_loads(text: str) -> list[float]:
@@ -285,10 +285,8 @@ def save_calibrated(
 def _report(console: Console, calibration: ForceCalibration) -> None:
     c = calibration
     names = ('load [g]', 'known', 'estimate', 'calibrated', 'residual', 'creep', 'zero shift')
-    columns = [Column(name, justify='right') for name in names]
-    table = Table(*columns, title='Known loads; forces in N, creep in N/s', title_justify='left')
-    for load, plateau, residual, _ in c.points:
-        table.add_row(
+    rows = [
+        (
             f'{load.grams:.1f}' + (' down' if plateau.unloading else ''),
             f'{load.force_n:.3f}',
             f'{plateau.estimate_n:.3f}',
@@ -297,7 +295,9 @@ def _report(console: Console, calibration: ForceCalibration) -> None:
             f'{plateau.creep_n_per_s:+.4f}',
             f'{plateau.zero_shift_n:+.3f}',
         )
-    console.print(table)
+        for load, plateau, residual, _ in c.points
+    ]
+    console.print(make_table('Known loads; forces in N, creep in N/s', names, rows))
     for point in c.points:
         if point.doubtful:
             console.print(
@@ -315,13 +315,12 @@ def _report(console: Console, calibration: ForceCalibration) -> None:
 def _report_pulls(console: Console, calibration: PullCalibration) -> None:
     c = calibration
     names = ('pull [g]', 'known', 'estimate x', 'y', 'residual', 'across', 'left behind')
-    columns = [Column(name, justify='right') for name in names]
-    table = Table(*columns, title='Known pulls; forces in N', title_justify='left')
+    rows = []
     for pull, residual, across, _ in c.points:
         parts = (pull.seen.real, pull.seen.imag, residual, across)
         cells = (f'{pull.load.grams:.1f}', f'{pull.load.force_n:.3f}')
-        table.add_row(*cells, *(f'{part:+.3f}' for part in parts), f'{pull.left_n:.3f}')
-    console.print(table)
+        rows.append((*cells, *(f'{part:+.3f}' for part in parts), f'{pull.left_n:.3f}'))
+    console.print(make_table('Known pulls; forces in N', names, rows))
     console.print(
         f'sideways: known pulls are {c.gain:.3f} +- {c.gain_sd:.3f} times the estimates; mean error'
         f' at the pulls {c.mae_before_n:.3f} N before, {c.mae_after_n:.3f} N after',
@@ -379,8 +378,6 @@ def draw(
     Raises:
         FileError: The picture cannot be written.
     """
-    from mixtac_cli.figures import FORCE, MARK, REFERENCE, new_figure, save_figure
-
     c = calibration
     title = f'{entry["serial"] or "sensor"}: gain {c.gain:.3f} +- {c.gain_sd:.3f}, {entry["date"]}'
     figure = new_figure(12, 4.5, title)
@@ -390,7 +387,7 @@ def draw(
     force = np.array([point.load.force_n for point in c.points])
     plateaus = [point.plateau for point in c.points]
     starts, ends = [each.start_s for each in plateaus], [each.end_s for each in plateaus]
-    series.hlines(force, starts, ends, color=REFERENCE, lw=2, label='known load')
+    series.hlines(force, starts, ends, color=KNOWN, lw=2, label='known load')
     series.set(xlabel='time [s]', ylabel='normal force [N]')
     series.legend(loc='upper left', frameon=False)
     seen = np.array([each.estimate_n for each in plateaus])
@@ -400,7 +397,7 @@ def draw(
         line, (c.gain - c.gain_sd) * line, (c.gain + c.gain_sd) * line, color=FORCE, alpha=0.2
     )
     load_sd = [point.load.sd_n for point in c.points]
-    fit.errorbar(seen, force, yerr=load_sd, fmt='o', color=REFERENCE)
+    fit.errorbar(seen, force, yerr=load_sd, fmt='o', color=KNOWN)
     down = np.array([each.unloading for each in plateaus])
     if down.any():
         fit.plot(seen[down], force[down], 'v', color=MARK, label='unloading')

@@ -94,8 +94,7 @@ def demo(
     console.print('aligning and comparing')
     report = evaluate(folder, run, seconds, seed, device_seed)
     for path in (folder / 'demo.json', json):
-        if path is not None:
-            write_json(path, report)
+        write_json(path, report)
     print_summary(console, report, folder)
     if failed:
         raise GraphError(f'nodes did not end cleanly: {failed}', remedy=f'see {folder / "log"}')

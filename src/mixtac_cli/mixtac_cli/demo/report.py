@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from rich.table import Table
 
 from mixtac_alignment.align import align
 from mixtac_alignment.bags import read_recording
@@ -28,6 +27,7 @@ from mixtac_cli.demo.evaluation import (
     truth_mae,
 )
 from mixtac_cli.demo.sideways import read_sideways, true_path
+from mixtac_cli.figures import make_table
 from mixtac_node.topics import DEFAULT_NAMESPACE
 
 if TYPE_CHECKING:
@@ -187,12 +187,8 @@ def _aligned(bag: Path) -> ClockFit:
 
 def print_summary(console: Console, report: Mapping[str, Any], folder: Path) -> None:
     """Print the results of a demo and where its bag and figure are."""
-    table = Table(title='Measured on the virtual sensor (simulated)', title_justify='left')
-    table.add_column('figure')
-    table.add_column('value', justify='right')
-    for name, value in _rows(report):
-        table.add_row(name, value)
-    console.print(table)
+    title = 'Measured on the virtual sensor (simulated)'
+    console.print(make_table(title, ('figure', 'value'), _rows(report)))
     if report['refused']:
         console.print(
             f'no error against the reference and no figure: {report["refused"]}', soft_wrap=True

@@ -88,8 +88,7 @@ def record(
     path = add_recording(out, summary.as_dict(), profile=profile, split=split)
     console.print(f'{out}: {summary.seconds:.1f} s, {summary.verdict()}')
     console.print(f'described in {path}')
-    if json is not None:
-        write_json(json, summary.as_dict())
+    write_json(json, summary.as_dict())
     if summary.stopped:
         raise RecordingError(
             f'{out} ends early: {summary.stopped}', remedy='free some space for the next one'

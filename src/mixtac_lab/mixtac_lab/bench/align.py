@@ -26,8 +26,8 @@ from mixtac_alignment.taps import fit_taps
 from mixtac_alignment.two_impulse import fit_counts
 from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_events.errors import MixtacError
-from mixtac_lab.figures import save_result
 from mixtac_lab.store import Piece, Store, code_version
+from mixtac_node.files import write_json
 from mixtac_sim.world.effects import PRESETS, preset
 from mixtac_sim.world.training_trials import simulator_digest
 from mixtac_sim.world.trial import Trial, simulate_trial
@@ -299,7 +299,7 @@ def align(
     score_sensor(sensor, preset_of(trials - 1), scores, groups)
     result = {'seconds': seconds} | summarise(scores, groups, faults)
     console.print_json(data=result)
-    save_result(report, result)
+    write_json(report, result)
 
 
 def score_sensor(

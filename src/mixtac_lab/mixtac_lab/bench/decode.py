@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile
 from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.decoder import StreamDecoder
-from mixtac_lab.figures import make_table, save_result
+from mixtac_node.files import write_json
 
 ROWS_PER_STAMP, SEED = 10, 1
 FRAME_COLUMNS, FRAME_ROWS = 260, 346
@@ -236,4 +237,4 @@ def decode(
     console.print(_table(figures))
     console.print(f'memory copy {figures["memcpy_bytes_per_s"] / 1e9:.1f} GB/s')
     console.print(f'start-up of the decoder, compiled before: {figures["start_s"]:.2f} s')
-    save_result(json, figures)
+    write_json(json, figures)

@@ -21,9 +21,10 @@ from typing import Annotated, Any, Optional, Protocol
 import typer
 from rich.console import Console
 
+from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile
 from mixtac_lab.bench.harness import BenchRun
-from mixtac_lab.figures import make_table, save_result
+from mixtac_node.files import write_json
 from mixtac_node.graph import NodeSpec, sensor_graph, slip_control
 from mixtac_node.process import GraphError, ProcessGroup
 from mixtac_node.topics import message_class
@@ -352,7 +353,7 @@ def fuzz_nodes(
     for run in runs:
         for error in [*run['errors'], *([run['ended']] if run['ended'] else [])]:
             console.print(f'{run["node"]}: {error}', markup=False)
-    save_result(json, {'seed': seed, 'runs': runs})
+    write_json(json, {'seed': seed, 'runs': runs})
 
 
 def _row(run: Mapping[str, Any]) -> tuple[object, ...]:

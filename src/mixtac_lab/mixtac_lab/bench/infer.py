@@ -17,6 +17,7 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console
 
+from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile, ModelName, Preset
 from mixtac_events.codec import encode
 from mixtac_fger.estimator import open_estimator
@@ -24,7 +25,7 @@ from mixtac_fger.live_feed import LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.bench.harness import quantiles
-from mixtac_lab.figures import make_table, save_result
+from mixtac_node.files import write_json
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.world.trial import TrialStream
 
@@ -189,7 +190,7 @@ def infer(
     with console.status(f'simulating {seconds:g} s, then running them in real time'):
         report = measure(model, seconds, preset)
     _print(console, report)
-    save_result(json, report)
+    write_json(json, report)
 
 
 def measure(model_name: str, seconds: float, preset: str) -> dict[str, Any]:

@@ -18,11 +18,11 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 
+from mixtac_cli.figures import progress_bar
 from mixtac_cli.options import JsonFile
 from mixtac_events.arrays import Events
-from mixtac_lab.figures import save_result
+from mixtac_node.files import write_json
 from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory
 from mixtac_sim.arm.fr3 import violations
 from mixtac_slip_control.arm.kinematics import SerialArm
@@ -98,11 +98,10 @@ def interlock(
 ) -> None:
     """Enable slip control at random, with slips and faults; count broken limits, silent faults."""
     console = Console()
-    with Progress(console=console, transient=True) as progress:
-        bar = progress.add_task('runs', total=runs)
-        tally = asdict(run_enablings(runs, seed, lambda: progress.advance(bar)))
+    with progress_bar('runs', runs, console) as advance:
+        tally = asdict(run_enablings(runs, seed, advance))
     console.print_json(data=tally)
-    save_result(json, {'seed': seed} | tally)
+    write_json(json, {'seed': seed} | tally)
 
 
 def run_enablings(

@@ -17,10 +17,10 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 
+from mixtac_cli.figures import progress_bar
 from mixtac_cli.options import JsonFile
-from mixtac_lab.figures import save_result
+from mixtac_node.files import write_json
 from mixtac_sim.arm.controller import JointTrajectoryController, Release, Trajectory
 from mixtac_slip_control.arm.kinematics import SerialArm
 from mixtac_slip_control.arm.limits import JointLimits
@@ -77,11 +77,10 @@ def limits(
 ) -> None:
     """Send random slips through planner and arm controller; count violated joint limits."""
     console = Console()
-    with Progress(console=console, transient=True) as progress:
-        bar = progress.add_task('sequences', total=trials)
-        tally = asdict(run_trials(trials, seed, advance=lambda: progress.advance(bar)))
+    with progress_bar('sequences', trials, console) as advance:
+        tally = asdict(run_trials(trials, seed, advance=advance))
     console.print_json(data=tally)
-    save_result(json, {'seed': seed} | tally)
+    write_json(json, {'seed': seed} | tally)
 
 
 def run_trials(

@@ -23,9 +23,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile
 from mixtac_lab.bench.harness import START_TIMEOUT_S, BenchRun
-from mixtac_lab.figures import make_table, save_result
+from mixtac_node.files import write_json
 from mixtac_node.graph import NodeSpec, sensor_graph
 from mixtac_node.process import GraphError, JsonProcess
 
@@ -206,7 +207,7 @@ def pipeline(
     report = summarise_pipeline(*runs)
     console.print(_pipeline_table(runs))
     console.print(f'largest rate without loss: {report["max_rate_mev_s"]:g} Mev/s')
-    save_result(json, report)
+    write_json(json, report)
 
 
 def _pipeline_table(runs: Sequence[Mapping[str, Any]]) -> Table:
@@ -256,7 +257,7 @@ def compose(
         for _ in range(repeats):
             runs += [run_force(full_load(rate), seconds, together=k is Kind.ONE) for k in kinds]
     console.print(_runs_table(runs))
-    save_result(json, summarise(runs, rate))
+    write_json(json, summarise(runs, rate))
 
 
 def run_force(load: Load, seconds: float, *, together: bool) -> dict[str, Any]:
@@ -347,7 +348,7 @@ def two_sensors(
     with console.status('measuring'):
         report = run_two(seconds, together=single_process)
     console.print(_sensors_table(report))
-    save_result(json, report)
+    write_json(json, report)
 
 
 def run_two(seconds: float, *, together: bool) -> dict[str, Any]:

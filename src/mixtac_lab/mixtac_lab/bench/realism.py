@@ -22,10 +22,11 @@ from numba import njit
 from numpy.typing import NDArray
 from rich.console import Console
 
+from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile, Preset
 from mixtac_driver.pixels import hot_pixels
 from mixtac_events.arrays import Events
-from mixtac_lab.figures import make_table, save_result
+from mixtac_node.files import write_json
 from mixtac_recordings.camera_stream import open_recording
 from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.world import effects
@@ -270,7 +271,7 @@ def realism(
         'preset': preset,
         'seconds': seconds,
     }
-    save_result(json, result)
+    write_json(json, result)
 
 
 def _shown(value: float) -> str:

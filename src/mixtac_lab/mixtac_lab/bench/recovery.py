@@ -20,8 +20,8 @@ import numpy as np
 import psutil
 import typer
 from rich.console import Console
-from rich.progress import Progress
 
+from mixtac_cli.figures import make_table, progress_bar
 from mixtac_cli.options import JsonFile
 from mixtac_driver.camera import CameraBatch, Davis346
 from mixtac_driver.davis346.writes import register_writes
@@ -29,7 +29,7 @@ from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.arrays import Events
 from mixtac_lab.bench.harness import quantiles
-from mixtac_lab.figures import make_table, save_result
+from mixtac_node.files import write_json
 from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import Fault, FaultKind
@@ -308,9 +308,8 @@ def recovery(
 ) -> None:
     """Inject random faults into a streaming virtual camera; measure how the driver recovers."""
     console = Console()
-    with Progress(console=console, transient=True) as progress:
-        task = progress.add_task('faults', total=faults)
-        report = run_recovery_benchmark(faults, seed, on_fault=lambda: progress.advance(task))
+    with progress_bar('faults', faults, console) as advance:
+        report = run_recovery_benchmark(faults, seed, on_fault=advance)
     rows = {**report['by_fault'], 'all': report['recovery_s']}
     headings = ('fault', 'count', 'p50', 'p95', 'max')
     values = [(name, *(f'{value:g}' for value in row.values())) for name, row in rows.items()]
@@ -325,7 +324,7 @@ def recovery(
         f'file descriptors {before["descriptors"]} -> {after["descriptors"]}, '
         f'memory {before["memory_mib"]:.0f} -> {after["memory_mib"]:.0f} MiB'
     )
-    save_result(json, report)
+    write_json(json, report)
 
 
 def fault_names(faults: int, rng: Random) -> Iterator[str]:

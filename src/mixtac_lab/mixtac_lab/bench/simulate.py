@@ -20,8 +20,9 @@ import typer
 from rich.console import Console
 from rosbags.rosbag2 import Writer
 
+from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile, Preset
-from mixtac_lab.figures import make_table, save_result
+from mixtac_node.files import write_json
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.bags.camera import CameraMessages
 from mixtac_sim.bags.generation import generate
@@ -209,7 +210,7 @@ def simulate(
         for name in stages['online'] | stages['batch']
     ]
     console.print(make_table('where the time goes', ('stage', *stages), rows))
-    save_result(json, figures)
+    write_json(json, figures)
 
 
 def measure(seconds: float, preset: str) -> dict[str, Any]:

@@ -24,9 +24,9 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console
 
+from mixtac_cli.figures import new_axes, save_figure
 from mixtac_cli.options import JsonFile, OptionalPath, Preset
 from mixtac_lab.bench.harness import START_TIMEOUT_S, BenchRun
-from mixtac_lab.figures import new_figure, save_figure, save_result
 from mixtac_lab.slip.detectors import QUIET, count_alarms, curves
 from mixtac_lab.slip.loop import SIDEWAYS, TRANSPORT_S
 from mixtac_lab.slip.trials import (
@@ -39,6 +39,7 @@ from mixtac_lab.slip.trials import (
     trial_piece,
 )
 from mixtac_lab.store import Store
+from mixtac_node.files import write_json
 from mixtac_node.graph import NodeSpec
 from mixtac_node.process import GraphError, JsonProcess
 
@@ -315,7 +316,7 @@ def slip(
         outcome['curves'] = curves(curve_trials, preset)
         if figure is not None:
             draw_curves(figure, outcome['curves'])
-    save_result(report, outcome)
+    write_json(report, outcome)
 
 
 def summarise(
@@ -356,7 +357,7 @@ def draw_curves(path: Path, curves: Mapping[str, Any]) -> None:
         path: Image file.
         curves: Result of `mixtac_lab.slip.detectors.curves`.
     """
-    figure, axes = new_figure(columns=len(curves), width=4.0 * len(curves), height=3.6)
+    figure, axes = new_axes(columns=len(curves), width=4.0 * len(curves), height=3.6)
     for ax, (speed, both) in zip(axes, curves.items(), strict=True):
         for name, curve in both.items():
             late = np.array(curve['latency_ms'], np.float64)

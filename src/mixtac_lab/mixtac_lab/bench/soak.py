@@ -23,11 +23,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
+from mixtac_cli.figures import make_table, new_axes, save_figure
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_lab.bench.harness import BenchRun
 from mixtac_lab.bench.pipeline import AGE_RATE, full_load
-from mixtac_lab.figures import make_table, new_figure, save_figure, save_result
+from mixtac_node.files import write_json
 from mixtac_node.graph import sensor_graph
 from mixtac_node.process import GraphError, ProcessGroup
 
@@ -183,14 +184,14 @@ def soak(
     ]
     title = f'{report["seconds"] / 60:.1f} minutes at {rate / 1e6:g} Mev/s, simulated camera'
     console.print(make_table(title, ('', 'mean', 'last', 'per hour', '+-'), rows))
-    save_result(json, report)
+    write_json(json, report)
     if figure is not None:
         draw(report['samples'], figure, title)
 
 
 def draw(samples: Sequence[Mapping[str, float]], path: Path, title: str) -> None:
     """Draw memory, rate and zero over time."""
-    canvas, axes = new_figure(rows=3, height=6.0)
+    canvas, axes = new_axes(rows=3, height=6.0)
     drawn = (('rss [MiB]', ' rss [MiB]'), ('force [Hz]', 'force [Hz]'), ('zero [N]', 'zero [N]'))
     for ax, (label, ending) in zip(axes, drawn, strict=True):
         for name in sorted({name for each in samples for name in each if name.endswith(ending)}):

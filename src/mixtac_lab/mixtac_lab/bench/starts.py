@@ -25,10 +25,11 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
+from mixtac_cli.figures import make_table
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.options import JsonFile
 from mixtac_lab.bench.harness import START_TIMEOUT_S, quantiles
-from mixtac_lab.figures import make_table, save_result
+from mixtac_node.files import write_json
 from mixtac_node.process import GraphError
 
 NAMESPACE = 'mixtac_starts'
@@ -78,7 +79,7 @@ def starts(
     for run in runs:
         for line in run['faults']:
             console.print(line, markup=False)
-    save_result(json, report)
+    write_json(json, report)
     if report['clean'] < report['count']:
         raise typer.Exit(1)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Outcomes of experiments, and their reports as JSON, Markdown and HTML (`report.html`)."""
+"""Outcomes of experiments, their reports as JSON, Markdown and HTML (`report.html`), and curves."""
 
 from __future__ import annotations
 
@@ -9,14 +9,22 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jinja2
 import numpy as np
 from rich.console import Console
 
-from mixtac_lab.figures import make_table
+from mixtac_cli.figures import make_table
 from mixtac_node.files import read_data, write_json, write_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from mixtac_learning.judge.estimators import TrialEstimate
+
+TRUTH, PAPER = '#1f1f1f', '#8a8a8a'
+"""Colours of the true force and of the paper's values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +163,7 @@ def write(
     ]
     experiments = [outcome.as_dict() for outcome in outcomes]
     content = {'run': dict(run), 'rows': rows, 'experiments': experiments}
-    for path in (folder / 'report.json', *([] if json is None else [json])):
+    for path in (folder / 'report.json', json):
         write_json(path, content)
     write_text(folder / 'report.md', '\n'.join(map(_markdown, outcomes)))
     loader = jinja2.PackageLoader('mixtac_lab.experiments', '')
@@ -211,3 +219,37 @@ def number(value: float) -> str:
     if abs(value) >= 1000 or value == round(value):
         return f'{value:,.0f}'
     return f'{value:.3g}'
+
+
+def mark(simulated: bool) -> str:
+    """Return the word for the origin of the data in titles."""
+    return 'simulated' if simulated else 'recorded'
+
+
+def plot_forces(
+    ax: Axes,
+    known: TrialEstimate,
+    curves: Mapping[Any, TrialEstimate],
+    origin_us: float,
+    span_s: tuple[float, float],
+    *,
+    simulated: bool,
+) -> None:
+    """Plot estimates of one trial over the known force.
+
+    Args:
+        ax: Axes.
+        known: Any estimate of the trial.
+        curves: Estimates by how their models appear (`label` and `colour`).
+        origin_us: Time zero of the plot, camera clock [us].
+        span_s: Part that is shown [s].
+        simulated: Whether the trial is simulated.
+    """
+    name = 'true force' if simulated else 'reference'
+    lines = [(known.t_us, known.known, name, TRUTH, 2.2)]
+    lines += [(e.t_us, e.force, look.label, look.colour, 1.1) for look, e in curves.items()]
+    for t_us, force, label, colour, width in lines:
+        t_s = 1e-6 * (t_us - origin_us)
+        shown = (t_s >= span_s[0]) & (t_s <= span_s[1])
+        ax.plot(t_s[shown], force[shown], color=colour, label=label, lw=width, alpha=0.9)
+    ax.set_xlim(*span_s)

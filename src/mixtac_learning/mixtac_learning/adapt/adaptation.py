@@ -310,8 +310,7 @@ def run_adaptation(
     save_model(out, replace(content, card=ModelCard(training, {'adaptation': figures})))
     _report(console, adapted, presses)
     console.print(f'wrote {out}')
-    if json is not None:
-        write_json(json, {'model': str(model), 'out': str(out)} | figures)
+    write_json(json, {'model': str(model), 'out': str(out)} | figures)
 
 
 def sideways_fit(model: Model, source: BagSource, loads: Sequence[Load]) -> PullCalibration:

@@ -127,8 +127,7 @@ def run_evaluation(
         for kind, row in content['robustness'].items():
             text = ', '.join(f'{name.replace("_", " ")} {value}' for name, value in row.items())
             console.print(f'{kind.replace("_", " ")}: {text}', highlight=False)
-    if json is not None:
-        write_json(json, content)
+    write_json(json, content)
 
 
 def judge_devices(

@@ -390,9 +390,8 @@ def write_trained(console: Console, config: RunConfig, model: Model, json: Path 
     out, card = Path(config.out), model.card
     save_model(out, model)
     console.print(f'wrote {out}')
-    if json is not None:
-        content = {'model': str(out), 'run': asdict(config), 'training': card.training}
-        write_json(json, content | {'metrics': card.metrics})
+    content = {'model': str(out), 'run': asdict(config), 'training': card.training}
+    write_json(json, content | {'metrics': card.metrics})
 
 
 def default_folder(config: RunConfig) -> Path:

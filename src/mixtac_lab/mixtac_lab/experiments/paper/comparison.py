@@ -5,10 +5,9 @@
 from __future__ import annotations
 
 from mixtac_lab.experiments.harness import Context, experiment, pooled, rate_hz
-from mixtac_lab.experiments.report import Outcome, Row, Value, number, texts, value_text
+from mixtac_lab.experiments.report import Outcome, Row, Value, mark, number, texts, value_text
 from mixtac_lab.experiments.sizes import DYNAMIC, FGER
 from mixtac_lab.experiments.training import MODELS, Estimates, deviations, estimates, trial_sets
-from mixtac_lab.figures import mark
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.train.config import OURS
 

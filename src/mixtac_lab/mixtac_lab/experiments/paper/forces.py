@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_cli.figures import new_axes, save_figure
 from mixtac_lab.experiments.harness import (
     Context,
     error_rows,
@@ -20,10 +21,9 @@ from mixtac_lab.experiments.harness import (
     pooled,
     rate_hz,
 )
-from mixtac_lab.experiments.report import Outcome, Row, Value
+from mixtac_lab.experiments.report import PAPER, TRUTH, Outcome, Row, Value, mark, plot_forces
 from mixtac_lab.experiments.sizes import DYNAMIC, EVENTS, FGER, FRAMES, FUSION, HOLD, IMPACT, STATIC
 from mixtac_lab.experiments.training import MODELS, Estimates, force_outcome
-from mixtac_lab.figures import PAPER, TRUTH, mark, new_figure, plot_forces, save_figure
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_learning.judge.metrics import ROLLING_S, moving_mean
 from mixtac_learning.train.config import OURS
@@ -90,7 +90,7 @@ def _stability_rows(found: Estimates, *, simulated: bool) -> list[Row]:
 
 
 def _draw_stability(path: Path, found: Estimates, *, simulated: bool) -> Path:
-    figure, axes = new_figure(columns=len(found), width=9.0, height=3.6)
+    figure, axes = new_axes(columns=len(found), width=9.0, height=3.6)
     top = 0.0
     for ax, (model, by_seed) in zip(axes, found.items(), strict=True):
         colour = MODELS[model].colour
@@ -164,7 +164,7 @@ def _inputs_rows(found: Estimates, *, simulated: bool) -> list[Row]:
 
 
 def _draw_inputs(path: Path, found: Estimates, *, simulated: bool) -> Path:
-    figure, axes = new_figure(rows=2, width=9.0, height=6.0)
+    figure, axes = new_axes(rows=2, width=9.0, height=6.0)
     first = found[OURS][0][0]
     start = first.t_us[0] + 0.3 * (first.t_us[-1] - first.t_us[0])
     length = min(SHOWN_S, 1e-6 * float(first.t_us[-1] - start))
@@ -214,7 +214,7 @@ def _fusion_rows(found: Estimates, *, simulated: bool) -> list[Row]:
 
 
 def _draw_fusion(path: Path, found: Estimates, *, simulated: bool) -> Path:
-    figure, axes = new_figure(columns=3, width=9.0, height=3.6)
+    figure, axes = new_axes(columns=3, width=9.0, height=3.6)
     for ax, (key, title) in zip(
         axes, (('mae', 'MAE [N]'), ('rmse', 'RMSE [N]'), ('r2', 'R2')), strict=True
     ):
@@ -261,7 +261,7 @@ def _impact_rows(found: Estimates, *, simulated: bool) -> list[Row]:
 
 
 def _draw_impact(path: Path, found: Estimates, *, simulated: bool) -> Path:
-    figure, axes = new_figure(columns=2, width=10.0, height=3.8)
+    figure, axes = new_axes(columns=2, width=10.0, height=3.8)
     first = found[OURS][0][0]
     # The synchronising taps reach 2 N at most; the impact is the largest force.
     onset = first.t_us[int(np.argmax(first.known))]

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from mixtac_cli.figures import make_table, new_axes, save_figure
 from mixtac_cli.options import JsonFile, OptionalPath, Preset
 from mixtac_events.arrays import Events
 from mixtac_lab.experiments.harness import Context, experiment
-from mixtac_lab.experiments.report import Outcome, Row, Value, texts
+from mixtac_lab.experiments.report import PAPER, Outcome, Row, Value, mark, texts
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import MODELS
-from mixtac_lab.figures import PAPER, make_table, mark, new_figure, save_figure, save_result
 from mixtac_lab.slip.loop import LoopRecord
 from mixtac_lab.slip.trials import (
     COURSE_MS,
@@ -39,6 +39,7 @@ from mixtac_lab.slip.trials import (
 )
 from mixtac_lab.store import Store
 from mixtac_learning.train.config import OURS
+from mixtac_node.files import write_json
 from mixtac_sim.grasp.objects import ObjectName
 from mixtac_sim.grids import HEIGHT, WIDTH
 
@@ -92,7 +93,7 @@ def grasps(
     if figures is not None:
         draw_objects(figures / 'slip_objects.png', courses)
     console.print(_table({name: outcome[name] for name in PAPER_TRIALS}))
-    save_result(report, outcome)
+    write_json(report, outcome)
 
 
 def _table(rows: Mapping[str, dict[str, Any]]) -> Table:
@@ -190,7 +191,7 @@ def _median(trials: Sequence[Mapping[str, Any]], key: str) -> Value:
 
 
 def _draw(path: Path, results: Results) -> Path:
-    figure, (left, right) = new_figure(columns=2, width=9.0, height=3.8)
+    figure, (left, right) = new_axes(columns=2, width=9.0, height=3.8)
     for k, trial in enumerate(results.get('box', [])):
         left.plot(COURSE_MS, trial['course_mm'], color=_COLOUR, lw=1.8 if k == 0 else 0.5)
     left.plot(PAPER_MS, PAPER_BOX_MM, 'D', color=PAPER, label='paper, one trial')
@@ -278,7 +279,7 @@ def draw_objects(path: Path, courses: Mapping[str, Sequence[NDArray[np.float64]]
         path: Image file.
         courses: Displacement at `COURSE_MS` of each trial [180] [mm], by kind.
     """
-    figure, axes = new_figure(columns=len(courses), width=4.0 * len(courses))
+    figure, axes = new_axes(columns=len(courses), width=4.0 * len(courses))
     for ax, (name, ways) in zip(axes, courses.items(), strict=True):
         for way in ways:
             ax.plot(COURSE_MS, way, color=_COLOUR, alpha=0.3, linewidth=0.8)

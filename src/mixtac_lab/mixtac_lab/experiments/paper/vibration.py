@@ -28,15 +28,16 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from mixtac_cli.figures import make_table, new_axes, save_figure
 from mixtac_cli.options import JsonFile, Preset
 from mixtac_events.arrays import Events
 from mixtac_lab.experiments.harness import Context, experiment
-from mixtac_lab.experiments.report import Outcome, Row, Value, texts
+from mixtac_lab.experiments.report import Outcome, Row, Value, mark, texts
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import is_simulated
-from mixtac_lab.figures import make_table, mark, new_figure, save_figure, save_result
 from mixtac_lab.store import Piece, files_version
 from mixtac_learning.trials.bags import bag_sources
+from mixtac_node.files import write_json
 from mixtac_recordings.camera_stream import BagRecording
 from mixtac_recordings.recording import NONE, RecordingError, Selection
 from mixtac_sim import SimulationError
@@ -390,7 +391,7 @@ def _rows(
 
 
 def _draw(path: Path, panels: dict[str, list[Found]], *, simulated: bool) -> Path:
-    figure, axes = new_figure(columns=len(panels), width=3.6 * len(panels), height=4.0)
+    figure, axes = new_axes(columns=len(panels), width=3.6 * len(panels), height=4.0)
     for ax, (title, found) in zip(axes, panels.items(), strict=True):
         tones = np.array(sorted({tone for tone, _ in found}))
         columns = [
@@ -481,7 +482,7 @@ def tones(
     console.print(make_table(title, headings, shown))
     console.print('line over median; in brackets: sensors on which it is the largest peak')
     flat = [each for row in rows for each in row]
-    save_result(json, {'preset': preset, 'devices': devices, 'seed': seed, 'rows': flat})
+    write_json(json, {'preset': preset, 'devices': devices, 'seed': seed, 'rows': flat})
 
 
 def tone_lines(

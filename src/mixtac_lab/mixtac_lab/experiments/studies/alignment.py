@@ -23,13 +23,13 @@ from rich.table import Table
 from mixtac_alignment.bags import SensorTiming, pool_sensor
 from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.refinement import Refinement
+from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile, Preset
 from mixtac_events.errors import MixtacError
 from mixtac_fger.config import FgerConfig
 from mixtac_lab.bench.align import TrialRecording, fit_impulses, fit_refined
 from mixtac_lab.experiments.sizes import PRESET
 from mixtac_lab.experiments.training import learning_version
-from mixtac_lab.figures import make_table, save_result
 from mixtac_lab.store import Piece, Store, code_version
 from mixtac_learning.train.batches import MemoryGroups, stack
 from mixtac_learning.train.config import TrainingSettings
@@ -37,6 +37,7 @@ from mixtac_learning.train.stages import estimate, train_fger
 from mixtac_learning.trials.samples import Sample, make_sample
 from mixtac_learning.trials.simulated import arrays_of
 from mixtac_learning.trials.trial import aligned_force
+from mixtac_node.files import write_json
 from mixtac_sim.world.effects import preset as named_preset
 from mixtac_sim.world.trial import Trial, simulate_trial
 
@@ -130,7 +131,7 @@ def alignment(
     names = ('trials', 'checks', 'seconds', 'epochs', 'preset')
     plan = dict(zip(names, settings, strict=True)) | {'seeds': seeds}
     console.print(_table(plan, figures))
-    save_result(json, {'plan': plan, 'figures': figures})
+    write_json(json, {'plan': plan, 'figures': figures})
 
 
 def train_and_test(

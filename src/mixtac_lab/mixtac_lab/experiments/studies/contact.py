@@ -18,9 +18,9 @@ import torch
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 
 from mixtac_cli.calibrate_force.command import LOAD_SD_G
+from mixtac_cli.figures import make_table, progress_bar
 from mixtac_cli.options import JsonFile, ModelName
 from mixtac_fger.force_calibration import ForceCalibrationError
 from mixtac_fger.pull_calibration import (
@@ -32,9 +32,9 @@ from mixtac_fger.pull_calibration import (
 )
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.sizes import PRESET
-from mixtac_lab.figures import make_table, save_result
 from mixtac_learning.judge.estimators import TrialEstimate, sensor_scales, trial_estimator
 from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_node.files import write_json
 from mixtac_sim.mechanics.elastomer import Shear
 from mixtac_sim.world.device import draw_conditions, draw_device
 from mixtac_sim.world.effects import preset
@@ -200,12 +200,8 @@ def contact(
     torch.set_num_threads(1)
     count = 3 if quick else 12
     loaded = read_model(find_model(model))
-    with Progress(transient=True) as progress:
-        bar = progress.add_task('testing', total=count * (2 + len(SECONDS)))
-        sensors = [
-            sensor_rows(loaded, FIRST_DEVICE + index, lambda: progress.advance(bar))
-            for index in range(count)
-        ]
+    with progress_bar('testing', count * (2 + len(SECONDS))) as advance:
+        sensors = [sensor_rows(loaded, FIRST_DEVICE + index, advance) for index in range(count)]
     rows = summarise(sensors)
     names = ('windows', 'mae', 'mae_uncalibrated', 'worst_sensor_mae', 'mean_size', 'largest')
     shown = [
@@ -216,4 +212,4 @@ def contact(
     Console().print(make_table(f'contact, {count} unseen sensors, simulated', headings, shown))
     gains = [{name: each[name] for name in each if name != 'cases'} for each in sensors]
     result = {'model': str(find_model(model)), 'quick': quick, 'simulated': True}
-    save_result(json, {**result, 'gains': gains, 'anchors': ANCHORS, 'rows': rows})
+    write_json(json, {**result, 'gains': gains, 'anchors': ANCHORS, 'rows': rows})

@@ -17,17 +17,17 @@ import torch
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 
+from mixtac_cli.figures import make_table, progress_bar
 from mixtac_cli.options import JsonFile, ModelName
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.displacement import SkinScale
 from mixtac_fger.estimator import Estimate
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.sizes import PRESET
-from mixtac_lab.figures import make_table, save_result
 from mixtac_learning.judge.estimators import sensor_scales, stream, trial_estimator
 from mixtac_learning.trials.simulated import SimulatedSource, arrays_of
+from mixtac_node.files import write_json
 from mixtac_sim.mechanics.elastomer import Layer, force_law
 from mixtac_sim.optics.lens import Lens
 from mixtac_sim.world.device import draw_conditions, draw_device
@@ -211,14 +211,13 @@ def contact_place(
     torch.set_num_threads(1)
     sensors = 3 if quick else sensors
     loaded = read_model(find_model(model))
-    with Progress(transient=True) as progress:
-        bar = progress.add_task('touching', total=sensors)
-        rows = contact_rows(measure(loaded, sensors, object_radius, lambda: progress.advance(bar)))
+    with progress_bar('touching', sensors) as advance:
+        rows = contact_rows(measure(loaded, sensors, object_radius, advance))
     shown = [(r['what'], f'{r["value"]:g} {r["unit"]}', r['target'], r['n']) for r in rows]
     headings = ('contact', 'found', 'wanted', 'of')
     Console().print(make_table(f'contacts, {PRESET}, simulated', headings, shown))
     result = {'model': str(find_model(model)), 'simulated': True, 'object_radius': object_radius}
-    save_result(json, {**result, 'sensors': sensors, 'rows': rows})
+    write_json(json, {**result, 'sensors': sensors, 'rows': rows})
 
 
 def measure(

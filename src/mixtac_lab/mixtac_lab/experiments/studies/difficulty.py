@@ -21,18 +21,18 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 
+from mixtac_cli.figures import make_table, progress_bar
 from mixtac_cli.options import JsonFile, ModelName, Preset
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.harness import pooled
 from mixtac_lab.experiments.paper.vibration import cell_sums
 from mixtac_lab.experiments.sizes import PRESET
-from mixtac_lab.figures import make_table, save_result
 from mixtac_learning.judge.estimators import TrialEstimate, stream
 from mixtac_learning.judge.metrics import fit_scale, measure
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, TrialArrays
+from mixtac_node.files import write_json
 from mixtac_sim.world.effects import EFFECTS
 from mixtac_sim.world.training_trials import (
     TrialSpec,
@@ -309,16 +309,13 @@ def difficulty(
 ) -> None:
     """Show what frames alone, events alone, brightness and event counts reveal of the force."""
     specs, presses = _plans(preset, devices, seconds, seed)
-    with Progress(transient=True) as progress:
-        total = len(specs) * (2 + LESSONS) + len(presses)
-        bar = progress.add_task('testing', total=total)
-        loaded = read_model(find_model(model))
-        figures = _judge_all(loaded, specs, presses, lambda: progress.advance(bar))
-        kept = loaded.config['reference_frames']
-        figures |= _integrate_all(kept, specs, lambda: progress.advance(bar))
+    loaded = read_model(find_model(model))
+    with progress_bar('testing', len(specs) * (2 + LESSONS) + len(presses)) as advance:
+        figures = _judge_all(loaded, specs, presses, advance)
+        figures |= _integrate_all(loaded.config['reference_frames'], specs, advance)
     shown = [(name.replace('_', ' '), f'{value:.4g}') for name, value in figures.items()]
     Console().print(make_table(f'dynamic, {preset}, simulated', ('figure', 'value'), shown))
-    save_result(json, {'preset': preset, 'model': str(find_model(model)), **figures})
+    write_json(json, {'preset': preset, 'model': str(find_model(model)), **figures})
 
 
 def ablation(
@@ -333,16 +330,13 @@ def ablation(
     specs, presses = _plans(preset, devices, seconds, seed)
     names = ['', *EFFECTS]
     rows = {}
-    with Progress(transient=True) as progress:
-        bar = progress.add_task('testing', total=(len(specs) + len(presses)) * len(names))
-        loaded = read_model(find_model(model))
+    loaded = read_model(find_model(model))
+    with progress_bar('testing', (len(specs) + len(presses)) * len(names)) as advance:
         for name in names:
             dynamic, press = (
                 [replace(spec, without=name) for spec in part] for part in (specs, presses)
             )
-            rows[name or 'all effects'] = _judge_all(
-                loaded, dynamic, press, lambda: progress.advance(bar)
-            )
+            rows[name or 'all effects'] = _judge_all(loaded, dynamic, press, advance)
     whole = rows['all effects']['fused_mae']
     shown = [
         (
@@ -355,7 +349,7 @@ def ablation(
     ]
     headings = ('off', 'MAE [N]', 'share of the error', 'frames only [N]')
     Console().print(make_table(f'dynamic, {preset}, simulated: one effect off', headings, shown))
-    save_result(json, {'preset': preset, 'model': str(find_model(model)), 'rows': rows})
+    write_json(json, {'preset': preset, 'model': str(find_model(model)), 'rows': rows})
 
 
 def _plans(

@@ -19,15 +19,15 @@ import torch
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import track
 
+from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile
 from mixtac_fger.config import ConfigError
 from mixtac_fger.weights import find_model, read_model
 from mixtac_lab.experiments.paper.vibration import cell_sums
 from mixtac_lab.experiments.sizes import DYNAMIC, PAPER, TABLE_SIZES, Sizes
 from mixtac_lab.experiments.studies.models import table_data
-from mixtac_lab.figures import make_table, save_result
 from mixtac_learning.judge.metrics import measure
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import EventRecurrence, PaperNetwork, paper_network_of
@@ -37,6 +37,7 @@ from mixtac_learning.train.paper_stage import run_stretches
 from mixtac_learning.train.run import training_sources
 from mixtac_learning.trials.store import CachedSource
 from mixtac_learning.trials.trial import TrialArrays
+from mixtac_node.files import write_json
 
 WINDOWS = (1, 5, 10, 20, 50)
 """Lengths of the changes, in windows of 2 ms."""
@@ -193,11 +194,8 @@ def event_path(
     torch.set_num_threads(1)
     networks = {name: paper_network_of(read_model(find_model(name))) for name in weights or ()}
     sizes = TABLE_SIZES[size]
-    with Progress(transient=True) as progress:
-        trials = [
-            source.load()
-            for source in progress.track(dynamic_trials(sizes, out), description='trials')
-        ]
+    sources = dynamic_trials(sizes, out)
+    trials = [source.load() for source in track(sources, 'trials', transient=True)]
     config = PaperConfig.from_dict({'model': 'events'} | sizes.paper_network)
     samples = [make_paper_sample(config, trial) for trial in trials]
     features = [
@@ -224,7 +222,7 @@ def event_path(
         table = [tuple(f'{value:.3f}' for value in row.values()) for row in rows]
         console.print(make_table(f'increments of {name}', tuple(rows[0]), table))
     result = {'size': size, 'protocol': PAPER, 'simulated': True, 'trials': len(trials)}
-    save_result(json, {**result, 'linear': linear, 'held': held, 'networks': trained})
+    write_json(json, {**result, 'linear': linear, 'held': held, 'networks': trained})
 
 
 def dynamic_trials(sizes: Sizes, out: Path) -> list[CachedSource]:

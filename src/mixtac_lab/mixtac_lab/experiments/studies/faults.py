@@ -18,8 +18,8 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 
+from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile, ModelName
 from mixtac_fger.estimator import Estimate, open_estimator
 from mixtac_fger.reference import TareError
@@ -27,11 +27,11 @@ from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.validity import Reason
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.studies.stream_faults import SEEN, UNSEEN, Stream, stream_of
-from mixtac_lab.figures import make_table, save_result
 from mixtac_lab.store import Piece, Store, code_version, files_version
 from mixtac_learning.judge.metrics import CalibrationError, fit_scale
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.trial import TrialArrays
+from mixtac_node.files import write_json
 from mixtac_recordings.messages import left_aligned
 from mixtac_sim.world.training_trials import TrialSpec, simulator_digest
 
@@ -306,10 +306,8 @@ def faults(
         *(Piece('start', judge_start, (weights, each), version) for each in held),
         *(Piece('good', judge_good, (weights, each), version) for each in good),
     ]
-    console, store = Console(), Store(out)
-    with Progress(console=console, transient=True) as progress:
-        bar = progress.add_task('faults, starts, trials without a fault', total=len(pieces))
-        found = store.run(pieces, jobs, lambda: progress.advance(bar))
+    console, title = Console(), 'faults, starts, trials without a fault'
+    found = Store(out).run_shown(title, pieces, console, jobs)
     by_sensor, begun = found[:sensors], found[sensors : sensors + starts]
     alarms = false_alarms(found[-len(good) :])
     rows = [fault_row(name, [each[name] for each in by_sensor]) for name in {**SEEN, **UNSEEN}]
@@ -334,4 +332,4 @@ def faults(
     console.print(make_table('faults, simulated', headings, shown))
     console.print({**alarms, **pressed})
     result = {'model': str(weights), 'quick': quick, **alarms, 'pressed': pressed}
-    save_result(json, {**result, 'rows': rows})
+    write_json(json, {**result, 'rows': rows})

@@ -23,6 +23,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from mixtac_cli.figures import make_table, new_axes, save_figure
 from mixtac_cli.options import JsonFile, ModelName
 from mixtac_fger.config import ConfigError
 from mixtac_fger.force_calibration import (
@@ -34,7 +35,7 @@ from mixtac_fger.force_calibration import (
 )
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.harness import Context, OptionalStrings
-from mixtac_lab.experiments.report import Value
+from mixtac_lab.experiments.report import Value, mark, plot_forces
 from mixtac_lab.experiments.sizes import (
     ALL_ROWS,
     BOUND,
@@ -61,14 +62,6 @@ from mixtac_lab.experiments.sizes import (
     run_config,
 )
 from mixtac_lab.experiments.training import MODELS, learning_version, train
-from mixtac_lab.figures import (
-    make_table,
-    mark,
-    new_figure,
-    plot_forces,
-    save_figure,
-    save_result,
-)
 from mixtac_lab.store import Piece
 from mixtac_learning.adapt.adaptation import adapt
 from mixtac_learning.adapt.presses import gather_presses
@@ -90,7 +83,7 @@ from mixtac_learning.trials.changes import MISMATCHES, ChangedSource
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import CachedSource
 from mixtac_learning.trials.trial import TrialArrays, TrialSource
-from mixtac_node.files import write_text
+from mixtac_node.files import write_json, write_text
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.profiles import WEIGHTS_G
 from mixtac_sim.world.training_trials import TrialSpec, session_plan
@@ -348,7 +341,7 @@ def models(
         write_text(out / file, as_markdown(table))
         rows += rows_of(table, each)
     result = {'size': size, 'seeds': seeds, 'simulated': True, 'rows': rows, 'tables': tables}
-    save_result(json, result | {'table': tables.get(OTHER_DAYS, {})})
+    write_json(json, result | {'table': tables.get(OTHER_DAYS, {})})
 
 
 def train_and_test(
@@ -403,7 +396,7 @@ def draw_trials(
     torch.set_num_threads(1)
     (first, *_) = training_sources(table_data(sizes, OURS))
     specs = {s.profile: s for s in test_specs(sizes, first.origin['device_seed'], protocol)[::-1]}
-    figure, axes = new_figure(rows=len(SHOWN_S), columns=2, width=11.0, height=6.0)
+    figure, axes = new_axes(rows=len(SHOWN_S), columns=2, width=11.0, height=6.0)
     estimators = {
         name: trial_estimator(read_model(base.with_name(f'{stem}.safetensors')))
         for name, stem in weights.items()
@@ -587,4 +580,4 @@ def adaptation(
     if found['refused']:
         console.print(f'known weights refused, gain 1 taken: {found["refused"]} sensors')
     console.print(f'spoiled weights: {found["spoiled"]}')
-    save_result(json, {'model': model, 'sensors': sensors, 'simulated': True} | found)
+    write_json(json, {'model': model, 'sensors': sensors, 'simulated': True} | found)

@@ -18,14 +18,14 @@ import torch
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 
+from mixtac_cli.figures import make_table, progress_bar
 from mixtac_cli.options import JsonFile, ModelName
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.sizes import PRESET
-from mixtac_lab.figures import make_table, save_result
 from mixtac_learning.judge.estimators import TrialEstimate, sensor_scales, trial_estimator
 from mixtac_learning.trials.simulated import SimulatedSource
+from mixtac_node.files import write_json
 from mixtac_sim.world.training_trials import TrialSpec
 
 GESTURES = {'press': 'touch', 'slide': 'slide', 'torsion': 'torsion'}
@@ -120,10 +120,8 @@ def zero(
     """Show how far the force returns to zero after presses, slides and turns."""
     torch.set_num_threads(1)
     sensors, repetitions = (2, 3) if quick else (10, 10)
-    with Progress(transient=True) as progress:
-        bar = progress.add_task('testing', total=sensors * (1 + len(GESTURES)))
-        loaded = read_model(find_model(model))
-        rows = zero_study(loaded, sensors, repetitions, lambda: progress.advance(bar))
+    with progress_bar('testing', sensors * (1 + len(GESTURES))) as advance:
+        rows = zero_study(read_model(find_model(model)), sensors, repetitions, advance)
     shown = [
         (
             row['gesture'],
@@ -142,4 +140,4 @@ def zero(
     )
     Console().print(make_table(f'zero after a contact, {PRESET}, simulated', headings, shown))
     result = {'model': str(find_model(model)), 'quick': quick, 'simulated': True}
-    save_result(json, {**result, 'sensors': sensors, 'within_n': WITHIN_N, 'rows': rows})
+    write_json(json, {**result, 'sensors': sensors, 'within_n': WITHIN_N, 'rows': rows})
