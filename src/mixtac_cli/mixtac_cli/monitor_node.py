@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes of the command line, which receive in a thread of their own.
+"""Nodes of the command line.
 
-`Monitor` measures forces, clocks and diagnostics as any user's node would see them;
-`ImageReceiver` keeps the newest image of a topic.
+`CommandNode` is the one node of a command; a `Receiver` spins it in a thread of its own. `Monitor`
+measures forces, clocks and diagnostics as any user's node would see them; `ImageReceiver` keeps the
+newest image of a topic.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ import math
 import threading
 import time
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -36,7 +39,7 @@ from mixtac_node.lifecycle_node import LifecycleClient
 from mixtac_node.process import GraphError, ProcessGroup
 from mixtac_node.stamps import stamp_to_ns
 
-R = TypeVar('R', bound='Receiver')
+N = TypeVar('N', bound='CommandNode')
 SERVICE_TIMEOUT_S = 20.0
 DEPTH = 1000
 """Forces that may wait: those of two seconds in which the host has no time for the monitor."""
@@ -44,12 +47,47 @@ FIRST_FORCE_TIMEOUT_S = 180.0
 """The driver compiles, too, before its first packet."""
 
 
-class _ReceiverNode(BaseNode, Node):  # type: ignore[misc]
-    pass
+class CommandNode(BaseNode, Node):  # type: ignore[misc]
+    """A node within a command, outside of any other rclpy program."""
+
+    @classmethod
+    @contextmanager
+    def opened(cls: type[N], name: str, namespace: str) -> Iterator[N]:  # noqa: PYI019
+        """Yield the node; it is closed at the end of the `with` block.
+
+        Args:
+            name: Name of the node.
+            namespace: Its namespace.
+        """
+        with secure_start():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            node = cls(name, namespace=f'/{namespace.strip("/")}')
+        try:
+            yield node
+        finally:
+            node.destroy_node()
+            rclpy.try_shutdown()
+
+    def spin_for(self, seconds: float, stopping: Callable[[], bool]) -> None:
+        """Receive for some seconds, or until `stopping` returns True; always in the same thread.
+
+        Args:
+            seconds: How long [s].
+            stopping: Called several times a second.
+        """
+        end_s = time.monotonic() + seconds
+        while not stopping() and (left_s := end_s - time.monotonic()) > 0 and rclpy.ok():
+            self._spinner.spin_once(timeout_sec=min(left_s, 0.1))
+
+    @cached_property
+    def _spinner(self) -> EventsExecutor:
+        executor = EventsExecutor()
+        executor.add_node(self)
+        return executor
 
 
-class Receiver:
-    """A node that receives in a thread of its own, between `start` and the end of a `with` block.
+class Receiver(ExitStack):
+    """A node that receives in a thread of its own, until the end of a `with` block.
 
     Args:
         name: Name of the node.
@@ -57,31 +95,18 @@ class Receiver:
     """
 
     def __init__(self, name: str, namespace: str = topics.DEFAULT_NAMESPACE) -> None:
+        super().__init__()
         self._namespace = f'/{namespace.strip("/")}'
-        with secure_start():
-            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-            self._node = _ReceiverNode(name, namespace=self._namespace)
+        self._node = self.enter_context(CommandNode.opened(name, namespace))
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._spin, name=name)
+        self.callback(self._stop)
+        spin = partial(self._node.spin_for, math.inf, self._stopping.is_set)
+        self._thread = threading.Thread(target=spin, name=name)
 
-    def __enter__(self: R) -> R:  # noqa: PYI019  (Self needs Python 3.11)
-        """Return the receiver."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop receiving and close the node."""
+    def _stop(self) -> None:
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
-        self._node.destroy_node()
-        rclpy.try_shutdown()
-
-    def _spin(self) -> None:
-        executor = EventsExecutor()
-        executor.add_node(self._node)
-        while not self._stopping.is_set() and rclpy.ok():
-            executor.spin_once(timeout_sec=0.1)
-        executor.remove_node(self._node)
 
 
 class Monitor(Receiver):

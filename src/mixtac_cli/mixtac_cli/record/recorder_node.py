@@ -7,26 +7,22 @@ The recorder node is for machines without `ros2 bag record`.
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 from rosbags.interfaces import Connection
 
+from mixtac_cli.monitor_node import CommandNode
 from mixtac_cli.parameters import RecorderParameters
 from mixtac_cli.record.meter import EVEN, RecordingSummary, TopicMeter
 from mixtac_events.errors import MixtacError
-from mixtac_node.base_node import BaseNode, declare, run, secure_start
+from mixtac_node.base_node import declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.topics import DEFAULT_NAMESPACE, FORCE, IMAGE_RAW, IMU, REFERENCE, TOPICS
 from mixtac_recordings.bag_writer import BagWriter
@@ -39,7 +35,7 @@ DEPTH = 1000
 """Least queue depth of a subscription: messages of about one second."""
 
 
-class Listener(BaseNode, Node):  # type: ignore[misc]
+class Listener(CommandNode):
     """Meters all topics; writes them to a bag between `start` and `finish`.
 
     All methods are for the thread of its executor.
@@ -109,23 +105,6 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
             if meter.topic.name in CAMERA_CLOCK
         }
 
-    def spin_for(self, seconds: float, stopping: Callable[[], bool]) -> None:
-        """Receive for some seconds, or until `stopping` returns True. Not for a node that is run.
-
-        Args:
-            seconds: How long [s].
-            stopping: Called several times a second.
-        """
-        end_s = time.monotonic() + seconds
-        while not stopping() and (left_s := end_s - time.monotonic()) > 0:
-            self._spinner.spin_once(timeout_sec=min(left_s, 0.1))
-
-    @cached_property
-    def _spinner(self) -> EventsExecutor:
-        executor = EventsExecutor()
-        executor.add_node(self)
-        return executor
-
     def start(self, output: Path) -> None:
         """Start writing to a new bag; figures count from now.
 
@@ -185,23 +164,6 @@ class Listener(BaseNode, Node):  # type: ignore[misc]
                 self.simulated = True
             if status.name == f'{own}/driver':
                 self.serial = status.hardware_id
-
-
-@contextlib.contextmanager
-def running_listener(namespace: str) -> Iterator[Listener]:
-    """Yield a listener, outside of any other rclpy program.
-
-    Args:
-        namespace: Namespace of the sensor.
-    """
-    with secure_start():
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        node = Listener('record', f'/{namespace.strip("/")}')
-    try:
-        yield node
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
 
 
 class RecorderNode(Listener):

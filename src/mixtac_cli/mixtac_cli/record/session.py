@@ -20,7 +20,7 @@ from rich.table import Table
 from mixtac_cli.doctor import table
 from mixtac_cli.options import JsonFile, Namespace, Split
 from mixtac_cli.record.meter import RecordingSummary, TopicMeter
-from mixtac_cli.record.recorder_node import Listener, running_listener
+from mixtac_cli.record.recorder_node import Listener
 from mixtac_driver.doctor.computer import Finding, Level, ok
 from mixtac_node import topics
 from mixtac_node.files import write_json
@@ -74,7 +74,7 @@ def record(
         raise RecordingError(f'{out} exists', remedy='name a new folder')
     read_recordings(out.absolute().parent / FILE_NAME)
     console = Console()
-    with running_listener(namespace) as listener, _noted_signals() as stopping:
+    with Listener.opened('record', namespace) as listener, _noted_signals() as stopping:
         listener.listen(reference_topic)
         _wait_for_packet(console, listener, wait, stopping)
         findings = _check(console, listener, out, seconds, check_seconds, stopping)
