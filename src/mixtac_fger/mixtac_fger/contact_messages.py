@@ -5,20 +5,15 @@
 from __future__ import annotations
 
 import array
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mixtac_fger.displacement import field_places
+from mixtac_fger.contact_tracking import Contact
+from mixtac_fger.displacement import DisplacementField, SkinScale, field_places
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_fger.contact_tracking import Contact
-    from mixtac_fger.displacement import DisplacementField, SkinScale
-
-    F32 = NDArray[np.float32]
-
+F32 = NDArray[np.float32]
 MM: Final = 1e-3
 CLOUD_FIELDS: Final = ('x', 'y', 'z', 'dx', 'dy', 'confidence')
 FLOAT32: Final = 7

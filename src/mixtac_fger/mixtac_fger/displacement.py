@@ -9,16 +9,14 @@ before left, against the reference moved by them. Neither exposure nor lamp curr
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from mixtac_events.frames import bin_mean, displacement, gradients
-
-if TYPE_CHECKING:
-    from mixtac_fger.config import FgerConfig
+from mixtac_fger.config import FgerConfig
 
 F32 = NDArray[np.float32]
 

@@ -10,22 +10,16 @@ is the reference that this is tested against.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from mixtac_fger.config import map_shapes
+from mixtac_fger.config import FgerConfig, map_shapes
+from mixtac_fger.weights import Tensors
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mixtac_fger.config import FgerConfig
-    from mixtac_fger.weights import Tensors
-
-    F32 = NDArray[np.float32]
-
-
+F32 = NDArray[np.float32]
 TAPS = 9
 """Of a 3 x 3 kernel."""
 

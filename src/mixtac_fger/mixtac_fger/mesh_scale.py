@@ -18,14 +18,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from mixtac_fger.displacement import SkinScale
+from mixtac_fger.displacement import SkinScale
 
 F64 = NDArray[np.float64]
 DISTORTION: Final = (-0.26, 0.085)

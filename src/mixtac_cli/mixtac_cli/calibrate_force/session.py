@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +27,8 @@ from mixtac_fger.force_calibration import (
     steady_stretches,
 )
 from mixtac_fger.pull_calibration import KnownPull, find_pulls, last_contact, measured
-
-if TYPE_CHECKING:
-    from mixtac_fger.weights import Model
-    from mixtac_recordings.recording import Recording
+from mixtac_fger.weights import Model
+from mixtac_recordings.recording import Recording
 
 F64 = NDArray[np.float64]
 Sideways = tuple[Load, str]

@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mixtac_alignment.clock_fit import ClockFit
 from mixtac_events.codec import decode_message
 from mixtac_events.sequence import SequenceCounter
 from mixtac_events.windows import counts_per_window
@@ -16,16 +18,7 @@ from mixtac_node import topics
 from mixtac_node.stamps import stamp_to_ns
 from mixtac_recordings.bag import BagFile
 from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.world.profiles import make_profile
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from mixtac_alignment.clock_fit import ClockFit
-    from mixtac_sim.world.profiles import Segment
-
+from mixtac_sim.world.profiles import Segment, make_profile
 
 WINDOW_NS = 2_000_000
 RATE_WINDOW_US = 10_000

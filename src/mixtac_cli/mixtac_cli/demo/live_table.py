@@ -6,19 +6,16 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rich.console import Console
-
-    from mixtac_cli.monitor_node import Monitor
+from mixtac_cli.monitor_node import Monitor
 
 _BLOCKS = ' ▁▂▃▄▅▆▇█'
 _HISTORY = 60

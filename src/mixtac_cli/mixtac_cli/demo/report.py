@@ -4,13 +4,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
 
 from mixtac_alignment.align import align
 from mixtac_alignment.bags import read_recording
+from mixtac_alignment.clock_fit import ClockFit
 from mixtac_alignment.errors import AlignmentError, InconsistentFitError
 from mixtac_cli.demo.drawing import draw_run
 from mixtac_cli.demo.evaluation import (
@@ -29,15 +34,6 @@ from mixtac_cli.demo.evaluation import (
 from mixtac_cli.demo.sideways import read_sideways, true_path
 from mixtac_cli.figures import make_table
 from mixtac_node.topics import DEFAULT_NAMESPACE
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-    from rich.console import Console
-
-    from mixtac_alignment.clock_fit import ClockFit
 
 BAG: Final = 'bag'
 SIDEWAYS_BAG: Final = 'bag_sideways'

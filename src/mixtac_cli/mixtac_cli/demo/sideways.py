@@ -8,9 +8,11 @@ It has a bag of its own, so that no figure of the first part depends on it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixtac_cli.demo.evaluation import host_time, read_streams
 from mixtac_node import topics
@@ -19,11 +21,6 @@ from mixtac_sim.grids import STEP_US
 from mixtac_sim.world.device import draw_conditions
 from mixtac_sim.world.effects import preset
 from mixtac_sim.world.profiles import make_profile, still
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 SCENARIO: Final = 'pull_and_roll'
 SECONDS: Final = 4.0

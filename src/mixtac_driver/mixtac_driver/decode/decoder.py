@@ -13,13 +13,17 @@ are views of its own arrays. Only frames, inertial samples and edges are copied 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mixtac_driver.davis346.model import Geometry
 from mixtac_driver.decode.kernel import DONE, FRAME, FULL, RESET, decode_words, drop_items
 from mixtac_driver.decode.state import DecoderCounters, new_buffers
 from mixtac_driver.errors import DriverError
+from mixtac_driver.usb.transport import Gap, Octets
 from mixtac_events.arrays import Events
 from mixtac_events.readings import (
     NO_EDGES,
@@ -30,15 +34,6 @@ from mixtac_events.readings import (
     InertialSamples,
     inertial_samples,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
-    from mixtac_driver.davis346.model import Geometry
-    from mixtac_driver.usb.transport import Gap, Octets
-
 
 DEFAULT_CAPACITY = 32768
 WORD = np.dtype('<u2')
