@@ -30,7 +30,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from mixtac_driver.camera import CameraBatch
-from mixtac_driver.doctor.computer import DEVICES, USBFS_MEMORY, HostFiles, read_text
+from mixtac_driver.doctor.computer import HostFiles, read_text
+from mixtac_driver.doctor.usb import DEVICES, USBFS_MEMORY
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.capture import MEMBER, CaptureWriter
 from mixtac_events.arrays import Events

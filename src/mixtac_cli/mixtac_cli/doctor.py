@@ -30,13 +30,13 @@ from mixtac_driver.doctor.computer import (
     Finding,
     HostFiles,
     Level,
-    check_attached,
     check_computer,
     first_to_do,
     ok,
     worst,
 )
 from mixtac_driver.doctor.stream import Measurement, check_running, measure
+from mixtac_driver.doctor.usb import check_attached
 from mixtac_driver.errors import NoCameraError
 from mixtac_driver.parameters import DriverParameters
 from mixtac_driver.usb.capture import CaptureWriter

@@ -2,9 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags from other files: tables in csv, NPZ or HDF5, AEDAT4 files, and forces beside them.
 
-Tables are named and laid out as `mixtac_recordings.export` writes them; of files of others, the
-usual names of columns are understood (`COLUMNS`), and HDF5 files in the layout of the DSEC data set
-(`events/p, x, y, t` and `t_offset`). Times are taken as they are: nothing is aligned here.
+`mixtac_recordings.tables` reads the tables. Times are taken as they are: nothing is aligned here.
 """
 
 from __future__ import annotations
@@ -12,17 +10,13 @@ from __future__ import annotations
 import contextlib
 import heapq
 import itertools
-import re
 import shutil
 import tempfile
-import warnings
-import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,40 +26,12 @@ from mixtac_node.topics import REFERENCE, REFERENCE_FRAME, REFERENCE_WRENCH
 from mixtac_recordings.bag import find_bags
 from mixtac_recordings.bag_writer import McapBag
 from mixtac_recordings.camera_stream import open_recording
-from mixtac_recordings.export import HDF5_SUFFIXES, PACKET_US, Counts, open_hdf5, topic_file
-from mixtac_recordings.messages import BIT_SHIFT
+from mixtac_recordings.export import PACKET_US, Counts, topic_file
 from mixtac_recordings.recording import Piece, RecordingError
 from mixtac_recordings.stream_writer import StreamWriter
+from mixtac_recordings.tables import AXES, UNITS, Rows, Tables, open_tables
 
-AXES: Final = 'xyz'
-VECTORS: Final = ('force', 'torque', 'acceleration', 'angular_velocity')
-COLUMNS: Final = {
-    **dict.fromkeys(('time', 'timestamp', 'timestamps', 'stamp', 'ts'), 't'),
-    **dict.fromkeys(('p', 'pol'), 'polarity'),
-    **dict.fromkeys(('force', 'fz', 'f'), 'force_z'),
-    'fx': 'force_x',
-    'fy': 'force_y',
-    'tx': 'torque_x',
-    'ty': 'torque_y',
-    'tz': 'torque_z',
-}
-"""Other names of columns, in lower case, and what they mean."""
-KNOWN: Final = frozenset(
-    (
-        *('t', 'x', 'y', 'polarity', 'kind', 'force', 'temperature'),
-        *('file', 'exposure_start', 'exposure_end'),
-        *(f'{name}_{axis}' for name in VECTORS for axis in AXES),
-    )
-)
-"""Columns that are read; all others are passed over."""
-UNITS: Final = {'ns': 1, 'us': 1_000, 'ms': 1_000_000, 's': 1_000_000_000}
-"""Units of time [ns]."""
-ROWS: Final = 100_000
-"""Rows that are read at once."""
 DAVIS346: Final = (346, 260)
-_SUFFIX = re.compile(r'(.+)_(ns|us|ms|s)')
-_HEADING = re.compile(r'\s*"?([^"\[(]*?)\s*(?:[\[(]\s*(\w+)[^\])]*[\])])?"?\s*')
-Rows = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +127,7 @@ class _Camera:
 @contextlib.contextmanager
 def _open_camera(path: Path, options: TableOptions) -> Iterator[_Camera]:
     path = path.expanduser()
-    tables = None if path.is_dir() and find_bags(path, 0) else _tables(path)
+    tables = None if path.is_dir() and find_bags(path, 0) else open_tables(path)
     if tables is None:
         with contextlib.closing(open_recording(path)) as recording:
             info = recording.info
@@ -317,7 +283,7 @@ def _frames(rows: Rows) -> dict[str, Any]:
     return {'frames': (Frame(image, x, y, start, start, end, end, end - start, True),)}
 
 
-def _frame_size(tables: _Tables) -> tuple[int, int] | None:
+def _frame_size(tables: Tables) -> tuple[int, int] | None:
     """Return width and height of the first frame, None without frames."""
     if 'frames' not in tables.names:
         return None
@@ -326,13 +292,13 @@ def _frame_size(tables: _Tables) -> tuple[int, int] | None:
 
 
 def _wrenches(path: Path, options: TableOptions) -> Wrenches:
-    tables = _tables(path.expanduser(), 'forces')
+    tables = open_tables(path.expanduser(), 'forces')
     if tables is None or len(tables.names) != 1:
         raise RecordingError(f'{path} is no table of forces', remedy='give a .csv or .npz file')
     return _force_rows(tables, next(iter(tables.names)), options)
 
 
-def _force_rows(tables: _Tables, name: str, options: TableOptions) -> Wrenches:
+def _force_rows(tables: Tables, name: str, options: TableOptions) -> Wrenches:
     for rows in tables.rows(name, options.force_unit, wanted_ns=1):
         count = len(rows['t'])
         values = np.hstack([_vector(rows, kind, count) for kind in ('force', 'torque')])
@@ -353,243 +319,3 @@ def _vector(rows: Rows, name: str, count: int) -> NDArray[np.float64]:
     if name == 'force' and 'force_z' not in rows:
         columns[2] = rows.get('force', np.full(count, np.nan))
     return np.stack(columns, axis=1).astype(np.float64)
-
-
-class _Tables:
-    """Tables of a file or a folder: rows in the order in which they are stored.
-
-    Attributes:
-        path: As given.
-        names: Names of the tables.
-    """
-
-    def __init__(self, path: Path, names: set[str]) -> None:
-        self.path, self.names = path, names
-
-    def close(self) -> None:
-        """Close the files."""
-
-    def rows(self, name: str, unit: str, wanted_ns: int = 1000) -> Iterator[Rows]:
-        """Yield the columns of a table, some rows at a time.
-
-        Args:
-            name: The table.
-            unit: Unit of its times where it does not say so.
-            wanted_ns: Unit of the times that are returned [ns].
-
-        Raises:
-            RecordingError: It cannot be read, or columns are missing.
-        """
-        for rows, units in self._rows(name):
-            if name == 'frames' and 'exposure_start' not in rows and 't' in rows:
-                rows['exposure_start'] = rows['exposure_end'] = rows['t']
-            needed = {
-                'events': ('t', 'x', 'y', 'polarity'),
-                'frames': ('exposure_start', 'exposure_end', 'image'),
-            }.get(name, ('t',))
-            if missing := [each for each in needed if each not in rows]:
-                raise RecordingError(
-                    f'{self.path}: {name} has no column {missing[0]}, only {", ".join(rows)}',
-                    remedy=f'name the columns {", ".join(needed)}',
-                )
-            for key in ('t', 'exposure_start', 'exposure_end'):
-                if key in rows:
-                    scale = UNITS.get(units.get(key, ''), UNITS[unit])
-                    rows[key] = _scaled(rows[key], scale, wanted_ns)
-            if name == 'frames' and 'origin' not in rows:
-                rows['origin'] = np.zeros((len(rows['image']), 2), np.int64)
-            if len(rows[needed[0]]):
-                yield rows
-
-    def _rows(self, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:
-        raise NotImplementedError
-
-
-def _scaled(t: NDArray[Any], unit_ns: int, wanted_ns: int) -> NDArray[np.int64]:
-    if t.dtype.kind == 'f':
-        return np.rint(t * (unit_ns / wanted_ns)).astype(np.int64)
-    if unit_ns >= wanted_ns:
-        return t.astype(np.int64) * (unit_ns // wanted_ns)
-    return t.astype(np.int64) // (wanted_ns // unit_ns)
-
-
-def _tables(path: Path, name: str = 'events') -> _Tables | None:
-    """Return the tables of a path; None for an AEDAT4 file, a bag or what is no table.
-
-    Args:
-        path: File or folder.
-        name: Name of the table in a csv or NPZ file.
-    """
-    if path.is_file() and path.suffix in HDF5_SUFFIXES:
-        return _Hdf5Tables(path)
-    for suffixes, cls in ((('.csv', '.txt'), _CsvTables), (('.npz',), _NpzTables)):
-        if path.is_dir():
-            files = {each.stem: each for each in path.glob(f'*{suffixes[0]}')}
-        else:
-            files = {name: path} if path.is_file() and path.suffix in suffixes else {}
-        if files:
-            return cls(path, files)
-    return None
-
-
-class _CsvTables(_Tables):
-    """CSV files, with headings or in the order t, x, y, p and t, fz."""
-
-    def __init__(self, path: Path, files: dict[str, Path]) -> None:
-        super().__init__(path, set(files))
-        self._files = files
-
-    def _rows(self, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:
-        path = self._files[name]
-        with path.open(encoding='utf8', errors='replace') as file:
-            first = file.readline().lstrip('\ufeff#')
-            names, units = _headings(first)
-            lines: Iterator[str] = file
-            if names is None:
-                names, lines = _unnamed(first), itertools.chain([first], file)
-            if 'file' in names:
-                yield from _picture_rows(path, names, units, lines)
-                return
-            while part := list(itertools.islice(lines, ROWS)):
-                yield _parsed(path, names, part), units
-
-
-def _headings(line: str) -> tuple[list[str] | None, dict[str, str]]:
-    """Return names and units of columns, None for a row of numbers."""
-    # Units may hold commas, but are quoted then.
-    parts = re.findall(r'"[^"]*"|[^,;\t]+', line.strip())
-    with contextlib.suppress(ValueError):
-        float(parts[0])
-        return None, {}
-    names, units = [], {}
-    for part in parts:
-        match = _HEADING.fullmatch(part)
-        name = (match[1] if match else part).strip().lower().replace(' ', '_')
-        unit = match[2] if match else None
-        if unit is None and (suffix := _SUFFIX.fullmatch(name)):
-            name, unit = suffix[1], suffix[2]
-        names.append(COLUMNS.get(name, name))
-        if unit:
-            units[names[-1]] = unit
-    return names, units
-
-
-def _unnamed(line: str) -> list[str]:
-    count = len(re.split(r'[,;\t]', line))
-    return ['t', 'x', 'y', 'polarity'] if count == 4 else ['t', 'force_z']
-
-
-def _parsed(path: Path, names: list[str], lines: list[str]) -> Rows:
-    delimiter = next((each for each in ',;\t' if each in lines[0]), ',')
-    wanted = {name: index for index, name in enumerate(names) if name in KNOWN}
-    # Times of more digits than a float64 holds stay integers.
-    layout = np.dtype(
-        [
-            (name, np.int64 if _whole(lines, delimiter, index) else np.float64)
-            for name, index in wanted.items()
-        ]
-    )
-    try:
-        with warnings.catch_warnings():
-            # NumPy would cut fractions off with a warning.
-            warnings.simplefilter('error', DeprecationWarning)
-            found = np.loadtxt(
-                lines, layout, delimiter=delimiter, usecols=list(wanted.values()), ndmin=1
-            )
-    except (ValueError, IndexError, DeprecationWarning) as error:
-        raise RecordingError(
-            f'{path} is no table of numbers: {error}', remedy='write fractions in every row or none'
-        ) from error
-    return {name: np.ascontiguousarray(found[name]) for name in wanted}
-
-
-def _whole(lines: list[str], delimiter: str, index: int) -> bool:
-    """Return whether the first and the last number of a column are integers."""
-    cells = (line.split(delimiter)[index : index + 1] for line in (lines[0], lines[-1]))
-    return all(cell and cell[0].strip().lstrip('+-').isdecimal() for cell in cells)
-
-
-def _picture_rows(
-    path: Path, names: list[str], units: dict[str, str], lines: Iterator[str]
-) -> Iterator[tuple[Rows, dict[str, str]]]:
-    """Yield one frame at a time: pictures named in a table, 8 bits or 16 left-aligned."""
-    where = names.index('file')
-    for line in lines:
-        cells = line.strip().split(',')
-        if len(cells) < len(names):
-            continue
-        picture = path.parent / cells[where].strip('"')
-        image: Any = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-        if image is None:
-            raise RecordingError(f'{picture} of {path} cannot be read', remedy='check the paths')
-        ten = image >> BIT_SHIFT if image.dtype == np.uint16 else image.astype(np.uint16) << 2
-        rest = [name for name in names if name != 'file']
-        values = [cell for index, cell in enumerate(cells) if index != where]
-        rows = _parsed(path, rest, [','.join(values)])
-        if 'x' in rows:
-            rows['origin'] = np.stack([rows.pop('x'), rows.pop('y')], axis=1).astype(np.int64)
-        yield {**rows, 'image': ten[None]}, units
-
-
-class _NpzTables(_Tables):
-    """NPZ files, one per table."""
-
-    def __init__(self, path: Path, files: dict[str, Path]) -> None:
-        super().__init__(path, set(files))
-        self._files = files
-
-    def _rows(self, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:
-        path = self._files[name]
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                columns = {key: file[key] for key in file.files}
-        # A .npy file is an array, no context manager: AttributeError before Python 3.11.
-        except (AttributeError, OSError, ValueError, TypeError, zipfile.BadZipFile) as error:
-            raise RecordingError(f'{path} is no NPZ file of arrays: {error}') from error
-        yield from _sliced(columns, name)
-
-
-def _sliced(columns: Any, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:  # noqa: ANN401
-    """Yield columns of equal length, arrays or data sets, some rows at a time.
-
-    Exported tables are in the units of `mixtac_recordings.export`.
-    """
-    columns = {
-        COLUMNS.get(key.lower(), key.lower()) if np.ndim(each) == 1 else key: each
-        for key, each in columns.items()
-    }
-    units = dict.fromkeys(('exposure_start', 'exposure_end'), 'us')
-    if any(np.ndim(each) == 2 for key, each in columns.items() if key in {'force', 'acceleration'}):
-        units['t'] = 'ns' if 'force' in columns else 'us'
-    key = next((key for key in ('t', 'exposure_start') if key in columns), '')
-    count = len(columns[key]) if key else 0
-    used = {key: each for key, each in columns.items() if np.ndim(each) and len(each) == count}
-    rows = 10 if name == 'frames' else ROWS
-    for start in range(0, count, rows):
-        yield {key: np.asarray(each[start : start + rows]) for key, each in used.items()}, units
-
-
-class _Hdf5Tables(_Tables):
-    """An HDF5 file: groups are tables; times of events count from `t_offset`."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = open_hdf5(path, 'r')
-        super().__init__(path, {key for key, each in self._file.items() if hasattr(each, 'items')})
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def _rows(self, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:
-        group = self._file[name]
-        offset = np.int64(self._file['t_offset'][()]) if 't_offset' in self._file else np.int64(0)
-        try:
-            for rows, units in _sliced(group, name):
-                if name == 'events' and 't' in rows:
-                    rows['t'] = rows['t'].astype(np.int64) + offset
-                yield rows, units
-        except OSError as error:
-            raise RecordingError(
-                f'{self.path}, {name}: {error}',
-                remedy='pip install hdf5plugin, which reads compressed data of DSEC',
-            ) from error

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.umockdev
 
 PROGRAM = """
 import json, sys
-from mixtac_driver.doctor.computer import check_attached
+from mixtac_driver.doctor.usb import check_attached
 from mixtac_driver.doctor.computer import HostFiles
 from mixtac_driver.doctor.stream import check_running
 found = [*check_attached(HostFiles()), *check_running("davis346", 1.0)]

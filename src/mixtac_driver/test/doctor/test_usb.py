@@ -8,16 +8,16 @@ import os
 
 import pytest
 
-from mixtac_driver.doctor import computer as software
+from mixtac_driver.doctor import usb
 from mixtac_driver.doctor.computer import (
     Finding,
     HostFiles,
     Level,
-    check_attached,
     first_to_do,
     ok,
     worst,
 )
+from mixtac_driver.doctor.usb import check_attached
 from mixtac_driver.parameters import DriverParameters
 
 NODE = 'dev/bus/usb/002/005'
@@ -48,13 +48,13 @@ def plug_in(root, port='2-1', **changes):
 
 
 def camera_of(files):
-    (camera,) = software.cameras_on_bus(files)
+    (camera,) = usb.cameras_on_bus(files)
     return camera
 
 
 def test_a_camera_is_read_from_the_kernels_files(tmp_path):
     camera = camera_of(plug_in(tmp_path))
-    assert camera == software.AttachedCamera(
+    assert camera == usb.AttachedCamera(
         '2-1', '/dev/bus/usb/002/005', 5000.0, 0x0006, '00000123', 'on'
     )
 
@@ -63,7 +63,7 @@ def test_what_is_no_camera_is_passed_over(tmp_path):
     plug_in(tmp_path, 'usb1', idVendor='1d6b', idProduct='0003')
     plug_in(tmp_path, '2-1:1.0', idVendor=None)
     files = plug_in(tmp_path, '2-3')
-    assert [camera.port for camera in software.cameras_on_bus(files)] == ['2-3']
+    assert [camera.port for camera in usb.cameras_on_bus(files)] == ['2-3']
 
 
 def test_no_usb_at_all_is_an_error_that_names_the_virtual_device(tmp_path):
@@ -83,10 +83,10 @@ def test_no_camera_is_an_error_that_names_the_virtual_device(tmp_path):
 def test_several_cameras_need_a_serial_number(tmp_path):
     plug_in(tmp_path, '2-1')
     files = plug_in(tmp_path, '2-2', serial='00000124', devnum='6')
-    cameras = software.cameras_on_bus(files)
-    assert software.check_presence(files, cameras, '').level is Level.ERROR
-    assert software.check_presence(files, cameras, '00000124').level is Level.OK
-    missing = software.check_presence(files, cameras, '9')
+    cameras = usb.cameras_on_bus(files)
+    assert usb.check_presence(files, cameras, '').level is Level.ERROR
+    assert usb.check_presence(files, cameras, '00000124').level is Level.OK
+    missing = usb.check_presence(files, cameras, '9')
     assert (missing.level, '00000124 at 2-2' in missing.found) == (Level.ERROR, True)
     assert sum(f.name == 'USB speed' for f in check_attached(files, '00000124')) == 1
 
@@ -104,7 +104,7 @@ def test_several_cameras_need_a_serial_number(tmp_path):
     ],
 )
 def test_speed(tmp_path, speed, level):
-    finding = software.check_speed(camera_of(plug_in(tmp_path, speed=speed)))
+    finding = usb.check_speed(camera_of(plug_in(tmp_path, speed=speed)))
     assert finding.level is level
     assert ('USB 3 port' in finding.remedy) == (level > Level.OK)
 
@@ -114,13 +114,13 @@ def test_speed(tmp_path, speed, level):
     [('0006', Level.OK), ('0009', Level.OK), ('0005', Level.ERROR), ('0100', Level.ERROR)],
 )
 def test_firmware(tmp_path, release, level):
-    finding = software.check_release(camera_of(plug_in(tmp_path, bcdDevice=release)))
+    finding = usb.check_release(camera_of(plug_in(tmp_path, bcdDevice=release)))
     assert finding.level is level
     assert bool(finding.remedy) == (level > Level.OK)
 
 
 def test_power_management(tmp_path):
-    finding = software.check_power(camera_of(plug_in(tmp_path, **{'power/control': 'auto'})))
+    finding = usb.check_power(camera_of(plug_in(tmp_path, **{'power/control': 'auto'})))
     assert (finding.level, finding.values) == (Level.OK, {'control': 'auto'})
 
 
@@ -134,10 +134,10 @@ class Forbidden(HostFiles):
 def test_permission(tmp_path):
     files = plug_in(tmp_path)
     camera = camera_of(files)
-    assert software.check_permission(files, camera).level is Level.OK
-    finding = software.check_permission(Forbidden(tmp_path), camera)
+    assert usb.check_permission(files, camera).level is Level.OK
+    finding = usb.check_permission(Forbidden(tmp_path), camera)
     assert finding.level is Level.ERROR
-    assert f'sudo cp {software.rule_file()} /etc/udev/rules.d/' in finding.remedy
+    assert f'sudo cp {usb.rule_file()} /etc/udev/rules.d/' in finding.remedy
     assert 'udevadm control --reload' in finding.remedy
 
 
@@ -145,7 +145,7 @@ def test_permission_with_the_rule_installed_asks_for_the_group(tmp_path):
     camera = camera_of(plug_in(tmp_path))
     (tmp_path / 'etc/udev/rules.d').mkdir(parents=True)
     (tmp_path / 'etc/udev/rules.d/65-mixtac.rules').touch()
-    finding = software.check_permission(Forbidden(tmp_path), camera)
+    finding = usb.check_permission(Forbidden(tmp_path), camera)
     assert finding.level is Level.ERROR
     assert 'usermod -aG plugdev' in finding.remedy
 
@@ -153,12 +153,12 @@ def test_permission_with_the_rule_installed_asks_for_the_group(tmp_path):
 def test_permission_without_the_device_node(tmp_path):
     files = plug_in(tmp_path)
     (tmp_path / NODE).unlink()
-    finding = software.check_permission(files, camera_of(files))
+    finding = usb.check_permission(files, camera_of(files))
     assert (finding.level, '--device=/dev/bus/usb' in finding.remedy) == (Level.ERROR, True)
 
 
 def test_the_rule_that_is_named_exists_and_matches_the_camera():
-    text = software.rule_file().read_text()
+    text = usb.rule_file().read_text()
     assert 'ATTRS{idVendor}=="152a"' in text
     assert 'ATTRS{idProduct}=="84[0-1]?"' in text
 
@@ -170,9 +170,9 @@ def test_another_program_that_has_the_camera_open(tmp_path):
     descriptors.mkdir(parents=True)
     (tmp_path / 'proc/4242/comm').write_text('guvcview\n')
     (descriptors / '0').symlink_to('/dev/null')
-    assert software.check_holders(files, camera).level is Level.OK
+    assert usb.check_holders(files, camera).level is Level.OK
     (descriptors / '3').symlink_to(camera.node)
-    finding = software.check_holders(files, camera)
+    finding = usb.check_holders(files, camera)
     assert (finding.level, finding.values) == (Level.WARN, {'process': 4242})
     assert 'guvcview' in finding.found
 
@@ -182,7 +182,7 @@ def test_this_process_is_no_other_program(tmp_path):
     descriptors = tmp_path / f'proc/{os.getpid()}/fd'
     descriptors.mkdir(parents=True)
     (descriptors / '3').symlink_to('/dev/bus/usb/002/005')
-    assert software.check_holders(files, camera_of(files)).level is Level.OK
+    assert usb.check_holders(files, camera_of(files)).level is Level.OK
 
 
 @pytest.mark.parametrize(
@@ -194,17 +194,17 @@ def test_usb_memory(tmp_path, limit, level):
     path.parent.mkdir(parents=True)
     path.write_text(f'{limit}\n')
     settings = DriverParameters(usb_transfers=64, usb_transfer_size=65536)  # 4 MiB
-    finding = software.check_usb_memory(HostFiles(tmp_path), settings)
+    finding = usb.check_usb_memory(HostFiles(tmp_path), settings)
     assert finding.level is level
     assert ('sudo tee' in finding.remedy) == (level > Level.OK)
-    assert software.check_usb_memory(HostFiles(tmp_path / 'none')).level is Level.OK
+    assert usb.check_usb_memory(HostFiles(tmp_path / 'none')).level is Level.OK
 
 
 def test_without_libusb_the_remedy_names_the_package(monkeypatch):
     import libusb_package
 
     monkeypatch.setattr(libusb_package, 'get_libusb1_backend', lambda: None)
-    finding = software.check_libusb()
+    finding = usb.check_libusb()
     assert (finding.level, 'libusb-1.0-0' in finding.remedy) == (Level.ERROR, True)
 
 
