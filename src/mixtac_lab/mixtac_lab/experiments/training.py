@@ -15,7 +15,6 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
 import torch
 
 from mixtac_fger.config import FgerConfig
@@ -44,7 +43,7 @@ from mixtac_learning.train.run import train_model, training_sources
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
-from mixtac_learning.trials.store import CachedSource, Recipe, prepare
+from mixtac_learning.trials.store import CachedSource, Recipe, prepare, read_arrays, write_arrays
 from mixtac_learning.trials.trial import TrialSource
 from mixtac_recordings.recording import RecordingError
 from mixtac_sim.world.training_trials import TrialSpec, simulator_digest, training_plan
@@ -82,24 +81,21 @@ FIRST_TEST = 830_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
 SHARE_TESTED = 5
 """One bag in this many is a test trial: 8:2 by trial, as in the paper."""
-_WORDS = ('name', 'profile', 'device')
+_WORDS, _FACTS = ('name', 'profile', 'device'), 'trial.json'
 
 
 def save_estimate(path: Path, estimate: TrialEstimate) -> None:
-    """Write an estimate as an npz file."""
+    """Write an estimate as a folder of arrays."""
     values = {each.name: getattr(estimate, each.name) for each in fields(estimate)}
-    words = json.dumps([values.pop(name) for name in _WORDS])
+    words = {name: values.pop(name) for name in _WORDS}
     arrays = {name: array for name, array in values.items() if array is not None}
-    np.savez_compressed(path, words=np.array(words), **arrays)
+    write_arrays(path, arrays, words, _FACTS)
 
 
 def load_estimate(path: Path) -> TrialEstimate:
     """Read what `save_estimate` wrote."""
-    with np.load(path, allow_pickle=False) as stored:
-        words = dict(zip(_WORDS, json.loads(str(stored['words'])), strict=True))
-        names = [each.name for each in fields(TrialEstimate) if each.name not in _WORDS]
-        arrays: dict[str, Any] = {name: stored.get(name) for name in names}
-    return TrialEstimate(**words, **arrays)
+    arrays, words = read_arrays(path, _FACTS, ())
+    return TrialEstimate(**{'reference': None, **arrays, **words})
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,7 +346,7 @@ def _judge(base: Path, source: TrialSource, weights: Mapping[str, str]) -> dict[
     files = {}
     for model, stem in weights.items():
         estimate = trial_estimator(read_model(base.parent / f'{stem}.safetensors'))(trial)
-        files[model] = f'{base.name}_{model}.npz'
+        files[model] = f'{base.name}_{model}'
         save_estimate(base.parent / files[model], estimate)
     return {'files': files}
 

@@ -78,8 +78,8 @@ def test_estimates_survive_the_disk(tmp_path):
     t_us = 2000 * np.arange(500)
     known = np.sin(1e-6 * t_us) ** 2
     trial = TrialEstimate('trial', 'long_term', '7', t_us, known + 0.1, known, None)
-    save_estimate(tmp_path / 'a.npz', trial)
-    found = load_estimate(tmp_path / 'a.npz')
+    save_estimate(tmp_path / 'a', trial)
+    found = load_estimate(tmp_path / 'a')
     assert (found.name, found.profile, found.device) == ('trial', 'long_term', '7')
     np.testing.assert_array_equal(found.force, trial.force)
     assert found.reference is None
