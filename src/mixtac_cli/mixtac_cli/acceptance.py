@@ -16,7 +16,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from mixtac_cli.bundle import hashed
-from mixtac_driver.doctor.acceptance import CHECKS, SETTLE_S, Outcome, Person, accept
+from mixtac_driver.doctor.acceptance import SETTLE_S, Person, accept
+from mixtac_driver.doctor.stretch import CHECKS, Outcome
 from mixtac_driver.parameters import DriverParameters
 
 LEAST_S = 12.0

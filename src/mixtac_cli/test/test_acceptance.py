@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from mixtac_cli import acceptance, doctor
 from mixtac_cli.bundle import hashed
-from mixtac_driver.doctor.acceptance import Check, Outcome, judged, skipped
+from mixtac_driver.doctor.stretch import Check, Outcome, judged, skipped
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import FaultKind
 from mixtac_sim.usb.server import UsbServer

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from mixtac_driver.camera import CameraBatch
 from mixtac_driver.davis346.control import CameraControl
-from mixtac_driver.doctor.acceptance import Check, Outcome, Stretch, passive_checks
+from mixtac_driver.doctor.stretch import Check, Outcome, Stretch, passive_checks
 from mixtac_driver.errors import DriverError, StreamError
 from mixtac_driver.node.settings import DriverSettings
 from mixtac_driver.pixels import PixelCounter, PixelMask, check_path, hot_pixels, save_mask

@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from acceptance_scene import RestingScene
 
-from mixtac_driver.doctor.acceptance import (
+from mixtac_driver.doctor.acceptance import Person, accept
+from mixtac_driver.doctor.stretch import (
     CHECKS,
     PASSIVE,
     Outcome,
-    Person,
     Stretch,
-    accept,
     flashes,
     passive_checks,
 )
