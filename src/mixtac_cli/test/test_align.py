@@ -5,21 +5,24 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
 
-from rosbags.rosbag2 import StoragePlugin, Writer
-
 from mixtac_alignment.bags import fit_path, read_fit, read_recording, sensor_of
 from mixtac_alignment.errors import AlignmentError
 from mixtac_cli.align import align_bag
 from mixtac_events.arrays import Events
-from mixtac_events.codec import encode
-from mixtac_recordings.bag import BagFile, typestore
+from mixtac_events.readings import Edges
+from mixtac_node import topics
+from mixtac_recordings.bag import BagFile, blank_message
+from mixtac_recordings.bag_writer import McapBag
+from mixtac_recordings.messages import set_header
+from mixtac_recordings.stream_writer import StreamWriter
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,62 +47,27 @@ def events_us(rng: np.random.Generator) -> np.ndarray:
     return START_US + np.sort(np.rint(times * 1e6)).astype(np.int64)
 
 
-def packet(types: Any, number: int, t: np.ndarray, until: int) -> bytes:
-    """Return a serialised event packet."""
-    n = len(t)
-    x = (np.arange(n) % 300).astype(np.uint16)
-    encoded = encode(Events(t, x, x // 2, np.ones(n, np.bool_)), complete_until=until)
-    kinds = types.types
-    header = kinds['std_msgs/msg/Header'](kinds['builtin_interfaces/msg/Time'](0, 0), '')
-    message = kinds['event_camera_msgs/msg/EventPacket'](
-        header=header,
-        height=260,
-        width=346,
-        seq=number,
-        time_base=encoded.time_base,
-        encoding=encoded.encoding,
-        is_bigendian=False,
-        events=np.frombuffer(encoded.payload, np.uint8),
-    )
-    return bytes(types.serialize_cdr(message, 'event_camera_msgs/msg/EventPacket'))
-
-
-def wrench(types: Any, t_s: float, force: float) -> bytes:
-    """Return a serialised reference sample."""
-    kinds = types.types
-    whole = int(t_s)
-    stamp = kinds['builtin_interfaces/msg/Time'](whole, round((t_s - whole) * 1e9))
-    zero = kinds['geometry_msgs/msg/Vector3'](0.0, 0.0, 0.0)
-    push = kinds['geometry_msgs/msg/Vector3'](0.0, 0.0, force)
-    message = kinds['geometry_msgs/msg/WrenchStamped'](
-        header=kinds['std_msgs/msg/Header'](stamp, ''),
-        wrench=kinds['geometry_msgs/msg/Wrench'](push, zero),
-    )
-    return bytes(types.serialize_cdr(message, 'geometry_msgs/msg/WrenchStamped'))
-
-
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write the bag."""
-    path, types = tmp_path_factory.mktemp('align') / 'trial', typestore()
+    path = tmp_path_factory.mktemp('align') / 'trial'
     rng = np.random.default_rng(4)
     times = events_us(rng)
     borders = np.arange(START_US, START_US + 8_010_000, 10_000)
     cuts = np.searchsorted(times, borders)
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        events = writer.add_connection(
-            '/mixtac/events', 'event_camera_msgs/msg/EventPacket', typestore=types
-        )
-        force = writer.add_connection(
-            '/ft_sensor/wrench', 'geometry_msgs/msg/WrenchStamped', typestore=types
-        )
+    with McapBag(path) as written:
+        writer = StreamWriter(written, (346, 260))
         for k in range(len(borders) - 1):
-            data = packet(types, k, times[cuts[k] : cuts[k + 1]], int(borders[k + 1]))
-            writer.write(events, 1_000_000_000 + 10_000_000 * k, data)
-        for k, t in enumerate(np.arange(0.0, 8.0, 1.0 / 800.0)):
-            value = float(force_at(np.array([t]))[0] + rng.normal(0.0, 0.01))
-            data = wrench(types, REFERENCE_S + RATE * float(t), value)
-            writer.write(force, 1_000_000_000 + 1_250_000 * k, data)
+            t = times[cuts[k] : cuts[k + 1]]
+            x = (np.arange(len(t)) % 300).astype(np.uint16)
+            events = Events(t, x, x // 2, np.ones(len(t), np.bool_))
+            writer.events(events, int(borders[k + 1]), 1_000_000_000 + 10_000_000 * k)
+        for k, t_s in enumerate(np.arange(0.0, 8.0, 1.0 / 800.0)):
+            values = np.zeros(6)
+            values[2] = force_at(np.array([t_s]))[0] + rng.normal(0.0, 0.01)
+            stamp_ns = round(1e9 * (REFERENCE_S + RATE * t_s))
+            received_ns = 1_000_000_000 + 1_250_000 * k
+            writer.wrench(topics.REFERENCE_WRENCH, stamp_ns, values, '', received_ns)
     return path
 
 
@@ -155,32 +123,18 @@ def test_counts_are_those_of_the_events(bag: Path) -> None:
 @pytest.fixture
 def edges_bag(tmp_path: Path) -> Path:
     """Write a bag with nothing but edges of a trigger line on both clocks."""
-    path, types = tmp_path / 'edges', typestore()
-    kinds = types.types
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        camera = writer.add_connection(
-            '/mixtac/external_edges', 'mixtac_msgs/msg/ExternalEdge', typestore=types
-        )
-        reference = writer.add_connection(
-            '/mixtac/reference_edges', 'sensor_msgs/msg/TimeReference', typestore=types
-        )
-        for k, t in enumerate(np.cumsum(np.random.default_rng(2).uniform(0.3, 0.9, 20))):
-            us = START_US + round(1e6 * float(t))
-            stamp = kinds['builtin_interfaces/msg/Time'](us // 10**6, us % 10**6 * 1000)
-            edge = kinds['mixtac_msgs/msg/ExternalEdge']
-            header = kinds['std_msgs/msg/Header'](stamp, '')
-            fields = {
-                name: 0
-                for name in edge.__dataclass_fields__
-                if name not in ('header', '__msgtype__')
-            }
-            writer.write(
-                camera, k, types.serialize_cdr(edge(header=header, **fields), edge.__msgtype__)
-            )
-            other = REFERENCE_S + RATE * float(t)
-            time = kinds['builtin_interfaces/msg/Time'](int(other), round(other % 1.0 * 1e9))
-            message = kinds['sensor_msgs/msg/TimeReference'](header, time, 'trigger')
-            writer.write(reference, k, types.serialize_cdr(message, message.__msgtype__))
+    path = tmp_path / 'edges'
+    reference = replace(topics.CAMERA_CLOCK, name='reference_edges')
+    with McapBag(path) as written:
+        writer = StreamWriter(written, (346, 260))
+        for k, t_s in enumerate(np.cumsum(np.random.default_rng(2).uniform(0.3, 0.9, 20))):
+            t_us = START_US + round(1e6 * t_s)
+            writer.edges(Edges(np.array([t_us]), np.zeros(1, np.uint8)), 0, k)
+            message = blank_message(reference.type_name)
+            set_header(message, 1000 * t_us, '')
+            other = REFERENCE_S + RATE * t_s
+            message.time_ref.sec, message.time_ref.nanosec = int(other), round(other % 1.0 * 1e9)
+            writer.put(reference, k, message)
     return path
 
 

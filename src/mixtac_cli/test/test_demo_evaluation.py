@@ -22,8 +22,9 @@ from mixtac_cli.demo.evaluation import (
 from mixtac_events.arrays import Events
 from mixtac_events.codec import encode
 from mixtac_node import topics
-from mixtac_recordings.bag import blank_message, typestore
+from mixtac_recordings.bag import blank_message
 from mixtac_recordings.bag_writer import McapBag
+from mixtac_recordings.stream_writer import StreamWriter
 
 
 @pytest.mark.parametrize(
@@ -36,20 +37,10 @@ def test_lost_packets_with_a_restart_of_the_driver(tmp_path, numbers, lost):
         *(topics.FORCE, topics.FORCE_QUALITY),
         *(topics.REFERENCE_WRENCH, topics.TRUTH_WRENCH),
     )
-    with McapBag(tmp_path / 'bag') as writer:
-        handles = {
-            topic: writer.add_connection(
-                topic.resolved('mixtac'), topic.type_name, typestore=typestore()
-            )
-            for topic in (topics.EVENTS, *forces)
-        }
-
-        def write(topic, message, received_ns):
-            data = typestore().serialize_cdr(message, topic.type_name)
-            writer.write(handles[topic], received_ns, data)
-
+    with McapBag(tmp_path / 'bag') as bag:
+        writer = StreamWriter(bag, (346, 260))
         for topic in forces:
-            write(topic, blank_message(topic.type_name), 0)
+            writer.put(topic, 0, blank_message(topic.type_name))
         for index, number in enumerate(numbers):
             t = np.array([1000 * index], np.int64)
             pixel = np.zeros(1, np.uint16)
@@ -58,7 +49,7 @@ def test_lost_packets_with_a_restart_of_the_driver(tmp_path, numbers, lost):
             message.width, message.height, message.seq = 346, 260, number
             message.encoding, message.time_base = encoded.encoding, encoded.time_base
             message.events = np.frombuffer(encoded.payload, np.uint8)
-            write(topics.EVENTS, message, 1_000_000 * index)
+            writer.put(topics.EVENTS, 1_000_000 * index, message)
     streams = read_streams(tmp_path / 'bag', 'mixtac')
     assert len(streams.arrival_ns) == len(streams.complete_us) == len(numbers)
     assert streams.lost_packets == lost

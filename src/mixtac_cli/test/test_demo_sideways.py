@@ -11,11 +11,11 @@ from mixtac_cli.demo.drawing import draw_run
 from mixtac_cli.demo.evaluation import Comparison
 from mixtac_cli.demo.sideways import SidewaysRun, read_sideways, true_path
 from mixtac_events.arrays import Events
-from mixtac_events.codec import encode
 from mixtac_node import topics
-from mixtac_node.stamps import ns_to_stamp
-from mixtac_recordings.bag import blank_message, typestore
+from mixtac_recordings.bag import blank_message
 from mixtac_recordings.bag_writer import McapBag
+from mixtac_recordings.messages import set_header
+from mixtac_recordings.stream_writer import StreamWriter
 from mixtac_sim.world.device import draw_conditions
 from mixtac_sim.world.effects import preset
 
@@ -61,59 +61,33 @@ def test_the_path_begins_where_the_sensor_is_touched_and_moves_both_ways():
 
 def write_run(folder, known) -> None:
     """Write a bag of windows that press by 0.5 N and pull by 0.2 N, found as 0.1 N."""
-    kinds = (topics.EVENTS, topics.FORCE, topics.FORCE_QUALITY, topics.REFERENCE_WRENCH)
-    kinds += (topics.TRUTH_WRENCH, topics.CONTACT)
-    with McapBag(folder) as writer:
-        handles = {
-            topic: writer.add_connection(
-                topic.resolved('mixtac'), topic.type_name, typestore=typestore()
-            )
-            for topic in kinds
-        }
+    pixel, size = np.zeros(1, np.uint16), (346, 260)
+    pressed, pulled = np.array([0.1, 0, 0.5, 0, 0, 0]), np.array([0.2, 0, 0.5, 0, 0, 0])
+    with McapBag(folder) as bag:
+        writer = StreamWriter(bag, size)
 
-        def write(topic, stamp_ns, change):
+        def put(topic, stamp_ns, **values):
             message = blank_message(topic.type_name)
-            stamp = ns_to_stamp(stamp_ns)
-            message.header.stamp.sec, message.header.stamp.nanosec = stamp.sec, stamp.nanosec
-            change(message)
-            data = typestore().serialize_cdr(message, topic.type_name)
-            writer.write(handles[topic], stamp_ns, data)
-
-        def wrench(x, z):
-            def change(message):
-                message.wrench.force.x, message.wrench.force.z = x, z
-
-            return change
-
-        def packet(index):
-            pixel = np.zeros(1, np.uint16)
-            t = np.array([2000 * index], np.int64)
-            encoded = encode(Events(t, pixel, pixel, np.ones(1, np.bool_)))
-
-            def change(message):
-                message.width, message.height, message.seq = 346, 260, index
-                message.encoding, message.time_base = encoded.encoding, encoded.time_base
-                message.events = np.frombuffer(encoded.payload, np.uint8)
-
-            return change
-
-        def knows(index):
-            def change(message):
-                message.sideways_known = known(index)
-
-            return change
-
-        def located(message):
-            message.located, message.position.x, message.position.y = True, 1e-3, -2e-3
+            set_header(message, stamp_ns, '')
+            for name, value in values.items():
+                setattr(message, name, value)
+            writer.put(topic, stamp_ns, message)
 
         for index in range(1, 21):
             camera_ns = WINDOW_NS * index
-            write(topics.EVENTS, HOST_NS + camera_ns, packet(index))
-            write(topics.FORCE, camera_ns, wrench(0.1, 0.5))
-            write(topics.FORCE_QUALITY, camera_ns, knows(index))
-            write(topics.CONTACT, camera_ns, located)
-            write(topics.REFERENCE_WRENCH, camera_ns, wrench(0.0, 0.5))
-            write(topics.TRUTH_WRENCH, HOST_NS + camera_ns, wrench(0.2, 0.5))
+            t = np.array([2000 * index - 1], np.int64)
+            events = Events(t, pixel, pixel, np.ones(1, np.bool_))
+            writer.events(events, 2000 * index, HOST_NS + camera_ns)
+            place = blank_message('geometry_msgs/msg/Point')
+            place.x, place.y = 1e-3, -2e-3
+            put(topics.FORCE_QUALITY, camera_ns, sideways_known=known(index))
+            put(topics.CONTACT, camera_ns, located=True, position=place)
+            for topic, stamp_ns, force in (
+                (topics.FORCE, camera_ns, pressed),
+                (topics.REFERENCE_WRENCH, camera_ns, pressed),
+                (topics.TRUTH_WRENCH, HOST_NS + camera_ns, pulled),
+            ):
+                writer.wrench(topic, stamp_ns, force, '', stamp_ns)
 
 
 def test_a_bag_is_compared_with_the_simulated_force(tmp_path):
