@@ -4,8 +4,9 @@
 
 A touch brightens the skin around it before the estimate has risen: events of one polarity whose
 rate falls off from one place, unlike those of a lamp (`Onset`). A release has no such sign. There,
-the estimate comes late, and is led by its own slope. Times and thresholds were chosen on nine
-simulated sensors.
+the estimate comes late, and is led by its own slope. A weak force that lasts is a contact where a
+picture shows more than any since the last one: noise moves the estimate until a frame corrects it,
+and gel that creeps back is no touch. Times and thresholds were chosen on nine simulated sensors.
 
 Where frames are encoded, a contact is fitted to the displacement of the beads. Between frames, its
 parameters follow the displacement that events tell of, by the fit's own gains: a product of a small
@@ -22,7 +23,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from mixtac_fger.contact import ContactFit, ContactFitter, contact_shape, is_sensible
+from mixtac_fger.contact import (
+    SIGNIFICANT,
+    ContactFit,
+    ContactFitter,
+    contact_shape,
+    is_sensible,
+)
 from mixtac_fger.displacement import DisplacementField, FieldMeter, SkinScale
 from mixtac_fger.features import bin_cells
 from mixtac_fger.mesh_scale import by_mesh
@@ -64,7 +71,7 @@ QUIET_SHARE: Final = 0.005
 LEAST_NOISE: Final = 1.0
 """Smallest standard deviation of the noise, in events: a few hot pixels are no touch."""
 SURE_WINDOWS: Final = 15
-"""Windows for which the force alone has to be above the threshold to be a contact."""
+"""Windows for which a force above the threshold has to last, and a picture to show more."""
 SURE_SHARE: Final = 3.0
 """Force over the threshold from which on one window is enough."""
 PROMISED_US: Final = 150_000
@@ -79,6 +86,8 @@ LEAD_S: Final = 0.008
 """Time by which the slope of the force leads it in a release [s]."""
 LEAD_BELOW_N: Final = 0.3
 """Largest force that is led [N]."""
+YOUNG_US: Final = 60_000
+"""Age of a contact up to which it is not led: a frame may still correct its force [us]."""
 SLOPE_WINDOWS: Final = 5
 """Windows over which the slope is taken."""
 
@@ -307,6 +316,7 @@ class ContactTracker:
             touch: What it tells.
         """
         self.touch, self.frame_us, self._start = touch, mid_us, self._carrier.until(mid_us)
+        self._dent = min(self._dent, touch.fit.significance)
         self._carrier.frame(self._start, touch.field)
         lasting = mid_us > self._since_us + UNSEEN_US
         if self._touching and lasting and not touch.fit.seen and self._force_n < UNSEEN_N:
@@ -355,6 +365,7 @@ class ContactTracker:
         self._force_n: float = 0.0
         self._rest_n = self._low_n = 0.0
         self._above = 0
+        self._dent = math.inf
         self._recent: deque[tuple[int, float]] = deque(maxlen=SLOPE_WINDOWS + 1)
 
     def _switch(self, end_us: int, force: float) -> None:
@@ -377,11 +388,18 @@ class ContactTracker:
 
     def _end(self, end_us: int) -> None:
         self._touching, self._ended_us = False, end_us
+        if self.touch is not None:
+            self._dent = self.touch.fit.significance
+
+    def _shows_more(self) -> bool:
+        """Return whether the latest picture shows more than what the last contact left."""
+        return self.touch is None or self.touch.fit.significance > self._dent + SIGNIFICANT
 
     def _begin(self, end_us: int, risen: float, onset: float) -> None:
         """Find out whether a contact begins, by how far the force has risen [N]."""
         self._above = self._above + 1 if risen > self.settings.on_n else 0
-        sure = self._above >= SURE_WINDOWS or risen > SURE_SHARE * self.settings.on_n
+        lasting = self._above >= SURE_WINDOWS and self._shows_more()
+        sure = lasting or risen > SURE_SHARE * self.settings.on_n
         waits = self._bright_us is None and self.settings.on_n <= BRIGHT_N
         if waits and onset > ONSET and end_us > self._ended_us + AFTER_US:
             self._bright_us = end_us
@@ -398,7 +416,8 @@ class ContactTracker:
         self._promised = False
         before_us, before = self._recent[0]
         slope = 1e6 * (above - before) / max(end_us - before_us, 1)
-        lead = LEAD_S * min(slope, 0.0) if above < LEAD_BELOW_N else 0.0
+        led = above < LEAD_BELOW_N and end_us > self._since_us + YOUNG_US
+        lead = LEAD_S * min(slope, 0.0) if led else 0.0
         return above + lead > self.settings.off_n
 
     def _shape(self, touch: Touch) -> ContactShape:

@@ -187,6 +187,25 @@ def test_a_light_force_has_to_last():
     assert touching(tracker, [0.035] * 20, 40_000)[-1]
 
 
+def test_a_light_force_has_to_show_in_the_picture():
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    free = pressed((0.0, 0.0), strength=0.0, noise=0.01)
+    tracker.frame(1000, Touch(free, ContactFitter(SIZE, SCALE, GRID).fit(free), SCALE))
+    # Noise moved the estimate: what frames show stays as it was.
+    assert not any(touching(tracker, [0.0] + [0.06] * 40, 2000))
+    tracker.frame(84_000, touch_at(0.0, 0.0))
+    assert touching(tracker, [0.06], 86_000) == [True]
+
+
+def test_what_frames_correct_does_not_end_a_young_contact():
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    corrected = [0.0, 0.1, 0.1, 0.1, *np.linspace(0.09, 0.03, 5), 0.03, 0.035]
+    assert all(touching(tracker, corrected)[1:])
+    # The same fall is a release later.
+    assert all(touching(tracker, [0.1] * 40, 22_000))
+    assert not all(touching(tracker, corrected[3:], 102_000))
+
+
 def lit(rng, bump=None):
     """Return a finder whose counts are noise of a window, and events of a brightening."""
     rates = np.stack([np.full(GRID, 0.5), np.full(GRID, 0.4)], axis=-1)
