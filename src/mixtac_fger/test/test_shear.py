@@ -69,6 +69,22 @@ def test_a_frame_counts_from_the_centre_of_its_exposure_and_events_carry_it_on()
     assert head.value is None
 
 
+@pytest.mark.parametrize('reach_bins', [13.0, 16.0, 19.0])
+def test_the_shipped_head_reads_the_same_pull_alike_in_every_direction(reach_bins):
+    head = ShearHead(CONFIG, read_model(find_model('fger_small')).tensors)
+    rows, columns = CONFIG.frame_shape
+    y, x = np.mgrid[:rows, :columns] - 0.5 * np.array([rows - 1, columns - 1])[:, None, None]
+    rng = np.random.default_rng(0)
+    seen = []
+    for away in rng.uniform(-7.5, 7.5, (40, 2)):
+        bell = np.exp(-((x - away[0]) ** 2 + (y - away[1]) ** 2) / reach_bins**2)
+        seen.append(
+            (head.measure(shown(bell, 0.0), 1.0)[0], head.measure(shown(0.0, bell), 1.0)[1])
+        )
+    right, down = np.mean(seen, axis=0)
+    assert right == pytest.approx(-down, rel=0.01)
+
+
 def test_a_wider_contact_is_stiffer():
     head = ShearHead(CONFIG, tensors())
     light, firm = (head.measure(shown(0.3, 0.3), force) for force in (0.125, 1.0))

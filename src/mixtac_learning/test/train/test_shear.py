@@ -29,23 +29,35 @@ def sample(rng, weights, noise=0.0, count=400):
     return ShearSample(shown, force, wanted.astype(np.float32), flow, between, np.ones(1))
 
 
-def mirror_symmetric():
-    """Return weights of a law that has no favourite side: x by x, y by y, turns by both."""
+def turned_alike():
+    """Return weights of a law that has no favourite direction, falling off from the middle."""
     weights = np.zeros((3, CONFIG.grid_rows, CONFIG.grid_columns, 2))
-    bump = np.outer([1, 2, 3, 3, 2, 1], [1, 2, 3, 4, 4, 3, 2, 1]) / 100.0
+    y, x = np.mgrid[-2.5:3.0, -3.5:4.0]
+    bump = 0.04 - 0.009 * np.hypot(x, y)
     weights[0, ..., 0], weights[1, ..., 1] = bump, -bump
-    weights[2, ..., 1] = -bump * np.linspace(-1.0, 1.0, 8)
-    weights[2, ..., 0] = bump * np.linspace(-1.0, 1.0, 6)[:, None]
+    weights[2, ..., 0], weights[2, ..., 1] = 0.3 * bump * y, -0.3 * bump * x
     return weights.reshape(3, -1)
 
 
 def test_the_fit_finds_the_law_and_the_deviations():
     rng = np.random.default_rng(1)
-    weights = mirror_symmetric()
+    weights = turned_alike()
     clean = [sample(rng, weights) for _ in range(3)]
     found = fit_head(clean, [sample(rng, weights, noise=0.05)])
     np.testing.assert_allclose(found['shear.frame.weight'], weights, atol=0.08 * weights.max())
     assert found['shear.deviation'][:, 0] == pytest.approx(0.05, rel=0.25)
+
+
+def test_pulls_along_x_teach_how_pulls_along_y_are_read():
+    rng = np.random.default_rng(2)
+    few = sample(rng, turned_alike())
+    few.shown[..., 1] = few.flow[..., 1] = 0.0  # nothing moves along y
+    few.wanted[:, 1] = 0.0
+    few.wanted[:, 0] = 2.0 * few.shown[..., 2:4, 3:5, 0].mean((1, 2)) * few.force ** POWERS[0]
+    x, y, _ = fit_head([few], [])['shear.frame.weight'].reshape(3, *CONFIG.grid_shape, 2)
+    middle = slice(2, 4), slice(3, 5)
+    assert x[(*middle, 0)].sum() > 0.2
+    assert y[(*middle, 1)].sum() == pytest.approx(-x[(*middle, 0)].sum(), rel=1e-3)
 
 
 def test_a_hanging_weight_gives_the_gain_whatever_pulled_before():
