@@ -86,7 +86,7 @@ def test_the_command_reports_faults_alarms_and_starts(two_faults, monkeypatch, t
         def __init__(self, _folder):
             pass
 
-        def run(self, pieces, _jobs, _done):
+        def run_shown(self, _title, pieces, _console, _jobs):
             return [given[piece.label] for piece in pieces]
 
     monkeypatch.setattr(faults, 'Store', Computed)
