@@ -117,7 +117,8 @@ class Vibration:
 
     where the mean is over the exposure; k is 1 for the first frame and `SHARE` for each after it.
     The deviation follows the phase of a vibration, but not the error: it is at least its mean over
-    a frame interval, and what frames differ by adds to it.
+    a frame interval, and what frames differ by adds to it. The constants are from 40 simulated
+    trials of 5 s (vibrations, blows, and without either).
 
     Args:
         unit: What one newton of the constants is; see `FgerConfig.force_unit`.
