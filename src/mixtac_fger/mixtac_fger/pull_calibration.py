@@ -13,11 +13,17 @@ the pull r_i has the variance of the load, of the plateau and of a part of the f
 estimate differs from pull to pull; across it, that of the direction as well. Where no directions
 are known, they are those of s_i, and a is zero.
 
+The gain g holds at that place, on that day, under that normal force. With the gain G of the normal
+force, ln(g / G) is `PULLED_MEAN`, plus a value of the sensor and one of place, day and force, both
+normal, with the standard deviations `SENSOR_SD` and `PLACE_SD`. Elsewhere the first and the last
+are zero in the mean, and `PullCalibration.elsewhere` is what is to be expected.
+
 Nothing here needs ROS. Plateaus and refusals are those of `mixtac_fger.force_calibration`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -59,6 +65,10 @@ PULL_PART = 0.06
 """Standard deviation of the estimate from pull to pull, as a part of it."""
 WAY_SD = 0.09
 """Standard uncertainty of the direction of a pull by hand [rad] (estimate): 5 degrees."""
+PULLED_MEAN, SENSOR_SD, PLACE_SD = 0.2, 0.19, 0.14
+"""Logarithm of the gain of pulls under 100 g over that of the normal force: mean, and standard
+deviations between sensors, and between places, days and forces of one, with what is uncertain of
+the mean; of four simulated sensors (`paper_like`). Under other forces the mean is zero."""
 LARGEST_TURN = 0.5
 """Angles beyond this are other directions than were meant [rad] (estimate)."""
 
@@ -293,7 +303,7 @@ class PullCalibration:
 
     Attributes:
         points: The pulls in their order.
-        gain: Known force over estimate.
+        gain: Known force over estimate, at these pulls; see `elsewhere`.
         gain_sd: Its standard uncertainty.
         turn: Angle from what is seen to what was meant [rad], from x to y; None without directions.
         turn_sd: Its standard uncertainty [rad].
@@ -304,6 +314,18 @@ class PullCalibration:
     gain_sd: float
     turn: float | None
     turn_sd: float
+
+    def elsewhere(self, normal_gain: float) -> tuple[float, float]:
+        """Return the gain to be expected at other places, days and forces, and its uncertainty.
+
+        Args:
+            normal_gain: Gain of the normal force by known loads.
+        """
+        noise = PLACE_SD**2 + (self.gain_sd / self.gain) ** 2
+        share = SENSOR_SD**2 / (SENSOR_SD**2 + noise)
+        ratio = share * (math.log(self.gain / normal_gain) - PULLED_MEAN)
+        gain = normal_gain * math.exp(ratio)
+        return gain, gain * math.sqrt(share * noise + PLACE_SD**2)
 
     @property
     def mae_before_n(self) -> float:

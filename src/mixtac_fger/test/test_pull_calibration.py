@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -86,6 +88,18 @@ def test_gain_and_angle_are_found_within_their_uncertainty(gain, turn):
     assert abs(found.turn - turn) < found.turn_sd
     assert found.mae_after_n < 0.01 < found.mae_before_n
     assert [point.pull.way for point in found.points] == [1.0, -1.0, 1j, -1j]
+
+
+def test_elsewhere_the_gain_is_between_that_of_the_pulls_and_that_of_the_normal_force():
+    found = fit_pulls(pulls_of(gain=1.4))
+    gain, gain_sd = found.elsewhere(1.0)
+    assert 1.0 < gain < found.gain
+    assert gain_sd > found.gain_sd
+    # Twice as stiff a gel doubles all of it.
+    stiffer = replace(found, gain=2.0 * found.gain, gain_sd=2.0 * found.gain_sd)
+    assert stiffer.elsewhere(2.0) == pytest.approx((2.0 * gain, 2.0 * gain_sd))
+    # Pulls that disagree tell less.
+    assert replace(found, gain_sd=0.5).elsewhere(1.0)[0] < gain
 
 
 def test_residuals_have_the_sign_of_known_less_calibrated():

@@ -118,7 +118,7 @@ def calibrate_force(
     _report(console, calibration)
     if sideways is not None:
         entry['sideways'] = sideways_entry(sideways, calibration.gain)
-        _report_pulls(console, sideways)
+        _report_pulls(console, sideways, calibration.gain)
     if figure is not None:
         draw(figure, session, calibration, entry)
         console.print(f'drawn: {figure}')
@@ -226,9 +226,12 @@ def sideways_entry(calibration: PullCalibration, normal_gain: float) -> dict[str
         normal_gain: Gain of the normal force, which counts for the sideways force as well.
     """
     c = calibration
+    gain, gain_sd = c.elsewhere(normal_gain)
     return {
-        'gain': round(c.gain / normal_gain, 5),
-        'gain_sd': round(c.gain_sd / normal_gain, 5),
+        'gain': round(gain / normal_gain, 5),
+        'gain_sd': round(gain_sd / normal_gain, 5),
+        'pulled_gain': round(c.gain / normal_gain, 5),
+        'pulled_gain_sd': round(c.gain_sd / normal_gain, 5),
         'turn_deg': None if c.turn is None else round(float(np.degrees(c.turn)), 1),
         'turn_sd_deg': None if c.turn is None else round(float(np.degrees(c.turn_sd)), 1),
         'mae_before_n': round(c.mae_before_n, 4),
@@ -277,7 +280,8 @@ def save_calibrated(
         training[SERIAL_KEY] = entry['serial']
     scaled = with_gain(model, calibration.gain, CALIBRATED_DEVIATION)
     if sideways is not None:
-        scaled = with_sideways_gain(scaled, sideways.gain / calibration.gain)
+        gain, _ = sideways.elsewhere(calibration.gain)
+        scaled = with_sideways_gain(scaled, gain / calibration.gain)
     card = ModelCard(training, model.card.metrics)
     save_model(out, Model(scaled.architecture, scaled.version, scaled.config, card, scaled.tensors))
 
@@ -312,7 +316,7 @@ def _report(console: Console, calibration: ForceCalibration) -> None:
     )
 
 
-def _report_pulls(console: Console, calibration: PullCalibration) -> None:
+def _report_pulls(console: Console, calibration: PullCalibration, normal_gain: float) -> None:
     c = calibration
     names = ('pull [g]', 'known', 'estimate x', 'y', 'residual', 'across', 'left behind')
     rows = []
@@ -324,6 +328,12 @@ def _report_pulls(console: Console, calibration: PullCalibration) -> None:
     console.print(
         f'sideways: known pulls are {c.gain:.3f} +- {c.gain_sd:.3f} times the estimates; mean error'
         f' at the pulls {c.mae_before_n:.3f} N before, {c.mae_after_n:.3f} N after',
+        highlight=False,
+    )
+    gain, gain_sd = c.elsewhere(normal_gain)
+    console.print(
+        f'gain of the weight file {gain:.3f} +- {gain_sd:.3f}: what these pulls let expect at other'
+        f' places and forces, where that of the normal force is {normal_gain:.3f}',
         highlight=False,
     )
     if c.turn is not None and abs(c.turn) > DOUBT * c.turn_sd:

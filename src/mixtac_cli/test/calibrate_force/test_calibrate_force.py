@@ -99,13 +99,15 @@ def test_sideways_loads_give_the_gain_of_the_sideways_force(pulled, tmp_path):
     sideways = found['sideways']
     assert found['gain'] == pytest.approx(1.25, rel=0.02)
     # Beside that of the normal force.
-    assert sideways['gain'] == pytest.approx(2.0 / 1.25, rel=0.03)
+    assert sideways['pulled_gain'] == pytest.approx(2.0 / 1.25, rel=0.03)
+    assert 1.0 < sideways['gain'] < sideways['pulled_gain']
     assert [each['way_deg'] for each in sideways['loads']] == [0, 90]
     assert abs(sideways['turn_deg']) < 3.0
     model, shipped = (read_model(find_model(name)) for name in (str(out), 'fger_small'))
     assert model.card.training['calibrated']['sideways'] == sideways
     unit = model.tensors['shear.unit'] / shipped.tensors['shear.unit']
-    assert unit == pytest.approx([2.0, 2.0, 1.25], rel=0.03)
+    applied = sideways['gain'] * found['gain']
+    assert unit == pytest.approx([applied, applied, found['gain']], rel=1e-4)
 
 
 def test_pulls_that_are_not_in_the_recording_are_refused(pulled, tmp_path):

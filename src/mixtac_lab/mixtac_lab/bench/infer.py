@@ -20,6 +20,7 @@ from rich.console import Console
 from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile, ModelName, Preset
 from mixtac_events.codec import encode
+from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.live_feed import LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up
@@ -106,12 +107,13 @@ DEADLINE_S: Final = 0.002
 """A force after the end of the next window is late [s]."""
 
 
-def run_paced(model: Model, scene: Scene) -> dict[str, Any]:
+def run_paced(model: Model, scene: Scene, contact: ContactSettings | None = None) -> dict[str, Any]:
     """Feed every packet and frame at its time, with frames in the background as in the node.
 
     Args:
         model: Content of a weight file whose estimator is warmed up.
         scene: Packets and frames.
+        contact: How contacts are found; None for none.
 
     Returns:
         `step_ms`, the time of each call that closes a window, including the decoding of the packet
@@ -121,7 +123,7 @@ def run_paced(model: Model, scene: Scene) -> dict[str, Any]:
         `frames_dropped`, that of frames replaced by a newer one before they were encoded; `cpu`,
         processor time over real time, all threads.
     """
-    feed = LiveFeed(ForceEstimator(open_estimator(model), background_frames=True))
+    feed = LiveFeed(ForceEstimator(open_estimator(model), background_frames=True, contact=contact))
     steps: list[float] = []
     frames, late, count, thread_s = deque(scene.frames), 0, 0, 0.0
     cpu_s, start_s = time.process_time(), time.perf_counter()
@@ -153,9 +155,11 @@ def run_paced(model: Model, scene: Scene) -> dict[str, Any]:
     }
 
 
-def frame_times_ms(model: Model, scene: Scene) -> list[float]:
+def frame_times_ms(
+    model: Model, scene: Scene, contact: ContactSettings | None = None
+) -> list[float]:
     """Return the time of each frame step on one thread, from image to correction [ms]."""
-    estimator = ForceEstimator(open_estimator(model))
+    estimator = ForceEstimator(open_estimator(model), contact=contact)
     times = []
     for frame in scene.frames:
         start_s = time.perf_counter()
@@ -194,7 +198,7 @@ def infer(
 
 
 def measure(model_name: str, seconds: float, preset: str) -> dict[str, Any]:
-    """Return the figures, ready for JSON.
+    """Return the figures, ready for JSON; those while contacts are found too under `contact`.
 
     Args:
         model_name: Weight file or name of a model.
@@ -208,29 +212,38 @@ def measure(model_name: str, seconds: float, preset: str) -> dict[str, Any]:
     estimator = open_estimator(model)
     scene = make_scene(seconds, preset)
     warm_up(estimator)
-    frames_ms = frame_times_ms(model, scene)
-    paced = run_paced(model, scene)
-    return paced | {
-        'step_ms': quantiles(paced['step_ms']),
-        'frame_ms': quantiles(frames_ms),
+    alone, touched = (_figures(model, scene, each) for each in (None, ContactSettings()))
+    return alone | {
+        'contact': touched,
         'flops_per_cycle': estimator.operations,
         'parameters': estimator.parameters,
         'events_per_s': scene.events / seconds,
     }
 
 
+def _figures(model: Model, scene: Scene, contact: ContactSettings | None) -> dict[str, Any]:
+    frame_ms = quantiles(frame_times_ms(model, scene, contact))
+    paced = run_paced(model, scene, contact)
+    return paced | {'step_ms': quantiles(paced['step_ms']), 'frame_ms': frame_ms}
+
+
 def _print(console: Console, report: dict[str, Any]) -> None:
     names = {'step_ms': 'window step, packet decoded [ms]', 'frame_ms': 'frame [ms]'}
+    ways = {'': report, ', with contact': report['contact']}
     rows = [
-        (name, *(f'{report[key][part]:.3f}' for part in ('p50', 'p99')))
+        (name + way, *(f'{figures[key][part]:.3f}' for part in ('p50', 'p99')))
+        for way, figures in ways.items()
         for key, name in names.items()
     ]
     title = 'One estimate, simulated trial in real time'
     console.print(make_table(title, ('figure', 'p50', 'p99'), rows))
     console.print(
         f'{report["parameters"]:,} parameters, {report["flops_per_cycle"] / 1e6:.1f} MFLOP per'
-        f' 40 ms; {report["windows"]} forces, {report["late"]} of them more than 2 ms late,'
-        f' {report["frames_dropped"]} frames skipped, {report["cpu"]:.0%} of a core at'
-        f' {report["events_per_s"] / 1e6:.2f} Mev/s; {1e3 * report["window_cpu_ms"]:.0f} us of'
-        ' processor time per window'
+        f' 40 ms, at {report["events_per_s"] / 1e6:.2f} Mev/s'
     )
+    for way, figures in ways.items():
+        console.print(
+            f'{figures["windows"]} forces{way}, {figures["late"]} of them more than 2 ms late,'
+            f' {figures["frames_dropped"]} frames skipped, {figures["cpu"]:.0%} of a core,'
+            f' {1e3 * figures["window_cpu_ms"]:.0f} us of processor time per window'
+        )

@@ -299,9 +299,10 @@ def run_adaptation(
     content = model_of(adapted.network, ModelCard())
     if pulls:
         fit = sideways_fit(content, sources[0], pulls)
-        content = fger_net.with_sideways_gain(content, fit.gain)
-        figures |= {'sideways_gain': round(fit.gain, 4), 'sideways_gain_sd': round(fit.gain_sd, 4)}
-        console.print(f'sideways gain {fit.gain:.3f} +- {fit.gain_sd:.3f}')
+        gain, gain_sd = fit.elsewhere(1.0)
+        content = fger_net.with_sideways_gain(content, gain)
+        figures |= {'sideways_gain': round(gain, 4), 'sideways_gain_sd': round(gain_sd, 4)}
+        console.print(f'sideways gain {gain:.3f} +- {gain_sd:.3f}; at the pulls {fit.gain:.3f}')
     training = start.card.training | {
         'adapted': {'from': model.name, 'bags': [each.name for each in sources]} | figures
     }

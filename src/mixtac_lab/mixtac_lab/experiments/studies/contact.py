@@ -53,6 +53,9 @@ STICKS, SLIDES = 0.3, 0.95
 """Shares of the friction below which a contact counts as stuck, and above which it slides."""
 PULLS_S = 24.0
 """Length of the trial with the mass on a thread [s]."""
+GAINS = ('mae_uncalibrated', 'mae', 'mae_normal_gain', 'mae_pulled_gain')
+"""Errors with no gain; with the gain that pulls let expect elsewhere, and that of the normal force;
+with the latter alone; with the gain that the pulls had themselves."""
 TARGETS = {'sideways force [N]': 0.05, 'torsion [N mm]': 0.5}
 ANCHORS = {
     'source': 'arXiv 2606.09451: events, measured, 100 Hz',
@@ -122,7 +125,7 @@ def sensor_rows(model: Model, device: int, advance: Callable[[], None]) -> dict[
         advance: Called after each trial.
 
     Returns:
-        By case, [T, 9]: true x, y [N], torque [N mm]; the same with no gain; with both gains.
+        By case, [T, 3 + 3 `GAINS`]: true x, y [N], torque [N mm]; the same by each way of `GAINS`.
     """
     estimator = trial_estimator(model)
 
@@ -136,15 +139,18 @@ def sensor_rows(model: Model, device: int, advance: Callable[[], None]) -> dict[
     press = TrialSpec(device, near_seed(device + 10_000), 'press', 6.0, PRESET)
     (normal,) = sensor_scales(estimator, [SimulatedSource(press)], fallback=1.0).values()
     advance()
-    sideways, sideways_sd, refused = normal, 0.0, ''
+    pulled, pulled_sd, sideways, sideways_sd, refused = normal, 0.0, normal, 0.0, ''
     try:
         fit = sideways_gain(judged('pulls', PULLS_S, 1)[0])
-        sideways, sideways_sd = fit.gain, fit.gain_sd
+        pulled, pulled_sd = fit.gain, fit.gain_sd
+        sideways, sideways_sd = fit.elsewhere(normal)
     except ForceCalibrationError as error:
         refused = error.reason
-    gains = np.array([sideways, sideways, normal])
+    ways = [np.array([gain, gain, normal]) for gain in (sideways, normal, pulled)]
     found: dict[str, Any] = {
         'normal_gain': normal,
+        'pulled_gain': pulled,
+        'pulled_gain_sd': pulled_sd,
         'sideways_gain': sideways,
         'sideways_gain_sd': sideways_sd,
         'refused': refused,
@@ -155,7 +161,7 @@ def sensor_rows(model: Model, device: int, advance: Callable[[], None]) -> dict[
         units = np.array([1.0, 1.0, 1e3])
         known = _known(estimate) * units
         raw = np.asarray(estimate.across)[:, :3] * units
-        columns = np.concatenate([known, raw, raw * gains], axis=1)
+        columns = np.concatenate([known, raw, *(raw * gains for gains in ways)], axis=1)
         share = friction_share(estimate, spec)
         for case, mask in case_masks(profile, estimate, share).items():
             found['cases'][case] = columns[mask & np.isfinite(raw).all(axis=1)]
@@ -171,17 +177,21 @@ def summarise(sensors: list[dict[str, Any]]) -> list[dict[str, Any]]:
             chosen = cases if case == 'all' else [case]
             parts = [s['cases'][name] for s in sensors for name in chosen if name in s['cases']]
             table = np.concatenate(parts)
-            known, raw, calibrated = (table[:, 3 * k :][:, axes] for k in range(3))
+            known = table[:, axes]
+            errors = {
+                name: round(float(np.abs(table[:, [3 * k + i for i in axes]] - known).mean()), 4)
+                for k, name in enumerate(GAINS, 1)
+            }
+            calibrated = [3 * (1 + GAINS.index('mae')) + i for i in axes]
             by_sensor = [
-                float(np.abs(p[:, 6:][:, axes] - p[:, axes]).mean()) for p in parts if len(p)
+                float(np.abs(p[:, calibrated] - p[:, axes]).mean()) for p in parts if len(p)
             ]
             rows.append(
                 {
                     'quantity': quantity,
                     'case': case,
                     'windows': len(table),
-                    'mae': round(float(np.abs(calibrated - known).mean()), 4),
-                    'mae_uncalibrated': round(float(np.abs(raw - known).mean()), 4),
+                    **errors,
                     'worst_sensor_mae': round(max(by_sensor, default=0.0), 4),
                     'mean_size': round(float(np.abs(known).mean()), 4),
                     'largest': round(float(np.abs(known).max(initial=0.0)), 4),
@@ -203,7 +213,7 @@ def contact(
     with progress_bar('testing', count * (2 + len(SECONDS))) as advance:
         sensors = [sensor_rows(loaded, FIRST_DEVICE + index, advance) for index in range(count)]
     rows = summarise(sensors)
-    names = ('windows', 'mae', 'mae_uncalibrated', 'worst_sensor_mae', 'mean_size', 'largest')
+    names = ('windows', *GAINS, 'worst_sensor_mae', 'mean_size', 'largest')
     shown = [
         (row['quantity'], row['case'], *(f'{row[name]:g}' for name in (*names, 'target')))
         for row in rows

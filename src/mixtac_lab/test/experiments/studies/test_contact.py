@@ -57,11 +57,13 @@ def test_windows_are_sorted_by_the_share_of_the_friction():
 
 
 def test_rows_hold_the_errors_of_each_axis():
-    table = np.zeros((10, 9))
-    table[:, 3:6], table[:, 6:] = (0.2, 0.4, 2.0), (0.1, 0.1, 1.0)
+    table = np.zeros((10, 15))
+    table[:, 3:6], table[:, 6:9] = (0.2, 0.4, 2.0), (0.1, 0.1, 1.0)
+    table[:, 9:12], table[:, 12:] = 0.5, 0.7
     rows = summarise([{'cases': {'stick': table}}])
     sideways, torsion = (next(r for r in rows if r['quantity'][:3] == q) for q in ('sid', 'tor'))
     assert (sideways['mae'], sideways['mae_uncalibrated']) == pytest.approx((0.1, 0.3))
+    assert (sideways['mae_normal_gain'], sideways['mae_pulled_gain']) == pytest.approx((0.5, 0.7))
     assert (torsion['mae'], torsion['mae_uncalibrated']) == pytest.approx((1.0, 2.0))
     assert {row['case'] for row in rows} == {'stick', 'all'}
 
