@@ -365,7 +365,7 @@ class ContactTracker:
         self._force_n: float = 0.0
         self._rest_n = self._low_n = 0.0
         self._above = 0
-        self._dent = math.inf
+        self._dent: float = math.inf
         self._recent: deque[tuple[int, float]] = deque(maxlen=SLOPE_WINDOWS + 1)
 
     def _switch(self, end_us: int, force: float) -> None:
