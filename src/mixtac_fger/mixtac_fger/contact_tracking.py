@@ -305,7 +305,7 @@ class ContactTracker:
         self.settings, self._finder = settings, finder
         finder.find_contacts(settings.scale)
         self.touch: Touch | None = None
-        self.frame_us = 0
+        self.frame_us, self._dent = 0, math.inf
         self.clear()
 
     def frame(self, mid_us: int, touch: Touch) -> None:
@@ -365,7 +365,7 @@ class ContactTracker:
         self._force_n: float = 0.0
         self._rest_n = self._low_n = 0.0
         self._above = 0
-        self._dent: float = math.inf
+        self._dent = math.inf
         self._recent: deque[tuple[int, float]] = deque(maxlen=SLOPE_WINDOWS + 1)
 
     def _switch(self, end_us: int, force: float) -> None:
