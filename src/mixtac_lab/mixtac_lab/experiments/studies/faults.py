@@ -297,7 +297,7 @@ def faults(
     if hours is None:
         hours = 1.0 / 60.0 if quick else 10.0
     good = _specs(GOOD, max(1, round(3600.0 * hours / GOOD_S)), GOOD_S, FIRST_SEED + 4000)
-    held = _specs(['static'], starts, 4.0, FIRST_SEED + 3000)
+    held = _specs(['long_term'], starts, 5.0, FIRST_SEED + 3000)
     pieces = [
         *(
             Piece('faults', judge_faults, (weights, each, trials[k - 1]), version)
