@@ -42,9 +42,7 @@ class FrameWorker:
 
     def __init__(self, estimator: Estimator) -> None:
         self._estimator = estimator
-        self._inbox: queue.Queue[tuple[Image | Callable[[], Image], int, bool] | None] = (
-            queue.Queue()
-        )
+        self._inbox: queue.Queue[Job | None] = queue.Queue()
         self._outbox: deque[EncodedFrame] = deque()
         self._thread = threading.Thread(target=self._run, name='fger_frames', daemon=True)
         self._replaced = self._unfetched = 0

@@ -489,9 +489,9 @@ class ForceEstimator:
         self._validity.frame(
             frame.mid_us, frame.contrast, picture, frame.force, then, vibrating=vibrating
         )
-        if frame.picture is not None:
-            self._release.frame(frame.picture)
-            self._watch_zero(frame.force, abs(frame.picture.outward) < CONTACT)
+        if picture is not None:
+            self._release.frame(picture)
+            self._watch_zero(frame.force, abs(picture.outward) < CONTACT)
 
     def _watch_zero(self, force: float, apart: bool) -> None:
         reference = self._estimator.reference
