@@ -115,6 +115,8 @@ def correction_weights(tensors: Tensors) -> CorrectionWeights:
 
 FAST_INCREMENT = 0.1
 """Increment of a window that is half slow and half fast [N]: 50 N/s. Only blows are faster."""
+BLOW_N = 0.5
+"""Range of the sum of fast increments within an exposure from which on there was a blow [N]."""
 REVERSAL_N = 0.03
 """Increments after which half of the pixels have followed a reversal [N]."""
 
@@ -441,9 +443,17 @@ class RecurrentPath:
             lag: Windows between the last estimate and their middle.
             half: Windows before and after it, fewer where there are none after it yet.
         """
-        half = min(half, lag)
-        places = np.arange(self._newest - lag - half, self._newest - lag + half + 1)
-        return float(self._history.take(places, mode='wrap').mean())
+        return float(self._history.take(self._around(lag, half), mode='wrap').mean())
+
+    def blow(self, lag: int, half: int) -> bool:
+        """Return whether past windows had part in a blow, which no frame shows; as `mean`."""
+        places = self._around(lag, half)
+        fast = self._increments[:, 1].take([places[0] - 1, *places], mode='wrap')
+        return bool(np.ptp(fast) > self._config.force_unit * BLOW_N)
+
+    def _around(self, lag: int, half: int) -> NDArray[np.int64]:
+        middle = self._newest - min(lag, len(self._history) - half - 2)
+        return np.arange(middle - half, min(middle + half, self._newest) + 1)
 
     def shift(self, change: float) -> None:
         """Change the estimate and its past [N]."""

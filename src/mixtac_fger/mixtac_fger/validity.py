@@ -114,9 +114,11 @@ BUSY_PER_MS = 750
 """Rate of a blow [events/ms]: its motion during an exposure is no fault."""
 BUSY_MARGIN_US = 8_000
 """Half an exposure and more, before and after a comparison [us]."""
-MOST_UNTOLD, STILL, UNTOLD_FRAMES = 4.0, 1.3, 3
+MOST_UNTOLD, STILL, UNTOLD_FRAMES, UNTOLD_BLOWS = 4.0, 1.3, 3, 5
 """Events over those at rest while the change of frames over that at rest is below the second, in so
-many frames in a row; without a fault two in a row at most, from blows between two frames."""
+many frames in a row, or so many with a blow each between them and the one before; without a fault
+two in a row at most, from blows between two frames."""
+UNTOLD = UNTOLD_FRAMES * UNTOLD_BLOWS
 RATE_WINDOWS = 10
 """Windows over which the rate of each polarity is averaged."""
 LEAST_RATE, LEAST_REST = 0.25, 3.0
@@ -210,6 +212,7 @@ class Validity:
 
     def __init__(self, window_us: int, width: int) -> None:
         self._window_us, self._width = window_us, width
+        self._blow = BUSY_PER_MS * window_us // 1000
         self._rest = [0.0, 0.0]  # ON and OFF events per window
         self._rests = 0
         self._noise = self._murmur = self._slope = 0.0
@@ -363,14 +366,17 @@ class Validity:
         most = MOST_RATE * sum(self._rest)
         many = 0.0 < most < min(numbers)
         untold = still and (many or alone > MOST_UNTOLD * self._murmur)
-        self._untold = self._untold + 1 if untold else 0
+        blow = not many and max(numbers) > self._blow
+        # Whole numbers, so that thirds and fifths add up.
+        step = UNTOLD_FRAMES if blow else UNTOLD_BLOWS
+        self._untold = self._untold + step if untold else 0
         if still and not many and alone < AT_REST * self._murmur:
             self._rests += 1
             share = max(1.0 / self._rests, RISE)
             self._rest = [a + (b - a) * share for a, b in zip(self._rest, rates, strict=True)]
             if self._rests == 1:
                 self._rate = list(self._rest)
-        found = {Reason.EVENTS_WITHOUT_MOTION} if self._untold >= UNTOLD_FRAMES else set()
+        found = {Reason.EVENTS_WITHOUT_MOTION} if self._untold >= UNTOLD else set()
         return found | self._judge_agreement(change, events, correlation)
 
     def _judge_agreement(self, change: float, events: float, correlation: float) -> set[Reason]:
@@ -396,9 +402,8 @@ class Validity:
         """Return whether there was a vibration, or a blow, in a comparison or at its ends."""
         if self._vibrating:
             return True
-        most = BUSY_PER_MS * self._window_us // 1000
         near = self._windows.between(start_us - BUSY_MARGIN_US, end_us + BUSY_MARGIN_US)
-        return max(self._windows.numbers[near], default=0) > most
+        return max(self._windows.numbers[near], default=0) > self._blow
 
     def _start_over(self) -> None:
         self._windows = _Windows()

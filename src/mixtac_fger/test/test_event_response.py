@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from toy_sensor import random_model
 
 from mixtac_fger.config import CELL_FEATURES, FgerConfig
 from mixtac_fger.recurrent_network import (
@@ -100,6 +101,37 @@ def test_blows_have_no_part():
     assert after(0.8 * told + blow, told, fast=blow) == pytest.approx(after(0.8 * told, told))
     gain, _ = after(0.8 * told + blow, told)
     assert gain == pytest.approx(after(0.8 * told, told)[0], abs=0.03)
+
+
+@pytest.mark.parametrize('unit', [0.5, 3.0])
+def test_a_blow_is_told_around_its_windows_and_motion_is_none(unit):
+    config = FgerConfig(force_unit=unit)
+    tensors = random_model(config).tensors
+    tensors['increment.0.weight'][:, : config.lstm_size] = 0.0
+    for layer in ('event.hidden', 'event.output', 'increment.0'):
+        tensors[f'{layer}.bias'][:] = 0.0
+    still = np.zeros((config.grid_rows, config.grid_columns, CELL_FEATURES), np.float32)
+    burst = np.ones_like(still)
+    per_burst = RecurrentPath(config, tensors).step(burst)
+
+    def moved(forces: list[float]) -> RecurrentPath:
+        scale = np.float32(unit / per_burst)
+        weights = {**tensors, 'increment.2.weight': scale * tensors['increment.2.weight']}
+        path = RecurrentPath(config, weights)
+        for force in forces:
+            # Increments are as large as their events, but for the square of what is fast.
+            path.step(still if force == 0.0 else np.float32(force) * burst)
+        return path
+
+    quiet, half = [0.0] * 20, 3
+    path = moved([*quiet, 1.5, *quiet])
+    assert [lag for lag in range(40) if path.blow(lag, half)] == list(range(17, 24))
+    assert not path.blow(500, half)
+    assert path.mean(20, half) != path.mean(30, half)
+    path = moved([*quiet, *[0.03] * 20])
+    assert path.force > 0.4 * unit
+    assert not any(path.blow(lag, half) for lag in range(40))
+    assert not RecurrentPath(config, tensors).blow(0, half)
 
 
 @given(unit=st.floats(0.2, 5.0))

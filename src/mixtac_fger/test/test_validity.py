@@ -295,6 +295,27 @@ def test_events_everywhere_while_nothing_moves(trial, encoded, frames):
     assert Reason.EVENTS_WITHOUT_MOTION in reasons[300:420]
 
 
+@pytest.mark.parametrize('number', [4, 7])
+def test_a_blow_and_its_rebounds_are_no_storm_but_bursts_without_end_are(trial, encoded, number):
+    still = [noisy(trial.frames[0], index) for index in range(len(trial.frames))]
+    random = np.random.default_rng(6)
+    size = 8000
+    bursts = []
+    for index in range(number):
+        start = 600_000 + INTERVAL_US * index
+        pixels = random.integers(0, 346 * 26, size)
+        bursts.append(
+            Events(
+                np.sort(random.integers(start, start + WINDOW_US, size)),
+                (pixels % 346).astype(np.uint16),
+                (pixels // 346).astype(np.uint16),
+                np.ones(size, bool),
+            )
+        )
+    reasons = set(follow(trial, encoded, Events.concatenate(bursts), still))
+    assert reasons == {Reason.TRUSTED} | ({Reason.EVENTS_WITHOUT_MOTION} if number > 4 else set())
+
+
 @pytest.mark.parametrize('kept', [True, False])
 def test_a_polarity_that_falls_silent_is_missed_within_40_ms(trial, encoded, kept):
     validity = Validity(WINDOW_US, WIDTH)
