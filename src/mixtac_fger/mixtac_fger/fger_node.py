@@ -273,16 +273,16 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
 
     def _know_serial(self, before: str) -> None:
         """Use the kept reference of a camera that was not known before; forget another's."""
-        feed, model = self._feed, self._model
+        feed, estimator = self._feed, self._estimator
         if before and feed is not None:
             feed.estimator.change_camera()
             self.get_logger().warning(f'camera {self._camera.serial} replaces {before}')
-        if self._settings.reference or model is None:
+        if self._settings.reference or estimator is None:
             return
         self._reference = None
         try:
             name = _reference_file(self._settings, self._camera.serial)
-            self._reference = stored_reference(name, open_estimator(model).reference)
+            self._reference = stored_reference(name, estimator.reference)
         except MixtacError as error:
             self.get_logger().warning(f'{error}')
         if feed is not None and self._reference is not None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mixtac_events.codec import encode
+from mixtac_fger.config import FgerConfig
 from mixtac_fger.weights import write_model
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
@@ -23,11 +24,11 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, TimeReference
 from std_srvs.srv import Trigger
 
-from mixtac_fger.reference import Reference
+from mixtac_fger.reference import Reference, reference_name
 from mixtac_fger.validity import Reason
 from mixtac_msgs.msg import Contact, ForceQuality
 from mixtac_node.base_node import QOS_SENSOR
@@ -253,6 +254,30 @@ def test_a_camera_that_does_not_fit_is_refused_before_and_after_the_start(estima
         State.PRIMARY_STATE_FINALIZED,
     )
     graph.spin_until(lambda: 'not active' in graph.diagnostics(NAME).get('message', ''))
+
+
+def test_a_camera_brings_its_kept_reference_or_none(node_under_test, tmp_path, model, monkeypatch):
+    path = tmp_path / 'toy.safetensors'
+    write_model(path, model)
+    monkeypatch.setenv('MIXTAC_HOME', str(tmp_path))
+    config = FgerConfig.from_dict(model.config)
+    kept = Reference(config)
+    kept.use(np.zeros(config.frame_shape, np.float32))
+    kept.save(tmp_path / reference_name('V2'))
+    (tmp_path / reference_name('V3')).write_bytes(b'no reference')
+    estimator = Estimator(node_under_test, str(path))
+    graph = estimator.graph
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    clocks = graph.node.create_publisher(TimeReference, '/mixtac/camera_clock', latched)
+    graph.listen(DiagnosticArray, '/diagnostics', 10)
+    assert estimator.transition(Transition.TRANSITION_CONFIGURE)[0]
+    assert estimator.transition(Transition.TRANSITION_ACTIVATE)[0]
+    for serial, waits in (('V1', 'reference'), ('V2', 'for a frame'), ('V3', 'reference')):
+        graph.spin_until(
+            lambda waits=waits: waits in graph.diagnostics(NAME).get('message', ''),
+            lambda serial=serial: clocks.publish(TimeReference(source=serial)),
+        )
+    graph.spin_until(lambda: any(reference_name('V3') in line for line in estimator.errors))
 
 
 @pytest.mark.parametrize('kind', ['missing', 'another architecture'])

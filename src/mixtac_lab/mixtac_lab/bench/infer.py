@@ -19,11 +19,13 @@ from rich.console import Console
 
 from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile, ModelName, Preset
-from mixtac_events.codec import encode
+from mixtac_events.codec import decode_message, encode
+from mixtac_events.windows import WindowSlicer
 from mixtac_fger.contact_tracking import ContactSettings
 from mixtac_fger.estimator import open_estimator
 from mixtac_fger.live_feed import LiveFeed
 from mixtac_fger.streaming import ForceEstimator, warm_up
+from mixtac_fger.validity import Validity
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.bench.harness import quantiles
 from mixtac_node.files import write_json
@@ -170,6 +172,38 @@ def frame_times_ms(
     return times[0 if reference is None else reference.frames :]
 
 
+def validity_share(model: Model, scene: Scene) -> float:
+    """Return the share of the checks of validity in the time of all windows, packets decoded.
+
+    Packets follow one another at once, and the encoding of frames is left out. The checks run a
+    second time on what the estimator was given; all of it is processor time of one thread.
+    """
+    estimator = ForceEstimator(open_estimator(model), assume_free=True)
+    slicer = WindowSlicer(estimator.window_us)
+    validity = Validity(estimator.window_us, estimator.size[0])
+    frames, seen = deque(scene.frames), None
+    whole_s = checks_s = 0.0
+    for end_us, packet in zip(scene.ends_us, scene.packets, strict=True):
+        while frames and frames[0].ready_us <= end_us:
+            frame = frames.popleft()
+            estimator.push_frame(frame.image, frame.mid_us)
+        start_s = time.thread_time()
+        decoded = decode_message(packet)
+        estimator.push_events(decoded.events, decoded.complete_until)
+        whole_s += time.thread_time() - start_s
+        closed = slicer.push(decoded.events, decoded.complete_until)
+        used, force = estimator.frame, estimator.frame_force
+        start_s = time.thread_time()
+        if used is not None and used is not seen:
+            validity.frame(used.mid_us, used.contrast, used.picture, force, force)
+        for window_us, part in closed:
+            validity.window(window_us, part, complete=True)
+        checks_s += time.thread_time() - start_s
+        seen = used
+    estimator.close()
+    return checks_s / whole_s
+
+
 def _feed_image(feed: LiveFeed, frame: Frame) -> None:
     height, width = frame.image.shape
     message: Any = SimpleNamespace(
@@ -215,6 +249,7 @@ def measure(model_name: str, seconds: float, preset: str) -> dict[str, Any]:
     alone, touched = (_figures(model, scene, each) for each in (None, ContactSettings()))
     return alone | {
         'contact': touched,
+        'validity_share': validity_share(model, scene),
         'flops_per_cycle': estimator.operations,
         'parameters': estimator.parameters,
         'events_per_s': scene.events / seconds,
@@ -239,7 +274,8 @@ def _print(console: Console, report: dict[str, Any]) -> None:
     console.print(make_table(title, ('figure', 'p50', 'p99'), rows))
     console.print(
         f'{report["parameters"]:,} parameters, {report["flops_per_cycle"] / 1e6:.1f} MFLOP per'
-        f' 40 ms, at {report["events_per_s"] / 1e6:.2f} Mev/s'
+        f' 40 ms, at {report["events_per_s"] / 1e6:.2f} Mev/s; checks of validity take'
+        f' {report["validity_share"]:.1%} of the time of windows'
     )
     for way, figures in ways.items():
         console.print(

@@ -19,6 +19,7 @@ from mixtac_lab.bench.infer import (
     frame_times_ms,
     make_scene,
     run_paced,
+    validity_share,
 )
 from mixtac_recordings.dataset import TrialSpec
 from mixtac_sim.world.trial import TrialStream
@@ -65,3 +66,7 @@ def test_paced_run_gives_a_force_per_window(scene: Scene, model: Model) -> None:
 def test_frame_times_leave_out_the_reference(scene: Scene, model: Model) -> None:
     times = frame_times_ms(model, scene)
     assert len(times) == len(scene.frames) - model.config['reference_frames']
+
+
+def test_checks_of_validity_are_a_small_part_of_a_window(scene: Scene, model: Model) -> None:
+    assert 0.0 < validity_share(model, scene) < 0.5
