@@ -105,6 +105,12 @@ class WindowSlicer:
         self._pending = [held[begin:]] if begin < len(held) else []
         return parts
 
+    @property
+    def open_end_us(self) -> int:
+        """End of the window that closes next, camera clock [us]; only after a push."""
+        assert self._next is not None  # noqa: S101  (a push sets it)
+        return self._start_us(self._next + 1)
+
     def reset(self) -> None:
         """Discard open windows; the next push starts a new stream."""
         self._pending = []

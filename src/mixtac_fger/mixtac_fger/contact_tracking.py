@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+from numba import njit
 
 from mixtac_fger.contact import (
     SIGNIFICANT,
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from mixtac_fger.contact import ContactShape
 
     F32 = NDArray[np.float32]
+    F64 = NDArray[np.float64]
 
 HISTORY: Final = 128
 """Windows of which the sums of the flow are kept: frames arrive later than they are exposed."""
@@ -239,6 +241,28 @@ class FlowCarrier:
         self._own = MEMORY * self._own + float(np.sum(told * told))
 
 
+@njit(cache=True, nogil=True, fastmath={'contract'})
+def _brightening(
+    counts: F32, touching: bool, bumps: F64, mean: F64, sums: F64, noise: F64, signed: F64
+) -> float:
+    """Add a window to the sums and return the brightening; see `Onset.window`."""
+    columns = counts.shape[1]
+    for cell in range(signed.shape[0]):
+        on, off = counts[cell // columns, cell % columns]
+        signed[cell] = np.expm1(np.float64(on)) - np.expm1(np.float64(off))
+    for bump in range(sums.shape[0]):
+        sums[bump] *= ONSET_MEMORY
+        for cell in range(signed.shape[0]):
+            sums[bump] += bumps[bump, cell] * (signed[cell] - mean[cell])
+    size, deviation = sums.max(), max(np.sqrt(noise.mean()), LEAST_NOISE)
+    if not touching and size < ONSET * deviation:
+        for cell in range(signed.shape[0]):
+            mean[cell] += QUIET_SHARE * (signed[cell] - mean[cell])
+        for bump in range(sums.shape[0]):
+            noise[bump] += QUIET_SHARE * (sums[bump] * sums[bump] - noise[bump])
+    return float(size / deviation)
+
+
 class Onset:
     """Recognises the brightening around a touch in the events of windows.
 
@@ -259,7 +283,7 @@ class Onset:
                 bump -= bump.mean()
                 bumps.append(bump / np.linalg.norm(bump))
         self._bumps = np.array(bumps)
-        self._mean = np.zeros(shape[0] * shape[1])
+        self._mean, self._signed = np.zeros((2, shape[0] * shape[1]))
         self._sums = np.zeros(len(bumps))
         self._noise = np.full(len(bumps), 10.0 * LEAST_NOISE**2)
 
@@ -270,15 +294,8 @@ class Onset:
             counts: ln(1 + ON) and ln(1 + OFF) events of each cell [rows, columns, 2].
             touching: Whether there is a contact, of which noise learns nothing.
         """
-        events = np.expm1(counts, dtype=np.float64)
-        signed = (events[..., 0] - events[..., 1]).ravel()
-        self._sums = ONSET_MEMORY * self._sums + self._bumps @ (signed - self._mean)
-        size = float(self._sums.max())
-        deviation = max(math.sqrt(float(self._noise.mean())), LEAST_NOISE)
-        if not touching and size < ONSET * deviation:
-            self._mean += QUIET_SHARE * (signed - self._mean)
-            self._noise += QUIET_SHARE * (self._sums**2 - self._noise)
-        return size / deviation
+        state = self._bumps, self._mean, self._sums, self._noise, self._signed
+        return float(_brightening(counts, touching, *state))
 
 
 def _pooled(values: F32, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -425,7 +442,8 @@ class ContactTracker:
         p = fit.parameters
         if fit.gains is not None:
             change = fit.gains.reshape(len(p), -1) @ self._carrier.since(self._start).ravel()
-            change[3:5] = np.clip(change[3:5], -MOST_CARRIED_MM, MOST_CARRIED_MM)
+            for axis in (3, 4):
+                change[axis] = min(max(change[axis], -MOST_CARRIED_MM), MOST_CARRIED_MM)
             carried = p + change
             if carried[0] > 0.0 and is_sensible(carried):
                 p = carried

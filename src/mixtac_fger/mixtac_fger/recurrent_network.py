@@ -317,15 +317,19 @@ class EventResponse:
 
     def __init__(self, unit: float = 1.0) -> None:
         self._unit = unit
-        self._prior = np.array([(unit * self.PRIOR_N) ** 2, self.PRIOR_TURNS])
-        self._squares, self._products = np.zeros((2, 2)), np.zeros(2)
-        self._before: tuple[float, NDArray[np.float64]] | None = None
+        # Sums of slow^2, slow turned, turned^2, change slow, change turned, the prior left out.
+        self._sums = (0.0,) * 5
+        self._before: tuple[float, list[float]] | None = None
 
     @property
     def values(self) -> tuple[float, float]:
         """The gain, and the play: half the way that events lose in a reversal [N]."""
-        squares = self._squares + np.diag(self._prior)
-        gain, play = np.linalg.solve(squares, self._products + self._prior * (1.0, 0.0)).tolist()
+        slow, both, turned, change_slow, change_turned = self._sums
+        prior = (self._unit * self.PRIOR_N) ** 2
+        slow, turned, change_slow = slow + prior, turned + self.PRIOR_TURNS, change_slow + prior
+        determinant = slow * turned - both * both
+        gain = (turned * change_slow - both * change_turned) / determinant
+        play = (slow * change_turned - both * change_slow) / determinant
         widest = self._unit * self.WIDEST_N
         return min(max(gain, self.LOWEST), self.HIGHEST), min(max(play, 0.0), widest)
 
@@ -340,15 +344,17 @@ class EventResponse:
             force: Corrected force at the centre of its exposure [N].
             increments: `StepState.increments` at that time; copied.
         """
-        before, self._before = self._before, (force, increments.copy())
+        now = increments.tolist()
+        before, self._before = self._before, (force, now)
         if before is None:
             return
-        slow, fast, turned = increments - before[1]
+        slow, fast, turned = (new - old for new, old in zip(now, before[1], strict=True))
         change = force - before[0] - fast
         if max(abs(slow), abs(change)) < self._unit * self.LARGEST_N:
-            told = np.array([slow, turned])
-            self._squares = self.KEPT * self._squares + np.outer(told, told)
-            self._products = self.KEPT * self._products + change * told
+            told = (slow**2, slow * turned, turned**2, change * slow, change * turned)
+            self._sums = tuple(
+                self.KEPT * old + new for old, new in zip(self._sums, told, strict=True)
+            )
 
 
 SETTLE_WINDOWS = 100

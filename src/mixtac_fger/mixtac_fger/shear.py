@@ -119,6 +119,28 @@ def weighted(cells: F32, force: float, weights: F32, powers: F64, out: F64) -> N
         out[axis] = total * base ** powers[axis]
 
 
+@njit(cache=True, nogil=True)
+def _advance(
+    features: F32, force: float, weights: F32, powers: F64, before: F64, after: F64
+) -> None:
+    """Write the sums [2, 3] after a window, given those before it."""
+    weighted(features, force, weights, powers, after[0])
+    for axis in range(3):
+        after[1, axis] = before[1, axis] + abs(after[0, axis])
+        after[0, axis] += before[0, axis]
+
+
+@njit(cache=True, nogil=True)
+def _values(base: F64, sums: F64, units: F64, shares: F64, out: F64) -> bool:
+    """Write values and deviations [2, 3]; return whether all are finite."""
+    for axis in range(3):
+        value, moved = base[0, axis] + sums[0, axis], base[1, axis] + sums[1, axis]
+        floor, share, told = shares[axis, 0], shares[axis, 1] * value, shares[axis, 2] * moved
+        out[0, axis] = units[axis] * value
+        out[1, axis] = units[axis] * np.sqrt(floor * floor + share * share + told * told)
+    return bool(np.isfinite(out.sum()))
+
+
 class ShearHead:
     """The head with its state; memory is fixed.
 
@@ -139,10 +161,10 @@ class ShearHead:
             np.array(tensors[f'shear.{name}.weight'], np.float32).reshape(3, *shape)
             for name in ('frame', 'event')
         )
-        self._gains = np.array(tensors['shear.unit'], np.float64)
+        self._units = np.array(tensors['shear.unit'], np.float64) * NEWTONS
         self._shares = np.array(tensors['shear.deviation'], np.float64)
         self._powers = np.array(POWERS)
-        self._step, self._measured = np.zeros(3), np.zeros(3)
+        self._measured, self._values = np.zeros(3), np.zeros((2, 3))
         # Sums of the increments and of their sizes up to each window.
         self._sums = np.zeros((config.history_windows, 2, 3))
         self._newest, self._base = 0, np.zeros((2, 3))
@@ -174,11 +196,9 @@ class ShearHead:
             features: Features of its events, float32 [grid rows, grid columns, 4].
             force: Normal force [N].
         """
-        weighted(features, force / self._unit, self._event, self._powers, self._step)
         before, self._newest = self._sums[self._newest], (self._newest + 1) % len(self._sums)
-        np.add(before[0], self._step, self._sums[self._newest, 0])
-        np.abs(self._step, self._step)
-        np.add(before[1], self._step, self._sums[self._newest, 1])
+        after = self._sums[self._newest]
+        _advance(features, force / self._unit, self._event, self._powers, before, after)
 
     def clear(self) -> None:
         """Forget everything; there is no value until the next frame."""
@@ -190,11 +210,8 @@ class ShearHead:
         """The value after the latest window; None before the first frame, or if not finite."""
         if not self._known:
             return None
-        value, moved = self._base + self._sums[self._newest]
-        parts = self._shares * np.stack([np.ones(3), value, moved], axis=1)
-        deviation = np.sqrt((parts * parts).sum(axis=1))
-        found, spread = self._gains * value * NEWTONS, self._gains * deviation * NEWTONS
-        if not np.isfinite(found + spread).all():
+        sums = self._sums[self._newest]
+        if not _values(self._base, sums, self._units, self._shares, self._values):
             return None
-        x, y, torque = found.tolist()
-        return Shear(x, y, torque, float(spread[:2].max()), float(spread[2]))
+        (x, y, torque), (across, up, turned) = self._values.tolist()
+        return Shear(x, y, torque, max(across, up), turned)

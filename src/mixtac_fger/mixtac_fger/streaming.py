@@ -210,6 +210,7 @@ class ForceEstimator:
         self._slicer = WindowSlicer(estimator.window_us)
         self._time = StreamTime()
         self._encoded: deque[EncodedFrame] = deque()
+        self._between = False
         self._frame: EncodedFrame | None = None
         self._felt: tuple[int, Touch] | None = None
         self._recent: deque[float] = deque(maxlen=TARE_WINDOWS)
@@ -282,7 +283,7 @@ class ForceEstimator:
         """Wait until all frames pushed so far are encoded; for runs that must be repeatable."""
         if self._worker is not None:
             self._worker.wait()
-            self._keep(self._worker.results())
+            self._fetch()
 
     def push_events(
         self, events: Events, complete_until_us: int, *, lost_before: bool = False
@@ -297,16 +298,21 @@ class ForceEstimator:
         Returns:
             Estimates in order of time; empty until the estimator is ready.
         """
-        if self._worker is not None:
-            self._keep(self._worker.results())
         first_us = int(events.t[0]) if len(events) else complete_until_us
         known = self._time.newest_us is not None
         arrival = self._time.push(first_us, complete_until_us, lost_before=lost_before)
         if arrival is Arrival.STARTS and known:
+            self._fetch()
             self._forget()
             self._slicer.reset()
             self._since_us = first_us
         closed = self._slicer.push(events, complete_until_us)
+        if not (closed and self._between):
+            self._fetch()
+        self._between = not closed
+        if self._between:
+            # No force waits for what frames take.
+            self._use_frames(self._slicer.open_end_us)
         return [found for end, part in closed if (found := self._window(end, part)) is not None]
 
     def tare(self) -> None:
@@ -331,8 +337,7 @@ class ForceEstimator:
                 f'in contact ({largest:.2f} N within the last {len(self._recent)} windows)',
                 remedy='release the sensor and try again',
             )
-        if self._worker is not None:
-            self._keep(self._worker.results())
+        self._fetch()
         latest = self._encoded[-1] if self._encoded else self._frame
         self._refuse_contact(reference, latest.picture)
         reference.renew()
@@ -439,15 +444,9 @@ class ForceEstimator:
     def _window(self, end_us: int, events: Events) -> Estimate | None:
         count = self._count
         count.windows += 1
-        while self._encoded and self._due(self._encoded[0], end_us):
-            self._apply(self._encoded.popleft(), end_us)
+        self._use_frames(end_us)
         if self._frame is None:
             return None
-        felt = self._felt if self._worker is None else self._worker.felt
-        if self.contact is not None and felt is not None:
-            mid_us, touch = felt
-            if self.contact.frame_us != mid_us == self._frame.mid_us:
-                self.contact.frame(mid_us, touch)
         raw, spread = self._estimator.step(events, end_us)
         force = self.force_scale * raw
         deviation = None if spread is None else self.force_scale * spread
@@ -475,6 +474,21 @@ class ForceEstimator:
             found = self.contact.window(end_us, force)
         shear = known_shear(self._estimator, self.force_scale, self.sideways_scale)
         return Estimate(end_us, force, deviation, age_us, complete, saturated, reason, found, shear)
+
+    def _fetch(self) -> None:
+        """Take what the frame thread has finished."""
+        if self._worker is not None:
+            self._keep(self._worker.results())
+            self._felt = self._worker.felt
+
+    def _use_frames(self, end_us: int) -> None:
+        """Use the frames that have arrived before the window that ends at a time."""
+        while self._encoded and self._due(self._encoded[0], end_us):
+            self._apply(self._encoded.popleft(), end_us)
+        if self.contact is not None and self._felt is not None and self._frame is not None:
+            mid_us, touch = self._felt
+            if self.contact.frame_us != mid_us == self._frame.mid_us:
+                self.contact.frame(mid_us, touch)
 
     def _check(self, frame: EncodedFrame, lag: int | None) -> None:
         """Check a frame that was exposed so many windows before the last estimate."""

@@ -318,3 +318,24 @@ def test_frames_in_the_background_give_the_same_forces(model, trial):
         assert background.status().frames == 1
     finally:
         background.close()
+
+
+def test_frames_between_two_windows_give_the_same_forces_and_contacts(model, trial):
+    at_windows, between = (
+        ForceEstimator(FgerEstimator(model), contact=ContactSettings()) for _ in range(2)
+    )
+    for estimator in (at_windows, between):
+        still_frames(estimator, trial)
+    pressed = trial.frames[-1]
+    events, count = noise_events(200_000, 260_000, 3000), 0
+    for start in range(200_000, 260_000, 2000):
+        if start == 230_000:
+            for estimator in (at_windows, between):
+                estimator.push_frame(pressed, 215_000)
+        assert between.push_events(events.between(start, start + 1000), start + 1000) == []
+        assert between.status().frames == 1 + (start >= 230_000)
+        found = between.push_events(events.between(start + 1000, start + 2000), start + 2000)
+        assert found == at_windows.push_events(events.between(start, start + 2000), start + 2000)
+        count += len(found)
+    assert count == 30
+    assert at_windows.status().frames == 2

@@ -118,15 +118,17 @@ def run_paced(model: Model, scene: Scene, contact: ContactSettings | None = None
         contact: How contacts are found; None for none.
 
     Returns:
-        `step_ms`, the time of each call that closes a window, including the decoding of the packet
-        [ms]; `window_cpu_ms`, the processor time per window of the thread that computes windows,
-        including the decoding of all packets [ms], which other processes hardly change; `windows`,
-        the number of forces; `late`, that of forces more than 2 ms after their packet was due;
-        `frames_dropped`, that of frames replaced by a newer one before they were encoded; `cpu`,
-        processor time over real time, all threads.
+        `step_ms`, the time of each call that gives a force, including the decoding of the packet
+        [ms]; `between_ms`, that of the others, in which frames are used [ms]; `window_cpu_ms`, the
+        processor time per window of the thread that computes windows, including the decoding of
+        all packets [ms], which other processes hardly change; `windows`, the number of forces;
+        `late`, that of forces more than 2 ms after their packet was due; `frames_dropped`, that of
+        frames replaced by a newer one before they were encoded; `cpu`, processor time over real
+        time, all threads.
     """
     feed = LiveFeed(ForceEstimator(open_estimator(model), background_frames=True, contact=contact))
     steps: list[float] = []
+    others: list[float] = []
     frames, late, count, thread_s = deque(scene.frames), 0, 0, 0.0
     cpu_s, start_s = time.process_time(), time.perf_counter()
     origin_us = scene.ends_us[0]
@@ -139,9 +141,9 @@ def run_paced(model: Model, scene: Scene, contact: ContactSettings | None = None
         forces = feed.packet(packet)
         done_s = time.perf_counter()
         thread_s += time.thread_time() - before_s
+        (steps if forces else others).append(1e3 * (done_s - called_s))
         if forces:
             count += len(forces)
-            steps.append(1e3 * (done_s - called_s))
             late += done_s - due_s > DEADLINE_S
     cpu = (time.process_time() - cpu_s) / (time.perf_counter() - start_s)
     dropped = feed.status().estimator.frames_dropped
@@ -149,6 +151,7 @@ def run_paced(model: Model, scene: Scene, contact: ContactSettings | None = None
     windows = max(len(scene.packets) * PACKET_US // feed.estimator.window_us, 1)
     return {
         'step_ms': steps,
+        'between_ms': others,
         'window_cpu_ms': 1e3 * thread_s / windows,
         'windows': count,
         'late': late,
@@ -259,11 +262,16 @@ def measure(model_name: str, seconds: float, preset: str) -> dict[str, Any]:
 def _figures(model: Model, scene: Scene, contact: ContactSettings | None) -> dict[str, Any]:
     frame_ms = quantiles(frame_times_ms(model, scene, contact))
     paced = run_paced(model, scene, contact)
-    return paced | {'step_ms': quantiles(paced['step_ms']), 'frame_ms': frame_ms}
+    calls = {name: quantiles(paced[name]) for name in ('step_ms', 'between_ms')}
+    return paced | calls | {'frame_ms': frame_ms}
 
 
 def _print(console: Console, report: dict[str, Any]) -> None:
-    names = {'step_ms': 'window step, packet decoded [ms]', 'frame_ms': 'frame [ms]'}
+    names = {
+        'step_ms': 'window step, packet decoded [ms]',
+        'between_ms': 'packet between windows [ms]',
+        'frame_ms': 'frame [ms]',
+    }
     ways = {'': report, ', with contact': report['contact']}
     rows = [
         (name + way, *(f'{figures[key][part]:.3f}' for part in ('p50', 'p99')))
