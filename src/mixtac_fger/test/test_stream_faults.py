@@ -199,8 +199,9 @@ def test_no_force_without_packets_whatever_the_frames(model, trial):
         estimator.push_frame(trial.frames[0], START_US + index * FRAME_US)
     status = estimator.status()
     assert status.estimates == given
-    # One frame had been waiting before; four wait now.
-    assert status.frames_dropped == 1 + 20 - 4
+    # The frame before these was used; four wait now.
+    assert status.frames == 1
+    assert status.frames_dropped == 20 - 4
 
 
 def test_saturated_windows_are_marked_and_finite(model, trial):
