@@ -58,6 +58,8 @@ class SlipStep:
         reason: Why it stopped, else why it cannot be enabled now; empty if it can or is.
         slip_direction: Of the motion of the skin while it slips, from x to y of the contact frame
             [rad]; 0 otherwise.
+        slip_rotation: Of the skin about the contact normal in the window, from x to y of the
+            contact frame [rad per contrast threshold]; 0 where the events do not agree on one.
         friction: Friction coefficient as the sensor measures it.
         friction_deviation: Its standard deviation.
         margin: Normal force over the smallest that holds; 0 where it is not known.
@@ -82,6 +84,7 @@ class SlipStep:
     total_advance: float
     reason: str
     slip_direction: float
+    slip_rotation: float
     friction: float
     friction_deviation: float
     margin: float
@@ -456,5 +459,6 @@ class SlipController:
             total_advance=self.total_advance,
             reason=self.reason(now_s),
             slip_direction=math.atan2(-window.flow_y, window.flow_x) if slipping else 0.0,
+            slip_rotation=-window.rotation,
             **self.grip.figures(),
         )

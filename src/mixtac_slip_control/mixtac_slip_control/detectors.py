@@ -29,7 +29,7 @@ from typing import Final
 
 import numpy as np
 
-from mixtac_slip_control.features import SlipWindow
+from mixtac_slip_control.features import COHERENCE, SlipWindow
 from mixtac_slip_control.parameters import SlipControlParameters
 
 TAIL: Final = 0.1
@@ -229,10 +229,6 @@ class CountDetector(Detector):
         self.background.update(float(window.count))
 
 
-COHERENCE: Final = 3.0
-"""Translation over that of as many events with signs at random, from which on it counts: random
-signs reach it in one window of 8000. Simulated lamps that were switched on came to 2.4, slips to
-4.2."""
 FLOW_RESOLUTION: Final = 1e-5
 """Smallest scale of the tail of the translation [px per contrast threshold]."""
 

@@ -93,6 +93,37 @@ def test_pressing_cancels_in_the_translation() -> None:
     assert back.pressing == pytest.approx(-0.4 / CONTRAST, rel=0.2)
 
 
+@pytest.mark.parametrize('angle', [0.004, -0.004])
+def test_a_twist_is_measured_apart_from_translation(angle: float) -> None:
+    twist = (-angle * AWAY_Y * PATCH, angle * AWAY_X * PATCH)
+    window = seen(*twist)
+    assert window.rotation == pytest.approx(angle / CONTRAST, rel=0.2)
+    edge = 90.0 * abs(window.rotation)
+    assert max(np.hypot(window.flow_x, window.flow_y), abs(window.pressing)) < 0.15 * edge
+    # Slip that turns the object: both at once.
+    both = seen(twist[0] + 0.4 * PATCH, twist[1])
+    assert both.rotation == pytest.approx(angle / CONTRAST, rel=0.2)
+    assert both.flow_x == pytest.approx(0.4 / CONTRAST, rel=0.3)
+
+
+def test_translation_pressing_and_signs_at_random_are_no_rotation() -> None:
+    for motion in ((0.4 * PATCH, STILL), (STILL, -0.4 * PATCH)):
+        window = seen(*motion)
+        assert 90.0 * abs(window.rotation) < 0.15 * np.hypot(window.flow_x, window.flow_y)
+    pressed = seen(0.4 * AWAY_X / 90.0 * PATCH, 0.4 * AWAY_Y / 90.0 * PATCH)
+    assert 90.0 * abs(pressed.rotation) < 0.15 * pressed.pressing
+    features = SlipFeatures(SlipControlParameters())
+    features.frame(np.round(REST).astype(np.uint16), 0)
+    turned = 0
+    for index in range(1, 101):
+        x = RNG.integers(0, WIDTH, 300).astype(np.uint16)
+        y = RNG.integers(0, HEIGHT, 300).astype(np.uint16)
+        t = np.full(300, 1000 * index - 500)
+        (window,) = features.push(Events(t, x, y, RNG.random(300) < 0.5), 1000 * index)
+        turned += window.rotation != 0.0
+    assert turned <= 2
+
+
 def test_flicker_makes_events_but_no_motion() -> None:
     y, x = np.mgrid[0:HEIGHT:3, 0:WIDTH:3]
     n = x.size
