@@ -30,18 +30,21 @@ PAPER, OTHER_DAYS = 'paper', 'other_days'
 PROTOCOLS = (PAPER, OTHER_DAYS)
 """One session of one sensor, its trials split 8:2 at random, as in the paper; or trained on some
 days of a sensor and tested on others."""
-OURS_MANY, FGER_REFERENCE, FGER_AS_STATED = 'ours_many_sensors', 'fger_reference', 'fger_as_stated'
+OURS_MANY, FGER_AS_STATED = 'ours_many_sensors', 'fger_as_stated'
+_REFERENCE = {'light': 'reference', 'norm': 'batch'}
 Changes = dict[str, tuple[str, dict[str, Any], dict[str, Any]]]
 """By name: a model, and the differences in its network and in its training."""
 PAPER_CHOICES: Changes = {
-    FGER_REFERENCE: (FGER, {'light': 'reference'}, {}),
+    'frames_reference': (FRAMES, _REFERENCE, {}),
+    'fusion_reference': (FUSION, _REFERENCE, {}),
+    'fger_reference': (FGER, _REFERENCE, {}),
     'fger_continuous': (FGER, {'correction': 'continuous'}, {}),
     'fger_periodic': (FGER, {'correction': 'periodic'}, {}),
     'fger_batch_norm': (FGER, {'norm': 'batch'}, {}),
-    'fger_intensity': (FGER, {'light': 'intensity'}, {}),
+    'fger_relative': (FGER, {'light': 'relative'}, {}),
     FGER_AS_STATED: (
         FGER,
-        {'light': 'intensity', 'norm': 'batch'},
+        {'norm': 'batch'},
         {
             'frame_epochs': 0,
             'event_epochs': 0,
@@ -49,14 +52,16 @@ PAPER_CHOICES: Changes = {
             'joint_epochs': 50,
             'joint_rate': 1e-4,
             'schedule': 'constant',
-            # Of the 28 trials of a session side by side, nearly 128 cycles.
-            'cycles': 4,
+            # 128 cycles: 8 of each of 16 trials.
+            'cycles': 8,
+            'group_trials': 16,
             'force_weight': 0.0,
             'patience': 0,
         },
     ),
 }
-"""The paper's network with one choice undone or added, and with nothing but the paper's text."""
+"""The paper's networks with the reference, with one choice undone, and with nothing but the paper's
+text."""
 CHOICES: Changes = {
     'without_reference': (OURS, {'frame_channels': ('frame',)}, {}),
     'without_frame_flow': (OURS, {'frame_channels': ('difference',)}, {}),
@@ -67,8 +72,8 @@ CHOICES: Changes = {
 }
 """Our network with one design choice undone."""
 ROWS = (
-    *(CONSTANT, FRAMES, EVENTS, FUSION, FGER, FGER_REFERENCE, OURS, 'without_reference'),
-    *(OURS_MANY, BOUND),
+    *(CONSTANT, FRAMES, 'frames_reference', EVENTS, FUSION, 'fusion_reference'),
+    *(FGER, 'fger_reference', OURS, 'without_reference', OURS_MANY, BOUND),
 )
 """Models of the table, in order."""
 ALL_ROWS = tuple(dict.fromkeys((*ROWS, *PAPER_CHOICES, *CHOICES)))
@@ -91,6 +96,8 @@ class Sizes:
         sensors: Sensors of that model, one trial each.
         unseen: Test sensors that no training uses; 0 for none, and no mismatches either.
         session: Number and length [s] of the trials of the protocol `paper`, by profile.
+        session_training: Differences of the training by that protocol, for networks of the `paper`
+            and for `ours`.
         tones_hz: Vibration frequencies [Hz].
         fast_tones_hz: Vibration frequencies above those of the paper [Hz].
         grasps: Number of slip trials by object.
@@ -109,6 +116,7 @@ class Sizes:
     sensors: int = 0
     unseen: int = 0
     session: dict[str, tuple[int, float]] = field(default_factory=dict)
+    session_training: dict[str, dict[str, Any]] = field(default_factory=dict)
     tones_hz: tuple[float, ...] = ()
     fast_tones_hz: tuple[float, ...] = ()
     grasps: dict[str, int] = field(default_factory=dict)
@@ -143,6 +151,8 @@ def run_config(sizes: Sizes, model: str, seed: int, data: DataConfig) -> RunConf
     base = OURS if model in {OURS_MANY} | UNTRAINED else model
     base, network, changed = (PAPER_CHOICES | CHOICES).get(model, (base, {}, {}))
     training = sizes.our_training if base == OURS else sizes.paper_training
+    if data.simulated is not None and data.simulated.session:
+        training = training | sizes.session_training.get(OURS if base == OURS else PAPER, {})
     if model == OURS_MANY:
         training = training | sizes.many_training
     return RunConfig(

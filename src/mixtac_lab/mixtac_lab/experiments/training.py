@@ -81,6 +81,8 @@ FIRST_TEST = 830_000
 """First trial seed of the tests; training uses 100,000 to 200,000."""
 SHARE_TESTED = 5
 """One bag in this many is a test trial: 8:2 by trial, as in the paper."""
+CHECKED = 1 / 8
+"""Part of the training trials that the best weights are chosen by."""
 _WORDS, _FACTS = ('name', 'profile', 'device'), 'trial.json'
 
 
@@ -116,7 +118,7 @@ class SimulatedTrials:
         data = SimulatedData(
             PRESET, 1, sizes.trials, sizes.seconds, sizes.mix, FIRST_DATA_SEED + seed
         )
-        return DataConfig(simulated=data, checked=0.0)
+        return DataConfig(simulated=data, checked=CHECKED)
 
     def tests(self, seed: int, profile: str) -> Sequence[TrialSource]:
         """Return other days of the same sensor."""
@@ -167,7 +169,7 @@ class BagTrials:
         bags = [bag for name in PROFILES for bag in self._split(name)[0]]
         if not bags:
             raise RecordingError(f'{self.folder} holds no bags for training', remedy=_REMEDY)
-        return DataConfig(bags=tuple(str(bag.path) for bag in bags), checked=0.0)
+        return DataConfig(bags=tuple(str(bag.path) for bag in bags), checked=CHECKED)
 
     def tests(self, seed: int, profile: str) -> Sequence[TrialSource]:
         """Return the test bags of a profile.

@@ -48,7 +48,7 @@ class PaperConfig:
         sparse_channels: Channels of the convolutions on event frames (`fusion`).
         correction: One of `CORRECTIONS`; the estimate that is carried on is corrected once per
             cycle either way.
-        light: One of `LIGHTS`.
+        light: One of `LIGHTS`; across days only `reference` with `norm` `batch` is of use.
         norm: One of `NORMS`.
     """
 
@@ -66,7 +66,7 @@ class PaperConfig:
     correction_size: int = 128
     sparse_channels: tuple[int, ...] = (16, 32, 64)
     correction: str = 'spread'
-    light: str = 'relative'
+    light: str = 'intensity'
     norm: str = 'group'
 
     def __post_init__(self) -> None:

@@ -446,6 +446,21 @@ class FgerPaper(RecurrentModel):
         self.frame = FrameBackbone(config)
         self.recurrence = EventRecurrence(config)
         self.correction = perceptron(1 + config.channels, config.correction_size)
+        self.begin_at_frames()
+
+    @torch.no_grad()
+    def begin_at_frames(self) -> None:
+        """Let the correction be minus the estimate, by two hidden units, and what frames say.
+
+        A corrected force is then that of a frame alone; with the usual initial weights something
+        of the estimate is left in it. Learning the other units from estimates of zero leaves these
+        two to weight decay, after which this is called again.
+        """
+        weights = ('0.weight', '0.bias', '2.weight')
+        ramps, bias, sums = (self.correction.get_parameter(name) for name in weights)
+        ramps[:, 0], ramps[:2], bias[:2] = 0.0, 0.0, 0.0
+        ramps[0, 0], ramps[1, 0] = 1.0, -1.0
+        sums[0, 0], sums[0, 1] = -1.0, 1.0
 
     def forward(self, batch: SegmentBatch, state: PaperState) -> tuple[Tensor, PaperState]:
         """Return the force [N] at the end of each window, [T, B], and the state after the last."""

@@ -137,9 +137,8 @@ def frame_batch(
 ) -> FrameBatch:
     """Return single frames, sorted by trial.
 
-    The label of a frame is the mean force of its exposure for `frames`, whose estimate is that of
-    the frame. It is the force when the frame arrives for the others, which know the events up to
-    then.
+    The label of a frame is the mean force of its exposure: what it shows. For `fusion`, which knows
+    the events up to then, it is the force when the frame arrives.
 
     Args:
         samples: Samples.
@@ -153,7 +152,7 @@ def frame_batch(
         frames.append(sample.seen(used, config.light))
         shown = used if config.model == 'fusion' else used[:0]
         event_frames.append(np.log1p(sample.counts[shown].astype(np.float32)))
-        known = sample.frame_force[used] if config.model == 'frames' else sample.force[windows]
+        known = sample.force[windows] if config.model == 'fusion' else sample.frame_force[used]
         force.append(known)
     return FrameBatch(
         _tensor(np.concatenate(frames)[:, None], np.float32),

@@ -58,8 +58,8 @@ class PaperTraining:
 
     Attributes:
         seed: Random seed for weights, order and mirroring.
-        frame_epochs: Epochs on single frames of the head, or of the correction, which learns to
-            remove errors of the estimate of up to some `start_error_n`; features do not learn.
+        frame_epochs: Epochs on single frames of the head, or of the correction of an estimate of
+            zero; features do not learn.
         event_epochs: Epochs of the event path alone, of `_UPDATES` updates each, on changes of the
             force within stretches of `_STRETCH` windows that begin at the true force.
         recurrent_epochs: Epochs of the recurrent path on the same features of frames.
@@ -76,7 +76,6 @@ class PaperTraining:
         joint_rate: Largest learning rate of the joint stage.
         schedule: Of the learning rates; see `mixtac_learning.train.loop.schedule_factor`.
         weight_decay: AdamW's default.
-        start_error_n: Scale of the errors of the estimate in the frame stage [N].
         loss_knee_n: Errors above count linearly, below quadratically [N].
         force_weight: Additional weight of an error per newton of force [1/N].
         mirror: Show mirror images too.
@@ -100,7 +99,6 @@ class PaperTraining:
     joint_rate: float = 1e-5
     schedule: str = 'cosine'
     weight_decay: float = 1e-2
-    start_error_n: float = 0.5
     loss_knee_n: float = 0.05
     force_weight: float = 1.0
     mirror: bool = False
@@ -219,9 +217,9 @@ class FrameStage(PaperStage):
                 seen, known = self._features(self.samples, found[chosen.numpy()], flips)
             else:
                 seen, known = features[chosen], labels[chosen]
-            drawn = torch.randn(len(known), generator=random)
-            drawn *= self.settings.start_error_n * torch.rand(len(known), generator=random)
-            yield self.loss(self._force(seen, known + drawn.to(known)), known)
+            yield self.loss(self._force(seen), known)
+        if isinstance(self.network, FgerPaper):
+            self.network.begin_at_frames()
 
     def validate(self) -> float | None:
         """Return the mean absolute error at the frames of the trials to validate on [N]."""
@@ -233,14 +231,14 @@ class FrameStage(PaperStage):
             return None
         found = arrivals(self.checked, range(len(self.checked)))
         features, known = self._encoded(self.checked, found, [])
-        return float((self._force(features, torch.zeros_like(known)) - known).abs().mean())
+        return float((self._force(features) - known).abs().mean())
 
-    def _force(self, features: Tensor, before: Tensor) -> Tensor:
-        """Return the force of each frame, which corrects an estimate where the network does."""
+    def _force(self, features: Tensor) -> Tensor:
+        """Return the force of each frame; of a correction from an estimate of zero."""
         if isinstance(self.network, FrameModel):
             return torch.Tensor(self.network.head(features)[:, 0])
         if isinstance(self.network, FgerPaper):
-            return self.network.corrected(before, features)
+            return self.network.corrected(torch.zeros_like(features[:, 0]), features)
         raise TrainingError('a network without frames has no frame stage')
 
     def _features(

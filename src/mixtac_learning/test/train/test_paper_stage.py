@@ -65,6 +65,22 @@ def test_each_stage_trains_its_part(samples, kind, name, learning):
     assert found == learning
 
 
+def test_a_correction_learns_the_force_of_the_frame(samples):
+    network = build(config('fger'))
+    chosen = stage(FrameStage, 'frames', network, samples)
+    optimiser = torch.optim.AdamW(chosen.parameters(), 1e-2, weight_decay=0.1)
+    for loss in chosen.losses(torch.Generator().manual_seed(0)):
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    features = torch.randn(5, network.config.channels, generator=torch.Generator().manual_seed(1))
+    alone = network.corrected(torch.zeros(5), features)
+    assert alone.std() > 0.0
+    for before in (-1.0, 0.3, 2.0):
+        corrected = network.corrected(torch.full((5,), before), features)
+        assert torch.allclose(corrected, alone, atol=1e-5)
+
+
 def test_the_state_is_carried_through_whole_trials(samples):
     network = build(config('events')).eval()
     seen = []

@@ -235,22 +235,23 @@ def aggregate(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any
     return table
 
 
-def rows_of(table: Mapping[str, Any], protocol: str) -> list[dict[str, Any]]:
+def rows_of(table: Mapping[str, Any], protocol: str, size: str) -> list[dict[str, Any]]:
     """Return a row per model: its MAE by kind of trial.
 
     Args:
         table: From `aggregate`.
         protocol: One of `PROTOCOLS`.
+        size: Name of the sizes.
 
     Returns:
-        `model`, `protocol`, `core_minutes` of its training, and `dynamic`, `static`, `hold` and
-        `impact`, each with `mae`, its standard deviation `sd` over the seeds (None of one seed) and
-        `seeds`.
+        `model`, `protocol`, `size`, `core_minutes` of its training, and `dynamic`, `static`,
+        `hold` and `impact`, each with `mae`, its standard deviation `sd` over the seeds (None of
+        one seed) and `seeds`.
     """
     names = {DYNAMIC: 'dynamic', STATIC: 'static', HOLD: 'hold', IMPACT: 'impact'}
     rows = []
     for model, columns in table.items():
-        row: dict[str, Any] = {'model': model, 'protocol': protocol}
+        row: dict[str, Any] = {'model': model, 'protocol': protocol, 'size': size}
         if columns.get(TRAINING):
             row[COST] = columns[TRAINING][COST]['mean']
         for profile, name in names.items():
@@ -339,7 +340,7 @@ def models(
         console.print(make_table(title, headings, lines))
         file = f'table_{size}_{each}_choices.md' if choices else f'table_{size}_{each}.md'
         write_text(out / file, as_markdown(table))
-        rows += rows_of(table, each)
+        rows += rows_of(table, each, size)
     result = {'size': size, 'seeds': seeds, 'simulated': True, 'rows': rows, 'tables': tables}
     write_json(json, result | {'table': tables.get(OTHER_DAYS, {})})
 

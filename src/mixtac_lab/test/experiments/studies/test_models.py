@@ -51,12 +51,12 @@ def test_mean_and_spread_over_seeds():
 
 def test_a_row_has_the_error_of_each_kind_of_trial():
     runs = [{'dynamic': {'mae': mae}, 'long_term': {'mae': 2 * mae}} for mae in (0.1, 0.3)]
-    (row,) = rows_of(aggregate({'fger': runs}), 'paper')
-    assert (row['model'], row['protocol']) == ('fger', 'paper')
+    (row,) = rows_of(aggregate({'fger': runs}), 'paper', 'full')
+    assert (row['model'], row['protocol'], row['size']) == ('fger', 'paper', 'full')
     assert row['dynamic'] == {'mae': 0.2, 'sd': pytest.approx(0.1414, abs=1e-4), 'seeds': 2}
     assert row['hold']['mae'] == 0.4
     assert 'static' not in row
-    (single,) = rows_of(aggregate({'fger': runs[:1]}), 'paper')
+    (single,) = rows_of(aggregate({'fger': runs[:1]}), 'paper', 'full')
     assert single['dynamic'] == {'mae': 0.1, 'sd': None, 'seeds': 1}
 
 
@@ -88,6 +88,15 @@ def test_all_seeds_see_the_same_trials():
     runs = [config('full', 'fger', seed) for seed in (0, 1)]
     assert runs[0].data == runs[1].data
     assert runs[0].training != runs[1].training
+
+
+def test_a_session_has_its_own_training():
+    sizes = TABLE_SIZES['full']
+    for model, kind in (('fger', 'paper'), ('without_reference', 'ours')):
+        trained = run_config(sizes, model, 0, table_data(sizes, model, PAPER)).training
+        other = config('full', model, 0).training
+        assert trained == other | sizes.session_training[kind]
+        assert trained != other
 
 
 def test_shipped_run_is_that_of_the_table():
