@@ -153,7 +153,7 @@ def _solver(fields: NDArray[np.float32]) -> NDArray[np.float64]:
     # A frame without any contrast guides nothing: its solver gives zero for zero sums.
     ridge = max(RIDGE * np.trace(normal[:JOINT, :JOINT]) / JOINT, 1e-12)
     normal += ridge * np.eye(MODES)
-    solver = np.linalg.inv(normal)
+    solver = np.asarray(np.linalg.inv(normal), np.float64)
     solver[:JOINT, :JOINT] = np.linalg.inv(normal[:JOINT, :JOINT])
     solver[:JOINT, JOINT:] = 0.0
     return solver
