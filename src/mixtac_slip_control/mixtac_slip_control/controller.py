@@ -58,8 +58,8 @@ class SlipStep:
         reason: Why it stopped, else why it cannot be enabled now; empty if it can or is.
         slip_direction: Of the motion of the skin while it slips, from x to y of the contact frame
             [rad]; 0 otherwise.
-        slip_rotation: Of the skin about the contact normal in the window, from x to y of the
-            contact frame [rad per contrast threshold]; 0 where the events do not agree on one.
+        slip_rotation: Rotation of the skin about the contact normal within the window, from x to y
+            of the contact frame [rad per contrast threshold]; 0 where the events agree on none.
         friction: Friction coefficient as the sensor measures it.
         friction_deviation: Its standard deviation.
         margin: Normal force over the smallest that holds; 0 where it is not known.
