@@ -251,8 +251,8 @@ class SlipWindow:
         light: Whether its events may come from a change of light, in this window or just before.
         noise: Mean square of the translation that as many events at the same places would give with
             signs at random; the unit of `flow_x`, squared.
-        rotation: Rotation of the skin about the contact, right to down [rad per contrast threshold]; 0
-            where the events do not agree on it.
+        rotation: Rotation of the skin about the contact, from right to down [rad per contrast
+            threshold]; 0 where the events do not agree on it.
     """
 
     end_us: int
