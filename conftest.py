@@ -165,7 +165,8 @@ class NodeUnderTest:
         for each in nodes:
             path, *arguments = each.command(namespace)
             (script,) = entry_points(group='console_scripts', name=Path(path).name)
-            self._processes.append(NodeProcess(self._server, script.module, *arguments))
+            made = NodeProcess(self._server, script.module, *arguments, function=script.attr)
+            self._processes.append(made)
 
     def check(self) -> None:
         """Fail if a process has ended."""

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Slip control for a running sensor (`sensor.launch.py`) and a running arm."""
+"""Slip control for a running arm, and a running sensor or one that it starts itself."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 
-from mixtac_node.graph import slip_control
+from mixtac_node.graph import sensor_graph, slip_control
 from mixtac_node.launch_actions import (
     environment,
     given,
@@ -38,6 +38,12 @@ PARAMETERS = (
 )
 ARGUMENTS = [
     DeclareLaunchArgument(
+        'device',
+        default_value='',
+        description='Device that a driver in the same process opens (davis346, virtual, '
+        'virtual:SOCKET), with the force estimator beside it; empty: sensor.launch.py runs',
+    ),
+    DeclareLaunchArgument(
         'arm',
         default_value='none',
         description='Arm to move: none (report slip only), fr3, libfranka (an FR3 without '
@@ -63,7 +69,7 @@ ARGUMENTS = [
         )
         for name in PARAMETERS
     ),
-    *shared_arguments('namespace', 'params_file', 'log_level'),
+    *shared_arguments('namespace', 'params_file', 'autostart', 'log_level'),
 ]
 
 
@@ -71,7 +77,9 @@ def _nodes(context):
     """Return the actions of slip control."""
     chosen = {name: value(context, name) for name in ('arm', 'detector')}
     chosen |= given(context, 'arm_backend', *PARAMETERS)
-    return node_actions(context, slip_control(chosen))
+    device = value(context, 'device')
+    nodes = sensor_graph(device, slip=chosen) if device else [slip_control(chosen)]
+    return node_actions(context, *nodes)
 
 
 def generate_launch_description():

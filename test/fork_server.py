@@ -3,8 +3,8 @@
 """Processes of nodes under test, forked from a server that has imported their modules before.
 
 Imports and compiled code cost a node 1 to 3 s of processor time, more than most tests need beside.
-A forked node runs the function `main` of its module, as its executable does, to the end of the
-interpreter. The server itself never initialises ROS, and starts no thread.
+A forked node runs a function of its module, usually `main`, as its executable does, to the end of
+the interpreter. The server itself never initialises ROS, and starts no thread.
 
 Run as a script, this is the server.
 """
@@ -42,19 +42,23 @@ class NodeProcess:
         server: The server that forks it.
         module: Module that is run, for example `mixtac_fger.fger_node`.
         arguments: Its command line.
+        function: Function of the module that is run.
 
     Attributes:
         pid: Process id.
         returncode: Exit status, or minus the signal that ended it; None while it runs.
     """
 
-    def __init__(self, server: ForkServer, module: str, *arguments: str) -> None:
+    def __init__(
+        self, server: ForkServer, module: str, *arguments: str, function: str = 'main'
+    ) -> None:
         self._server = server
         self._outputs = [tempfile.TemporaryFile() for _ in range(2)]  # noqa: SIM115
         self.returncode: int | None = None
         self.pid: int = server.ask(
             {
                 'module': module,
+                'function': function,
                 'arguments': arguments,
                 'folder': str(Path.cwd()),
                 'environment': dict(os.environ),
@@ -246,7 +250,7 @@ def main() -> None:
     sys.path[:1] = [request['folder'], *added]
     sys.argv = [request['module'], *request['arguments']]
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
-    sys.exit(importlib.import_module(request['module']).main())
+    sys.exit(getattr(importlib.import_module(request['module']), request['function'])())
 
 
 if __name__ == '__main__':

@@ -26,6 +26,7 @@ setup(
             'mixtac = mixtac_cli.main:main',
             'recorder_node = mixtac_cli.record.recorder_node:main',
             'sensor_node = mixtac_cli.sensor_node:main',
+            'slip_sensor_node = mixtac_cli.sensor_node:main_slip',
             'supervisor_node = mixtac_cli.supervisor_node:main',
             'view_node = mixtac_cli.view.view_node:main',
         ],

@@ -102,6 +102,14 @@ def test_parameters_of_the_user_are_read_after_the_shipped_ones(tmp_path):
         processes('sensor', device='davis346', params_file=str(tmp_path / 'none.yaml'))
 
 
+def test_slip_control_starts_the_sensor_where_a_device_is_named():
+    alone, _ = processes('slip_control')
+    assert names(alone) == [('mixtac_slip_control', 'slip_control_node')]
+    found, _ = processes('slip_control', device='virtual', arm='fr3')
+    assert names(found) == graph_names('virtual', slip={})
+    assert {"device:='virtual'", "arm:='fr3'"} <= set(words(found[1]))
+
+
 def test_align_and_view_add_their_nodes():
     values = {'align': 'true', 'view': 'true', 'reference_topic': '/other'}
     found, _ = processes('sensor', device='virtual', **values)

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Camera driver and force estimator as two nodes of one process, which takes less CPU than two.
+"""Camera driver and force estimator, or driver and slip control, as two nodes of one process.
 
 Nodes, topics, services and parameters are those of the separate processes, but events and frames
-reach the estimator by a function call. rclpy has no intra-process transport: even within one
-process a message is serialised, passes through the middleware, and wakes an executor thread that
-has to acquire the interpreter lock.
+reach the other node by a function call: less CPU, and no waiting for a thread. rclpy has no
+intra-process transport: even within one process a message is serialised, passes through the
+middleware, and wakes an executor thread that has to acquire the interpreter lock.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from rclpy.publisher import Publisher
 from mixtac_driver.node.driver_node import DriverNode
 from mixtac_fger.fger_node import FgerNode
 from mixtac_node.base_node import run_together
+from mixtac_slip_control.slip_control_node import SlipControlNode
 
 
 class DirectTopic:
@@ -108,11 +109,11 @@ class DirectDriver(DriverNode, _NamedDriver):
         return publisher if direct is None else DirectPublisher(publisher, direct)
 
 
-class DirectFger(FgerNode):
-    """The estimator, which receives events and frames within the process.
+class _Direct(Node):  # type: ignore[misc]
+    """A node that receives events and frames within the process.
 
-    They arrive in the driver's thread, services and transitions in the executor's: a lock separates
-    them, as the single executor thread does in a process of its own.
+    They arrive in the driver's thread, all else in the executor's: a lock separates them, as the
+    single executor thread does in a process of its own.
 
     Args:
         topics: Topics within the process, by name.
@@ -132,10 +133,9 @@ class DirectFger(FgerNode):
         **options: Any,  # noqa: ANN401
     ) -> Any:  # noqa: ANN401
         """Subscribe; to topics within the process without the middleware."""
-        direct = self._topics.get(topic)
+        direct, locked = self._topics.get(topic), self._locked(callback)
         if direct is None:
-            return super().create_subscription(kind, topic, callback, *args, **options)
-        locked = self._locked(callback)
+            return super().create_subscription(kind, topic, locked, *args, **options)
         direct.subscribe(locked)
         return locked
 
@@ -156,13 +156,18 @@ class DirectFger(FgerNode):
         """Create a service whose calls do not overlap with messages."""
         return super().create_service(kind, name, self._locked(callback), *args, **options)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start estimating."""
-        with self._lock:
-            return super().on_activate(state)
+    def create_timer(
+        self,
+        period_s: float,
+        callback: Callable[..., Any],
+        *args: Any,  # noqa: ANN401
+        **options: Any,  # noqa: ANN401
+    ) -> Any:  # noqa: ANN401
+        """Create a timer whose calls do not overlap with messages."""
+        return super().create_timer(period_s, self._locked(callback), *args, **options)
 
     def close(self) -> None:
-        """Stop estimating."""
+        """End what the node does."""
         with self._lock:
             super().close()
 
@@ -175,11 +180,25 @@ class DirectFger(FgerNode):
         return locked
 
 
-def make_nodes() -> list[Any]:
-    """Return the two nodes; call after `rclpy.init`."""
+class DirectFger(_Direct, FgerNode):
+    """The estimator, which receives events and frames within the process."""
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start estimating."""
+        with self._lock:
+            return super().on_activate(state)
+
+
+class DirectSlipControl(_Direct, SlipControlNode):
+    """Slip control, which answers events in the driver's thread."""
+
+
+def _make(node: type[_Direct]) -> list[Any]:
+    """Return a node and the driver; call after `rclpy.init`."""
     topics = {name: DirectTopic() for name in DIRECT}
-    # The estimator first: a driver that cannot open its device ends the process.
-    return [DirectFger(topics), DirectDriver(topics)]
+    # The driver last: if it cannot open its device the process ends.
+    return [node(topics), DirectDriver(topics)]
 
 
-main = partial(run_together, make_nodes)
+main = partial(run_together, partial(_make, DirectFger))
+main_slip = partial(run_together, partial(_make, DirectSlipControl))

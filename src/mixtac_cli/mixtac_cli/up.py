@@ -36,7 +36,7 @@ from mixtac_node.process import ProcessGroup, claim_nodes, ros_domain
 from mixtac_node.topics import DEFAULT_NAMESPACE
 
 POLL_S = 0.2
-SLIP_STOP_ORDER = ('supervisor', 'slip_control', 'driver')
+SLIP_STOP_ORDER = ('supervisor', 'slip_control', 'fger', 'driver')
 """Stopped in this order, so that no node loses another that it needs."""
 
 
@@ -133,6 +133,18 @@ def up(
         run_until(processes, seconds)
 
 
+def _narrower(path: Path) -> Path:
+    """Write the shipped model with the deviation of one whose gain is known; return its path.
+
+    The supervisor finds the gain.
+    """
+    from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
+    from mixtac_fger.weights import DEFAULT_MODEL, find_model, read_model, save_model
+
+    save_model(path, with_gain(read_model(find_model(DEFAULT_MODEL)), 1.0, CALIBRATED_DEVIATION))
+    return path
+
+
 def _with_model(name: str) -> dict[str, object]:
     """Return the estimator's parameters with a model.
 
@@ -222,6 +234,7 @@ def slip(
             'seed': seed,
             'socket': str(socket),
             'publish_clock': True,
+            'publish_force': False,
         }
         # The virtual arm does not report what it commands.
         reach = {
@@ -234,21 +247,28 @@ def slip(
         supervisor = {
             'knock_every': every if disturb > 0.0 else 0.0,
             'figure': str(figure.absolute()),
+            'grip': True,
             **simulated,
         }
+        # Whether the contact moves is not asked: it costs as much as the force.
+        model = str(_narrower(Path(folder) / 'calibrated.safetensors'))
+        estimator = {'autostart': True, 'contact': False, 'model': model}
+        *_, driver, fger = sensor_graph(
+            f'virtual:{socket}', estimator=estimator, simulated_time=True
+        )
         nodes = [
             NodeSpec('mixtac_sim', 'virtual_grasp_node', 'virtual_grasp', overrides=grasp),
             slip_control({'arm': 'fr3', **reach, **simulated}),
             NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=arm),
             NodeSpec('mixtac_cli', 'supervisor_node', 'supervisor', overrides=supervisor),
+            fger,
         ]
-        driver = [each for each in sensor_graph(f'virtual:{socket}') if each.name == 'driver']
         start_nodes(processes, nodes)
         try:
             # The driver would report that no camera is there.
             while not socket.exists():
                 run_until(processes, POLL_S)
-            start_nodes(processes, driver)
+            start_nodes(processes, [driver])
             run_until(processes, seconds)
         finally:
             for name in SLIP_STOP_ORDER:

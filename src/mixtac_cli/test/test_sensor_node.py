@@ -9,9 +9,14 @@ import threading
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
+pytest.importorskip('mixtac_msgs.msg', reason='needs the built workspace')
+
+from std_srvs.srv import Trigger
 
 from mixtac_cli.monitor_node import Monitor
 from mixtac_cli.sensor_node import DirectPublisher, DirectTopic
+from mixtac_msgs.msg import SlipState
+from mixtac_node.base_node import QOS_FORCE
 from mixtac_node.graph import sensor_graph
 
 
@@ -88,3 +93,22 @@ def test_one_process_has_the_nodes_topics_and_force_of_two(node_under_test, tmp_
         assert monitor.publishers('/one/image_raw')
         node_under_test.spin_until(lambda: {'one/driver', 'one/fger'} <= set(monitor.diagnostics))
         assert monitor.diagnostics['one/fger']['lost_packets'] == '0'
+
+
+@pytest.mark.dds
+def test_slip_control_answers_in_the_drivers_process(node_under_test, tmp_path):
+    """Events pass within the process: the driver has no subscriber of them outside."""
+    graph = sensor_graph(
+        f'virtual:{tmp_path}/usb.sock',
+        virtual_sensor={'scenario': 'idle'},
+        slip={'learning_time': 0.2},
+    )
+    states = node_under_test.listen(SlipState, '/one/slip', QOS_FORCE)
+    node_under_test.start_nodes([each for each in graph if each.name != 'fger'], 'one')
+    node_under_test.spin_until(lambda: states and states[-1].background > 0.0)
+    node = node_under_test.node
+    assert [e.node_name for e in node.get_publishers_info_by_topic('/one/events')] == ['driver']
+    assert not node.get_subscriptions_info_by_topic('/one/events')
+    reply = node_under_test.call(Trigger, '/one/slip_control/tare')
+    assert reply.success, reply.message
+    node_under_test.spin_until(lambda: states[-1].background == 0.0)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.dds, pytest.mark.timeout(900)]
 ARM_TOPIC = '/fr3_arm_controller/joint_trajectory'
 PATIENCE_S = 600.0
-"""Five processes compile what they need when their caches are empty."""
+"""Six processes compile what they need when their caches are empty."""
 FALLEN_MM = 20.0
 """The open loop lets the object fall this far and farther."""
 
@@ -40,12 +40,12 @@ class Witness:
     """Starts `mixtac up slip` and notes what its nodes say."""
 
     def __init__(self, env: dict[str, str], log) -> None:
-        from geometry_msgs.msg import PointStamped
+        from geometry_msgs.msg import PointStamped, WrenchStamped
         from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import JointState
         from trajectory_msgs.msg import JointTrajectory
 
-        from mixtac_msgs.msg import SlipState
+        from mixtac_msgs.msg import ForceQuality, SlipState
         from mixtac_node.base_node import QOS_FORCE, QOS_SENSOR
 
         self.log = log
@@ -67,15 +67,28 @@ class Witness:
         self.executor.add_node(self.node)
         self.slipped_while_enabled = False
         self.trajectories: list[JointTrajectory] = []
+        self.ratios: list[float] = []
+        self.enabled, self.known = False, 0.0
         self.farthest_m = self.lowest_mm = 0.0
         listen = self.node.create_subscription
         listen(SlipState, '/mixtac/slip', self._on_slip, QOS_FORCE)
         listen(JointTrajectory, ARM_TOPIC, self.trajectories.append, 10)
         listen(JointState, '/joint_states', self._on_joints, QOS_SENSOR)
+        listen(ForceQuality, '/mixtac/force_quality', self._on_quality, QOS_FORCE)
+        listen(WrenchStamped, '/mixtac/truth/wrench', self._on_truth, QOS_FORCE)
         listen(PointStamped, '/mixtac/truth/object', self._on_place, QOS_FORCE)
 
     def _on_slip(self, message) -> None:
-        self.slipped_while_enabled |= message.slipping and message.state == message.ENABLED
+        self.enabled = message.state == message.ENABLED
+        self.slipped_while_enabled |= message.slipping and self.enabled
+
+    def _on_truth(self, message) -> None:
+        self.known = message.wrench.force.z
+
+    def _on_quality(self, message) -> None:
+        if self.enabled and message.valid:
+            assert message.deviation > 0.0
+            self.ratios.append(message.force / self.known)
 
     def _on_joints(self, message) -> None:
         moved = flange_place(np.array(message.position)) - flange_place(READY)
@@ -122,7 +135,7 @@ def witness(ros_domain: dict[str, str], tmp_path) -> Iterator[Witness]:
 CONTRACT = {
     '/mixtac/truth/wrench': ('virtual_grasp', 'geometry_msgs/msg/WrenchStamped', 'RELIABLE'),
     '/mixtac/truth/object': ('virtual_grasp', 'geometry_msgs/msg/PointStamped', 'RELIABLE'),
-    '/mixtac/force': ('virtual_grasp', 'geometry_msgs/msg/WrenchStamped', 'RELIABLE'),
+    '/mixtac/force': ('fger', 'geometry_msgs/msg/WrenchStamped', 'RELIABLE'),
     '/clock': ('virtual_grasp', 'rosgraph_msgs/msg/Clock', 'RELIABLE'),
     '/joint_states': ('virtual_arm', 'sensor_msgs/msg/JointState', 'RELIABLE'),
     ARM_TOPIC: ('virtual_arm', 'trajectory_msgs/msg/JointTrajectory', 'RELIABLE'),
@@ -139,6 +152,12 @@ def test_an_impact_is_detected_and_the_object_held_and_everything_ends(witness: 
     assert witness.farthest_m > 1e-5
     assert 0.05 < witness.lowest_mm < FALLEN_MM
 
+    # Slip control got the estimate: never the truth itself, but near it after the calibration.
+    publishers = witness.node.get_publishers_info_by_topic('/mixtac/force')
+    assert [each.node_name for each in publishers] == ['fger']
+    assert np.std(witness.ratios) > 0.0
+    assert np.median(witness.ratios) == pytest.approx(1.0, abs=0.25)
+
     for topic, (name, kind, reliability) in CONTRACT.items():
         assert witness.endpoints(topic)[name] == (kind, reliability), topic
     services = dict(witness.node.get_service_names_and_types())
@@ -146,11 +165,11 @@ def test_an_impact_is_detected_and_the_object_held_and_everything_ends(witness: 
     assert services['/mixtac/virtual_grasp/put_back'] == ['std_srvs/srv/Trigger']
 
     children = psutil.Process(witness.process.pid).children(recursive=True)
-    assert len(children) == 5
+    assert len(children) == 6
     witness.process.send_signal(signal.SIGINT)
     witness.process.wait(120.0)
     gone, left = psutil.wait_procs(children, timeout=30.0)
-    assert len(gone) == 5, left
+    assert len(gone) == 6, left
     assert 'Traceback' not in witness.words()
     assert 'impacts held' in witness.words()
     assert witness.log.with_suffix('.png').stat().st_size > 1000

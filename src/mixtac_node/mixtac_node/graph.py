@@ -222,6 +222,7 @@ def sensor_graph(
     estimator: Mapping[str, object] | None = None,
     virtual_sensor: Mapping[str, object] | None = None,
     single_process: bool = False,
+    slip: Mapping[str, object] | None = None,
     align: bool = False,
     view: bool = False,
     simulated_time: bool = False,
@@ -236,6 +237,8 @@ def sensor_graph(
         estimator: Overrides of the force estimator's parameters.
         virtual_sensor: Overrides of the virtual sensor's parameters.
         single_process: Run driver and estimator in one process.
+        slip: Parameters of slip control, which then runs in the driver's process; None does without
+            it.
         align: Add the nodes that align the reference force and publish the error against it.
         view: Add the live view.
         simulated_time: All nodes but the driver follow `/clock`, which the driver publishes of a
@@ -289,8 +292,9 @@ def sensor_graph(
         overrides={**free, **follow, **(estimator or {})},
     )
     if device == NO_DRIVER:
-        if driver or single_process:
-            what = 'single_process' if single_process else next(iter(driver or ()))
+        if driver or single_process or slip is not None:
+            together = 'single_process' if single_process else 'slip control in its process'
+            what = next(iter(driver or ()), together)
             raise GraphError(
                 f'{what} is for a driver, which device {NO_DRIVER} leaves out',
                 remedy='name a device, or leave it out',
@@ -304,16 +308,31 @@ def sensor_graph(
         overrides={'device': device, **clock, **(driver or {})},
     )
     estimation = [driver_node, estimator_node]
-    if single_process and simulated_time:
+    if (single_process or slip is not None) and simulated_time:
         raise GraphError(
-            'simulated time needs driver and estimator in two processes: the driver stays on the '
-            'host clock; leave out single_process'
+            'simulated time needs the driver in a process of its own: it stays on the host clock',
+            remedy='leave out single_process, or start slip control by itself',
         )
-    return [*nodes, *([_in_one_process(estimation)] if single_process else estimation)]
+    if slip is not None:
+        if single_process:
+            raise GraphError(
+                "slip control and estimator cannot both run in the driver's process: one would "
+                'hold up the other',
+                remedy='leave out single_process',
+            )
+        answering = _in_one_process('slip_sensor_node', [driver_node, slip_control(slip)])
+        return [*nodes, answering, estimator_node]
+    return [
+        *nodes,
+        *([_in_one_process('sensor_node', estimation)] if single_process else estimation),
+    ]
 
 
-def _in_one_process(nodes: Sequence[NodeSpec]) -> NodeSpec:
-    """Return one process for driver and estimator; every node takes the overrides it declares."""
+def _in_one_process(executable_name: str, nodes: Sequence[NodeSpec]) -> NodeSpec:
+    """Return one process for driver and another node, by whose name it is known.
+
+    Every node takes the overrides that it declares.
+    """
     overrides: dict[str, object] = {}
     for node in nodes:
         if twice := sorted(set(overrides) & set(node.overrides)):
@@ -322,12 +341,10 @@ def _in_one_process(nodes: Sequence[NodeSpec]) -> NodeSpec:
                 'parameter file, below the name of its node'
             )
         overrides |= node.overrides
-    return NodeSpec(
-        'mixtac_cli',
-        'sensor_node',
-        'fger',
-        lifecycle=True,
-        required=True,
+    return replace(
+        nodes[-1],
+        package='mixtac_cli',
+        executable=executable_name,
         overrides=overrides,
         files=tuple(node.name for node in nodes),
     )

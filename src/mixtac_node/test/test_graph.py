@@ -95,6 +95,24 @@ def test_one_process_reads_the_files_and_overrides_of_both_nodes():
     assert nodes[1].parameter_files() == [config_file('driver.yaml'), config_file('fger.yaml')]
 
 
+def test_slip_control_can_run_in_the_drivers_process():
+    nodes = sensor_graph('virtual:/a/b.sock', slip={'arm': 'fr3'})
+    assert names(nodes) == ['virtual_sensor', 'slip_control', 'fger']
+    arguments = nodes[1].ros_arguments()
+    assert "device:='virtual:/a/b.sock'" in arguments
+    assert "arm:='fr3'" in arguments
+    files = [config_file('driver.yaml'), config_file('slip_control.yaml')]
+    assert nodes[1].parameter_files() == files
+    assert not nodes[1].lifecycle
+    for device, options in (
+        ('none', {}),
+        ('davis346', {'single_process': True}),
+        ('/some/bag', {'simulated_time': True}),
+    ):
+        with pytest.raises(GraphError):
+            sensor_graph(device, slip={}, **options)
+
+
 def test_an_override_of_both_nodes_is_refused():
     both = {'driver': {'frame_id': 'a'}, 'estimator': {'frame_id': 'b'}}
     with pytest.raises(GraphError) as caught:
@@ -130,7 +148,11 @@ def test_a_parameter_file_that_does_not_exist_is_refused(tmp_path):
 
 def test_every_node_is_installed_and_has_a_parameter_file(tmp_path):
     more = [slip_control({'arm': 'none'}), recorder(tmp_path / 'bag'), live_view(0)]
-    for device, options in (('virtual', {'align': True}), ('x', {'single_process': True})):
+    for device, options in (
+        ('virtual', {'align': True}),
+        ('x', {'single_process': True}),
+        ('x', {'slip': {}}),
+    ):
         for node in [*sensor_graph(device, **options), *more]:
             assert node.command('mixtac')
             assert all(path.is_file() for path in node.parameter_files())

@@ -10,7 +10,6 @@ than the host's; with `publish_clock`, nodes that take their time from `/clock` 
 
 from __future__ import annotations
 
-import struct
 import time
 from functools import partial
 from threading import Event, Thread
@@ -22,6 +21,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from mixtac_events.packets import header_stamp_ns
 from mixtac_node import topics
 from mixtac_node.base_node import QOS_SENSOR, BaseNode, answering, declare, run
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
@@ -44,18 +44,15 @@ SLIP_AHEAD_US = 4_000
 """Simulated time is so far beyond the last answer of slip control at most [us]: less than the lead
 of its trajectories, which therefore never reach the arm too late."""
 ARM_AHEAD_US = 10_000
-"""The same for the arm [us], whose joint states come every 4 ms."""
-STAMP = struct.Struct('<iI')
-STAMP_AT = 4
-"""Offset of the stamp in a serialised message that begins with a header: after four bytes on the
-encoding, which is little-endian on every machine this runs on."""
+"""The same for the arm [us], whose joint states come every 4 ms, and for a force estimator."""
 
 
 class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
     """Runs sensor and grasp, follows the arm's joint states, and strikes the object on request.
 
     Services: ``~/knock`` strikes the object, ``~/put_back`` starts the grasp again. Topics:
-    ``truth/wrench``, ``truth/object`` (its position, z upwards in m), and ``force``.
+    ``truth/wrench``, ``truth/object`` (its position, z upwards in m), and ``force`` with
+    ``publish_force``; without it the fingertip touches nothing until the first ``~/put_back``.
     """
 
     def __init__(self) -> None:
@@ -72,8 +69,9 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         self._stop = Event()
         self._knocks, self._next_knock_s = 0, settings.knock_every
         self._slip_pace, self._arm_pace = AnswerPace(SLIP_AHEAD_US), AnswerPace(ARM_AHEAD_US)
-        paces = (self._slip_pace, self._arm_pace) if settings.publish_clock else ()
-        self._time = PacedClock(paces)
+        self._force_pace = AnswerPace(ARM_AHEAD_US)
+        paces = (self._slip_pace, self._arm_pace, self._force_pace)
+        self._time = PacedClock(paces if settings.publish_clock else ())
         self._reported = (0, time.monotonic())
         self._grasp, self._sensor = _make(settings, self._time)
         self._server = UsbServer(self._sensor.device, path)
@@ -92,7 +90,10 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         if settings.publish_clock:
             self._clock_topic = self.create_publisher(Clock, '/clock', 1)
             # Serialised: only the stamp matters, a thousand times a second.
-            self.subscribe_topic(topics.SLIP, self._on_slip, raw=True)
+            self.subscribe_topic(topics.SLIP, partial(self._on_answer, self._slip_pace), raw=True)
+            if not settings.publish_force:
+                answer = partial(self._on_answer, self._force_pace)
+                self.subscribe_topic(topics.FORCE_QUALITY, answer, raw=True)
         self.create_subscription(
             JointState, settings.joint_state_topic, self._on_joints, QOS_SENSOR
         )
@@ -114,9 +115,8 @@ class VirtualGraspNode(BaseNode, Node):  # type: ignore[misc]
         """Return simulated time since the start [s]."""
         return 1e-6 * self._time.now_us()
 
-    def _on_slip(self, message: bytes) -> None:
-        seconds, nanoseconds = STAMP.unpack_from(message, STAMP_AT)
-        self._slip_pace.answer(seconds * 1_000_000 + nanoseconds // 1000, self._time.now_us())
+    def _on_answer(self, pace: AnswerPace, message: bytes) -> None:
+        pace.answer(header_stamp_ns(message) // 1000, self._time.now_us())
 
     def _on_joints(self, message: JointState) -> None:
         places = dict(zip(message.name, message.position, strict=False))
@@ -199,7 +199,8 @@ def _make(settings: VirtualGraspParameters, clock: PacedClock) -> tuple[LiveGras
     level = preset(settings.preset)
     rng = stream(settings.seed, 'virtual grasp')
     setup = draw_setup(name, rng, margin=settings.margin)
-    grasp = LiveGrasp(setup, settings.device_seed, settings.seed, level, clock)
+    drawn = settings.device_seed, settings.seed, level, clock
+    grasp = LiveGrasp(setup, *drawn, open_first=not settings.publish_force)
     sensor = make_virtual_sensor(
         device_seed=settings.device_seed,
         seed=settings.seed,

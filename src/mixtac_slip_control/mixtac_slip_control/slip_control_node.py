@@ -14,7 +14,6 @@ import math
 from functools import partial
 from typing import Any, Final
 
-from event_camera_msgs.msg import EventPacket
 from rclpy.node import Node
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Empty, Float64MultiArray, Header
@@ -24,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import MixtacError
 from mixtac_events.frames import PICTURE_KERNELS
-from mixtac_events.packets import CodecError
+from mixtac_events.packets import CodecError, read_packet
 from mixtac_events.sequence import SequenceCounter
 from mixtac_msgs.msg import Contact, ForceQuality, SlipState
 from mixtac_node import topics
@@ -172,7 +171,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         self.create_service(SetBool, '~/enable', answering(self._on_enable))
         self.create_service(Trigger, '~/reset', answering(self._on_reset))
         self.create_service(Trigger, '~/tare', answering(self._on_tare))
-        self.subscribe_topic(topics.EVENTS, self._on_events)
+        self.subscribe_topic(topics.EVENTS, self._on_events, raw=True)
         self.subscribe_topic(topics.IMAGE_RAW, self._on_image)
         self.subscribe_topic(topics.FORCE, self._on_force)
         if max(p.contact_column, p.contact_row) < 0.0:
@@ -249,8 +248,9 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
     def _now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds * 1e-9)
 
-    def _on_events(self, message: EventPacket) -> None:
+    def _on_events(self, data: bytes) -> None:
         try:
+            message = read_packet(data)
             packet = decode_message(message)
         except CodecError as error:
             self._refuse(str(error))

@@ -40,8 +40,9 @@ from mixtac_lab.slip.trials import (
 )
 from mixtac_lab.store import Store
 from mixtac_node.files import write_json
-from mixtac_node.graph import NodeSpec
+from mixtac_node.graph import NodeSpec, sensor_graph, slip_control
 from mixtac_node.process import GraphError, JsonProcess
+from mixtac_slip_control.parameters import SlipControlParameters
 
 NAMESPACE = 'mixtac_slip_bench'
 TRAJECTORIES = f'/{NAMESPACE}/joint_trajectory'
@@ -68,14 +69,15 @@ QUICK_TRIALS = 6
 Force = Literal['estimated', 'true']
 
 
-def measure(seconds: float) -> dict[str, Any]:
+def measure(seconds: float, *, together: bool = False) -> dict[str, Any]:
     """Run the processes and measure; there are about 40 knocks in a minute.
 
     Args:
         seconds: Length of the measurement [s].
+        together: Slip control runs in the driver's process.
 
     Returns:
-        What `match_knocks` returns.
+        What `match_knocks` returns, and `together`.
 
     Raises:
         GraphError: A process did not start, or slip control could not be enabled.
@@ -84,7 +86,7 @@ def measure(seconds: float) -> dict[str, Any]:
         device, scene = run.start_camera('knocks')
         probe = run.start_program('probe', 'probe_node')
         probe.expect('ready', START_TIMEOUT_S)
-        for name, node in _nodes(device).items():
+        for name, node in _nodes(device, together=together).items():
             run.start_node(name, node, NAMESPACE)
         camera = run.processes['camera']
         first = camera.expect('monotonic_ns', START_TIMEOUT_S)
@@ -101,10 +103,11 @@ def measure(seconds: float) -> dict[str, Any]:
         stalls = int(camera.expect('periods_lost', START_TIMEOUT_S)['periods_lost'])
     span_ns = (began_ns, began_ns + int(1e9 * elapsed_s) - HORIZON_NS)
     shares = {name: round(share, 4) for name, share in cpu.items()}
-    return match_knocks(scene, noted, origin_ns, span_ns, stalls, shares)
+    found = match_knocks(scene, noted, origin_ns, span_ns, stalls, shares)
+    return {**found, 'together': together}
 
 
-def _nodes(device: str) -> dict[str, NodeSpec]:
+def _nodes(device: str, *, together: bool) -> dict[str, NodeSpec]:
     """Return the nodes under test by the names of their processes."""
     arm = {'trajectory_topic': TRAJECTORIES, 'joint_state_topic': JOINTS}
     control = {
@@ -115,13 +118,14 @@ def _nodes(device: str) -> dict[str, NodeSpec]:
         'normal_z': 0.0,
         'settling_time': SETTLING_S,
     }
-    return {
-        'arm': NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=arm),
-        'slip control': NodeSpec(
-            'mixtac_slip_control', 'slip_control_node', 'slip_control', overrides=arm | control
-        ),
-        'driver': NodeSpec('mixtac_driver', 'driver_node', 'driver', overrides={'device': device}),
-    }
+    control |= arm
+    moved = {'arm': NodeSpec('mixtac_sim', 'virtual_arm_node', 'virtual_arm', overrides=arm)}
+    # The probe tells the force.
+    if together:
+        both = sensor_graph(device, slip=control)
+        return moved | {each.name: each for each in both if each.name == 'slip_control'}
+    driver = NodeSpec('mixtac_driver', 'driver_node', 'driver', overrides={'device': device})
+    return moved | {'slip control': slip_control(control), 'driver': driver}
 
 
 def _wait_enabled(probe: JsonProcess) -> None:
@@ -241,6 +245,12 @@ def slip(
     lag: Annotated[
         float, typer.Option(help='Time constant with which the arm follows its commands [s].')
     ] = 3.5e-3,
+    lead: Annotated[
+        float,
+        typer.Option(
+            min=2e-3, max=0.2, help='Lead of the trajectories [s]; below 0.006 the arm reports.'
+        ),
+    ] = SlipControlParameters.lead,
     quiet_minutes: Annotated[
         float, typer.Option(help='Length of each scene without slip [min]; 0 for none.')
     ] = 30.0,
@@ -254,6 +264,10 @@ def slip(
     dds_seconds: Annotated[
         float, typer.Option(help='Length of the measurement over DDS [s]; 0 for none.')
     ] = 330.0,
+    together: Annotated[
+        bool,
+        typer.Option('--together', help="Over DDS: slip control in the driver's process."),
+    ] = False,
     preset: Preset = 'paper_like',
     keep: Annotated[
         OptionalPath,
@@ -273,7 +287,12 @@ def slip(
         trials, quiet_minutes, curve_trials, dds_seconds, loads = QUICK_TRIALS, 0.0, 0, 0.0, 0
     margins = MARGINS if margin is None else (margin,)
     plan = TrialPlan(
-        knock_mm_s=knock, preset=preset, lag_s=lag, wait_s=wait, estimated=force == 'estimated'
+        knock_mm_s=knock,
+        preset=preset,
+        lag_s=lag,
+        settings=SlipControlParameters(lead=lead),
+        wait_s=wait,
+        estimated=force == 'estimated',
     )
     # All margins of a sensor in a row, so that it is calibrated once.
     plans = [
@@ -294,7 +313,7 @@ def slip(
     latency = None
     if dds_seconds > 0.0:
         with console.status('slips over DDS'):
-            latency = measure(dds_seconds)
+            latency = measure(dds_seconds, together=together)
     quiet = []
     if quiet_minutes > 0.0:
         quiet = [count_alarms(name, 60.0 * quiet_minutes, preset, store, console) for name in QUIET]
@@ -307,6 +326,7 @@ def slip(
         'wait_s': wait,
         'knock_mm_s': knock,
         'arm_lag_s': lag,
+        'lead_s': lead,
         'preset': preset,
         'normal': list(SIDEWAYS),
         'transport': TRANSPORT_S,

@@ -169,7 +169,7 @@ def run_trial(plan: TrialPlan) -> tuple[dict[str, Any], LoopRecord]:
     soon = 0.05
     floor = best_arrest(plan.grasp(camera=False, knock_s=soon), plan.reach(ideal=True), 0.0)
     # The least time from a detection to a commanded motion.
-    chain_s = TRANSPORT_S['events_s'] + max(StreamSettings().lead_s, TRANSPORT_S['command_s'])
+    chain_s = TRANSPORT_S['events_s'] + max(plan.settings.lead, TRANSPORT_S['command_s'])
     delay_s = 1e-6 * plan.settings.window_us + chain_s
     chain = best_arrest(plan.grasp(camera=False, knock_s=soon), plan.reach(ideal=False), delay_s)
     still = ArmReach(1.0, 1e3, 0.0, 0.0)

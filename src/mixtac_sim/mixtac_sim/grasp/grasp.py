@@ -314,20 +314,35 @@ class Grasp:
     def grip_anew(self, force_n: Floats, place_mm: float) -> GraspBlock:
         """Advance by one block in which a hand holds the object where it was held.
 
+        The skin bears as much of the weight as its share of the grasp's force: nothing at 0 N.
+
         Args:
             force_n: Normal force over each step of 125 us [n] [N].
             place_mm: Place of the fingertip at the end, where it goes on [mm].
         """
         self.put_back()
-        return self._go_on(self._press.press_anew(force_n, place_mm))
+        contact = self._press.press_anew(force_n, place_mm)
+        share = np.minimum(contact.force_n / self.grasp_n, 1.0)
+        patches = share[:, None] * self._held[0]
+        self._skin.shear_mm[:] = patches[-1]
+        path = np.zeros((len(share), 3))
+        path[:, 2] = patches @ self._skin.stiffness
+        self._body[0] += 1e-6 * STEP_US * len(share)
+        return self._seen(contact, path, patches)
 
     def _go_on(self, contact: ContactPath) -> GraspBlock:
         """Move the object by what the contact allows, and look at the skin."""
         normal = contact.force_n
         count = len(normal)
-        first_us = round(1e6 * self._body[0])
         path, patches = np.empty((count, 3)), np.empty((count, len(self._skin.shear_mm)))
         advance_object(self._body, self._fixed, self._skin.patches(), normal, path, patches)
+        return self._seen(contact, path, patches)
+
+    def _seen(self, contact: ContactPath, path: Floats, patches: Floats) -> GraspBlock:
+        """Return the block that ends now, as the camera sees it."""
+        normal = contact.force_n
+        count = len(normal)
+        first_us = round(1e6 * self._body[0]) - count * STEP_US
         events, frames = Events.empty(), list[ApsFrame]()
         if self.camera is not None:
             events, frames = self.camera.advance(contact.elastic_n, patches)

@@ -154,6 +154,7 @@ class LiveGrasp:
         seed: Seed of the trial.
         preset: Difficulty of the sensor.
         clock: Clock that waits for the simulation.
+        open_first: The fingertip touches nothing until the first ``put_back``.
 
     Attributes:
         grasp_n: Force of the grasp at the start [N].
@@ -161,7 +162,14 @@ class LiveGrasp:
     """
 
     def __init__(
-        self, setup: GraspSetup, device_seed: int, seed: int, preset: Preset, clock: PacedClock
+        self,
+        setup: GraspSetup,
+        device_seed: int,
+        seed: int,
+        preset: Preset,
+        clock: PacedClock,
+        *,
+        open_first: bool = False,
     ) -> None:
         self._grasp = Grasp(replace(setup, knock_mm_s=0.0), device_seed, seed, preset)
         self.grasp_n = self._grasp.grasp_n
@@ -169,7 +177,7 @@ class LiveGrasp:
         self._lock = Lock()
         self._wanted_mm = self._place_mm = 0.0
         self._strike_mm_s = 0.0
-        self._back = False
+        self._back, self._open = False, open_first
         self._gripping, self._from_n = 0, self.grasp_n
         self._block = 0
         self._frames: list[ApsFrame] = []
@@ -218,12 +226,15 @@ class LiveGrasp:
             wanted, strike, back = self._wanted_mm, self._strike_mm_s, self._back
             self._strike_mm_s, self._back = 0.0, False
         if back or self.object_mm > LOST_MM:
-            self._gripping = GRIP_BLOCKS
+            self._gripping, self._open = GRIP_BLOCKS, False
         if strike > 0.0:
             self._grasp.strike(strike)
         way = np.linspace(self._place_mm, wanted, BLOCK_STEPS + 1)[1:]
         self._place_mm = wanted
-        if self._gripping > 0:
+        if self._open:
+            block = self._grasp.grip_anew(np.zeros(BLOCK_STEPS), wanted)
+            self._from_n = 0.0
+        elif self._gripping > 0:
             self._gripping -= 1
             left = max(self._gripping - (GRIP_BLOCKS - RAMP_BLOCKS), 0) / RAMP_BLOCKS
             force = self.grasp_n + left * (self._from_n - self.grasp_n)

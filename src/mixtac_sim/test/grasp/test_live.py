@@ -56,6 +56,28 @@ def test_what_is_put_back_is_held_again_with_the_force_of_the_grasp(grasp: LiveG
     assert min(force) > 0.95 * grasp.grasp_n
 
 
+def test_it_can_begin_open_and_close_on_what_a_hand_holds() -> None:
+    setup = draw_setup('box', np.random.default_rng(0))
+    grasp = LiveGrasp(setup, 1, 1, EASY, PacedClock(), open_first=True)
+    free = grasp.advance(200_000)
+    assert not free.truth['fz'].any()
+    assert not free.wrench[:, 1].any()
+    grasp.move(0.1)
+    grasp.put_back()
+    closing = grasp.advance(700_000)
+    assert grasp.object_mm == 0.0
+    assert np.all(np.diff(closing.truth['fz']) > -0.02 * grasp.grasp_n)
+    # Frames of both: the beads are elsewhere.
+    before, after = (part.frames[-1].intensity.astype(float) for part in (free, closing))
+    noise = np.abs(free.frames[-1].intensity.astype(float) - free.frames[-2].intensity)
+    assert np.abs(after - before).mean() > 1.5 * noise.mean()
+    # The hand lets go: skin and wall hold it.
+    held = grasp.advance(3_000_000)
+    assert held.truth['fz'][-1] == pytest.approx(grasp.grasp_n, rel=0.05)
+    assert held.truth['fy'][-1] > 0.1
+    assert grasp.object_mm < 0.5
+
+
 def test_the_fingertip_catches_what_it_presses(grasp: LiveGrasp) -> None:
     grasp.advance(20_000)
     before = grasp.advance(24_000).truth['fz'][-1]
