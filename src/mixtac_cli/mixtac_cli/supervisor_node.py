@@ -88,7 +88,9 @@ class Supervisor(BaseNode, Node):  # type: ignore[misc]
         self.create_timer(WORD_PERIOD_S, self._tell, clock=host)
 
     def close(self) -> None:
-        """Say how it went, and draw it."""
+        """Disable slip control, say how it went, and draw it."""
+        # Without a heartbeat it would stop with an error while the picture is drawn.
+        self._enable.call_async(SetBool.Request(data=False))
         self.get_logger().info(self._log.summary())
         if not self._settings.figure or not self._log.impacts:
             return

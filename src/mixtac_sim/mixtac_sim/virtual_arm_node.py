@@ -15,7 +15,7 @@ from mixtac_events.arrays import Floats
 from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
 from mixtac_node.stamps import ns_to_stamp, stamp_to_ns
-from mixtac_sim.arm.controller import JointTrajectoryController, Release, Trajectory
+from mixtac_sim.arm.controller import JointTrajectoryController, Release, Trajectory, warm_up
 from mixtac_sim.arm.fr3 import JOINT_NAMES, READY, violations
 from mixtac_sim.arm.plant import LaggingArm, MujocoArm
 from mixtac_sim.parameters import VirtualArmParameters
@@ -39,6 +39,9 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__('virtual_arm')
         parameters = declare(self, VirtualArmParameters)
+        self._diagnostics = DiagnosticsPublisher(self, 'virtual_arm', self._status)
+        with self._diagnostics.compiling('the simulated controller'):
+            warm_up()
         release: Release = 'humble' if parameters.release == 'humble' else 'jazzy'
         self._period_s = 1.0 / parameters.update_rate
         self._controller = JointTrajectoryController(parameters.update_rate, release=release)
@@ -57,7 +60,6 @@ class VirtualArmNode(BaseNode, Node):  # type: ignore[misc]
             JointTrajectory, parameters.trajectory_topic, self._on_trajectory, 10
         )
         self.create_timer(1.0 / parameters.state_rate, self._publish)
-        self._diagnostics = DiagnosticsPublisher(self, 'virtual_arm', self._status)
 
     def _seconds(self, time_ns: int) -> float:
         """Return a time on the controller's scale [s]."""

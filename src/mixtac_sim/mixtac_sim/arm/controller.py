@@ -62,6 +62,12 @@ def interpolate(start: Floats, end: Floats, span_s: float, since_s: float, order
     return state
 
 
+def warm_up() -> None:
+    """Compile what the first trajectory would otherwise wait for."""
+    rest = np.zeros((3, len(READY)))
+    interpolate(rest, rest, 1.0, 0.0, 5)
+
+
 Release = Literal['humble', 'jazzy']
 """Humble commands the trajectory at the cycle's time and dates the last command one cycle late;
 Jazzy and later command it one period ahead."""

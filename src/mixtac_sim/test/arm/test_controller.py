@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulated joint_trajectory_controller against splines of SciPy and its documented rules."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly
@@ -41,6 +44,25 @@ def test_segments_are_the_splines_that_the_fields_determine(order: int) -> None:
             assert q == pytest.approx(spline(t), abs=1e-9)
             assert dq == pytest.approx(spline(t, 1), abs=1e-6)
             assert ddq == pytest.approx(spline(t, 2), abs=1e-3)
+
+
+FRESH = """
+import numpy as np
+from mixtac_sim.arm.controller import JointTrajectoryController, Trajectory, interpolate, warm_up
+warm_up()
+compiled = interpolate.signatures
+rest = np.zeros((2, 7))
+for fields in ((rest, None, None), (rest, rest, None), (rest, rest, rest)):
+    controller = JointTrajectoryController()
+    controller.accept(Trajectory(0.0, np.array([0.01, 0.02]), *fields), 0.0)
+    for k in range(30):
+        controller.sample(1e-3 * k)
+assert interpolate.signatures == compiled
+"""
+
+
+def test_no_trajectory_compiles_after_the_warm_up() -> None:
+    subprocess.run([sys.executable, '-c', FRESH], check=True, timeout=240.0)
 
 
 def test_jazzy_is_one_period_ahead_of_humble() -> None:
