@@ -405,6 +405,9 @@ class FgerEstimator:
         self._window_features.compute(events, self._guide, self._features)
         path, vibration = self._path, self._vibration
         before, vibrated = path.force, vibration.active
+        if vibrated:
+            # Frames lead the mean, and correct the path no more.
+            path.confirm()
         force, deviation = path.step(self._features), path.deviation
         vibration.step(force - before)
         if vibration.active and not vibrated:

@@ -9,6 +9,7 @@ sensor shows of itself while it runs.
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -117,6 +118,12 @@ FAST_INCREMENT = 0.1
 """Increment of a window that is half slow and half fast [N]: 50 N/s. Only blows are faster."""
 BLOW_N = 0.5
 """Range of the sum of fast increments within an exposure from which on there was a blow [N]."""
+UNCONFIRMED_SHARE = 0.3
+"""Standard deviation of fast increments that no frame has confirmed yet, as a part of their sum.
+
+On three sensors of `paper_like` that the model was not trained on, a dynamic trial of 20 s and
+three impacts each, 68 % of the errors are within 0.24 to 0.42 of a sum between 0.2 and 2 N.
+"""
 REVERSAL_N = 0.03
 """Increments after which half of the pixels have followed a reversal [N]."""
 
@@ -379,6 +386,7 @@ class RecurrentPath:
         self._history = np.zeros(config.history_windows, np.float32)
         self._increments = np.zeros((config.history_windows, 3))
         self._newest = 0
+        self._confirmed = 0.0
         self._response = EventResponse(config.force_unit)
 
     @property
@@ -394,10 +402,14 @@ class RecurrentPath:
 
     @property
     def deviation(self) -> float | None:
-        """Standard deviation of the present estimate [N]; None of a model that has none."""
+        """Standard deviation of the present estimate [N]; None of a model that has none.
+
+        That of the network, and of the fast increments since the frame that corrected last.
+        """
         if self._deviation is None:
             return None
-        return float(deviation(self._state.hidden, self._state.force[0], self._deviation))
+        told = float(deviation(self._state.hidden, self._state.force[0], self._deviation))
+        return math.hypot(told, UNCONFIRMED_SHARE * (self._state.increments[1] - self._confirmed))
 
     def clear(self) -> None:
         """Forget everything but the response of the events: no force, no memory."""
@@ -408,6 +420,11 @@ class RecurrentPath:
         self._response.forget_frame()
         self._history[:] = 0.0
         self._increments[:] = 0.0
+        self.confirm()
+
+    def confirm(self) -> None:
+        """Take the increments up to now as confirmed."""
+        self._confirmed = float(self._state.increments[1])
 
     def start_at(self, force: float) -> None:
         """Begin at a known force [N], with a memory of having been there without events.
@@ -437,6 +454,7 @@ class RecurrentPath:
         then = self._history[place]
         change = correction(then, frame_feature, self._correction)
         self._response.frame(float(then + change), self._increments[place])
+        self._confirmed = float(self._increments[place, 1])
         self._state.response[:2] = self._response.values
         self._history += np.float32(change)
         self._state.force[0] += change
