@@ -66,6 +66,12 @@ On eight simulated sensors that no model was trained on, the mean change of the 
 BLOW_WINDOWS = 3
 """Windows before and after the centre of an exposure in which a blow keeps a frame from correcting,
 but never two frames in a row."""
+UNCONFIRMED_SHARE = 0.3
+"""Standard deviation of fast increments that no frame has confirmed yet, as a part of their sum.
+
+On three sensors of `paper_like` that the model was not trained on, a dynamic trial of 20 s and
+three impacts each, 68 % of the errors are within 0.24 to 0.42 of a sum between 0.2 and 2 N.
+"""
 SPREAD_DEVIATIONS = 3.0
 """Standard deviations of the force beyond which a correction is applied at once."""
 
@@ -409,6 +415,8 @@ class FgerEstimator:
             # Frames lead the mean, and correct the path no more.
             path.confirm()
         force, deviation = path.step(self._features), path.deviation
+        if deviation is not None:
+            deviation = math.hypot(deviation, UNCONFIRMED_SHARE * path.unconfirmed)
         vibration.step(force - before)
         if vibration.active and not vibrated:
             # The network has forgotten what frames told it.

@@ -9,7 +9,6 @@ sensor shows of itself while it runs.
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -118,12 +117,6 @@ FAST_INCREMENT = 0.1
 """Increment of a window that is half slow and half fast [N]: 50 N/s. Only blows are faster."""
 BLOW_N = 0.5
 """Range of the sum of fast increments within an exposure from which on there was a blow [N]."""
-UNCONFIRMED_SHARE = 0.3
-"""Standard deviation of fast increments that no frame has confirmed yet, as a part of their sum.
-
-On three sensors of `paper_like` that the model was not trained on, a dynamic trial of 20 s and
-three impacts each, 68 % of the errors are within 0.24 to 0.42 of a sum between 0.2 and 2 N.
-"""
 REVERSAL_N = 0.03
 """Increments after which half of the pixels have followed a reversal [N]."""
 
@@ -402,14 +395,15 @@ class RecurrentPath:
 
     @property
     def deviation(self) -> float | None:
-        """Standard deviation of the present estimate [N]; None of a model that has none.
-
-        That of the network, and of the fast increments since the frame that corrected last.
-        """
+        """Standard deviation of the present estimate [N]; None of a model that has none."""
         if self._deviation is None:
             return None
-        told = float(deviation(self._state.hidden, self._state.force[0], self._deviation))
-        return math.hypot(told, UNCONFIRMED_SHARE * (self._state.increments[1] - self._confirmed))
+        return float(deviation(self._state.hidden, self._state.force[0], self._deviation))
+
+    @property
+    def unconfirmed(self) -> float:
+        """Sum of the fast increments since the exposure of the frame that corrected last [N]."""
+        return float(self._state.increments[1]) - self._confirmed
 
     def clear(self) -> None:
         """Forget everything but the response of the events: no force, no memory."""

@@ -14,7 +14,6 @@ from mixtac_fger.config import CELL_FEATURES, FgerConfig
 from mixtac_fger.recurrent_network import (
     FAST_INCREMENT,
     REVERSAL_N,
-    UNCONFIRMED_SHARE,
     EventResponse,
     RecurrentPath,
     advance,
@@ -197,23 +196,21 @@ def test_the_response_outlives_a_restart_of_the_state(model):
     assert path.force == pytest.approx(0.3)
 
 
-def test_a_fast_change_is_uncertain_until_a_frame_has_seen_it(model):
+def test_a_fast_change_is_unconfirmed_until_a_frame_has_seen_it(model):
     config = FgerConfig.from_dict(model.config)
     path = RecurrentPath(config, model.tensors)
     shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
     path.start_at(0.0)
-    fast = 0.0
+    sums = [0.0]
     for _ in range(20):
         before = path.force
         path.step(np.full(shape, 500.0, np.float32))
         total = path.force - before
-        fast += total - total / (1.0 + (total / FAST_INCREMENT) ** 2)
-    unseen = UNCONFIRMED_SHARE * abs(fast)
-    assert unseen > 0.1
-    told = np.sqrt(path.deviation**2 - unseen**2)
-    feature = np.zeros(config.frame_size, np.float32)
-    path.correct(feature, 0)
-    assert path.deviation == pytest.approx(told, rel=0.1)
-    # This frame is of a time before it.
-    path.correct(feature, 20)
-    assert path.deviation == pytest.approx(np.hypot(told, unseen), rel=0.1)
+        sums.append(sums[-1] + total - total / (1.0 + (total / FAST_INCREMENT) ** 2))
+    assert abs(sums[-1]) > 0.3
+    assert path.unconfirmed == pytest.approx(sums[-1], rel=1e-4)
+    for lag in (0, 5, 20):
+        path.correct(np.zeros(config.frame_size, np.float32), lag)
+        assert path.unconfirmed == pytest.approx(sums[-1] - sums[-1 - lag], rel=1e-4, abs=1e-6)
+    path.clear()
+    assert path.unconfirmed == 0.0
