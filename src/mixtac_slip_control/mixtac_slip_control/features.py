@@ -207,7 +207,8 @@ MAX_EMPTY_RUN: Final = 20
 STALE_GUIDE_US: Final = 500_000
 """A frame older than this is not used."""
 LIGHT_EVENTS: Final = 200
-"""Fewest events of a window far from the contact that can tell a change of light."""
+"""Fewest events of a window far from the contact that can tell a change of light, and at it that
+can tell of slip just after."""
 LIGHT_SHARE: Final = 0.8
 """Share of one sign over the other from which these events come from light."""
 LIGHT_RATIO: Final = (0.3, 5.0)
@@ -234,6 +235,12 @@ def is_light(signs: NDArray[np.int64], bins: NDArray[np.int64]) -> bool:
         return False
     low, high = LIGHT_RATIO
     return bool(low * near * bins[2] <= far * bins[0] <= high * near * bins[2])
+
+
+def is_local(signs: NDArray[np.int64], bins: NDArray[np.int64]) -> bool:
+    """Return whether the events of a window are at the contact; arguments as of `is_light`."""
+    far, near = int(signs[1, 2]), int(signs[1, 0])
+    return bool(near >= LIGHT_EVENTS and far * bins[0] < LIGHT_RATIO[0] * near * bins[2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,10 +365,12 @@ class SlipFeatures:
         zones = guide.zones if guide is not None and fresh else self._nowhere
         places = events.x, events.y, events.polarity
         window_sums(*places, fields, BIN, self._sums, self._squares, zones, self._signs)
-        if guide is not None and fresh and is_light(self._signs, guide.bins):
-            self._light_until_us = end_us + LIGHT_HOLD_US
         # A clock that starts anew must not leave it on.
         lit = 0 <= self._light_until_us - end_us <= LIGHT_HOLD_US
+        if guide is not None and fresh:
+            if is_light(self._signs, guide.bins):
+                self._light_until_us, lit = end_us + LIGHT_HOLD_US, True
+            lit = lit and not is_local(self._signs, guide.bins)
         motion, noise, rotation = self._sums, 0.0, 0.0
         if guide is not None and fresh:
             motion = -(guide.solver @ self._sums)
