@@ -32,12 +32,15 @@ PROTOCOLS = (PAPER, OTHER_DAYS)
 days of a sensor and tested on others."""
 OURS_MANY, FGER_AS_STATED = 'ours_many_sensors', 'fger_as_stated'
 _REFERENCE = {'light': 'reference', 'norm': 'batch'}
+_REFERENCE_FLOW = {'light': 'reference_flow', 'norm': 'batch'}
 Changes = dict[str, tuple[str, dict[str, Any], dict[str, Any]]]
 """By name: a model, and the differences in its network and in its training."""
 PAPER_CHOICES: Changes = {
     'frames_reference': (FRAMES, _REFERENCE, {}),
     'fusion_reference': (FUSION, _REFERENCE, {}),
     'fger_reference': (FGER, _REFERENCE, {}),
+    'frames_reference_flow': (FRAMES, _REFERENCE_FLOW, {}),
+    'fger_reference_flow': (FGER, _REFERENCE_FLOW, {}),
     'fger_continuous': (FGER, {'correction': 'continuous'}, {}),
     'fger_periodic': (FGER, {'correction': 'periodic'}, {}),
     'fger_batch_norm': (FGER, {'norm': 'batch'}, {}),
@@ -73,7 +76,7 @@ CHOICES: Changes = {
 """Our network with one design choice undone."""
 ROWS = (
     *(CONSTANT, FRAMES, 'frames_reference', EVENTS, FUSION, 'fusion_reference'),
-    *(FGER, 'fger_reference', OURS, 'without_reference', OURS_MANY, BOUND),
+    *(FGER, 'fger_reference', 'fger_reference_flow', OURS, 'without_reference', OURS_MANY, BOUND),
 )
 """Models of the table, in order."""
 ALL_ROWS = tuple(dict.fromkeys((*ROWS, *PAPER_CHOICES, *CHOICES)))

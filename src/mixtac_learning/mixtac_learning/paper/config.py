@@ -15,9 +15,10 @@ MODELS = ('fger', 'frames', 'events', 'fusion')
 CORRECTIONS = ('continuous', 'periodic', 'spread')
 """What is given out: every window corrected by the latest frame, or only where one arrives, or each
 correction in equal parts over the cycle after it."""
-LIGHTS = ('intensity', 'relative', 'reference')
+LIGHTS = ('intensity', 'relative', 'reference', 'reference_flow')
 """What the frame network sees: intensities; their logarithm less its mean over the frame, which
-takes out lamp and exposure; or that less the same of the trial's first frames, without contact."""
+takes out lamp and exposure; that less the same of the trial's first frames, without contact; or
+this and, as two more channels, the displacement of the beads since those frames."""
 NORMS = ('group', 'batch')
 """Normalisation of the frame network: by each frame's own statistics, or by those of training."""
 
@@ -48,7 +49,8 @@ class PaperConfig:
         sparse_channels: Channels of the convolutions on event frames (`fusion`).
         correction: One of `CORRECTIONS`; the estimate that is carried on is corrected once per
             cycle either way.
-        light: One of `LIGHTS`; across days only `reference` with `norm` `batch` is of use.
+        light: One of `LIGHTS`; across days only those with the reference are of use, with `norm`
+            `batch`.
         norm: One of `NORMS`.
     """
 
@@ -95,6 +97,11 @@ class PaperConfig:
     def frame_shape(self) -> tuple[int, int]:
         """Rows and columns of the frame network's input."""
         return self.height // self.scale, self.width // self.scale
+
+    @property
+    def frame_channels(self) -> int:
+        """Channels of the frame network's input."""
+        return 3 if self.light == 'reference_flow' else 1
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON-ready values."""

@@ -33,8 +33,8 @@ from mixtac_learning.paper.samples import (
     FULL_SCALE,
     SETTLE_FRAMES,
     event_counts,
+    frame_input,
     packet_points,
-    rest_of,
 )
 
 LEFT_ALIGNED = 64
@@ -96,12 +96,10 @@ class PaperEstimator:
         full = 255.0 if image.dtype == np.uint8 else FULL_SCALE * LEFT_ALIGNED
         # As samples on disk are rounded.
         rounded = (mean / full).astype(np.float16)
-        seen = rounded.astype(np.float32)
-        if config.light == 'reference':
-            if len(self._rest) < SETTLE_FRAMES:
-                self._rest.append(rounded)
-            seen /= rest_of(np.stack(self._rest))
-        frame = torch.from_numpy(seen)[None, None].to(self._device)
+        if len(self._rest) < SETTLE_FRAMES:
+            self._rest.append(rounded)
+        seen = frame_input(rounded[None], np.stack(self._rest), config)
+        frame = torch.from_numpy(seen).to(self._device)
         content, force = None, 0.0
         if isinstance(network, FgerPaper):
             content = network.frame(frame)

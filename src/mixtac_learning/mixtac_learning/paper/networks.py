@@ -26,8 +26,8 @@ class SegmentBatch:
     Attributes:
         points: Events of all windows, [E, 4]; see `PointEncoder`.
         packet: Window of each event, t * B + b, int64 [E].
-        frames: The frames, [N, 1, rows, columns], see `FrameBackbone`; or f_frame, [N, channels],
-            for FGER-Net where it is known already.
+        frames: The frames, [N, frame_channels, rows, columns], see `FrameBackbone`; or f_frame,
+            [N, channels], for FGER-Net where it is known already.
         event_frames: ln(1 + count) of ON and OFF events between each frame and the one before, [N,
             2, rows, columns]; empty unless the model reads them.
         slots: Frame that arrives in each window, -1 for none, int64 [T, B].
@@ -189,9 +189,9 @@ class FrameBackbone(nn.Module):
         super().__init__()
         self._relative = config.light != 'intensity'
         channels = config.channels
-        self.input_scale, self.scale = Scale(1), Scale(channels)
+        self.input_scale, self.scale = Scale(config.frame_channels), Scale(channels)
         self.stem = nn.Sequential(
-            nn.Conv2d(1, channels, 7, stride=2, padding=3, bias=False),
+            nn.Conv2d(config.frame_channels, channels, 7, stride=2, padding=3, bias=False),
             _norm(config),
             nn.ReLU(),
             nn.MaxPool2d(3, stride=2, padding=1),
@@ -202,12 +202,18 @@ class FrameBackbone(nn.Module):
         """Return the frames as the network sees them, before they are scaled.
 
         Args:
-            frames: Intensities of 0 to 1, or their ratio to the reference, [N, 1, rows, columns].
+            frames: Intensities of 0 to 1, or their ratio to the reference, and what else there is
+                of the reference, [N, channels, rows, columns].
+
+        Returns:
+            The same with the channels last.
         """
+        frames = frames.movedim(1, -1)
         if not self._relative:
             return frames
-        logs = torch.log(frames.clamp(min=DARK))
-        return logs - logs.mean((2, 3), keepdim=True)
+        logs = torch.log(frames[..., :1].clamp(min=DARK))
+        logs = logs - logs.mean((1, 2), keepdim=True)
+        return torch.cat([logs, frames[..., 1:]], -1)
 
     def forward(self, frames: Tensor) -> Tensor:
         """Return f_frame [N, channels] of frames as `seen` takes them, in full precision.
@@ -215,7 +221,7 @@ class FrameBackbone(nn.Module):
         Features vary by no more than bfloat16 resolves.
         """
         with torch.autocast(frames.device.type, enabled=False):
-            inputs = self.input_scale(self.seen(frames.float()))
+            inputs = self.input_scale(self.seen(frames.float())).movedim(-1, 1)
             maps = self.stage(self.stem(inputs.contiguous(memory_format=torch.channels_last)))
             return torch.Tensor(self.scale(maps.mean((2, 3))))
 
@@ -654,7 +660,7 @@ def one_cycle(config: PaperConfig) -> SegmentBatch:
     return SegmentBatch(
         points=torch.rand(windows * config.events_per_packet, 4),
         packet=torch.arange(windows).repeat_interleave(config.events_per_packet),
-        frames=torch.rand(1, 1, rows, columns),
+        frames=torch.rand(1, config.frame_channels, rows, columns),
         event_frames=torch.rand(1, 2, rows, columns),
         slots=slots,
         before=torch.tensor([-1]),

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_events.arrays import Events
-from mixtac_events.frames import bin_mean
+from mixtac_events.frames import bin_mean, displacement, log_contrast
+from mixtac_fger.config import FgerConfig
 from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.trials.store import read_arrays, write_arrays
 from mixtac_learning.trials.trial import DatasetError, TrialArrays, frame_arrivals, window_ends
@@ -114,15 +115,14 @@ class PaperSample:
     frame_force: NDArray[np.float32]
     origin: dict[str, Any]
 
-    def seen(self, frames: NDArray[np.int64], light: str) -> NDArray[np.float32]:
-        """Return frames as `FrameBackbone.seen` takes them, [n, rows, columns].
+    def seen(self, frames: NDArray[np.int64], config: PaperConfig) -> NDArray[np.float32]:
+        """Return frames as `frame_input` does.
 
         Args:
             frames: Their numbers, int64 [n].
-            light: One of `mixtac_learning.paper.config.LIGHTS`.
+            config: Of the network.
         """
-        chosen = self.frames[frames].astype(np.float32)
-        return chosen / rest_of(self.frames) if light == 'reference' else chosen
+        return frame_input(self.frames[frames], self.frames[:SETTLE_FRAMES], config)
 
 
 _ARRAYS = PaperSample.__slots__[:-1]
@@ -207,10 +207,35 @@ def make_paper_sample(
     )
 
 
-def rest_of(frames: NDArray[np.float16]) -> NDArray[np.float32]:
-    """Return the reference of the first frames of a trial, above zero, [rows, columns]."""
-    rest = np.mean(frames[:SETTLE_FRAMES], axis=0, dtype=np.float32)
-    return np.maximum(rest, np.float32(1.0 / FULL_SCALE))
+def frame_input(
+    frames: NDArray[np.float16], still: NDArray[np.float16], config: PaperConfig
+) -> NDArray[np.float32]:
+    """Return frames as `FrameBackbone` takes them, [n, channels, rows, columns].
+
+    Args:
+        frames: Intensities of 0 to 1, float16 [n, rows, columns].
+        still: Frames without contact, whose mean is the reference; the same shape.
+        config: Of the network; `light` decides.
+    """
+    seen = frames.astype(np.float32)
+    if config.light not in {'reference', 'reference_flow'}:
+        return seen[:, None]
+    rest = np.mean(still, axis=0, dtype=np.float32)
+    channels = np.empty((len(seen), config.frame_channels, *rest.shape), np.float32)
+    # Above zero: the converter's lowest bit.
+    np.divide(seen, np.maximum(rest, np.float32(1.0 / FULL_SCALE)), out=channels[:, 0])
+    if config.light == 'reference_flow':
+        radius = max(_OURS.flow_radius * _OURS.frame_bin // config.scale, 1)
+        logs, work = np.empty((2, *rest.shape), np.float32), np.empty((9, *rest.shape), np.float32)
+        log_contrast(rest, _OURS.log_floor, logs[0])
+        for frame, flow in zip(seen, channels[:, 1:], strict=True):
+            log_contrast(frame, _OURS.log_floor, logs[1])
+            displacement(logs[0], logs[1], radius, _OURS.flow_regularisation, work, flow)
+    return channels
+
+
+_OURS = FgerConfig()
+"""The displacement is measured as for our network."""
 
 
 def _reduced(config: PaperConfig, frames: NDArray[np.uint16]) -> NDArray[np.float16]:

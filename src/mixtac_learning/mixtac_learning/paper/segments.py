@@ -86,9 +86,7 @@ class _Column:
             used = used[used >= 0]
             self.slots = np.where(slots >= 0, np.searchsorted(used, slots), -1)
             self.before = np.int64(np.searchsorted(used, latest) if latest >= 0 else -1)
-        self.frames = (
-            sample.seen(used, config.light)[:, None] if features is None else features[used]
-        )
+        self.frames = sample.seen(used, config) if features is None else features[used]
         shown = used if config.model == 'fusion' else used[:0]
         self.event_frames = np.log1p(sample.counts[shown].astype(np.float32))
         self.points, self.packet = _points(sample, segment, config.model)
@@ -116,7 +114,7 @@ class FrameBatch(NamedTuple):
     """Single frames of any trials.
 
     Attributes:
-        frames: [N, 1, rows, columns], as in `SegmentBatch`.
+        frames: [N, channels, rows, columns], as in `SegmentBatch`.
         event_frames: [N, 2, rows, columns], as in `SegmentBatch`.
         force: What each is to tell [N], [N].
     """
@@ -149,13 +147,13 @@ def frame_batch(
     for trial in np.unique(chosen[:, 0]):
         sample, windows = samples[trial], np.sort(chosen[chosen[:, 0] == trial, 1])
         used = sample.slots[windows]
-        frames.append(sample.seen(used, config.light))
+        frames.append(sample.seen(used, config))
         shown = used if config.model == 'fusion' else used[:0]
         event_frames.append(np.log1p(sample.counts[shown].astype(np.float32)))
         known = sample.force[windows] if config.model == 'fusion' else sample.frame_force[used]
         force.append(known)
     return FrameBatch(
-        _tensor(np.concatenate(frames)[:, None], np.float32),
+        _tensor(np.concatenate(frames), np.float32),
         _tensor(np.concatenate(event_frames), np.float32),
         _tensor(np.concatenate(force), np.float32),
     )

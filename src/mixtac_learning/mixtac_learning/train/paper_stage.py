@@ -248,9 +248,10 @@ class FrameStage(PaperStage):
         batch = frame_batch(samples, chosen, self.network.config)
         frames, event_frames, known = (part.to(self.device) for part in batch)
         if isinstance(self.network, FgerPaper):
-            return self.network.frame(frames.flip(flips)), known
+            return self.network.frame(mirrored_frames(frames, flips)), known
         if isinstance(self.network, FrameModel):
-            return self.network.features(frames.flip(flips), event_frames.flip(flips)), known
+            seen = mirrored_frames(frames, flips), event_frames.flip(flips)
+            return self.network.features(*seen), known
         raise TrainingError('a network without frames has no frame stage')
 
     @torch.no_grad()
@@ -404,8 +405,8 @@ class RecurrentStage(PaperStage):
 
     @torch.no_grad()
     def _encode(self, sample: PaperSample, flips: tuple[int, ...]) -> NDArray[np.float32]:
-        seen = sample.seen(np.arange(len(sample.frames)), self.network.config.light)
-        frames = torch.from_numpy(seen)[:, None].flip(flips).to(self.device)
+        seen = sample.seen(np.arange(len(sample.frames)), self.network.config)
+        frames = mirrored_frames(torch.from_numpy(seen), flips).to(self.device)
         with self.plainly():
             parts = [
                 self.network.get_submodule('frame')(part) for part in torch.split(frames, _ENCODED)
@@ -423,6 +424,20 @@ class RecurrentStage(PaperStage):
         return [order[first : first + size] for first in range(0, len(order), size)]
 
 
+def mirrored_frames(frames: Tensor, axes: Sequence[int]) -> Tensor:
+    """Return inputs of the frame network as of a sensor mirrored along axes of the image.
+
+    Args:
+        frames: [N, channels, rows, columns], see `frame_input`.
+        axes: -2, -1 or both.
+    """
+    flipped = frames.flip(list(axes))
+    if frames.shape[1] > 1:
+        signs = frames.new_tensor([1.0, -1.0 if -1 in axes else 1.0, -1.0 if -2 in axes else 1.0])
+        flipped *= signs[:, None, None]
+    return flipped
+
+
 def mirrored(batch: SegmentBatch, axes: Sequence[int]) -> SegmentBatch:
     """Return a batch as a sensor mirrored along axes of the image, -2 or -1, would give it."""
     if not axes:
@@ -432,7 +447,7 @@ def mirrored(batch: SegmentBatch, axes: Sequence[int]) -> SegmentBatch:
         batch,
         points=batch.points * torch.tensor(signs),
         # Features that are known are those of the mirrored frames already.
-        frames=batch.frames.flip(list(axes)) if batch.frames.dim() > 2 else batch.frames,
+        frames=mirrored_frames(batch.frames, axes) if batch.frames.dim() > 2 else batch.frames,
         event_frames=batch.event_frames.flip(list(axes)),
     )
 
@@ -447,7 +462,7 @@ def fit_scales(network: PaperNetwork, samples: Sequence[PaperSample]) -> None:
         norm.momentum = 1.0  # the statistics of these frames
     if not isinstance(network, EventsOnly):
         frames = frame_batch(samples, chosen, config).frames.to(device)
-        network.frame.input_scale.fit(network.frame.seen(frames).reshape(-1, 1))
+        network.frame.input_scale.fit(network.frame.seen(frames).flatten(0, 2))
         fit_frame_scales(network, samples)
     if not isinstance(network, FrameModel):
         segments = [Segment(trial, window, window + 1) for trial, window in chosen.tolist()]

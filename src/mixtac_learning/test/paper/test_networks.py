@@ -19,6 +19,7 @@ from mixtac_learning.paper.networks import (
     SparseBlock,
     build,
 )
+from mixtac_learning.paper.samples import frame_input
 
 SMALL = PaperConfig(
     width=32,
@@ -121,6 +122,28 @@ def test_another_lamp_and_exposure_change_nothing(light):
     assert torch.allclose(dim, bright, atol=1e-5)
     # Nor does what else is in the batch.
     assert torch.allclose(2 * alone, 2 * network.frame_force(frames, frames)[:1], atol=1e-5)
+
+
+def test_the_displacement_of_the_picture_is_seen_beside_the_reference():
+    config = replace(SMALL, light='reference_flow', scale=4)
+    y, x = np.mgrid[:65, :86].astype(np.float64)
+
+    def picture(dx: float, dy: float) -> np.ndarray:
+        return (0.4 + 0.1 * np.sin(0.7 * (x - dx)) * np.sin(0.7 * (y - dy))).astype(np.float16)
+
+    still = np.stack([picture(0.0, 0.0)] * 3)
+    seen = frame_input(np.stack([picture(0.2, -0.1), picture(0.0, 0.0)]), still, config)
+    assert seen.shape == (2, config.frame_channels, 65, 86)
+    inner = seen[:, 1:, 8:-8, 8:-8]
+    assert np.median(inner[0], axis=(1, 2)) == pytest.approx([0.2, -0.1], abs=0.02)
+    assert np.abs(inner[1]).max() < 1e-3
+    plain = frame_input(still[:1], still, replace(config, light='reference'))
+    assert plain.shape[1] == 1
+    assert plain == pytest.approx(1.0, abs=1e-2)
+    network = build(replace(config, model='frames')).eval()
+    frames = torch.from_numpy(seen)
+    with torch.no_grad():
+        assert torch.isfinite(network.frame_force(frames, frames)).all()
 
 
 def test_a_correction_is_given_out_within_one_cycle():

@@ -169,3 +169,14 @@ def test_a_mirrored_batch_is_that_of_a_mirrored_sensor(samples):
     points = mirrored(packets, [-2]).points
     np.testing.assert_array_equal(points[:, 1], -packets.points[:, 1])
     np.testing.assert_array_equal(points[:, [0, 2, 3]], packets.points[:, [0, 2, 3]])
+
+
+@pytest.mark.parametrize('axes', [[-1], [-2], [-2, -1]])
+def test_a_mirrored_displacement_is_that_of_a_mirrored_sensor(samples, axes):
+    seen = config('frames', light='reference_flow')
+    segments = [Segment(0, 0, 200)]
+    turned = replace(samples[0], frames=np.flip(samples[0].frames, axes))
+    found = mirrored(assemble(samples[:1], segments, seen), axes).frames
+    wanted = assemble([turned], segments, seen).frames
+    assert wanted[:, 1:].abs().max() > 0.0
+    np.testing.assert_allclose(found, wanted, atol=1e-4)
