@@ -41,8 +41,9 @@ def test_its_arguments_have_the_defaults_of_the_parameters() -> None:
         c for c in calls('DeclareLaunchArgument') if isinstance(c.args[0], ast.Constant)
     ]
     arguments = {c.args[0].value: keywords(c) for c in calls_by_name}
-    assert {'arm', 'arm_backend', 'detector'} == set(arguments)
+    assert {'arm', 'arm_backend', 'detector', 'device'} == set(arguments)
     assert arguments['arm_backend']['default_value'] == ''  # that of the parameter file
+    assert arguments['device']['default_value'] == ''  # without a driver
     defaults = {spec.name: spec.default for spec in specs(SlipControlParameters)}
     for name in ('arm', 'detector'):
         assert arguments[name]['default_value'] == defaults[name]
