@@ -367,12 +367,11 @@ class SlipFeatures:
         window_sums(*places, fields, BIN, self._sums, self._squares, zones, self._signs)
         # A clock that starts anew must not leave it on.
         lit = 0 <= self._light_until_us - end_us <= LIGHT_HOLD_US
+        motion, noise, rotation = self._sums, 0.0, 0.0
         if guide is not None and fresh:
             if is_light(self._signs, guide.bins):
                 self._light_until_us, lit = end_us + LIGHT_HOLD_US, True
             lit = lit and not is_local(self._signs, guide.bins)
-        motion, noise, rotation = self._sums, 0.0, 0.0
-        if guide is not None and fresh:
             motion = -(guide.solver @ self._sums)
             noises = guide.solver**2 @ self._squares
             noise = float(noises[0] + noises[1])

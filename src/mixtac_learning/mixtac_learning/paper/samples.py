@@ -120,7 +120,7 @@ class PaperSample:
 
         Args:
             frames: Their numbers, int64 [n].
-            config: Of the network.
+            config: Configuration of the network.
         """
         return frame_input(self.frames[frames], self.frames[:SETTLE_FRAMES], config)
 
@@ -215,7 +215,7 @@ def frame_input(
     Args:
         frames: Intensities of 0 to 1, float16 [n, rows, columns].
         still: Frames without contact, whose mean is the reference; the same shape.
-        config: Of the network; `light` decides.
+        config: Configuration of the network, whose `light` decides.
     """
     seen = frames.astype(np.float32)
     if config.light not in {'reference', 'reference_flow'}:
