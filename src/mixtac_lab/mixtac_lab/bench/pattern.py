@@ -23,7 +23,6 @@ from mixtac_sim.grids import HEIGHT, WIDTH
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.usb import endpoints
 from mixtac_sim.usb.device import VirtualDavis346
-from mixtac_sim.usb.registers import Module, Usb
 from mixtac_sim.usb.words import (
     Blocks,
     ImuReading,
@@ -213,9 +212,9 @@ class PatternPlayer:
 class PatternCamera(VirtualDavis346):
     """Sends a pattern in step with its clock, whatever the host asks of sensor and filters.
 
-    Nothing runs between two reads. A read that finds no time gone by since the last one waits for
-    the early packet delay, as the camera does, and then brings everything up to its own moment;
-    during a pause of the pattern it waits until there is data.
+    Like the camera it sends what it has after every early packet delay, whoever reads or does not;
+    a read returns what was sent since the last one, or waits for what is sent next. Nothing runs
+    between two reads.
 
     Args:
         serial: Serial number, at most eight characters.
@@ -225,7 +224,7 @@ class PatternCamera(VirtualDavis346):
     def __init__(self, serial: str, pattern: Pattern) -> None:
         super().__init__(serial)
         self.player = PatternPlayer(pattern)
-        self._last_read_s = 0.0
+        self._sent = 0
 
     def true_time_us(self) -> int:
         """Return the true time now [us since construction]."""
@@ -235,23 +234,22 @@ class PatternCamera(VirtualDavis346):
         if endpoint != endpoints.DATA_ENDPOINT:
             return
         deadline_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        delay_us = 1e6 * self._early_packet_s()
         while self.streaming:
-            pause_s = self._last_read_s + self._delay_s() - time.monotonic()
-            if pause_s > 0:
-                time.sleep(min(pause_s, max(deadline_s - time.monotonic(), 0.0)))
-            self._produce()
-            self._last_read_s = time.monotonic()
-            if len(self._fifo) or self._last_read_s >= deadline_s:
+            sent = int(self._clock() / delay_us)
+            if sent != self._sent:
+                self._sent = sent
+                self._produce(int(sent * delay_us))
+            left_s = deadline_s - time.monotonic()
+            if len(self._fifo) or left_s <= 0:
                 return
+            time.sleep(min(max((sent + 1) * delay_us - self._clock(), 0.0) / 1e6, left_s))
 
-    def _delay_s(self) -> float:
-        cycles = self.register(Module.USB, Usb.EARLY_PACKET_DELAY)
-        return cycles * 1e-3 / (self.board.usb_mhz * self.board.deviation)
-
-    def _produce(self) -> None:
+    def _produce(self, true_us: int) -> None:
+        """Send what the camera has until a true time [us]."""
         with self._condition:
-            words = self.player.due(self._oscillator.now(self._clock()))
+            words = self.player.due(self._oscillator.now(true_us))
             if len(words) and not self._fifo.push(words):
                 self._fifo.push(self.player.refused(words))
-            # What was made now has waited long enough.
+            # What is sent has waited long enough.
             self._data.flush()
