@@ -68,6 +68,14 @@ class Probe(Node):  # type: ignore[misc]
         while (left_s := end_s - time.monotonic()) > 0:
             self._events_executor.spin_once(timeout_sec=min(left_s, 0.1))
 
+    def destroy_node(self) -> None:
+        """Destroy the node."""
+        # What an executor knows is not destroyed: messages would go on coming.
+        if self._events_executor is not None:
+            self._events_executor.remove_node(self)
+            self._events_executor.shutdown()
+        super().destroy_node()
+
     def prepare(self) -> None:
         """Do what comes before the measurement."""
 
