@@ -25,11 +25,13 @@ from mixtac_driver.usb.transport import (
     BulkReader,
     DebugMessage,
     DebugReader,
+    Gap,
     Transfer,
     TransportCounters,
 )
 from mixtac_events.clock_map import ClockMap
 from mixtac_events.readings import DecodedBatch
+from mixtac_node.process import exact_sleeps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +100,8 @@ LOSSES = (
 )
 """Counters of the decoder that stay at zero on an intact stream."""
 LONGEST_GET_S = 0.1
+LONGEST_HELD_US = 2000
+"""Camera time over which data are collected at most, where event packets are longer [us]."""
 
 
 class Davis346:
@@ -140,6 +144,8 @@ class Davis346:
         self._reader: AsynchronousReader | BulkReader | None = None
         self._decoder: StreamDecoder | None = None
         self._debug_reader: DebugReader | None = None
+        self._period_us = round(p.event_message_time_threshold * 1e6)
+        self._due_us = 0
 
     def __enter__(self) -> Davis346:
         """Open the camera."""
@@ -242,6 +248,7 @@ class Davis346:
             raise DriverError('the camera is closed', remedy='call open() first')
         self._stopping.clear()
         self.clock.restart()
+        self._due_us = 0
         decoder = StreamDecoder(
             identity.geometry, imu_flips=identity.imu_flips, imu_type=identity.imu_type
         )
@@ -262,6 +269,9 @@ class Davis346:
     def batches(self) -> Iterator[CameraBatch]:
         """Yield the data from the reset of the camera's clock on, until stopped.
 
+        Data come together at the end of each event packet, or with a frame, or once the camera has
+        fallen silent. Until shortly before that no read is made: it costs more than what it brings.
+
         Raises:
             UsbError: The camera went away, or no longer answers.
             StreamError: No data came for too long, or the reset was not confirmed.
@@ -270,10 +280,12 @@ class Davis346:
         epochs = self.control.epochs
         if reader is None or decoder is None or connection is None or epochs is None:
             return
+        exact_sleeps()
         timeout_s = self._p.stream_timeout
         started_s = heard_s = time.monotonic()
         while not self._stopping.is_set():
             connection.check()
+            self._sleep()
             transfer = reader.get(LONGEST_GET_S)
             now_s = time.monotonic()
             if transfer is not None:
@@ -281,6 +293,11 @@ class Davis346:
                 if self._capture is not None:
                     self._capture.arrival(transfer.data, transfer.arrival_ns)
                 yield from self._decode(decoder, epochs, connection, transfer)
+            elif decoder.waiting:
+                # The end of the packet will not come soon.
+                self._due_us = 0
+                nothing = Transfer(b'', time.time_ns(), short_packet=True, gap=Gap())
+                yield from self._decode(decoder, epochs, connection, nothing)
             elif now_s - heard_s > timeout_s and not self._stopping.is_set():
                 raise StreamError(
                     f'no data for {timeout_s:g} s: the stream died',
@@ -360,16 +377,40 @@ class Davis346:
         connection: Connection,
         transfer: Transfer,
     ) -> Iterator[CameraBatch]:
-        if transfer.gap.size:
-            decoder.skip(transfer.gap)
-        origin_before = epochs.origin
-        for batch in decoder.push(transfer.data, short_packet=transfer.short_packet):
+        origin_before, came = epochs.origin, False
+        for batch in self._batches_of(decoder, transfer):
             origin = epochs.follow(batch.resets, batch.time_us, transfer.arrival_ns)
-            if origin is not None:
-                yield CameraBatch(batch, origin, transfer.arrival_ns)
+            if origin is None:
+                continue
+            yield CameraBatch(batch, origin, transfer.arrival_ns)
+            end_us = (batch.time_us + origin.us) // self._period_us * self._period_us
+            held_us = min(end_us + self._period_us - origin.us - batch.time_us, LONGEST_HELD_US)
+            self._due_us = batch.time_us + held_us
+            came = True
         if origin_before is not None and epochs.origin is not origin_before:
             self.clock.restart()
             # Resets may come over the synchronisation cable: the master may have changed.
             self.is_master = read_is_master(connection.protocol)
-        if epochs.origin is not None:
+        if came:
             self.clock.add(decoder.time_us, transfer.arrival_ns)
+
+    def _batches_of(self, decoder: StreamDecoder, transfer: Transfer) -> Iterator[DecodedBatch]:
+        if transfer.gap.size:
+            if decoder.waiting:
+                yield from decoder.push(b'')
+            decoder.skip(transfer.gap)
+        yield from decoder.push(
+            transfer.data, short_packet=transfer.short_packet, until_us=self._due_us
+        )
+
+    def _sleep(self) -> None:
+        """Sleep while what is due cannot have arrived yet."""
+        if not self.clock.ready:
+            return
+        due_us = self._due_us
+        if isinstance(self._reader, BulkReader):
+            # Its only read has to wait at the camera when the data come; those of USB always do.
+            due_us -= self.control.parameters.usb_early_packet_delay
+        early_s = (self.clock.to_host_ns(due_us) - time.time_ns()) / 1e9
+        if early_s > 0.0:
+            time.sleep(min(early_s, LONGEST_HELD_US / 1e6))

@@ -120,12 +120,17 @@ class Collected:
         return self
 
 
-def decode(words, geometry=None, cuts=(), capacity=64):
+def decode(words, geometry=None, cuts=(), capacity=64, held_us=0):
     data = np.asarray(words, '<u2').tobytes()
     collected = Collected(StreamDecoder(geometry or Geometry(), capacity=capacity))
     limits = sorted({min(c, len(data)) for c in cuts})
     for start, end in zip([0, *limits], [*limits, len(data)], strict=True):
-        collected.take(collected.decoder.push(data[start:end], short_packet=False))
+        until_us = collected.decoder.time_us + held_us
+        collected.take(
+            collected.decoder.push(data[start:end], short_packet=False, until_us=until_us)
+        )
+    if collected.decoder.waiting:
+        collected.take(collected.decoder.push(b'', short_packet=False))
     return collected
 
 

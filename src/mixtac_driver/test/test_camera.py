@@ -24,6 +24,7 @@ from mixtac_driver.errors import (
     UnsupportedCameraError,
 )
 from mixtac_driver.parameters import DriverParameters
+from mixtac_events.packetizer import PACKET_PERIOD_US
 
 QUICK = DriverParameters(stream_timeout=0.3)
 
@@ -166,13 +167,28 @@ def test_events_come_on_the_epoch_based_clock_and_only_after_the_reset():
         fake.send([0x8005, 0x1001, 0x2002])
         camera.start()
         after = time.time_ns()
-        fake.send([0x8007, 0x1003, 0x3004])
+        fake.send([0x8007, 0x1003, 0x3004, 0x8000 | PACKET_PERIOD_US])
         batch = next(b for b in camera.batches() if len(b.decoded.events))
         assert batch.decoded.events.t.tolist() == [7]
         assert batch.decoded.events.x.tolist() == [3]
         assert before <= batch.origin.host_ns <= after
         assert batch.origin.uncertainty_ns < 50_000_000
-        assert batch.time_us == batch.origin.us + 7
+        assert batch.time_us == batch.origin.us + PACKET_PERIOD_US
+
+
+def test_data_come_together_once_the_stream_has_passed_the_end_of_a_packet():
+    fake = FakeCamera()
+    with opened(fake, QUICK) as camera:
+        camera.start()
+        batches = camera.batches()
+        start_us = next(batches).time_us
+        for t in range(100, 5 * PACKET_PERIOD_US, 100):
+            fake.send([0x8000 | t, 0x1003, 0x3004])
+        got = list(itertools.islice(batches, 4))
+        times = [batch.time_us for batch in got]
+        cells = [time_us // PACKET_PERIOD_US for time_us in (start_us, *times)]
+        assert cells == list(range(cells[0], cells[0] + 5))
+        assert sum(len(batch.decoded.events) for batch in got) == (times[-1] - start_us) // 100
 
 
 def test_disabled_sensors_are_not_started():

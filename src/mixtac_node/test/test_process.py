@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import os
 import select
@@ -12,12 +13,19 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import psutil
 import pytest
 
-from mixtac_node.process import GraphError, ProcessGroup, claim_nodes, ros_domain
+from mixtac_node.process import (
+    GraphError,
+    ProcessGroup,
+    claim_nodes,
+    exact_sleeps,
+    ros_domain,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,6 +38,22 @@ def wait_until(condition, seconds: float = 10.0) -> None:
     while not condition() and time.monotonic() < deadline:
         time.sleep(0.02)
     assert condition()
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='only Linux lets sleeps last longer')
+def test_sleeps_of_one_thread_end_on_time():
+    def slack_ns() -> int:
+        return ctypes.CDLL(None).prctl(30)
+
+    before = slack_ns()
+
+    def exact() -> int:
+        exact_sleeps()
+        return slack_ns()
+
+    with ThreadPoolExecutor(1) as thread:
+        assert thread.submit(exact).result() <= 1000
+    assert slack_ns() == before
 
 
 def died(group: ProcessGroup) -> bool:

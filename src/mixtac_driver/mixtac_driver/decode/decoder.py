@@ -48,6 +48,9 @@ class StreamDecoder:
         imu_type: 1 for MPU6050, 2 for MPU9250.
         capacity: Events per batch; longer bursts are split into several batches.
         allocate: Returns a zeroed array, given its length and dtype; tests guard the arrays by it.
+
+    Attributes:
+        waiting: Whether something was decoded that comes with the next batch.
     """
 
     def __init__(
@@ -68,8 +71,8 @@ class StreamDecoder:
         x, y = (b.row, b.column) if geometry.dvs_inverted else (b.column, b.row)
         self._events = Events(b.t, x, y, b.polarity.view(np.bool_))
         self._half_word = b''
-        self._resets = 0
-        self._busy = False
+        self._resets = self._held = 0
+        self._busy = self.waiting = False
         # The first calls compile, or load compiled code: do it now, before data arrive.
         drop_items(b)
         decode_words(self._words(b'', short_packet=True), 0, 0, b)
@@ -84,16 +87,20 @@ class StreamDecoder:
         """Latest time in the stream [us, camera clock]."""
         return int(self._state['time'])
 
-    def push(self, data: Octets, *, short_packet: bool = True) -> Iterator[DecodedBatch]:
+    def push(
+        self, data: Octets, *, short_packet: bool = True, until_us: int = 0
+    ) -> Iterator[DecodedBatch]:
         """Decode the bytes of one transfer.
 
         Args:
             data: Bytes as they came.
             short_packet: True if the camera ended the transfer early; False if the transfer is
                 full to the last byte, so that its last word may be split.
+            until_us: Time before which no batch is due [us, camera clock]: what is decoded stays
+                for the next call, unless it holds a frame.
 
         Yields:
-            At least one batch, more after bursts and resets of the clock.
+            Batches: one without `until_us`, more after bursts and resets of the clock.
 
         Raises:
             DriverError: Not all batches of the previous transfer were taken.
@@ -102,21 +109,30 @@ class StreamDecoder:
             raise DriverError('take all batches of a transfer before pushing the next one')
         self._busy = True
         words = self._words(data, short_packet=short_packet)
-        i, reason = 0, FULL
+        i, n, reason = 0, self._held, FULL
+        self.waiting = False
         while reason != DONE:
             frames: tuple[Frame, ...] = ()
-            i, n, reason = decode_words(words, i, 0, self._buffers)
+            i, n, reason = decode_words(words, i, n, self._buffers)
             while reason == FRAME:
                 frames += (self._frame(),)
                 i, n, reason = decode_words(words, i, n, self._buffers)
+            if reason == DONE and not frames and self.time_us < until_us:
+                self.waiting = True
+                break
             yield self._batch(n, frames, 'time_before_reset' if reason == RESET else 'time')
-            self._resets += reason == RESET
+            if reason == RESET:
+                self._resets += 1
+                until_us = 0
+            n = 0
+        self._held = n
         self._busy = False
 
     def skip(self, gap: Gap) -> None:
         """Continue after bytes that were lost before they could be pushed.
 
-        Items in progress and the row address are dropped; time continues over the gap.
+        Items in progress and the row address are dropped; time continues over the gap. Nothing may
+        be `waiting`: push no bytes before.
 
         Args:
             gap: What was lost.

@@ -28,15 +28,20 @@ from mixtac_driver.errors import DriverError
 from mixtac_driver.usb.transport import Gap, gap_of
 
 
+def words_of(*words):
+    return np.array(words, '<u2').tobytes()
+
+
 @SETTINGS
 @given(
     streams(),
     geometries(),
     st.lists(st.integers(0, 4000), max_size=8),
     st.sampled_from([1, 7, 33, 200]),
+    st.sampled_from([0, 1, 100, 20_000]),
 )
-def test_streams_in_any_pieces_decode_as_the_oracle_says(words, geometry, cuts, capacity):
-    found = decode(words, geometry, cuts, capacity)
+def test_streams_in_any_pieces_decode_as_the_oracle_says(words, geometry, cuts, capacity, held_us):
+    found = decode(words, geometry, cuts, capacity, held_us)
     assert_same(found, Oracle(geometry).words(words))
 
 
@@ -69,6 +74,24 @@ def test_time_never_goes_back_between_resets(words):
     for rows in (found.events, found.times):
         keys = [row[:2] for row in rows]
         assert keys == sorted(keys)
+
+
+def test_what_is_not_due_comes_with_the_next_batch():
+    decoder = StreamDecoder(Geometry())
+    event = [0x1003, 0x3004]
+    assert not list(decoder.push(words_of(0x8064, *event), until_us=200))
+    (batch,) = decoder.push(words_of(0x80C8, *event), until_us=200)
+    assert batch.events.t.tolist() == [100, 200]
+    assert batch.time_us == 200
+
+
+def test_a_reset_makes_everything_due():
+    decoder = StreamDecoder(Geometry())
+    got = list(decoder.push(words_of(0x8064, 0x1003, 0x3004, 1, 0x8005), until_us=200))
+    assert [(batch.resets, batch.time_us, len(batch.events)) for batch in got] == [
+        (0, 100, 1),
+        (1, 5, 0),
+    ]
 
 
 def test_wrap_count_above_one_is_multiplied():

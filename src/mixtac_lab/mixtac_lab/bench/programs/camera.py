@@ -14,8 +14,6 @@ the next one. No event and no frame belongs to two scenes.
 from __future__ import annotations
 
 import argparse
-import ctypes
-import sys
 import time
 from dataclasses import replace
 from typing import Any
@@ -31,7 +29,7 @@ from mixtac_lab.bench.pattern import (
     encode_pattern,
     make_pattern,
 )
-from mixtac_node.process import freeze_loaded
+from mixtac_node.process import exact_sleeps, freeze_loaded
 from mixtac_sim.grasp.slip_scene import SlipScene, knock_profile
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.usb.server import UsbServer
@@ -102,8 +100,6 @@ def _on_grid(time_s: float) -> int:
 
 
 POLL_S = 0.02
-PR_SET_TIMERSLACK = 29
-TIMER_SLACK_NS = 1000
 
 
 def main() -> None:
@@ -117,9 +113,7 @@ def main() -> None:
     parser.add_argument('--reading-interval', type=int, default=0, help='in us, 0 for none')
     options = parser.parse_args()
     stopping = stop_event()
-    # By default Linux wakes sleeping threads 50 us late; a camera is never late.
-    if sys.platform == 'linux':
-        ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, TIMER_SLACK_NS, 0, 0, 0)
+    exact_sleeps()  # Threads of the server inherit it.
     if options.kind == 'pattern':
         pattern = make_pattern(
             options.rate,
