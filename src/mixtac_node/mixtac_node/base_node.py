@@ -29,6 +29,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
@@ -40,6 +41,10 @@ T = TypeVar('T')
 ENDING = (signal.SIGINT, signal.SIGTERM)
 PATIENCE_S = 0.5
 """Time that the callback which a signal interrupts has to return; a compilation takes longer."""
+
+
+CHECK_PERIOD_S = 0.2
+"""Period at which nodes are checked, and signals looked at [s]."""
 
 
 class Interrupted(BaseException):
@@ -396,8 +401,9 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
         checks = [node.check for node in nodes if hasattr(node, 'check')]
         freeze_loaded()
         while not signals.received and rclpy.ok():
-            # In the wheels of Jazzy, spin() of this executor never calls back; spin_once does.
-            executor.spin_once(timeout_sec=0.2)
+            # In the wheels of Jazzy, spin() of this executor never calls back. Not spin_once, which
+            # returns after each callback.
+            executor.spin_until_future_complete(Future(), timeout_sec=CHECK_PERIOD_S)
             # Not in a timer: the executor would print a traceback before the error line.
             for check in checks:
                 check()
