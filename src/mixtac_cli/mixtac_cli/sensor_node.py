@@ -99,14 +99,15 @@ class DirectDriver(DriverNode, _NamedDriver):
     """
 
     def __init__(self, topics: Mapping[str, DirectTopic]) -> None:
-        self._topics = topics
-        super().__init__()
+        self._direct_images = topics['image_raw']
+        super().__init__(topics['events'])
 
     def create_publisher(self, kind: Any, topic: str, *args: Any, **options: Any) -> Any:  # noqa: ANN401
-        """Create a publisher; for topics within the process, one that serves both."""
+        """Create a publisher; for frames, one that serves both."""
         publisher = super().create_publisher(kind, topic, *args, **options)
-        direct = self._topics.get(topic)
-        return publisher if direct is None else DirectPublisher(publisher, direct)
+        return (
+            DirectPublisher(publisher, self._direct_images) if topic == 'image_raw' else publisher
+        )
 
 
 class _Direct(Node):  # type: ignore[misc]

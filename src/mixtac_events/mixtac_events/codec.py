@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mixtac_events import foreign, libcaer, libcaer_cmp
 from mixtac_events.arrays import Events
-from mixtac_events.packets import CodecError, DecodedPacket, EncodedPacket
+from mixtac_events.packets import CodecError, DecodedPacket, EncodedPacket, OwnPacket
 
 # In quotes: Python 3.11 cannot subscript array.
 Payload: TypeAlias = 'bytes | bytearray | memoryview | array[int] | NDArray[np.uint8]'
@@ -131,8 +131,8 @@ def decode(
     return codec.decode(data, start_us, width=int(width), height=int(height))
 
 
-def decode_message(message: PacketMessage) -> DecodedPacket:
-    """Decode an `event_camera_msgs/EventPacket`.
+def decode_message(message: PacketMessage | OwnPacket) -> DecodedPacket:
+    """Decode an `event_camera_msgs/EventPacket`, or return what another packet holds.
 
     Args:
         message: The message; its own width and height bound the coordinates.
@@ -140,6 +140,8 @@ def decode_message(message: PacketMessage) -> DecodedPacket:
     Raises:
         CodecError: As `decode`, and for big-endian payloads and packets over `MAX_SPAN_US`.
     """
+    if isinstance(message, OwnPacket):
+        return message.content
     if message.is_bigendian:
         raise CodecError('event packet is big-endian: record or publish it little-endian')
     return _bounded(

@@ -81,21 +81,23 @@ LONGEST_ANNOUNCEMENT_US = 1 << 23
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Packet:
-    """One encoded packet.
+    """One packet.
 
     Attributes:
-        encoded: Encoding, time base and payload.
+        encoding: Name of the encoding.
         arrival_ns: Host time at which the first transfer in it arrived [ns since the Unix epoch].
-        events: Number of events.
-        start_us: Camera time of the first event; `complete_until_us` in an empty packet.
+        events: Its events, as views that are valid until the next push.
         complete_until_us: Camera time before which no further event will follow.
     """
 
-    encoded: EncodedPacket
+    encoding: str
     arrival_ns: int
-    events: int
-    start_us: int
+    events: Events
     complete_until_us: int
+
+    def encode(self) -> EncodedPacket:
+        """Return encoding, time base and payload."""
+        return encode(self.events, self.encoding, complete_until=self.complete_until_us)
 
 
 class Packetizer:
@@ -112,7 +114,7 @@ class Packetizer:
         self._period_us = period_us
         self._most_events = max(most_bytes // MOST_BYTES_PER_EVENT, 1)
         self._pending = _Pending()
-        self._pending_arrival_ns = 0
+        self._taken = self._pending_arrival_ns = 0
         self._complete_us: int | None = None
 
     def push(self, events: Events, time_us: int, arrival_ns: int) -> list[Packet]:
@@ -123,6 +125,10 @@ class Packetizer:
             time_us: Camera time that the stream has reached; no later event is before it.
             arrival_ns: Host time of their arrival.
         """
+        if self._taken:
+            # Only now: packets are views.
+            self._pending.drop(self._taken)
+            self._taken = 0
         held = len(self._pending)
         if not held:
             self._pending_arrival_ns = arrival_ns
@@ -133,10 +139,8 @@ class Packetizer:
         if closed_us <= self._complete_us and len(self._pending) < self._most_events:
             return []
         packets = self._cut(self._pending.events, held, closed_us, arrival_ns)
-        taken = sum(packet.events for packet in packets)
-        if taken:
-            self._pending.drop(taken)
-        if taken >= held:
+        self._taken = sum(len(packet.events) for packet in packets)
+        if self._taken >= held:
             self._pending_arrival_ns = arrival_ns
         if closed_us > self._complete_us:
             packets.append(self._packet(Events.empty(), closed_us, arrival_ns))
@@ -146,7 +150,7 @@ class Packetizer:
         return int(self._pending.events.t[0]) if len(self._pending) else otherwise
 
     def _cut(self, events: Events, held: int, closed_us: int, arrival_ns: int) -> list[Packet]:
-        ready = int(np.searchsorted(events.t, closed_us))
+        ready = int(events.t.searchsorted(closed_us))
         packets = []
         for start, end in self._cells(events, ready):
             for first in range(start, end, self._most_events):
@@ -182,9 +186,7 @@ class Packetizer:
         return min(closed_us, latest + LONGEST_ANNOUNCEMENT_US)
 
     def _packet(self, events: Events, until_us: int, arrival_ns: int) -> Packet:
-        encoded = encode(events, self._encoding, complete_until=until_us)
-        start_us = int(events.t[0]) if len(events) else until_us
         # Packets with events carry the time that the stream has reached in libcaer_cmp only.
         silent = len(events) and self._encoding != 'libcaer_cmp'
         self._complete_us = int(events.t[-1]) if silent else until_us
-        return Packet(encoded, arrival_ns, len(events), start_us, self._complete_us)
+        return Packet(self._encoding, arrival_ns, events, self._complete_us)

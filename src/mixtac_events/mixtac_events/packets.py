@@ -62,6 +62,25 @@ class DecodedPacket:
         return int(self.events.t[0]) if len(self.events) else self.complete_until
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnPacket:
+    """A packet that stays within the process, and what its message would say.
+
+    Attributes:
+        stamp_ns: Arrival on the host [ns, host clock].
+        seq: Number of the packet.
+        width: Columns of the sensor.
+        height: Rows of the sensor.
+        content: What the packet holds; shares no memory with others.
+    """
+
+    stamp_ns: int
+    seq: int
+    width: int
+    height: int
+    content: DecodedPacket
+
+
 CDR_LITTLE_ENDIAN: Final = b'\x00\x01'
 _START: Final = 4
 """Size of the encapsulation header; alignment counts from its end."""

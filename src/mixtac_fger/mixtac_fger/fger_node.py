@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from mixtac_events.codec import warm_up as warm_up_codec
 from mixtac_events.errors import MixtacError
 from mixtac_events.frames import PICTURE_KERNELS
-from mixtac_events.packets import CodecError, SerialisedPacket, read_packet
+from mixtac_events.packets import CodecError, OwnPacket, read_packet
 from mixtac_fger.config import ModelError
 from mixtac_fger.contact_messages import fill_cloud, fill_contact, fill_field, fill_point, metric
 from mixtac_fger.estimator import (
@@ -39,10 +39,9 @@ from mixtac_node.base_node import BaseNode, declare, run
 from mixtac_node.diagnostics import ERROR, OK, DiagnosticsPublisher, Status
 from mixtac_node.files import state_file
 from mixtac_node.process import freeze_loaded
-from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
+from mixtac_node.stamps import stamp_to_us, us_to_stamp
 
 if TYPE_CHECKING:
-    from event_camera_msgs.msg import EventPacket
     from lifecycle_msgs.srv import ChangeState
     from numpy.typing import NDArray
     from sensor_msgs.msg import CameraInfo, CompressedImage, TimeReference
@@ -288,8 +287,8 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         if feed is not None and self._reference is not None:
             feed.estimator.use_reference(self._reference)
 
-    def _on_events(self, message: bytes | EventPacket) -> None:
-        """Take a packet: bytes from the middleware, a message from within the process."""
+    def _on_events(self, message: bytes | OwnPacket) -> None:
+        """Take a packet: bytes from the middleware, a packet from within the process."""
         feed = self._feed
         if feed is None or self._misfit:
             return
@@ -313,12 +312,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
                 self._force.publish(self._message.serialised(1000 * estimate.end_us, wrench))
         now_ns = time.time_ns()
         # Off the critical path from here on.
-        arrival_ns = (
-            packet.stamp_ns
-            if isinstance(packet, SerialisedPacket)
-            else stamp_to_ns(packet.header.stamp)
-        )
-        feed.published(len(estimates), arrival_ns, now_ns)
+        feed.published(len(estimates), packet.stamp_ns, now_ns)
         if self._quality.get_subscription_count():
             for estimate in estimates:
                 self._quality.publish(self._quality_of(estimate))

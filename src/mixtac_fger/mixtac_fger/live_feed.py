@@ -12,7 +12,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from mixtac_events.codec import PacketMessage, decode_message
-from mixtac_events.packets import CodecError
+from mixtac_events.packets import CodecError, OwnPacket
 from mixtac_events.sequence import SequenceCounter
 from mixtac_fger.features import ImageError
 from mixtac_fger.validity import Reason
@@ -150,7 +150,7 @@ class LiveFeed:
         self._rate = RateMeter()
         self._durations, self._ages = RecentValues(), RecentValues()
 
-    def packet(self, message: PacketMessage) -> list[Estimate]:
+    def packet(self, message: PacketMessage | OwnPacket) -> list[Estimate]:
         """Take an event packet and return the forces of the windows that it closes."""
         started = time.perf_counter()
         repeated = self._sequence.repeated
@@ -243,7 +243,7 @@ class LiveFeed:
         """End the estimator's thread."""
         self.estimator.close()
 
-    def _decoded(self, message: PacketMessage) -> DecodedPacket:
+    def _decoded(self, message: PacketMessage | OwnPacket) -> DecodedPacket:
         size, wanted = (message.width, message.height), self.estimator.size
         if size != wanted:
             raise ImageError(

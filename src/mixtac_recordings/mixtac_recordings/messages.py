@@ -57,10 +57,11 @@ def event_packet(
     set_header(message, packet.arrival_ns, frame_id)
     message.width, message.height = size
     message.seq = sequence
-    message.time_base = packet.encoded.time_base
-    message.encoding = packet.encoded.encoding
+    encoded = packet.encode()
+    message.time_base = encoded.time_base
+    message.encoding = encoded.encoding
     message.is_bigendian = False
-    set_octets(message, 'events', packet.encoded.payload)
+    set_octets(message, 'events', encoded.payload)
     return message
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mixtac_events.arrays import Events
-from mixtac_events.codec import decode_message, encode
+from mixtac_events.codec import decode_message
 from mixtac_events.packetizer import Packet
 from mixtac_events.readings import EdgeKind, Frame, InertialSamples
 from mixtac_recordings import messages
@@ -35,7 +35,7 @@ EVENTS = Events(
     np.array([4, 5, 6], 'u2'),
     np.array([1, 0, 1]) > 0,
 )
-PACKET = Packet(encode(EVENTS, complete_until=900), 77_000_000_123, 3, 5, 900)
+PACKET = Packet('libcaer_cmp', 77_000_000_123, EVENTS, 900)
 SAMPLES = InertialSamples(
     np.array([10, 20]),
     np.array([[1.0, 2.0, 3.0], [np.nan] * 3]),

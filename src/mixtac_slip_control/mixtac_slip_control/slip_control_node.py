@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import MixtacError
 from mixtac_events.frames import PICTURE_KERNELS
-from mixtac_events.packets import CodecError, read_packet
+from mixtac_events.packets import CodecError, OwnPacket, read_packet
 from mixtac_events.sequence import SequenceCounter
 from mixtac_msgs.msg import Contact, ForceQuality, SlipState
 from mixtac_node import topics
@@ -248,9 +248,10 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
     def _now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds * 1e-9)
 
-    def _on_events(self, data: bytes) -> None:
+    def _on_events(self, data: bytes | OwnPacket) -> None:
+        """Take a packet: bytes from the middleware, a packet from within the process."""
         try:
-            message = read_packet(data)
+            message = read_packet(data) if isinstance(data, bytes) else data
             packet = decode_message(message)
         except CodecError as error:
             self._refuse(str(error))

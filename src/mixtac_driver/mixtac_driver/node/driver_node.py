@@ -19,6 +19,7 @@ from mixtac_driver.node.publishers import (
     FrameCompressor,
     FramePublisher,
     InertialPublisher,
+    PacketListener,
     RectifiedPublisher,
 )
 from mixtac_driver.node.services import DriverServices
@@ -42,9 +43,13 @@ CLOCK_PERIOD_S = 1.0
 
 
 class DriverNode(BaseNode, Node):  # type: ignore[misc]
-    """Publishes the data of a source, on topics that have subscribers."""
+    """Publishes the data of a source, on topics that have subscribers.
 
-    def __init__(self) -> None:
+    Args:
+        listener: Takes event packets within the process.
+    """
+
+    def __init__(self, listener: PacketListener | None = None) -> None:
         super().__init__('driver')
         p = declare(self, DriverParameters, self._apply)
         self._kind = source_kind(p.device)
@@ -58,7 +63,7 @@ class DriverNode(BaseNode, Node):  # type: ignore[misc]
         self._epoch_us = np.empty(0, np.int64)
         self._identity: Identity | None = None
         self._meters = DriverMeters()
-        self._events = EventPublisher(self, p, topics.EVENTS, self._meters)
+        self._events = EventPublisher(self, p, topics.EVENTS, self._meters, listener)
         self._rectified = RectifiedPublisher(self, p)
         self._frames = FramePublisher(self, p.camera_frame_id, self._rectified.complete)
         compress = bool(p.compressed_frames)

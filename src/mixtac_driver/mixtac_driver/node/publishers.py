@@ -9,7 +9,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage
@@ -23,7 +23,7 @@ from mixtac_driver.parameters import DeviceParameters, DriverParameters
 from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.packetizer import Packetizer
-from mixtac_events.packets import PacketWriter
+from mixtac_events.packets import DecodedPacket, OwnPacket, PacketWriter
 from mixtac_events.readings import Edges, Frame, InertialSamples
 from mixtac_node import topics
 from mixtac_node.images import compress, fill, set_octets
@@ -33,14 +33,27 @@ from mixtac_node.topics import Topic
 from mixtac_recordings import messages
 
 
+class PacketListener(Protocol):
+    """Takes packets within the process."""
+
+    def __len__(self) -> int:
+        """Return the number of those who listen."""
+
+    def hand_over(self, packet: OwnPacket) -> None:
+        """Pass a packet to all of them."""
+
+
 class EventPublisher:
     """Cuts events into packets and publishes them on a topic. For one thread.
+
+    Packets are encoded only while the topic has subscribers.
 
     Args:
         node: An rclpy node.
         p: Encoding, size and frame of the packets.
         topic: The topic.
         meters: Counts the packets, or None.
+        listener: Takes the packets within the process, before they are published.
     """
 
     def __init__(
@@ -49,8 +62,9 @@ class EventPublisher:
         p: DeviceParameters,
         topic: Topic,
         meters: DriverMeters | None = None,
+        listener: PacketListener | None = None,
     ) -> None:
-        self._p, self._meters = p, meters
+        self._p, self._meters, self._listener = p, meters, listener
         self._publisher = node.publish_topic(topic)
         self._sequence = 0
         self._packetizer: Packetizer | None = None
@@ -58,8 +72,8 @@ class EventPublisher:
 
     @property
     def wanted(self) -> bool:
-        """True while the topic has subscribers."""
-        return bool(self._publisher.get_subscription_count())
+        """True while the topic has subscribers, or somebody listens within the process."""
+        return bool(self._publisher.get_subscription_count() or self._listener)
 
     def restart(self) -> None:
         """Discard unpublished events: another stream starts."""
@@ -80,8 +94,14 @@ class EventPublisher:
             self._packetizer = Packetizer(self._p.encoding, period_us, most_bytes)
             self._writer = PacketWriter(self._p.camera_frame_id, self._p.encoding, size)
         for packet in self._packetizer.push(events, time_us, arrival_ns):
-            message = self._writer.write(packet.encoded, self._sequence, packet.arrival_ns)
-            self._publisher.publish(message)
+            if self._listener:
+                content = DecodedPacket(packet.events.copy(), packet.complete_until_us)
+                self._listener.hand_over(
+                    OwnPacket(packet.arrival_ns, self._sequence, *size, content)
+                )
+            if self._publisher.get_subscription_count():
+                message = self._writer.write(packet.encode(), self._sequence, packet.arrival_ns)
+                self._publisher.publish(message)
             self._sequence += 1
             if self._meters is not None:
                 self._meters.packets.add()

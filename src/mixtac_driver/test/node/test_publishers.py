@@ -285,3 +285,55 @@ def test_camera_info_carries_the_calibration_and_the_service_replaces_it(node, t
     request.camera_info.width = 640
     assert not save(request, response).success
     assert '640' in response.status_message
+
+
+class Listener(list):
+    """Keeps the packets that are handed over, while it listens."""
+
+    listening = True
+
+    def __len__(self):
+        return self.listening
+
+    hand_over = list.append
+
+
+def test_packets_within_the_process_hold_what_the_published_ones_do(node):
+    listener = Listener()
+    publisher = EventPublisher(node, DriverParameters(), topics.EVENTS, listener=listener)
+    topic = node.topics['events']
+    assert publisher.wanted
+    rng = np.random.default_rng(0)
+    for start_us in range(ORIGIN_US, ORIGIN_US + 5000, 700):
+        t = np.sort(rng.integers(start_us, start_us + 700, 100))
+        x, y = (rng.integers(0, size, 100).astype(np.uint16) for size in (346, 260))
+        events = Events(t, x, y, rng.random(100) < 0.5)
+        publisher.publish(events, start_us + 700, 1000 * start_us, (346, 260))
+        topic.listeners = 1
+        # The memory of events is used again.
+        t[:] = x[:] = y[:] = 0
+    published = [read_packet(message) for message in topic.sent]
+    handed = list(listener)[-len(published) :]
+    assert len(published) > 3
+    for own, message in zip(handed, published, strict=True):
+        ours, theirs = decode_message(own), decode_message(message)
+        assert (own.seq, own.stamp_ns) == (message.seq, message.stamp_ns)
+        assert (own.width, own.height) == (message.width, message.height)
+        assert ours.complete_until == theirs.complete_until
+        order = [np.lexsort((e.polarity, e.y, e.x, e.t)) for e in (ours.events, theirs.events)]
+        for name in ('t', 'x', 'y', 'polarity'):
+            pair = (getattr(each.events, name) for each in (ours, theirs))
+            mine, other = (values[k] for values, k in zip(pair, order, strict=True))
+            np.testing.assert_array_equal(mine, other)
+
+
+def test_nothing_is_encoded_for_those_within_the_process_only(node, monkeypatch):
+    monkeypatch.setattr('mixtac_events.packetizer.encode', None)
+    listener = Listener()
+    publisher = EventPublisher(node, DriverParameters(), topics.EVENTS, listener=listener)
+    one = np.array([1], np.uint16)
+    events = Events(np.array([ORIGIN_US + 5]), one, one, np.array([True]))
+    publisher.publish(events, ORIGIN_US + 2000, 0, (346, 260))
+    assert [each.content.events.t.tolist() for each in list(listener)] == [[ORIGIN_US + 5]]
+    listener.listening = False
+    assert not publisher.wanted

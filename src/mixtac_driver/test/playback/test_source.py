@@ -66,7 +66,7 @@ def test_its_last_packet_is_not_held_back(bag):
     for batch in until_end(source):
         events = batch.decoded.events.shifted(batch.origin.us)
         packets += packetizer.push(events, batch.time_us, batch.arrival_ns)
-    parts = [p.encoded for p in packets]
+    parts = [p.encode() for p in packets]
     found = [
         decode(each.payload, each.encoding, each.time_base, width=346, height=260) for each in parts
     ]
