@@ -64,7 +64,9 @@ RunTime = Annotated[
 ]
 Preset = Annotated[
     str,
-    typer.Option('--preset', help='Difficulty of the simulated sensor: easy, paper_like or hard.'),
+    typer.Option(
+        '--preset', help='Difficulty of the simulated sensor: easy, paper_like, hard or varied.'
+    ),
 ]
 ModelName = Annotated[str, typer.Option(help='Weight file, or name of a shipped model.')]
 ReferenceTopic = Annotated[

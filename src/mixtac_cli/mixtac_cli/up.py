@@ -204,8 +204,8 @@ def slip(
     preset: Annotated[
         str,
         typer.Option(
-            help='Difficulty of the simulated sensor: easy, paper_like or hard.',
-            callback=one_of('easy', 'paper_like', 'hard'),
+            help='Difficulty of the simulated sensor: easy, paper_like, hard or varied.',
+            callback=one_of('easy', 'paper_like', 'hard', 'varied'),
         ),
     ] = 'paper_like',
     seed: Annotated[int, typer.Option(min=0, help='Random seed for sensor, trial and object.')] = 1,

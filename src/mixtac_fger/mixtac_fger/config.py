@@ -48,7 +48,7 @@ def to_mapping(config: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 ARCHITECTURE = 'fger_small'
-VERSION = 1
+VERSION = 2
 LOWEST_LOG_DEVIATION, HIGHEST_LOG_DEVIATION = -7.0, 2.0
 """Limits of the logarithm of a standard deviation before `DeviationHead.scale` [log N]."""
 FRAME_CHANNELS = ('frame', 'difference', 'flow_x', 'flow_y')
@@ -57,13 +57,6 @@ CELL_FEATURES = 4
 """Numbers per grid cell and window: flow x, flow y, ON count, OFF count."""
 CORRECTION_POINTS = ('exposure_centre', 'arrival')
 """Where a frame's force is compared with the estimate; see `FgerConfig.correction_point`."""
-LATER_FIELDS: dict[str, Any] = {
-    'event_shortcut': False,
-    'deviation_size': 0,
-    'force_unit': 1.0,
-    'shear': False,
-}
-"""Fields that weight files of the first release lack, and what they mean by that."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +105,8 @@ class FgerConfig:
         event_shortcut: Give MLP_df the event feature beside the recurrent state, which is bounded,
             so that an increment is not. Where blows are trained on (`training.blow_every`) it
             makes no difference.
+        frame_context: Give MLP_df the feature of the latest frame as well: how much force a motion
+            makes depends on the width and the place of the contact, which events do not show.
         deviation_size: Hidden width of the head that says how uncertain the force is, 0 for none.
         correction_point: `exposure_centre`: the frame is compared with the estimate at the centre
             of its exposure and the correction is carried forward to now; `arrival`: with the
@@ -119,7 +114,7 @@ class FgerConfig:
         history_windows: How many past estimates are kept for that comparison.
         force_unit: Gain that was folded into the weights: forces in the training were so many
             times smaller.
-        shear: Whether there is a head for sideways force and torsion (`mixtac_fger.shear`).
+        shear: Whether sideways force and torsion are told as well (`mixtac_fger.shear`).
     """
 
     width: int = 346
@@ -145,6 +140,7 @@ class FgerConfig:
     lstm_size: int = 40
     mlp_size: int = 24
     event_shortcut: bool = True
+    frame_context: bool = True
     deviation_size: int = 16
     correction_point: str = 'exposure_centre'
     history_windows: int = 64
@@ -172,11 +168,6 @@ class FgerConfig:
         if unknown or not self.frame_channels:
             raise ConfigError(
                 f'FgerConfig.frame_channels = {self.frame_channels}: choose from {FRAME_CHANNELS}'
-            )
-        if self.shear and not {'flow_x', 'flow_y'} <= set(self.frame_channels):
-            raise ConfigError(
-                f'FgerConfig.frame_channels = {self.frame_channels}: the head for sideways force'
-                ' needs flow_x and flow_y'
             )
         if self.correction_point not in CORRECTION_POINTS:
             raise ConfigError(
@@ -217,13 +208,12 @@ class FgerConfig:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> FgerConfig:
-        """Return the configuration of `to_dict`, also of files from before later fields existed.
+        """Return the configuration of `to_dict`.
 
         Raises:
             ConfigError: A field is unknown, missing or impossible.
         """
         names = {field.name for field in dataclasses.fields(cls)}
-        values = LATER_FIELDS | values
         if set(values) != names:
             odd = sorted(names.symmetric_difference(values))
             raise ConfigError(
@@ -280,13 +270,18 @@ def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
     ):
         linear(f'{name}.0', inputs, config.mlp_size)
         linear(f'{name}.2', config.mlp_size, 1)
+    if config.frame_context:
+        linear('context', config.frame_size, config.mlp_size, bias=False)
     if config.deviation_size:
-        linear('deviation.hidden', config.lstm_size + 1, config.deviation_size)
+        linear('deviation.hidden', config.lstm_size + 2, config.deviation_size)
         linear('deviation.output', config.deviation_size, 1)
         shapes['deviation.scale'] = (1,)
     if config.shear:
-        linear('shear.frame', 2 * config.cells, 3, bias=False)
-        linear('shear.event', 2 * config.cells, 3, bias=False)
+        linear('shear.frame', config.frame_size, 3)
+        linear('shear.hidden', config.lstm_size + config.event_size, config.mlp_size)
+        linear('shear.event', config.mlp_size, 3)
+        if config.frame_context:
+            linear('shear.context', config.frame_size, config.mlp_size, bias=False)
         shapes['shear.unit'], shapes['shear.deviation'] = (3,), (3, 3)
     return shapes
 
@@ -305,11 +300,10 @@ def operations_per_cycle(config: FgerConfig) -> int:
         sizes[f'frame.convolutions.{2 * index}.weight'] * rows * columns
         for index, (rows, columns, _) in enumerate(map_shapes(config)[1:])
     )
-    total += sizes['frame.project.weight'] + sizes.get('shear.frame.weight', 0)
-    total += sum(size for name, size in sizes.items() if name.startswith('correction'))
+    total += sizes['frame.project.weight']
+    per_frame = ('correction', 'shear.frame', 'context', 'shear.context')
+    total += sum(size for name, size in sizes.items() if name.startswith(per_frame))
     per_window = sum(
-        size
-        for name, size in sizes.items()
-        if not name.startswith(('frame', 'correction', 'shear.frame'))
+        size for name, size in sizes.items() if not name.startswith(('frame', *per_frame))
     )
     return 2 * (total + per_window * 40_000 // config.window_us)

@@ -239,7 +239,7 @@ def with_gain(model: Model, gain: float, deviation: float = 1.0) -> Model:
     tensors['gates_force.weight'] /= np.float32(gain)
     tensors['correction.0.weight'][:, 0] /= np.float32(gain)
     if 'deviation.scale' in tensors:
-        tensors['deviation.hidden.weight'][:, -1] /= np.float32(gain)
+        tensors['deviation.hidden.weight'][:, -2:] /= np.float32(gain)
         tensors['deviation.scale'] *= np.float32(gain * deviation)
     if 'shear.unit' in tensors:
         tensors['shear.unit'] *= np.float32(gain)
@@ -371,7 +371,7 @@ class FgerEstimator:
             feature = np.empty(self.config.frame_size, np.float32)
             force = frame_step(inputs, self._weights, self._maps, self._scratch, feature)
             guide = self._preparation.guide(contrast)
-            shear = None if self._shear is None else self._shear.measure(inputs, float(force))
+            shear = None if self._shear is None else self._shear.measure(feature)
             content = _Content(feature, guide, shear)
             coarse = contrast.coarse
             meter = self._touch
@@ -390,17 +390,22 @@ class FgerEstimator:
                 return
             self._pending_n += self._path.correct(frame.content.feature, lag)
         self._pending_windows = SPREAD_WINDOWS
-        self._guide = frame.content.guide
+        self._see(frame.content)
         if self._shear is not None:
             self._shear.correct(frame.content.shear, lag)
+
+    def _see(self, content: _Content) -> None:
+        """Let events be read by a frame from now on."""
+        self._guide = content.guide
+        self._path.see(content.feature)
 
     def start_at(self, frame: EncodedFrame) -> None:
         """Start over at the frames-only force."""
         self._pending_n = 0.0
         self._vibration.clear()
         # A start at zero would take several frames to recover from, if in contact.
+        self._see(frame.content)
         self._path.start_at(frame.force)
-        self._guide = frame.content.guide
         if self._shear is not None:
             self._shear.clear()
             self._shear.correct(frame.content.shear, 0)
@@ -428,7 +433,7 @@ class FgerEstimator:
             if not vibration.active:
                 path.shift(vibration.end())
         if self._shear is not None:
-            self._shear.step(self._features, force)
+            self._shear.step(path.across)
         if self._pending_n == 0.0:
             return force, deviation
         if deviation is not None:

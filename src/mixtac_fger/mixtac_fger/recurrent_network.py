@@ -43,6 +43,12 @@ class StepWeights(NamedTuple):
     increment_hidden_bias: F32
     increment_output: F32
     increment_output_bias: F32
+    across_hidden: F32
+    across_hidden_bias: F32
+    across_output: F32
+    across_output_bias: F32
+    context: F32
+    across_context: F32
 
 
 class CorrectionWeights(NamedTuple):
@@ -66,6 +72,11 @@ class StepState(NamedTuple):
         event_output: Scratch.
         gates: Scratch.
         increment_hidden: Scratch.
+        across_hidden: Scratch.
+        context: What the latest frame adds to `increment_hidden`, bias included.
+        across_context: What it adds to `across_hidden`.
+        across: Increments of sideways force and torsion in the latest window, [3], of a model that
+            tells them; see `mixtac_fger.shear`.
         response: Gain of slow increments; play [N]; increment that is half slow and half fast [N];
             slow increments that complete half a reversal [N]. See `EventResponse`.
         increments: Sums of the slow and of the fast increments of the network [N], and the
@@ -80,12 +91,18 @@ class StepState(NamedTuple):
     event_output: F32
     gates: F32
     increment_hidden: F32
+    across_hidden: F32
+    context: F32
+    across_context: F32
+    across: F32
     response: F32
     increments: NDArray[np.float64]
 
 
 def step_weights(tensors: Tensors) -> StepWeights:
     """Return copies of the recurrent path's weights in the layout of the compiled step."""
+    across = {name: each for name, each in tensors.items() if name.startswith('shear.')}
+    none = np.zeros((0, 0), np.float32)
     return StepWeights(
         event_scale=copied(tensors['event.scale']),
         event_hidden=copied(tensors['event.hidden.weight'].T),
@@ -100,6 +117,12 @@ def step_weights(tensors: Tensors) -> StepWeights:
         increment_hidden_bias=copied(tensors['increment.0.bias']),
         increment_output=copied(tensors['increment.2.weight'][0]),
         increment_output_bias=copied(tensors['increment.2.bias']),
+        across_hidden=copied(across.get('shear.hidden.weight', none).T),
+        across_hidden_bias=copied(across.get('shear.hidden.bias', none.ravel())),
+        across_output=copied(across.get('shear.event.weight', none).T),
+        across_output_bias=copied(across.get('shear.event.bias', none.ravel())),
+        context=copied(tensors.get('context.weight', none)),
+        across_context=copied(across.get('shear.context.weight', none)),
     )
 
 
@@ -133,6 +156,10 @@ def step_state(weights: StepWeights, unit: float = 1.0) -> StepState:
         weights.event_output.shape[1],
         4 * lstm,
         weights.increment_hidden.shape[1],
+        weights.across_hidden.shape[1],
+        weights.increment_hidden.shape[1],
+        weights.across_hidden.shape[1],
+        weights.across_output.shape[1],
     )
     scratch: list[Any] = [np.zeros(size, np.float32) for size in sizes]
     response = np.array([1.0, 0.0, unit * FAST_INCREMENT, unit * REVERSAL_N], np.float32)
@@ -197,11 +224,18 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
         fresh, keep_out = np.tanh(gates[2 * size + index]), _sigmoid(gates[3 * size + index])
         state.cell[index] = keep_old * state.cell[index] + keep_in * fresh
         state.hidden[index] = keep_out * np.tanh(state.cell[index])
-    _copy(weights.increment_hidden_bias, state.increment_hidden)
+    _copy(state.context, state.increment_hidden)
     _accumulate(state.hidden, weights.increment_hidden[:size], state.increment_hidden)
     if weights.increment_hidden.shape[0] > size:
         _accumulate(state.event_output, weights.increment_hidden[size:], state.increment_hidden)
     _relu(state.increment_hidden)
+    if state.across.shape[0]:
+        _copy(state.across_context, state.across_hidden)
+        _accumulate(state.hidden, weights.across_hidden[:size], state.across_hidden)
+        _accumulate(state.event_output, weights.across_hidden[size:], state.across_hidden)
+        _relu(state.across_hidden)
+        _copy(weights.across_output_bias, state.across)
+        _accumulate(state.across_hidden, weights.across_output, state.across)
     total = weights.increment_output_bias[0]
     for index in range(state.increment_hidden.shape[0]):
         total += state.increment_hidden[index] * weights.increment_output[index]
@@ -231,7 +265,7 @@ class DeviationWeights(NamedTuple):
     """Weights of the head, float32.
 
     Attributes:
-        hidden: [lstm_size + 1, width]; the last row belongs to the force.
+        hidden: [lstm_size + 2, width]; the last two rows belong to force and moved.
         hidden_bias: [width].
         output: [width].
         output_bias: One element.
@@ -261,19 +295,22 @@ def deviation_weights(tensors: Tensors) -> DeviationWeights:
 
 
 @njit(cache=True, nogil=True)
-def deviation(state: F32, force: float, weights: DeviationWeights) -> Any:  # noqa: ANN401
+def deviation(state: F32, force: float, moved: float, weights: DeviationWeights) -> Any:  # noqa: ANN401
     """Return the standard deviation [N] of a force.
 
     Args:
         state: Recurrent state h after the window, [lstm_size].
         force: Force at its end [N].
+        moved: Size of the sum of the increments that no frame has confirmed yet [N].
         weights: Weights of the deviation head.
     """
     size = state.shape[0]
     middle = weights.middle
     for column in range(middle.shape[0]):
         middle[column] = (
-            weights.hidden_bias[column] + np.float32(force) * weights.hidden[-1, column]
+            weights.hidden_bias[column]
+            + np.float32(force) * weights.hidden[-2, column]
+            + np.float32(moved) * weights.hidden[-1, column]
         )
     for row in range(size):
         for column in range(middle.shape[0]):
@@ -379,13 +416,19 @@ class RecurrentPath:
         self._history = np.zeros(config.history_windows, np.float32)
         self._increments = np.zeros((config.history_windows, 3))
         self._newest = 0
-        self._confirmed = 0.0
+        self._confirmed = np.zeros(3)
         self._response = EventResponse(config.force_unit)
+        self.see(np.zeros(config.frame_size, np.float32))
 
     @property
     def force(self) -> float:
         """Present estimate [N]."""
         return float(self._state.force[0])
+
+    @property
+    def across(self) -> F32:
+        """Increments of sideways force and torsion in the latest window, [3]; do not keep it."""
+        return self._state.across
 
     @property
     def event_response(self) -> tuple[float, float]:
@@ -398,19 +441,22 @@ class RecurrentPath:
         """Standard deviation of the present estimate [N]; None of a model that has none."""
         if self._deviation is None:
             return None
-        return float(deviation(self._state.hidden, self._state.force[0], self._deviation))
+        slow, fast, _ = (self._state.increments - self._confirmed).tolist()
+        state = self._state
+        return float(deviation(state.hidden, state.force[0], abs(slow + fast), self._deviation))
 
     @property
     def unconfirmed(self) -> float:
         """Sum of the fast increments since the exposure of the frame that corrected last [N]."""
-        return float(self._state.increments[1]) - self._confirmed
+        return float(self._state.increments[1] - self._confirmed[1])
 
     def clear(self) -> None:
         """Forget everything but the response of the events: no force, no memory."""
-        response = self._state.response.copy()
-        for part in self._state:
+        state = self._state
+        kept = [each.copy() for each in (state.response, state.context, state.across_context)]
+        for part in state:
             part[:] = 0.0
-        self._state.response[:] = response
+        state.response[:], state.context[:], state.across_context[:] = kept
         self._response.forget_frame()
         self._history[:] = 0.0
         self._increments[:] = 0.0
@@ -418,7 +464,16 @@ class RecurrentPath:
 
     def confirm(self) -> None:
         """Take the increments up to now as confirmed."""
-        self._confirmed = float(self._state.increments[1])
+        self._confirmed = self._state.increments.copy()
+
+    def see(self, frame_feature: F32) -> None:
+        """Take the feature of the latest frame, which says how motion and force belong together."""
+        weights, state = self._weights, self._state
+        for bias, matrix, out in (
+            (weights.increment_hidden_bias, weights.context, state.context),
+            (weights.across_hidden_bias, weights.across_context, state.across_context),
+        ):
+            out[:] = bias + matrix @ frame_feature if matrix.size else bias
 
     def start_at(self, force: float) -> None:
         """Begin at a known force [N], with a memory of having been there without events.
@@ -448,7 +503,7 @@ class RecurrentPath:
         then = self._history[place]
         change = correction(then, frame_feature, self._correction)
         self._response.frame(float(then + change), self._increments[place])
-        self._confirmed = float(self._increments[place, 1])
+        self._confirmed = self._increments[place].copy()
         self._state.response[:2] = self._response.values
         self._history += np.float32(change)
         self._state.force[0] += change

@@ -11,7 +11,6 @@ import pytest
 from toy_sensor import random_model
 
 from mixtac_fger.config import (
-    ConfigError,
     FgerConfig,
     ModelError,
     count_parameters,
@@ -24,72 +23,41 @@ from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import find_model, read_model
 
 CONFIG = FgerConfig(shear=True)
-CELLS = (CONFIG.grid_rows, CONFIG.grid_columns, 2)
 
 
-def tensors(power_of_frame=1.0, power_of_event=1.0):
-    """Return a head in which all cells count alike: x, y and torque of mean displacements."""
-    weight = np.zeros((3, *CELLS), np.float32)
-    weight[0, ..., 0] = weight[1, ..., 1] = weight[2, ..., 0] = 1.0 / CONFIG.cells
-    flat = weight.reshape(3, -1)
+def tensors():
+    """Return a head that reads x, y and torque from the first features of a frame."""
+    weight = np.zeros((3, CONFIG.frame_size), np.float32)
+    weight[0, 0] = weight[1, 1] = weight[2, 0] = 1.0
     return {
-        'shear.frame.weight': power_of_frame * flat,
-        'shear.event.weight': power_of_event * flat,
+        'shear.frame.weight': weight,
+        'shear.frame.bias': np.float32([0.0, 0.0, 0.1]),
         'shear.unit': np.array([2.0, 2.0, 3.0], np.float32),
         'shear.deviation': np.tile(np.float32([0.1, 0.2, 0.5]), (3, 1)),
     }
 
 
 def shown(x, y):
-    inputs = np.zeros((3, *CONFIG.frame_shape), np.float32)
-    inputs[1], inputs[2] = x, y
-    return inputs
-
-
-def flow(x, y):
-    features = np.zeros((*CELLS[:2], 4), np.float32)
-    features[..., 0], features[..., 1] = x, y
-    return features
+    feature = np.zeros(CONFIG.frame_size, np.float32)
+    feature[:2] = x, y
+    return feature
 
 
 def test_a_frame_counts_from_the_centre_of_its_exposure_and_events_carry_it_on():
     head = ShearHead(CONFIG, tensors())
     assert head.value is None
-    head.correct(head.measure(shown(0.3, -0.2), 1.0), 0)
+    head.correct(head.measure(shown(0.3, -0.2)), 0)
     for _ in range(4):
-        head.step(flow(0.01, 0.0), 1.0)
+        head.step(np.float32([0.01, 0.0, 0.01]))
     assert head.value[:2] == pytest.approx((2.0 * 0.34, 2.0 * -0.2), rel=1e-5)
     # Exposed two windows ago: only the last two increments come on top.
-    head.correct(head.measure(shown(0.5, 0.0), 1.0), 2)
+    head.correct(head.measure(shown(0.5, 0.0)), 2)
     assert head.value[:2] == pytest.approx((2.0 * 0.52, 0.0), rel=1e-5)
-    assert head.value.torque == pytest.approx(3e-3 * 0.52, rel=1e-5)
+    assert head.value.torque == pytest.approx(3e-3 * 0.62, rel=1e-5)
     expected = 2.0 * np.sqrt(0.1**2 + (0.2 * 0.52) ** 2 + (0.5 * 0.02) ** 2)
     assert head.value.deviation == pytest.approx(expected, rel=1e-5)
     head.clear()
     assert head.value is None
-
-
-@pytest.mark.parametrize('reach_bins', [13.0, 16.0, 19.0])
-def test_the_shipped_head_reads_the_same_pull_alike_in_every_direction(reach_bins):
-    head = ShearHead(CONFIG, read_model(find_model('fger_small')).tensors)
-    rows, columns = CONFIG.frame_shape
-    y, x = np.mgrid[:rows, :columns] - 0.5 * np.array([rows - 1, columns - 1])[:, None, None]
-    rng = np.random.default_rng(0)
-    seen = []
-    for away in rng.uniform(-7.5, 7.5, (40, 2)):
-        bell = np.exp(-((x - away[0]) ** 2 + (y - away[1]) ** 2) / reach_bins**2)
-        seen.append(
-            (head.measure(shown(bell, 0.0), 1.0)[0], head.measure(shown(0.0, bell), 1.0)[1])
-        )
-    right, down = np.mean(seen, axis=0)
-    assert right == pytest.approx(-down, rel=0.01)
-
-
-def test_a_wider_contact_is_stiffer():
-    head = ShearHead(CONFIG, tensors())
-    light, firm = (head.measure(shown(0.3, 0.3), force) for force in (0.125, 1.0))
-    np.testing.assert_allclose(firm / light, [2.0, 2.0, 4.0], rtol=1e-5)
-    assert not head.measure(shown(0.3, 0.3), -0.1).any()
 
 
 def test_values_that_are_not_finite_are_unknown():
@@ -148,8 +116,6 @@ def test_impossible_gains_and_models_without_the_head_are_refused(headed, model)
             with_sideways_gain(headed, gain)
     with pytest.raises(ModelError):
         with_sideways_gain(model, 2.0)
-    with pytest.raises(ConfigError):
-        FgerConfig(shear=True, frame_channels=('difference',))
 
 
 class Message:
@@ -169,5 +135,5 @@ def test_the_shipped_model_has_a_head_and_it_is_small():
     config = FgerConfig.from_dict(read_model(find_model('fger_small')).config)
     assert config.shear
     bare = replace(config, shear=False)
-    assert count_parameters(config) - count_parameters(bare) < 2000
-    assert operations_per_cycle(config) - operations_per_cycle(bare) < 1e5
+    assert count_parameters(config) - count_parameters(bare) < 5000
+    assert operations_per_cycle(config) - operations_per_cycle(bare) < 2e5

@@ -28,7 +28,9 @@ OptionalPaths = Optional[List[Path]]  # noqa: UP006, UP045
 OptionalStr = Optional[str]  # noqa: UP045
 OptionalInt = Optional[int]  # noqa: UP045
 ModelFile = Annotated[str, typer.Option('--model', help='Weight file, or name of a shipped model.')]
-Preset = Annotated[str, typer.Option('--preset', help='Difficulty: easy, paper_like or hard.')]
+Preset = Annotated[
+    str, typer.Option('--preset', help='Difficulty: easy, paper_like, hard or varied.')
+]
 ReferenceTopic = Annotated[
     str, typer.Option('--reference', help='Topic of the reference force in the bags.')
 ]
@@ -41,8 +43,7 @@ def train(
     config: Annotated[
         OptionalStr,
         typer.Argument(
-            help='YAML file, or a shipped one: ours, shear, fger_paper, frames, events, fusion,'
-            ' smoke.'
+            help='YAML file, or a shipped one: ours, fger_paper, frames, events, fusion, smoke.'
         ),
     ] = None,
     out: Annotated[
@@ -98,7 +99,7 @@ def _flags(
             'blow_every': 8,
         },
         data=DataConfig(
-            simulated=SimulatedData(preset, min(gels, trials), trials, seconds, (), seed),
+            simulated=SimulatedData((preset,), min(gels, trials), trials, seconds, (), seed),
             checked=0.0,
         ),
     )

@@ -39,25 +39,26 @@ class DeviationHead(nn.Module):
 
     def __init__(self, state_size: int, width: int) -> None:
         super().__init__()
-        self.hidden = nn.Linear(state_size + 1, width)
+        self.hidden = nn.Linear(state_size + 2, width)
         self.output = nn.Linear(width, 1)
         self.scale: Tensor
         self.register_buffer('scale', torch.ones(1))
 
-    def log_deviation(self, hidden: Tensor, force: Tensor) -> Tensor:
+    def log_deviation(self, hidden: Tensor, force: Tensor, moved: Tensor) -> Tensor:
         """Return the logarithm of the uncalibrated deviation [log N], [...].
 
         Args:
             hidden: Recurrent state after a window, [..., state_size].
             force: Force at the end of the window [N], [...].
+            moved: Size of the sum of the increments since the latest exposure [N], [...].
         """
-        inputs = torch.cat([hidden, force[..., None]], dim=-1)
+        inputs = torch.cat([hidden, force[..., None], moved[..., None]], dim=-1)
         raw = self.output(torch.relu(self.hidden(inputs)))[..., 0]
         return torch.Tensor(raw.clamp(LOWEST_LOG_DEVIATION, HIGHEST_LOG_DEVIATION))
 
-    def forward(self, hidden: Tensor, force: Tensor) -> Tensor:
+    def forward(self, hidden: Tensor, force: Tensor, moved: Tensor) -> Tensor:
         """Return the calibrated standard deviation [N], arguments as in `log_deviation`."""
-        return self.scale * self.log_deviation(hidden, force).exp()
+        return self.scale * self.log_deviation(hidden, force, moved).exp()
 
 
 def count_parameters(network: nn.Module) -> int:
@@ -73,12 +74,26 @@ class SequenceState(NamedTuple):
         cell: LSTM cell C, [B, lstm_size].
         history: Sums of the increments after each past window, oldest first, [L, B] in N.
         offset: Sum of the corrections so far, [B] in N; history[-1] + offset is the estimate.
+        confirmed: Element of `history` at the centre of the latest frame's exposure, [B] in N.
+        feature: f_frame of the latest frame, [B, frame_size].
+        sums: Sums of the increments across the normal after each past window, oldest first, and
+            those of their sizes, [L, B, 2, 3]; None of a network that tells no sideways force.
+        base: What the latest frame showed, less `sums` at the centre of its exposure, [B, 2, 3].
     """
 
     hidden: Tensor
     cell: Tensor
     history: Tensor
     offset: Tensor
+    confirmed: Tensor
+    feature: Tensor
+    sums: Tensor | None
+    base: Tensor | None
+
+    def detach(self) -> SequenceState:
+        """Return the state without its gradients."""
+        parts = {name: part.detach() for name, part in self._asdict().items() if part is not None}
+        return self._replace(**parts)
 
 
 class FrameSlots(NamedTuple):
@@ -92,6 +107,18 @@ class FrameSlots(NamedTuple):
     frame: Tensor
     lag: Tensor
 
+    def latest(self) -> Tensor:
+        """Return one more than the window of the latest frame, 0 before the first, [T, B]."""
+        number = torch.arange(1, len(self.frame) + 1, device=self.frame.device)[:, None]
+        return torch.where(self.frame >= 0, number, 0).cummax(dim=0).values
+
+
+def context_of(config: FgerConfig) -> nn.Linear | None:
+    """Return what a frame adds to a hidden layer of the event path; None if it adds nothing."""
+    if not config.frame_context:
+        return None
+    return nn.Linear(config.frame_size, config.mlp_size, bias=False)
+
 
 class Course(NamedTuple):
     """Result of a stretch of T windows of B sequences.
@@ -99,29 +126,80 @@ class Course(NamedTuple):
     Attributes:
         force: Force at the end of each window [N], [T, B].
         hidden: LSTM output h after each window, [T, B, lstm_size].
+        moved: Size of the sum of the increments since the latest exposure [N], [T, B].
+        across: Sideways force [N] and torsion [N mm] at the end of each window, and the sizes of
+            their increments since the latest frame, [T, B, 2, 3]; None if they are not told.
         state: State after the last window.
     """
 
     force: Tensor
     hidden: Tensor
+    moved: Tensor
+    across: Tensor | None
     state: SequenceState
 
 
-class CarriedHead(nn.Module):
-    """The head of `mixtac_fger.shear`, which is fitted elsewhere: kept, scaled and written back.
+class ShearHead(nn.Module):
+    """Sideways force and torsion; see `mixtac_fger.shear`.
 
     Args:
         config: Network configuration.
+
+    Attributes:
+        frame: From f_frame to what a frame shows [N, N, N mm].
+        hidden: From recurrent state and event feature, before a ReLU.
+        event: From there to the increments of a window.
+        context: What the latest frame adds before the ReLU; None without `frame_context`.
+        unit: Factor of each axis.
+        deviation: Floor, share of the value and share of the increments, by axis.
     """
 
     def __init__(self, config: FgerConfig) -> None:
         super().__init__()
-        for name in ('frame', 'event'):
-            part = nn.Module()
-            part.register_buffer('weight', torch.zeros(3, 2 * config.cells))
-            self.add_module(name, part)
+        self.frame = nn.Linear(config.frame_size, 3)
+        self.hidden = nn.Linear(config.lstm_size + config.event_size, config.mlp_size)
+        self.event = nn.Linear(config.mlp_size, 3)
+        self.context = context_of(config)
+        self.unit: Tensor
         self.register_buffer('unit', torch.ones(3))
+        self.deviation: Tensor
         self.register_buffer('deviation', torch.zeros(3, 3))
+
+    def forward(
+        self,
+        events: Tensor,
+        hidden: Tensor,
+        seen: Tensor,
+        slots: FrameSlots,
+        state: SequenceState,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return values and sizes as `Course.across`, then `sums` and `base` of the next state.
+
+        Args:
+            events: f_e, [T, B, event_size].
+            hidden: LSTM output h after each window, [T, B, lstm_size].
+            seen: f_frame of the latest frame in each window, [T, B, frame_size].
+            slots: When which frame becomes available.
+            state: State before the first window.
+        """
+        assert state.sums is not None  # noqa: S101  (made by a network with this head)
+        assert state.base is not None  # noqa: S101
+        middle = self.hidden(torch.cat([hidden, events], dim=-1))
+        if self.context is not None:
+            middle = middle + self.context(seen)
+        steps = self.event(torch.relu(middle))
+        known = len(state.sums)
+        both = torch.stack([steps, steps.abs()], dim=2)
+        sums = torch.cat([state.sums, state.sums[-1] + both.cumsum(0)])
+        # The frame of a window counts before its events.
+        row = torch.arange(len(steps), device=steps.device)[:, None] + known - 1 - slots.lag
+        row = row.clamp(min=0)[..., None, None].expand(-1, -1, 2, 3)
+        shown = self.frame(seen)
+        shown = torch.stack([shown, torch.zeros_like(shown)], dim=2)
+        bases = torch.cat([state.base[None], shown - sums.gather(0, row)])
+        latest = slots.latest()[..., None, None].expand(-1, -1, 2, 3)
+        base = bases.gather(0, latest)
+        return base + sums[known:], sums[-known:], base[-1]
 
 
 class FrameNetwork(nn.Module):
@@ -194,8 +272,9 @@ class FgerNetwork(nn.Module):
         shortcut = config.event_size if config.event_shortcut else 0
         self.increment = perceptron(config.lstm_size + shortcut, config.mlp_size)
         self.correction = perceptron(1 + config.frame_size, config.mlp_size)
+        self.context = context_of(config)
         if config.shear:
-            self.shear = CarriedHead(config)
+            self.shear = ShearHead(config)
         self.deviation = (
             DeviationHead(config.lstm_size, config.deviation_size)
             if config.deviation_size
@@ -207,7 +286,12 @@ class FgerNetwork(nn.Module):
         config, device = self.config, self.gates_force.weight.device
         zeros = torch.zeros(sequences, config.lstm_size, device=device)
         history = torch.zeros(config.history_windows, sequences, device=device)
-        return SequenceState(zeros, zeros, history, torch.zeros(sequences, device=device))
+        offset, sums, base = torch.zeros(sequences, device=device), None, None
+        if config.shear:
+            sums = torch.zeros(config.history_windows, sequences, 2, 3, device=device)
+            base = sums[0]
+        feature = torch.zeros(sequences, config.frame_size, device=device)
+        return SequenceState(zeros, zeros, history, offset, offset, feature, sums, base)
 
     def forward(
         self,
@@ -227,26 +311,41 @@ class FgerNetwork(nn.Module):
         events = self.event(event_features)
         drive = self.gates_event(events)
         direct, of_state = self._direct(events)
+        features = torch.cat([state.feature[None], frame_features[slots.frame.clamp(min=0)]])
+        latest = slots.latest()[..., None].expand(-1, -1, features.shape[-1])
+        seen = features.gather(0, latest)
+        if self.context is not None:
+            direct = direct + self.context(seen)
         arrivals = (slots.frame >= 0).any(dim=1).tolist()
-        hidden, cell, offset = state.hidden, state.cell, state.offset
+        # Cut once: the gradient of an index is as large as what it cuts from.
+        arriving, drives, directs = (each.unbind(0) for each in (features[1:], drive, direct))
+        hidden, cell, offset, confirmed = state.hidden, state.cell, state.offset, state.confirmed
         past = list(state.history.unbind(0))
-        forces, states = [], []
+        forces, states, moved = [], [], []
         for window, arrival in enumerate(arrivals):
             if arrival:
                 here = FrameSlots(slots.frame[window], slots.lag[window])
-                offset = offset + self._correction(past, offset, frame_features, here)
+                exposed = self._exposed(past, here)
+                fusion = torch.cat([(exposed + offset)[:, None], arriving[window]], dim=1)
+                came = here.frame >= 0
+                offset = offset + torch.where(came, self.correction(fusion)[:, 0], 0.0)
+                confirmed = torch.where(came, exposed, confirmed)
             estimate = (past[-1] + offset)[:, None]
-            gates = drive[window] + self.gates_force(estimate) + self.gates_hidden(hidden)
+            gates = drives[window] + self.gates_force(estimate) + self.gates_hidden(hidden)
             keep_in, keep_old, fresh, keep_out = gates.chunk(4, dim=1)
             cell = torch.sigmoid(keep_old) * cell + torch.sigmoid(keep_in) * torch.tanh(fresh)
             hidden = torch.sigmoid(keep_out) * torch.tanh(cell)
-            middle = torch.relu(direct[window] + linear(hidden, of_state))
+            middle = torch.relu(directs[window] + linear(hidden, of_state))
             past.append(past[-1] + self.increment[2](middle)[:, 0])
             forces.append(past[-1] + offset)
             states.append(hidden)
+            moved.append((past[-1] - confirmed).detach())
         history = torch.stack(past[-self.config.history_windows :])
-        last = SequenceState(hidden, cell, history, offset)
-        return Course(torch.stack(forces), torch.stack(states), last)
+        course, across, sums, base = torch.stack(states), None, state.sums, state.base
+        if self.config.shear:
+            across, sums, base = self.shear(events, course, seen, slots, state)
+        last = SequenceState(hidden, cell, history, offset, confirmed, seen[-1], sums, base)
+        return Course(torch.stack(forces), course, torch.stack(moved).abs(), across, last)
 
     def _direct(self, events: Tensor) -> tuple[Tensor, Tensor]:
         """Split the hidden layer of MLP_df: the loop over windows is what takes the time.
@@ -265,19 +364,14 @@ class FgerNetwork(nn.Module):
             direct = linear(events, weight[:, size:], bias)
         return direct, weight[:, :size]
 
-    def _correction(
-        self, past: list[Tensor], offset: Tensor, frame_features: Tensor, slots: FrameSlots
-    ) -> Tensor:
-        """Return the correction [B] that the frames arriving now ask for, 0 where none arrives."""
+    def _exposed(self, past: list[Tensor], slots: FrameSlots) -> Tensor:
+        """Return the sum of the increments [B] at the centre of the exposure of the frames."""
         depth = 1
         if self.config.correction_point == 'exposure_centre':
             depth += min(int(slots.lag.max()), self.config.history_windows - 1)
         recent = torch.stack(past[-depth:])
         row = (depth - 1 - slots.lag).clamp(0, depth - 1)
-        then = recent.gather(0, row[None])[0] + offset
-        features = frame_features[slots.frame.clamp(min=0)]
-        fusion = torch.cat([then[:, None], features], dim=1)
-        return torch.where(slots.frame >= 0, self.correction(fusion)[:, 0], 0.0)
+        return recent.gather(0, row[None])[0]
 
 
 def perceptron(inputs: int, hidden: int) -> nn.Sequential:

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import functools
 import json
+from dataclasses import asdict
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from mixtac_fger.config import ARCHITECTURE, ConfigError, ModelError, from_mapping
+from mixtac_fger.config import ConfigError, FgerConfig, ModelError, from_mapping
 from mixtac_fger.weights import find_model, read_model, write_model
 from mixtac_learning import commands as training_cli
 from mixtac_learning.judge.estimators import stream, trial_estimator
@@ -99,7 +100,7 @@ def test_a_finished_run_is_not_trained_again(tmp_path, simulated):
         'model: ours\n'
         'training: {frame_epochs: 1, recurrent_epochs: 1, joint_epochs: 0, deviation_epochs: 0}\n'
         'data:\n'
-        '  simulated: {preset: easy, sensors: 2, trials: 3, seconds: 4.0, profiles: [press]}\n'
+        '  simulated: {presets: [easy], sensors: 2, trials: 3, seconds: 4.0, profiles: [press]}\n'
         '  checked: 0.34\n'
     )
     chosen = with_overrides(read_run_config(config), None, 3, tmp_path / 'data')
@@ -133,7 +134,7 @@ def test_the_papers_networks_train_and_are_judged(tmp_path, simulated, model):
             'event_batch': 4,
             'cycles': 10,
         },
-        data=DataConfig(SimulatedData('easy', 1, 2, 4.0), cache=str(tmp_path), checked=0.5),
+        data=DataConfig(SimulatedData(('easy',), 1, 2, 4.0), cache=str(tmp_path), checked=0.5),
     )
     trained = train_model(config, tmp_path / 'run')
     stages = {'fger': 4, 'events': 3, 'frames': 2, 'fusion': 2}
@@ -161,16 +162,24 @@ def test_the_papers_networks_train_and_are_judged(tmp_path, simulated, model):
 
 def test_shipped_runs_can_be_read():
     names = sorted(path.stem for path in shipped_runs().glob('*.yaml'))
-    assert names == ['events', 'fger_paper', 'frames', 'fusion', 'ours', 'shear', 'smoke']
+    assert names == ['events', 'fger_paper', 'frames', 'fusion', 'ours', 'smoke']
     for name in names:
         run = read_run_config(find_run_config(name))
         if run.model == 'ours':
             from_mapping(TrainingSettings, run.training, 'training')
-        elif run.model == 'shear':
-            assert read_model(find_model(run.network['base'])).architecture == ARCHITECTURE
+            FgerConfig.from_dict(FgerConfig().to_dict() | run.network)
         else:
             from_mapping(PaperTraining, run.training, 'training')
             assert PaperConfig.from_dict({'model': run.model} | run.network).model == run.model
+
+
+def test_the_shipped_weights_are_those_of_the_shipped_run():
+    run, model = read_run_config(find_run_config('ours')), read_model(find_model('fger_small'))
+    assert model.config == FgerConfig.from_dict(FgerConfig().to_dict() | run.network).to_dict()
+    card, settings = model.card.training, from_mapping(TrainingSettings, run.training, 'training')
+    assert card['settings'] == asdict(settings)
+    assert card['trials'] + card['held_out_trials'] == run.data.simulated.trials
+    assert card['profiles'] == sorted(set(run.data.simulated.profiles))
 
 
 @pytest.mark.parametrize(

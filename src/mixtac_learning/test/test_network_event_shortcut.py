@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The way from the events to the increment: live as in batches, with it and without; old files."""
+"""The way from the events to the increments: live as in batches, with it and without."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from mixtac_fger.config import LATER_FIELDS, FgerConfig
+from mixtac_fger.config import FgerConfig
 from mixtac_fger.recurrent_network import RecurrentPath
+from mixtac_fger.shear import ShearHead
 from mixtac_learning.network import FgerNetwork, FrameSlots, arrays_of
 
 WINDOWS = 60
@@ -28,7 +29,7 @@ def test_live_and_batch_agree(shortcut):
             FrameSlots(none, torch.zeros_like(none)),
             network.initial_state(1),
         )
-        deviation = network.deviation(course.hidden, course.force)
+        deviation = network.deviation(course.hidden, course.force, course.moved)
     path = RecurrentPath(network.config, arrays_of(network))
     live = []
     for window in events[:, 0].numpy():
@@ -53,14 +54,36 @@ def test_a_strong_burst_moves_the_force_at_once_only_with_the_shortcut():
     assert steps[True] > 20.0
 
 
-def test_a_file_from_before_lacks_both_additions():
-    values = FgerConfig().to_dict()
-    for name in LATER_FIELDS:
-        del values[name]
-    network = FgerNetwork(FgerConfig.from_dict(values))
-    assert network.deviation is None
-    assert network.increment.get_parameter('0.weight').shape[1] == network.config.lstm_size
-    assert RecurrentPath(network.config, arrays_of(network)).deviation is None
+def test_sideways_force_live_as_in_batches_cut_anywhere():
+    """Frames arrive late and out of step with the stretches that a batch is cut into."""
+    torch.manual_seed(5)
+    config = FgerConfig(shear=True)
+    network = FgerNetwork(config).eval()
+    for parameter in network.correction.parameters():
+        torch.nn.init.zeros_(parameter)  # the normal force does not follow the frames
+    events = torch.randn(WINDOWS, 1, config.grid_rows, config.grid_columns, 4)
+    features = torch.rand(4, config.frame_size)
+    slots = FrameSlots(torch.full((WINDOWS, 1), -1), torch.zeros(WINDOWS, 1, dtype=torch.int64))
+    for frame, (window, lag) in enumerate(((0, 0), (18, 7), (31, 12), (52, 9))):
+        slots.frame[window], slots.lag[window] = frame, lag
+    state, told = network.initial_state(1), []
+    with torch.no_grad():
+        for first, last in ((0, 11), (11, 32), (32, WINDOWS)):
+            part = FrameSlots(*(each[first:last] for each in slots))
+            course = network(events[first:last], features, part, state)
+            state = course.state
+            told.append(course.across[:, 0, 0])
+    path, head = RecurrentPath(config, arrays_of(network)), ShearHead(config, arrays_of(network))
+    live = []
+    for window, frame in enumerate(slots.frame[:, 0].tolist()):
+        if frame >= 0:
+            feature = features[frame].numpy()
+            path.see(feature)
+            head.correct(head.measure(feature), int(slots.lag[window]))
+        path.step(events[window, 0].numpy())
+        head.step(path.across)
+        live.append((head.value.x, head.value.y, 1e3 * head.value.torque))
+    np.testing.assert_allclose(live, torch.cat(told).numpy(), atol=2e-5)
 
 
 def test_a_path_can_begin_at_a_force():

@@ -18,7 +18,8 @@ from mixtac_node import topics
 from mixtac_node.stamps import stamp_to_ns
 from mixtac_recordings.bag import BagFile
 from mixtac_sim.mechanics.contact import Mode
-from mixtac_sim.world.profiles import Segment, make_profile
+from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.segments import Segment
 
 WINDOW_NS = 2_000_000
 RATE_WINDOW_US = 10_000

@@ -20,7 +20,8 @@ from mixtac_recordings.bag import BagFile
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.world.device import draw_conditions
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.profiles import make_profile, still
+from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.segments import still
 
 SCENARIO: Final = 'pull_and_roll'
 SECONDS: Final = 4.0

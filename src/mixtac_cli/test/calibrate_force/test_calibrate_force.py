@@ -29,7 +29,7 @@ from mixtac_sim.bags.trial_bag import write_trial
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.world import profiles
-from mixtac_sim.world.profiles import Segment
+from mixtac_sim.world.segments import Segment
 
 DEVICE = 500_001
 GRAMS = (50.0, 100.0)
@@ -151,7 +151,7 @@ def test_a_recording_gives_gain_weight_file_and_picture(done):
     found = json.loads((done / 'f.json').read_text())
     assert found['gain'] == pytest.approx(1.0, abs=0.6)
     assert 0.0 < found['gain_sd'] < 0.06 * found['gain']
-    assert found['mae_after_n'] < 0.03
+    assert found['mae_after_n'] < 0.04
     assert [each['load_g'] for each in found['loads']] == list(GRAMS)
     assert found['known_by'] == 'weights'
     assert found['hysteresis_n'] is None

@@ -28,7 +28,7 @@ from mixtac_cli.options import JsonFile, OptionalPath
 from mixtac_events.errors import MixtacError
 from mixtac_lab.store import Piece, Store, code_version
 from mixtac_node.files import write_json
-from mixtac_sim.world.effects import PRESETS, preset
+from mixtac_sim.world.effects import preset
 from mixtac_sim.world.training_trials import simulator_digest
 from mixtac_sim.world.trial import Trial, simulate_trial
 
@@ -156,9 +156,12 @@ def sensor_of(number: int) -> int:
     return number // len(PROFILES)
 
 
+JUDGED_PRESETS = ('easy', 'paper_like', 'hard')
+
+
 def preset_of(number: int) -> str:
     """Return the difficulty preset of a recording."""
-    return tuple(PRESETS)[sensor_of(number) % len(PRESETS)]
+    return JUDGED_PRESETS[sensor_of(number) % len(JUDGED_PRESETS)]
 
 
 def damage(recording: TrialRecording, kind: str, rng: np.random.Generator) -> TrialRecording:

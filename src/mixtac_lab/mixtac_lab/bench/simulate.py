@@ -41,7 +41,7 @@ from mixtac_sim.usb.faults import UsbTimeout
 from mixtac_sim.usb.registers import Module, Mux, Usb
 from mixtac_sim.world.datasets import describe, plan_profile
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor
-from mixtac_sim.world.profiles import Profile
+from mixtac_sim.world.segments import Profile
 from mixtac_sim.world.trial import Stretch, TrialStream
 
 STAGES: Final[dict[str, tuple[Any, ...]]] = {

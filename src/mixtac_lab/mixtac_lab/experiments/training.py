@@ -116,14 +116,14 @@ class SimulatedTrials:
         """Return trials of the seed's sensor."""
         sizes = self.sizes
         data = SimulatedData(
-            PRESET, 1, sizes.trials, sizes.seconds, sizes.mix, FIRST_DATA_SEED + seed
+            (PRESET,), 1, sizes.trials, sizes.seconds, sizes.mix, FIRST_DATA_SEED + seed
         )
         return DataConfig(simulated=data, checked=CHECKED)
 
     def tests(self, seed: int, profile: str) -> Sequence[TrialSource]:
         """Return other days of the same sensor."""
         count, seconds = self.sizes.tests[profile]
-        device = training_plan(1, 1, 1.0, FIRST_DATA_SEED + seed, PRESET)[0].device_seed
+        device = training_plan(1, 1, 1.0, FIRST_DATA_SEED + seed, (PRESET,))[0].device_seed
         first = FIRST_TEST + 1000 * seed + 100 * PROFILES.index(profile)
         specs = [TrialSpec(device, first + k, profile, seconds, PRESET) for k in range(count)]
         return [SimulatedSource(spec) for spec in specs]

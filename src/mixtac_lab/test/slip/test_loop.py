@@ -45,7 +45,7 @@ def test_on_the_sensors_own_force_the_margin_rises_before_the_knock() -> None:
     assert result['stopped'] == ''
     assert result['knock_share'] > 1.05
     assert result['peak_n'] < plan.settings.max_force
-    assert abs(result['friction_error']) < 0.5
+    assert abs(result['friction_error']) < 0.8
     assert record.steps[-1].margin > 1.0
 
 

@@ -200,10 +200,12 @@ def part_of(sample: Sample, start: int, stop: int) -> Sample:
         window_end_us=sample.window_end_us[start:stop],
         event_features=sample.event_features[start:stop],
         force=sample.force[start:stop],
+        across=sample.across[start:stop],
         slots=np.where(slots >= 0, slots - first, -1),
         lags=sample.lags[start:stop],
         frame_inputs=sample.frame_inputs[first:last],
         frame_force=sample.frame_force[first:last],
+        frame_across=sample.frame_across[first:last],
     )
 
 

@@ -26,20 +26,24 @@ class Sequences:
     Attributes:
         event_features: float16 [T, B, grid rows, grid columns, 4].
         force: Labels [N], float32 [T, B].
+        across: Sideways force x, y [N] and torsion [N mm], nan where unknown, float32 [T, B, 3].
         valid: False in the padding, bool [T, B].
         slots: Frames by index into `frame_inputs`.
         frame_inputs: All frames of all trials, float16 [N, channels, rows, columns].
         frame_force: Mean label per exposure [N], float32 [N].
+        frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
         frame_trial: Which trial each frame belongs to, int64 [N].
         device: Which sensor each trial was made with, counted from 0, int64 [B].
     """
 
     event_features: Tensor
     force: Tensor
+    across: Tensor
     valid: Tensor
     slots: FrameSlots
     frame_inputs: Tensor
     frame_force: Tensor
+    frame_across: Tensor
     frame_trial: Tensor
     device: Tensor
 
@@ -83,10 +87,12 @@ def stack(
     return Sequences(
         event_features=padded('event_features'),
         force=padded('force'),
+        across=padded('across'),
         valid=torch.arange(length)[:, None] < lengths[None],
         slots=FrameSlots(shifted, padded('lags')),
         frame_inputs=torch.from_numpy(np.concatenate([s.frame_inputs for s in samples])),
         frame_force=torch.from_numpy(np.concatenate([s.frame_force for s in samples])),
+        frame_across=torch.from_numpy(np.concatenate([s.frame_across for s in samples])),
         frame_trial=torch.repeat_interleave(torch.arange(len(samples)), torch.tensor(counts)),
         device=torch.tensor(list(devices)),
     )
@@ -112,6 +118,12 @@ def mirror_events(features: Tensor, columns: bool, rows: bool) -> Tensor:
     axes = [axis for axis, wanted in ((-3, rows), (-2, columns)) if wanted]
     signs = [-1.0 if columns else 1.0, -1.0 if rows else 1.0, 1.0, 1.0]
     return features.flip(axes) * torch.tensor(signs, dtype=features.dtype, device=features.device)
+
+
+def mirror_across(values: Tensor, columns: bool, rows: bool) -> Tensor:
+    """Return sideways force and torsion [..., 3] of a mirrored sensor."""
+    signs = [-1.0 if each else 1.0 for each in (columns, rows, columns != rows)]
+    return values * torch.tensor(signs, dtype=values.dtype, device=values.device)
 
 
 class SequenceGroups(Protocol):

@@ -34,7 +34,8 @@ class TrainingSettings:
         joint_rate: Largest learning rate of the joint stage.
         deviation_rate: Largest learning rate of the uncertainty head.
         weight_decay: Weight decay of AdamW.
-        loss_knee_n: Errors above this count linearly, below it quadratically [N].
+        loss_knee_n: Errors above this count linearly, below it quadratically [N]; a fifth of it
+            near no force (`mixtac_learning.train.stages.force_loss`).
         gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see
             `NetworkWithGains`.
         mirror: Show mirror images too.
@@ -68,9 +69,7 @@ class TrainingSettings:
 
 
 OURS = 'ours'
-SHEAR = 'shear'
-"""The head for sideways force and torsion beside a trained model (`network.base`)."""
-MODELS = (OURS, SHEAR, *PAPER_MODELS)
+MODELS = (OURS, *PAPER_MODELS)
 _REMEDY = 'see the shipped files in config/train'
 
 
@@ -79,7 +78,7 @@ class SimulatedData:
     """Trials that are simulated for the run.
 
     Attributes:
-        preset: Difficulty.
+        presets: Difficulty of the sensors, in turn; the model is judged at the first.
         sensors: Different sensors.
         trials: Trials, going round the sensors.
         seconds: Length of each.
@@ -90,7 +89,7 @@ class SimulatedData:
             testing.
     """
 
-    preset: str = TRAINING_PRESET
+    presets: tuple[str, ...] = (TRAINING_PRESET,)
     sensors: int = 1
     trials: int = 24
     seconds: float = 8.0

@@ -11,10 +11,14 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import timedelta
 
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
+
+PATIENCE = timedelta(days=7)
+"""How long processes wait for the one that prepares the data; by default it is half an hour."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +40,7 @@ class Processes:
         if world <= 1:
             return Processes()
         if not dist.is_initialized():
-            dist.init_process_group('gloo')
+            dist.init_process_group('gloo', timeout=PATIENCE)
         return Processes(dist.get_rank(), world)
 
     def leave(self) -> None:

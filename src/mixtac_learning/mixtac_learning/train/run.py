@@ -18,11 +18,8 @@ from rich.progress import Progress, TaskID
 
 from mixtac_fger.config import FgerConfig, from_mapping
 from mixtac_fger.weights import (
-    DEFAULT_MODEL,
     Model,
     ModelCard,
-    find_model,
-    read_model,
     save_model,
 )
 from mixtac_learning.judge.estimators import trial_estimator
@@ -33,11 +30,10 @@ from mixtac_learning.paper.config import PaperConfig
 from mixtac_learning.paper.networks import paper_model_of
 from mixtac_learning.paper.samples import PaperRecipe, load_paper_sample
 from mixtac_learning.train.batches import DiskGroups
-from mixtac_learning.train.config import OURS, SHEAR, DataConfig, RunConfig, TrainingSettings
+from mixtac_learning.train.config import OURS, DataConfig, RunConfig, TrainingSettings
 from mixtac_learning.train.loop import Report, TrainingError, TrainingLoop
 from mixtac_learning.train.paper_stage import PaperTraining, train_paper
 from mixtac_learning.train.parallel import Processes
-from mixtac_learning.train.shear import HELD_OUT, ShearRecipe, train_shear
 from mixtac_learning.train.stages import train_fger
 from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
@@ -85,11 +81,11 @@ def training_sources(data: DataConfig) -> list[TrialSource]:
             min(wanted.sensors, wanted.trials),
             wanted.seconds,
             wanted.seed,
-            wanted.preset,
+            wanted.presets,
             wanted.profiles or TRAINING_PROFILES,
         )
         if wanted.session:
-            plan = session_plan(wanted.session, wanted.seed, wanted.preset)[0]
+            plan = session_plan(wanted.session, wanted.seed, wanted.presets[0])[0]
         found += [SimulatedSource(spec) for spec in plan]
     for folder in data.bags:
         bags = bag_sources(Path(folder).expanduser(), data.reference)
@@ -160,7 +156,7 @@ def provenance(config: RunConfig, data: TrainingData, settings: dict[str, Any]) 
     if config.data.simulated is not None:
         found['simulator'] = generation.simulator_digest()
         found['seconds'] = config.data.simulated.seconds
-        found['preset'] = config.data.simulated.preset
+        found['preset'] = ', '.join(dict.fromkeys(config.data.simulated.presets))
     if config.data.bags:
         found['bags'] = sorted(str(origin.get('name')) for origin in origins)
     for key, plural in (('device_seed', 'device_seeds'), ('trial_seed', 'trial_seeds')):
@@ -336,14 +332,6 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
                     bars[name] = progress.add_task(name, total=total)
                 progress.update(bars[name], completed=done, description=text)
 
-            if config.model == SHEAR:
-                found = run_head(
-                    config, jobs, lambda done, total: show('preparing', done, total, 'preparing')
-                )
-                show_figures(console, HELD_OUT.replace('_', ' '), found.card.metrics[HELD_OUT])
-                write_trained(console, config, found, json)
-                return
-
             def report(
                 stage: str, epoch: int, epochs: int, loss: float, error: float | None
             ) -> None:
@@ -368,21 +356,6 @@ def run_training(config: RunConfig, folder: Path | None, jobs: int, json: Path |
         write_trained(console, config, replace(trained.model, card=card), json)
     finally:
         processes.leave()
-
-
-def run_head(config: RunConfig, jobs: int, on_progress: Callable[[int, int], None]) -> Model:
-    """Return the model `network.base` with a trained head for sideways force and torsion.
-
-    Raises:
-        MixtacError: The base or the trials cannot be used.
-    """
-    started = time.monotonic()
-    path = find_model(str(config.network.get('base', DEFAULT_MODEL)))
-    base = read_model(path)
-    data = gather(config.data, ShearRecipe(path), jobs, on_progress, Processes())
-    facts = provenance(config, data, {})
-    facts['minutes'] = round((time.monotonic() - started) / 60, 1)
-    return train_shear(base, data.trained, data.checked, facts)
 
 
 def write_trained(console: Console, config: RunConfig, model: Model, json: Path | None) -> None:
@@ -416,8 +389,8 @@ def judge_trained(config: RunConfig, model: Model) -> dict[str, Any]:
     seen = list(range(first, first + count, max(count // most, 1)))[:most]
     estimator = trial_estimator(model)
     return {
-        'seen_devices': judge_devices(estimator, seen, EVALUATION_SECONDS, 0, data.preset)[1],
+        'seen_devices': judge_devices(estimator, seen, EVALUATION_SECONDS, 0, data.presets[0])[1],
         'unseen_devices': judge_devices(
-            estimator, unseen_devices(config.judged, 0), EVALUATION_SECONDS, 1, data.preset
+            estimator, unseen_devices(config.judged, 0), EVALUATION_SECONDS, 1, data.presets[0]
         )[1],
     }

@@ -14,9 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -24,25 +23,30 @@ from torch.nn.functional import smooth_l1_loss
 
 from mixtac_fger.config import FgerConfig, ModelError
 from mixtac_learning.network import Course, DeviationHead, FgerNetwork, FrameSlots, SequenceState
-from mixtac_learning.train.batches import SequenceGroups, Sequences, mirror_events, mirror_frames
+from mixtac_learning.train.batches import (
+    SequenceGroups,
+    Sequences,
+    mirror_across,
+    mirror_events,
+    mirror_frames,
+)
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import Stage, TrainingLoop
 from mixtac_learning.train.parallel import Processes
 
 Flip = tuple[bool, bool]
-T = TypeVar('T')
 
 
 _ENCODE_BATCH = 512
 
 
 class NetworkWithGains(nn.Module):
-    """FGER-Net and one gain per sensor of the training data.
+    """FGER-Net and the gains of the sensors of the training data.
 
     How stiff a gel is cannot be seen: force is stiffness times what is seen. So each sensor of the
-    training data has a gain, learned with the frame network and drawn towards 1, and the network
-    learns the force on a gel of usual stiffness. A new sensor's gain is 1 until it is calibrated
-    (`mixtac_learning.judge.metrics`).
+    training data has a gain of the normal force and one of the force across it, learned with the
+    frame network and drawn towards 1, and the network learns the force on a gel of usual stiffness.
+    A new sensor's gains are 1 until it is calibrated (`mixtac_learning.judge.metrics`).
 
     Args:
         config: Network configuration.
@@ -52,7 +56,7 @@ class NetworkWithGains(nn.Module):
     def __init__(self, config: FgerConfig, devices: int) -> None:
         super().__init__()
         self.network = FgerNetwork(config)
-        self.log_gains = nn.Parameter(torch.zeros(devices))
+        self.log_gains = nn.Parameter(torch.zeros(devices, 2))
 
     @property
     def device(self) -> torch.device:
@@ -61,7 +65,7 @@ class NetworkWithGains(nn.Module):
 
     @property
     def gains(self) -> Tensor:
-        """Gain of each sensor, by `Sequences.device`; without gradient."""
+        """Gains of each sensor, by `Sequences.device`, [devices, 2]; without gradient."""
         return self.log_gains.detach().exp()
 
     def fit_scales(self, sequences: Sequences) -> None:
@@ -152,28 +156,34 @@ class FrameStage(Stage):
         self.epochs, self.rate = self.settings.frame_epochs, self.settings.frame_rate
 
     def parameters(self) -> list[nn.Parameter]:
-        """Return the weights of the frame network, and the gains."""
-        return [*self.model.network.frame.parameters(), self.model.log_gains]
+        """Return the weights that a frame's forces come from, and the gains."""
+        return [*frame_parameters(self.model.network), self.model.log_gains]
 
     def updates(self) -> int:
         """Return the number of updates per epoch, the same in all processes."""
-        return sum(self._batches(index) for index in range(len(self.groups)))
+        return sum(self._batches(index) for index in range(self._groups()))
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch: groups in random order, frames shuffled within each."""
-        for group in torch.randperm(len(self.groups), generator=random).tolist():
+        for group in torch.randperm(self._groups(), generator=random).tolist():
             sequences = self.groups.load(group).to(self.model.device)
             labels = sequences.frame_force
             device = sequences.device[sequences.frame_trial]
-            order = torch.randperm(len(labels), generator=random)
+            order = _shuffled(len(labels), random)
             rows = torch.split(order, self.settings.frame_batch)[: self._batches(group)]
             for chosen in rows:
                 flips = _flips(self.settings, random)
                 frames = sequences.frame_inputs[chosen].float()
                 inputs = mirror_frames(frames, self.model.network.config, *flips)
-                force = self.model.network.frame.force(self.model.network.frame(inputs))
-                gain = self.model.log_gains[device[chosen]].exp()
-                loss = smooth_l1_loss(gain * force, labels[chosen], beta=self.settings.loss_knee_n)
+                features = self.model.network.frame(inputs)
+                force = self.model.network.frame.force(features)
+                normal, sideways = self.model.log_gains[device[chosen]].exp().unbind(1)
+                knee = self.settings.loss_knee_n
+                loss = force_loss(normal * force, labels[chosen], knee).mean()
+                if self.model.network.config.shear:
+                    across = sideways[:, None] * self.model.network.shear.frame(features)
+                    known = mirror_across(sequences.frame_across[chosen], *flips)
+                    loss = loss + across_loss(across, known, knee)
                 yield loss + self.settings.gain_prior * self.model.log_gains.square().mean()
 
     def validate(self) -> float | None:
@@ -185,9 +195,70 @@ class FrameStage(Stage):
             lambda held: network.frame.force(encode(network, held)) - held.frame_force,
         )
 
+    def _groups(self) -> int:
+        return self.processes.smallest(len(self.groups))
+
     def _batches(self, group: int) -> int:
         own = -(-len(self.groups.load(group).frame_force) // self.settings.frame_batch)
         return self.processes.smallest(own)
+
+
+def frame_parameters(network: FgerNetwork) -> list[nn.Parameter]:
+    """Return the weights that a frame's forces come from."""
+    found = list(network.frame.parameters())
+    return found + list(network.shear.frame.parameters()) if network.config.shear else found
+
+
+SMALL_N = 0.1
+"""Force from which on the knee of the loss is the whole one [N]: below, a contact begins or ends,
+and hundredths of a newton matter."""
+LEAST_KNEE = 0.2
+"""Share of the knee at no force."""
+
+
+def force_loss(force: Tensor, known: Tensor, knee: float) -> Tensor:
+    """Return the loss of each force: quadratic below the knee, linear above it.
+
+    Args:
+        force: Estimates [N].
+        known: Labels [N], same shape.
+        knee: Errors above this count linearly, above a smaller one near no force [N].
+    """
+    knees = knee * (known.abs() / SMALL_N).clamp(LEAST_KNEE, 1.0)
+    error = (force - known).abs()
+    return torch.where(error < knees, 0.5 * error.square() / knees, error - 0.5 * knees)
+
+
+ACROSS_UNITS = (1.0, 1.0, 3.0)
+"""What counts as much as a newton in the loss: sideways force [N], torsion [N mm]."""
+
+
+def across_loss(
+    across: Tensor, known: Tensor, knee: float, weights: Tensor | None = None
+) -> Tensor:
+    """Return the mean loss of sideways force and torsion, 0 where they are nowhere known.
+
+    Args:
+        across: Estimates [N, N, N mm], [..., 3].
+        known: Labels, nan where unknown, [..., 3].
+        knee: Errors above this count linearly, below it quadratically [N].
+        weights: Of the estimates, [...]; None for equal ones.
+    """
+    units = across.new_tensor(ACROSS_UNITS)
+    told = torch.isfinite(known)
+    label = torch.where(told, known, across.detach())
+    errors = smooth_l1_loss(across / units, label / units, beta=knee, reduction='none')
+    counted = told if weights is None else told * weights[..., None]
+    return torch.Tensor((errors * counted).sum() / counted.sum().clamp(min=1.0))
+
+
+def _shuffled(count: int, random: torch.Generator) -> Tensor:
+    """Return numbers below a count in random order.
+
+    Processes may have other counts: what they draw from `random` afterwards stays the same.
+    """
+    own = torch.Generator().manual_seed(int(torch.randint(2**31, (1,), generator=random)))
+    return torch.randperm(count, generator=own)
 
 
 def _flips(settings: TrainingSettings, random: torch.Generator) -> Flip:
@@ -255,6 +326,7 @@ def impacts(sequences: Sequences) -> Sequences | None:
         sequences,
         event_features=sequences.event_features[rows, trial],
         force=sequences.force[rows, trial],
+        across=sequences.across[rows, trial],
         valid=sequences.valid[rows, trial],
         slots=FrameSlots(*(part[rows, trial] for part in sequences.slots)),
         device=sequences.device[trial],
@@ -288,6 +360,7 @@ class SequenceStage(Stage):
         settings: Epochs, stretches, rates.
         joint: Whether the frame network learns as well.
         checked: Validation trials; None for none.
+        processes: Processes that share the training.
     """
 
     model: NetworkWithGains
@@ -295,7 +368,9 @@ class SequenceStage(Stage):
     settings: TrainingSettings
     joint: bool = False
     checked: SequenceGroups | None = None
-    _kept: dict[object, Any] = field(default_factory=dict)
+    processes: Processes = field(default_factory=Processes)
+    _features: dict[tuple[int, Flip], Tensor] = field(default_factory=dict)
+    _impacts: list[Sequences | None] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Take epochs and rate from the settings."""
@@ -312,10 +387,10 @@ class SequenceStage(Stage):
     def parameters(self) -> list[nn.Parameter]:
         """Return what is trained."""
         network = self.model.network
-        kept = [p for p in network.children() if p is not network.deviation]
-        if not self.joint:
-            kept.remove(network.frame)
-        return [parameter for part in kept for parameter in part.parameters()]
+        without = set() if self.joint else {id(p) for p in frame_parameters(network)}
+        if network.deviation is not None:
+            without |= {id(p) for p in network.deviation.parameters()}
+        return [p for p in network.parameters() if id(p) not in without]
 
     def updates(self) -> int:
         """Return the usual number of updates per epoch."""
@@ -326,30 +401,37 @@ class SequenceStage(Stage):
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch, group by group in random order."""
-        for group in torch.randperm(len(self.groups), generator=random).tolist():
+        groups = self.processes.smallest(len(self.groups))
+        for group in torch.randperm(groups, generator=random).tolist():
             sequences = self.groups.load(group).to(self.model.device)
             flip = _flips(self.settings, random)
             frozen = None
             if not self.joint:
-                frozen = self._cached(flip, partial(encode, self.model.network, sequences, *flip))
+                # Features are small and stay what they are: kept for all groups.
+                if (group, flip) not in self._features:
+                    found = encode(self.model.network, sequences, *flip)
+                    self._features[group, flip] = found
+                frozen = self._features[group, flip]
             state = self.model.network.initial_state(sequences.force.shape[1])
             cut_out = None
             if self.settings.blow_every:
-                cut_out = self._cached('impacts', partial(impacts, sequences))
+                cut_out = self._impacts_of(sequences)
+                if not self.processes.smallest(int(cut_out is not None)):
+                    cut_out = None
             for number, (start, stop) in enumerate(self._chunks(len(sequences.force), random)):
                 if cut_out is not None and number % self.settings.blow_every == 0:
                     yield self._impact_loss(cut_out, frozen, flip)
                 windows = slice(start, stop)
                 course = self._course(sequences, windows, frozen, flip, state)
                 # Truncated back-propagation: the gradient ends here.
-                state = SequenceState(*(part.detach() for part in course.state))
-                yield self._loss(course.force, sequences, windows)
+                state = course.state.detach()
+                yield self._loss(course, sequences, windows, flip)
 
     def _impact_loss(self, cut_out: Sequences, frozen: Tensor | None, flip: Flip) -> Tensor:
         """Return the loss of the impacts, each from no contact on."""
         state = self.model.network.initial_state(cut_out.force.shape[1])
         course = self._course(cut_out, slice(None), frozen, flip, state)
-        return self._loss(course.force, cut_out, slice(None))
+        return self._loss(course, cut_out, slice(None), flip)
 
     def _course(
         self,
@@ -375,14 +457,13 @@ class SequenceStage(Stage):
             lambda held: (estimate(self.model.network, held)[0] - held.force)[held.valid],
         )
 
-    def _cached(self, key: object, make: Callable[[], T]) -> T:
-        """Return what `make` gives; kept if there is only one group."""
+    def _impacts_of(self, sequences: Sequences) -> Sequences | None:
+        """Return the impacts of a group; kept if there is only one."""
         if len(self.groups) > 1:
-            return make()
-        if key not in self._kept:
-            self._kept[key] = make()
-        found: T = self._kept[key]
-        return found
+            return impacts(sequences)
+        if not self._impacts:
+            self._impacts.append(impacts(sequences))
+        return self._impacts[0]
 
     def _encode_now(
         self, sequences: Sequences, flip: Flip, slots: FrameSlots
@@ -401,15 +482,19 @@ class SequenceStage(Stage):
         borders = [0, *range(min(first, length), length, size), length]
         yield from ((a, b) for a, b in pairwise(borders) if b > a)
 
-    def _loss(self, force: Tensor, sequences: Sequences, windows: slice) -> Tensor:
+    def _loss(self, course: Course, sequences: Sequences, windows: slice, flip: Flip) -> Tensor:
         """Return the mean loss; forces count more the larger they are, as impacts are short."""
-        valid = sequences.valid[windows]
-        known = sequences.force[windows]
+        valid, known = sequences.valid[windows], sequences.force[windows]
         knee, weight = self.settings.loss_knee_n, self.settings.force_weight
-        scaled = self.model.gains[sequences.device] * force
-        errors = smooth_l1_loss(scaled, known, beta=knee, reduction='none')
+        normal, sideways = self.model.gains[sequences.device].unbind(1)
+        errors = force_loss(normal * course.force, known, knee)
         weights = valid * (1.0 + weight * known.abs())
-        return torch.Tensor((errors * weights).sum() / weights.sum().clamp(min=1.0))
+        loss = torch.Tensor((errors * weights).sum() / weights.sum().clamp(min=1.0))
+        if course.across is None:
+            return loss
+        across = sideways[:, None] * course.across[:, :, 0]
+        told = mirror_across(sequences.across[windows], *flip)
+        return loss + across_loss(across, told, knee, valid * (1.0 + known.abs()))
 
 
 COVERED = 0.6827
@@ -426,14 +511,25 @@ class Errors:
     Attributes:
         hidden: Recurrent state, [N, lstm_size].
         force: Estimate [N], [N].
+        moved: As in `Course` [N], [N].
         error: Estimate minus known force [N], [N].
         trials: Number of trials that they are from.
     """
 
     hidden: Tensor
     force: Tensor
+    moved: Tensor
     error: Tensor
     trials: int
+
+    def some(self, rows: Tensor) -> Errors:
+        """Return some of the windows."""
+        hidden, force, moved = self.hidden[rows], self.force[rows], self.moved[rows]
+        return Errors(hidden, force, moved, self.error[rows], self.trials)
+
+    def log_deviation(self, head: DeviationHead) -> Tensor:
+        """Return what an uncertainty head says, before its scale [log N], [N]."""
+        return head.log_deviation(self.hidden, self.force, self.moved)
 
 
 def joined(parts: Sequence[Errors]) -> Errors:
@@ -441,6 +537,7 @@ def joined(parts: Sequence[Errors]) -> Errors:
     return Errors(
         torch.cat([part.hidden for part in parts]),
         torch.cat([part.force for part in parts]),
+        torch.cat([part.moved for part in parts]),
         torch.cat([part.error for part in parts]),
         sum(part.trials for part in parts),
     )
@@ -454,11 +551,13 @@ class DeviationStage(Stage):
         model: Network and gains.
         groups: Trials to train on.
         settings: Epochs and rate.
+        processes: Processes that share the training.
     """
 
     model: NetworkWithGains
     groups: SequenceGroups
     settings: TrainingSettings
+    processes: Processes = field(default_factory=Processes)
     _errors: list[Errors] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -472,15 +571,16 @@ class DeviationStage(Stage):
 
     def updates(self) -> int:
         """Return the number of updates per epoch."""
-        return -(-len(self._collected().error) // _BATCH)
+        return self.processes.smallest(-(-len(self._collected().error) // _BATCH))
 
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch in random order."""
         errors, head = self._collected(), head_of(self.model.network)
-        order = torch.randperm(len(errors.error), generator=random)
-        for chosen in torch.split(order, _BATCH):
-            log_deviation = head.log_deviation(errors.hidden[chosen], errors.force[chosen])
-            ratio = errors.error[chosen].abs() * torch.exp(-log_deviation)
+        order = _shuffled(len(errors.error), random)
+        for chosen in torch.split(order, _BATCH)[: self.updates()]:
+            part = errors.some(chosen)
+            log_deviation = part.log_deviation(head)
+            ratio = part.error.abs() * torch.exp(-log_deviation)
             yield torch.Tensor((log_deviation + ratio).mean())
 
     def _collected(self) -> Errors:
@@ -512,9 +612,10 @@ def collect(network: FgerNetwork, groups: SequenceGroups, most: int = _WINDOWS) 
         course, _ = _run(network, sequences)
         rows = torch.nonzero(sequences.valid.flatten())[:, 0]
         rows = rows[torch.randperm(len(rows), generator=random)[:share].to(device)]
-        force = course.force.flatten()[rows]
+        force, moved = course.force.flatten()[rows], course.moved.flatten()[rows]
         error = force - sequences.force.flatten()[rows]
-        parts.append(Errors(course.hidden.flatten(0, 1)[rows], force, error, len(sequences.device)))
+        hidden, trials = course.hidden.flatten(0, 1)[rows], len(sequences.device)
+        parts.append(Errors(hidden, force, moved, error, trials))
     return joined(parts)
 
 
@@ -524,11 +625,38 @@ def calibrate_deviation(network: FgerNetwork, errors: Errors) -> float:
     from scipy.stats import t as student
 
     head = head_of(network)
-    ratio = errors.error.abs() * torch.exp(-head.log_deviation(errors.hidden, errors.force))
+    ratio = errors.error.abs() * torch.exp(-errors.log_deviation(head))
     few_trials = float(student.ppf(0.5 * (1.0 + COVERED), errors.trials))
     scale = few_trials * float(torch.quantile(ratio, COVERED))
     head.scale.fill_(max(scale, 1e-3))
     return float(head.scale)
+
+
+@torch.no_grad()
+def calibrate_shear(network: FgerNetwork, groups: SequenceGroups) -> None:
+    """Set floor and shares of the deviations of sideways force and torsion (`ShearHead`).
+
+    Args:
+        network: With the head.
+        groups: Trials that were not trained on.
+    """
+    from scipy.optimize import nnls
+
+    terms, squares = [], []
+    for index in range(len(groups)):
+        sequences = groups.load(index).to(next(network.parameters()).device)
+        across = _run(network, sequences)[0].across
+        assert across is not None  # noqa: S101  (the head is there)
+        kept = sequences.valid & torch.isfinite(sequences.across).all(-1)
+        (value, moved), known = across[kept].unbind(1), sequences.across[kept]
+        terms.append(torch.stack([torch.ones_like(value), value.square(), moved.square()], -1))
+        squares.append((known - value).square())
+    inputs, errors = torch.cat(terms).cpu().double(), torch.cat(squares).cpu().double()
+    for axes in ([0, 1], [2]):
+        rows = inputs[:, axes].reshape(-1, 3).numpy()
+        # Shares of all errors: by normal equations, as there are millions of rows.
+        found, _ = nnls(rows.T @ rows, rows.T @ errors[:, axes].reshape(-1).numpy())
+        network.shear.deviation[axes] = torch.from_numpy(found**0.5).float().to(network.shear.unit)
 
 
 def train_fger(
@@ -570,15 +698,17 @@ def train_fger(
     )
     stages: list[Stage] = [
         FrameStage(model, groups, settings, processes, checked),
-        SequenceStage(model, groups, settings, checked=checked),
-        SequenceStage(model, groups, settings, joint=True, checked=checked),
+        SequenceStage(model, groups, settings, checked=checked, processes=processes),
+        SequenceStage(model, groups, settings, True, checked, processes),
     ]
     if config.deviation_size:
-        stages.append(DeviationStage(model, groups, settings))
+        stages.append(DeviationStage(model, groups, settings, processes))
     loop.run(stages)
     network = model.network.eval()
     if config.deviation_size:
         # Errors of trials that were trained on are too small to calibrate by.
         calibrate_deviation(network, collect(network, checked or groups))
-        processes.average_buffers(network)
+    if config.shear:
+        calibrate_shear(network, checked or groups)
+    processes.average_buffers(network)
     return network.cpu(), loop.progress.curves

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
+from mixtac_fger.shear import NEWTONS
 from mixtac_learning.trials.store import read_arrays, write_arrays
 from mixtac_learning.trials.trial import (
     DatasetError,
@@ -38,20 +39,24 @@ class Sample:
         window_end_us: Camera clock [us], int64 [T].
         event_features: float16 [T, grid rows, grid columns, 4].
         force: Label at the end of each window [N], float32 [T].
+        across: Sideways force x, y [N] and torsion [N mm] there, nan if unknown, float32 [T, 3].
         slots: Frame that becomes available in each window, -1 for none, int64 [T].
         lags: Windows from the estimate before that to the centre of its exposure, int64 [T].
         frame_inputs: float16 [N, channels, rows, columns].
         frame_force: Mean label over each exposure [N], float32 [N].
+        frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
         origin: Seeds, profile, and the like.
     """
 
     window_end_us: NDArray[np.int64]
     event_features: NDArray[np.float16]
     force: NDArray[np.float32]
+    across: NDArray[np.float32]
     slots: NDArray[np.int64]
     lags: NDArray[np.int64]
     frame_inputs: NDArray[np.float16]
     frame_force: NDArray[np.float32]
+    frame_across: NDArray[np.float32]
     origin: dict[str, Any]
 
 
@@ -101,12 +106,21 @@ def make_sample(
         window_end_us=ends,
         event_features=features,
         force=label.at(ends),
+        across=_across(trial, ends),
         slots=np.where(slots >= 0, slots - (kept - 1), -1),
         lags=np.array(lags, np.int64),
         frame_inputs=inputs,
         frame_force=forces[kept - 1 :],
+        frame_across=_across(trial, middle[kept - 1 :]),
         origin=origin,
     )
+
+
+def _across(trial: TrialArrays, t_us: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return sideways force and torsion at some times, in the units of the network."""
+    if trial.across is None:
+        return np.full((len(t_us), 3), np.nan, np.float32)
+    return (trial.across.at(t_us) / NEWTONS).astype(np.float32)
 
 
 def _features(
@@ -156,6 +170,7 @@ UNSEEN_BY_SAMPLES = {
     'lstm_size',
     'mlp_size',
     'event_shortcut',
+    'frame_context',
     'deviation_size',
     'force_unit',
     'shear',
@@ -218,7 +233,7 @@ class FgerRecipe:
         """Return what changes a sample."""
         fields = self.config.to_dict()
         kept = {name: fields[name] for name in fields if name not in UNSEEN_BY_SAMPLES}
-        return {'kind': 'fger 1', 'label': self.label} | kept
+        return {'kind': 'fger 2', 'label': self.label} | kept
 
     def write(self, trial: TrialArrays, path: Path) -> None:
         """Prepare a trial and write it, whole or not at all.

@@ -41,7 +41,7 @@ def outputs(network, sample):
         features = network.frame(sequences.frame_inputs.float())
         events = sequences.event_features.float()
         course = network(events, features, sequences.slots, state)
-        deviation = network.deviation(course.hidden, course.force)
+        deviation = network.deviation(course.hidden, course.force, course.moved)
     return course.force[:, 0].numpy(), deviation[:, 0].numpy()
 
 
@@ -100,7 +100,7 @@ def test_the_gain_without_torch_is_that_of_the_network(network, sample, gain):
                 parameter.mul_(gain)
         scaled.gates_force.weight /= gain
         scaled.correction.get_parameter('0.weight')[:, 0] /= gain
-        scaled.deviation.hidden.weight[:, -1] /= gain
+        scaled.deviation.hidden.weight[:, -2:] /= gain
         scaled.deviation.scale *= gain
     force, deviation = outputs(scaled, sample)
     found_force, found_deviation = outputs(with_gain(network, gain), sample)

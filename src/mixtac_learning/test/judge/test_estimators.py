@@ -46,7 +46,7 @@ def test_deviations_are_those_of_the_batch_network(model, network, config, trial
             batch.slots,
             network.initial_state(1),
         )
-        expected = network.deviation(course.hidden, course.force)
+        expected = network.deviation(course.hidden, course.force, course.moved)
     deviation = stream(model, trial).deviation
     assert deviation == pytest.approx(expected[:, 0].numpy(), rel=1e-4)
     assert deviation.min() > 0

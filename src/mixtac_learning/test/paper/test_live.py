@@ -25,7 +25,7 @@ from mixtac_learning.trials.simulated import SimulatedSource
 def weights(request, tmp_path_factory, trial):
     """Train a tiny network on toy trials for one epoch and return its weight file."""
     folder = tmp_path_factory.mktemp(request.param)
-    data = DataConfig(SimulatedData('easy', 1, 2, 4.0), cache=str(folder), checked=0.0)
+    data = DataConfig(SimulatedData(('easy',), 1, 2, 4.0), cache=str(folder), checked=0.0)
     network = {'scale': 8, 'events_per_packet': 16, 'channels': 8, 'lstm_size': 8}
     training = {
         'frame_epochs': 1,

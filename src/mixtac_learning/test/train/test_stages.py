@@ -4,8 +4,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import pytest
 import torch
@@ -14,7 +17,8 @@ from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.batches import MemoryGroups, Sequences
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import TrainingLoop
-from mixtac_learning.train.stages import encode, estimate, train_fger
+from mixtac_learning.train.parallel import Processes
+from mixtac_learning.train.stages import encode, estimate, impacts, train_fger
 
 SHORT = TrainingSettings(
     frame_epochs=12, recurrent_epochs=8, joint_epochs=2, deviation_epochs=4, frame_batch=16
@@ -71,6 +75,75 @@ def test_running_in_stretches_equals_running_at_once(config, toy_sequences, poin
             rows = slice(start, start + 37)
             slots = type(sequences.slots)(*(part[rows] for part in sequences.slots))
             events = sequences.event_features[rows].float()
-            force, _, state = network(events, features, slots, state)
+            force, *_, state = network(events, features, slots, state)
             parts.append(force)
     assert torch.allclose(torch.cat(parts), whole, atol=1e-5)
+
+
+@dataclass
+class Meeting:
+    """Where two threads exchange values, as processes would."""
+
+    barrier: threading.Barrier = field(default_factory=lambda: threading.Barrier(2, timeout=60))
+    brought: dict[int, tuple[str, Any]] = field(default_factory=dict)
+
+    def swap(self, rank: int, what: str, value: Any) -> list[Any]:
+        self.brought[rank] = what, value
+        self.barrier.wait()
+        found = [self.brought[each] for each in range(2)]
+        self.barrier.wait()
+        assert {name for name, _ in found} == {what}
+        return [each for _, each in found]
+
+
+@dataclass(frozen=True)
+class Member(Processes):
+    """One of two threads."""
+
+    meeting: Meeting = field(default_factory=Meeting)
+
+    def mean(self, tensor: torch.Tensor) -> torch.Tensor:
+        return torch.stack(self.meeting.swap(self.rank, 'mean', tensor.detach().clone())).mean(0)
+
+    def smallest(self, number: int) -> int:
+        return min(self.meeting.swap(self.rank, 'smallest', number))
+
+    def wait(self) -> None:
+        self.meeting.swap(self.rank, 'wait', None)
+
+
+@dataclass
+class Groups:
+    """Groups in memory."""
+
+    all: list[Sequences]
+    devices: int
+
+    def __len__(self) -> int:
+        return len(self.all)
+
+    def load(self, index: int) -> Sequences:
+        return self.all[index]
+
+
+def test_processes_with_unequal_data_stay_in_step(config, toy_sequences):
+    trained, other = toy_sequences
+    brief = replace(SHORT, frame_epochs=3, recurrent_epochs=2, joint_epochs=1, blow_every=2)
+    devices = MemoryGroups(trained).devices
+    assert len(trained.frame_force) != len(other.frame_force)
+    blow = torch.zeros_like(trained.force)
+    blow[40:60] = 5.0
+    struck = replace(trained, force=blow)
+    assert impacts(struck) is not None
+    assert impacts(other) is None
+    data = [Groups([struck, other], devices), Groups([other], devices)]
+    meeting = Meeting()
+
+    def train(rank: int) -> dict[str, torch.Tensor]:
+        member = Member(rank, 2, meeting)
+        loop = partial(TrainingLoop, report=lambda *_: None)
+        found, _ = train_fger(config, brief, data[rank], processes=member, make_loop=loop)
+        return found.state_dict()
+
+    with ThreadPoolExecutor(2) as threads:
+        assert all(threads.map(train, range(2)))

@@ -46,6 +46,7 @@ def windows(count: int, seed: int, trials: int = TRIALS) -> Errors:
     return Errors(
         hidden,
         torch.rand(count, generator=random),
+        torch.rand(count, generator=random),
         spread * torch.randn(count, generator=random),
         trials,
     )
@@ -56,9 +57,9 @@ def trained():
     """A head that was trained and calibrated on such errors, as a network holds it."""
     torch.manual_seed(0)
     network = SimpleNamespace(deviation=DeviationHead(STATE, 16))
-    settings = TrainingSettings(deviation_epochs=40, deviation_rate=1e-2)
+    settings = TrainingSettings(deviation_epochs=40, deviation_rate=3e-2)
     stage = DeviationStage(SimpleNamespace(network=network), None, settings)
-    stage._errors.append(windows(8000, 1))
+    stage._errors.append(windows(16000, 1))
     TrainingLoop(network.deviation).run([stage])
     calibrate_deviation(network, windows(8000, 2))
     return network.deviation
@@ -67,7 +68,7 @@ def trained():
 def test_intervals_cover_what_they_say(trained):
     fresh = windows(8000, 3)
     with torch.no_grad():
-        found = trained(fresh.hidden, fresh.force)
+        found = trained(fresh.hidden, fresh.force, fresh.moved)
     for part in (fresh.hidden[:, 0] > 0.3, fresh.hidden[:, 0] < -0.3):
         inside = (fresh.error.abs() <= found)[part].float().mean().item()
         assert inside == pytest.approx(0.683, abs=0.08)
@@ -81,13 +82,13 @@ def test_few_trials_make_it_wider():
     network = SimpleNamespace(deviation=DeviationHead(STATE, 16))
     hidden, force = torch.zeros(900, STATE), torch.zeros(900)
     with torch.no_grad():
-        unit = float(torch.exp(network.deviation.log_deviation(hidden[:1], force[:1])))
+        unit = float(torch.exp(network.deviation.log_deviation(hidden[:1], force[:1], force[:1])))
     covered = {3: 0.0, TRIALS: 0.0}
     for trials in covered:
         for _ in range(300):
             spreads = torch.exp(0.7 * torch.randn(4, 1, generator=random))
             errors = unit * spreads * torch.randn(4, 300, generator=random)
-            known = Errors(hidden, force, errors[:3].flatten(), trials)
+            known = Errors(hidden, force, force, errors[:3].flatten(), trials)
             scale = calibrate_deviation(network, known)
             inside = errors[3].abs() <= unit * scale
             covered[trials] += float(inside.float().mean()) / 300
@@ -97,12 +98,11 @@ def test_few_trials_make_it_wider():
 
 def test_the_compiled_head_gives_the_same_numbers(trained):
     weights = deviation_weights(tensors_of(trained))
-    for each in torch.rand(50, STATE + 1, generator=torch.Generator().manual_seed(4)) * 6 - 3:
+    for each in torch.rand(50, STATE + 2, generator=torch.Generator().manual_seed(4)) * 6 - 3:
         with torch.no_grad():
-            wanted = float(trained(each[:STATE], each[STATE]))
-        assert deviation(each[:STATE].numpy(), float(each[STATE]), weights) == pytest.approx(
-            wanted, rel=1e-5
-        )
+            wanted = float(trained(each[:STATE], *each[STATE:]))
+        found = deviation(each[:STATE].numpy(), *each[STATE:].tolist(), weights)
+        assert found == pytest.approx(wanted, rel=1e-5)
 
 
 def test_deviations_are_bounded_and_never_infinite():
@@ -110,9 +110,9 @@ def test_deviations_are_bounded_and_never_infinite():
     with torch.no_grad():
         for raw, bound in ((1e6, HIGHEST_LOG_DEVIATION), (-1e6, LOWEST_LOG_DEVIATION)):
             head.output.bias.fill_(raw)
-            found = head(torch.zeros(1, 2), torch.tensor([1e3]))
+            found = head(torch.zeros(1, 2), torch.tensor([1e3]), torch.tensor([1e3]))
             assert float(found[0]) == pytest.approx(np.exp(bound), rel=1e-5)
-            one = deviation(np.zeros(2, np.float32), 1e3, deviation_weights(tensors_of(head)))
+            one = deviation(np.zeros(2, np.float32), 1e3, 1e3, deviation_weights(tensors_of(head)))
             assert one == pytest.approx(np.exp(bound), rel=1e-5)
 
 

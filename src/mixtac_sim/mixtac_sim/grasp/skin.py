@@ -349,7 +349,8 @@ def _slope(law: ForceLaw, force_n: float) -> float:
 
 
 REACH = 0.6
-"""Distance over which shear decays outside the contact, in thicknesses (as in ``Shear``)."""
+"""Distance over which what patches differ by decays outside the contact, in thicknesses
+(estimate)."""
 SMALLEST_MM = 1.0
 """Smallest width of the part of the gel that one patch moves [mm]."""
 
@@ -357,8 +358,9 @@ SMALLEST_MM = 1.0
 class SkinBeads:
     """Turns the displacement of patches into that of beads.
 
-    A bead follows the patches above it in proportion to its height over the mesh, later by what a
-    shear wave takes from the skin to it; reflections are not modelled.
+    A bead follows the mean of the patches as the layer does (`BeadMotion`), and what those above it
+    differ from the mean in proportion to its height over the mesh, both later by what a shear wave
+    takes from the skin to it; reflections are not modelled.
 
     Args:
         beads: The beads at rest.
@@ -382,18 +384,23 @@ class SkinBeads:
         self._late = np.maximum(late, 0)
         self._past = np.tile(skin.shear_mm, (int(self._late.max()) + 1, 1))
         self._rows = [np.flatnonzero(self._late == k) for k in range(len(self._past))]
-        self.amount_mm = np.zeros(len(height))
+        self._mean_mm, self._more_mm = np.zeros((2, len(height)))
 
     def push(self, patches_mm: Floats) -> None:
         """Advance one grid step to displacements of the patches [patch] [mm]."""
         self._past[1:] = self._past[:-1]
         self._past[0] = patches_mm
 
-    def amounts(self) -> Floats:
-        """Return the shear displacement of each bead now [n] [mm]; reused by the next call."""
+    def amounts(self) -> tuple[Floats, Floats]:
+        """Return the mean displacement of the skin that each bead follows now, and what is added.
+
+        Both [n] [mm]; reused by the next call.
+        """
         for past, rows in zip(self._past, self._rows, strict=True):
-            self.amount_mm[rows] = self._weights[rows] @ past
-        return self.amount_mm
+            mean = past.mean()
+            self._mean_mm[rows] = mean
+            self._more_mm[rows] = self._weights[rows] @ (past - mean)
+        return self._mean_mm, self._more_mm
 
 
 class SkinCamera:

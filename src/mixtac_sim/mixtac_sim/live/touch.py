@@ -19,7 +19,7 @@ from mixtac_sim import SimulationError
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY, Mode
 from mixtac_sim.mechanics.indenters import HEMISPHERE, WEIGHT_20_G, Indenter
-from mixtac_sim.world.profiles import Commands, Profile, Pulled, Segment, Tone, still
+from mixtac_sim.world.segments import Commands, Profile, Pulled, Segment, Tone, still
 
 RAMP_S: Final = 0.2
 """Time in which an object approaches or leaves [s]."""
@@ -174,7 +174,7 @@ class Play(NamedTuple):
 class LiveProfile:
     """Hands the commands of scenarios to the simulation, each from the moment it is played.
 
-    It has the interface of `mixtac_sim.world.profiles.Profile`, with commands that are not known
+    It has the interface of `mixtac_sim.world.segments.Profile`, with commands that are not known
     in advance. A scenario lasts until the next one begins. `play` may be called from any thread.
 
     Args:
@@ -261,7 +261,7 @@ class LiveProfile:
         return longest
 
     def motion(self, first: int, count: int) -> Floats | None:
-        """Return the motion across the normal; as in `mixtac_sim.world.profiles.Profile`."""
+        """Return the motion across the normal; as in `mixtac_sim.world.segments.Profile`."""
         steps = still(count)
         for begin, end, play in self._spans(first, count):
             part = play.scenario.motion(begin - play.start, end - begin)

@@ -37,7 +37,7 @@ from mixtac_sim.usb.endpoints import serial_number
 from mixtac_sim.usb.registers import Module
 from mixtac_sim.world.effects import EASY, Preset
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor, WrenchSamples
-from mixtac_sim.world.profiles import Profile
+from mixtac_sim.world.segments import Profile
 from mixtac_sim.world.sensor import SensorOutput, TactileSensor, truth_wrench
 
 

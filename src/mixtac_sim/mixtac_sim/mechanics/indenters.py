@@ -13,7 +13,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, Literal
 
-IndenterName = Literal['hemisphere', 'small sphere', 'flat', 'edge']
+IndenterName = Literal[
+    'hemisphere', 'small sphere', 'large sphere', 'flat', 'narrow flat', 'wide flat', 'edge'
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,10 @@ INDENTERS: Mapping[IndenterName, Indenter] = MappingProxyType(
     {
         'hemisphere': HEMISPHERE,
         'small sphere': Indenter('sphere', 4.0),
+        'large sphere': Indenter('sphere', 25.0),
         'flat': Indenter('flat', 5.0),
+        'narrow flat': Indenter('flat', 3.0),
+        'wide flat': Indenter('flat', 7.0),
         'edge': Indenter('edge', 1.0, length_mm=10.0),
     }
 )

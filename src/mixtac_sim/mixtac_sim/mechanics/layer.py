@@ -17,6 +17,11 @@ t = wave number * thickness) with U(q) = A [q cosh q - sinh q] + B q sinh q and 
 surface; the radial part follows from incompressibility, V = dU/dq. They are kept per unit of
 F / (E h), which has a limit (a point load) for small contacts, so one table serves all sensors.
 
+A pull has the traction of a disc that sticks, F / (2 pi a sqrt(a^2 - r^2)). Along a wave the layer
+moves as above, with a pull and no pressure at the skin; across it, by sinh q / (t cosh t). Summed
+over all directions, both leave the Bessel functions J0 and J2, and J1 along the normal. A turn of
+the disc (Reissner and Sagoci 1944) moves the layer across its waves only.
+
 Rounded edges have no axis of symmetry: pressure and surface lie on a grid and the layer's response
 is taken in wave space, u(k) = 2 (1 - nu^2) / (E k) M(k h) p(k). Pressures that do not pull are
 found by the conjugate gradients of Polonsky and Keer (1999), per kPa of modulus.
@@ -33,7 +38,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft2, rfft2
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
-from scipy.special import j0, j1
+from scipy.special import j0, j1, jv, spherical_jn
 from threadpoolctl import threadpool_limits
 
 from mixtac_events.arrays import Floats
@@ -204,6 +209,74 @@ def depth_profiles(t: Floats, height: Floats) -> tuple[Floats, Floats]:
     inner = a * (q * cosh_q - sinh_q) + b * q * sinh_q
     slope = a * q * sinh_q + b * (sinh_q + q * cosh_q)
     return scale * inner, scale * slope
+
+
+@dataclass(frozen=True, slots=True)
+class ShearField:
+    """Displacement of the layer by a pull at the skin, and by a turn.
+
+    Attributes:
+        table: Mean displacement along the pull; half the difference between displacements along the
+            line of the pull and beside it; rise ahead of it, all in units of F / (2 pi G h); and
+            the turn over that of the disc [contact radius, height, distance, 4].
+    """
+
+    table: Floats
+
+    def at(self, alpha: Floats, height: Floats, radius: Floats) -> Floats:
+        """Return the values at points of the layer [..., 4]; as `DisplacementField.at`."""
+        points = np.broadcast_arrays(
+            np.clip(alpha, ALPHA[0], ALPHA[-1]), np.clip(height, 0.0, 1.0), radius
+        )
+        grid = (ALPHA, FIELD_HEIGHTS, FIELD_RADII)
+        found = RegularGridInterpolator(grid, self.table, bounds_error=False, fill_value=0.0)
+        return np.asarray(found(np.stack(points, axis=-1)))
+
+
+@lru_cache(maxsize=1)
+def shear_field() -> ShearField:
+    """Return the tabulated field (computed once per process, in a second)."""
+    with threadpool_limits(limits=1, user_api='blas'):
+        t, weights = _wave_numbers()
+        along, rise, across = shear_profiles(t, FIELD_HEIGHTS)
+        size = np.outer(ALPHA, t)
+        pull = np.sinc(size / np.pi) * t * weights
+        distances = np.outer(t, FIELD_RADII)
+        zero, one, two = j0(distances), j1(distances), jv(2, distances)
+        # J1(t r) / r, with its limit on the axis.
+        turned = np.divide(one, FIELD_RADII, out=0.5 * t[:, None] + 0.0 * one, where=one != 0.0)
+        spin = 4.0 / np.pi * ALPHA[:, None] ** 2 * spherical_jn(1, size) * weights
+        tables = (
+            _transform(pull, 0.5 * (across + along), zero),
+            _transform(pull, 0.5 * (across - along), two),
+            _transform(pull, rise, one),
+            _transform(spin, across * t[:, None], turned),
+        )
+        return ShearField(np.stack(tables, axis=-1))
+
+
+def shear_profiles(t: Floats, height: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return what a unit pull moves at heights, in units of h / G, free of overflow.
+
+    Args:
+        t: Wave number times thickness, positive [t].
+        height: Height above the base over the thickness [height].
+
+    Returns:
+        Displacement along a wave for a pull along it, its rise (a quarter of the wave ahead), and
+        displacement across a wave for a pull across it [t, height].
+    """
+    t = t[:, None]
+    q, decay = t * height, np.exp(-t)
+    cosh_t, sinh_t = 0.5 * (1.0 + decay**2), 0.5 * (1.0 - decay**2)  # times exp(-t)
+    rise, fall = np.exp(q - t), np.exp(-q - t)
+    cosh_q, sinh_q = 0.5 * (rise + fall), 0.5 * (rise - fall)  # times exp(-t)
+    # U as in `depth_profiles`, with no pressure and a pull of one at the skin.
+    scale = 1.0 / (0.5 * (1.0 + decay**4) + (1.0 + 2.0 * t * t) * decay**2)
+    a, b = cosh_t, cosh_t / t - sinh_t
+    inner = a * (q * cosh_q - sinh_q) + b * q * sinh_q
+    slope = a * q * sinh_q + b * (sinh_q + q * cosh_q)
+    return scale * slope, scale * inner, sinh_q / (t * cosh_t)
 
 
 SHAPE = (240, 96)

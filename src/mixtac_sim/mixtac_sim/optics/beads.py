@@ -17,7 +17,7 @@ from mixtac_events.arrays import Floats
 from mixtac_sim.grids import PITCH_MM
 from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
 from mixtac_sim.mechanics.indenters import Indenter
-from mixtac_sim.mechanics.layer import displacement_field, solve_edge
+from mixtac_sim.mechanics.layer import displacement_field, shear_field, solve_edge
 from mixtac_sim.optics.lens import Lens
 from mixtac_sim.optics.scene import DIAMETER_MM, Markers
 
@@ -25,8 +25,8 @@ ROWS = 193
 """Rows of the displacement tables."""
 SAG_MM = 8.0
 """Radius of the mesh's sag [mm] (estimate)."""
-SHEAR_MM = 2.5
-"""Radius of the sheared patch beyond which shear decays [mm] (estimate)."""
+AS_SHEAR = np.empty(0)
+"""All beads follow the same displacement of the skin."""
 
 
 class BeadMotion:
@@ -64,30 +64,46 @@ class BeadMotion:
                 for tool, law in zip(indenters, laws, strict=True)
             ]
         )
-        height = 1.0 - beads.depth_mm / layer.thickness_mm
-        reach = SHEAR_MM + 0.6 * layer.thickness_mm
-        self._shear = height * np.exp(-((self._axis_mm / reach) ** 2))
         self._optics = _optics_row(lens)
         self._reach = np.stack([self._largest(table) for table in self._tables])
         self.spots = np.empty((len(beads.x_mm), 4))
 
     def _table(self, layer: Layer, mesh_n_per_mm: float, tool: Indenter, law: ForceLaw) -> Floats:
-        """Return displacements [row, bead, xyz] [mm]; z is towards the mesh."""
+        """Return how each bead moves [row, bead, 9].
+
+        The first three columns are its displacement by the indenter [mm], z towards the mesh; the
+        others belong to a displacement (u, v) of the skin: x by u, x by v and y by u, y by v, z by
+        u, z by v, and the share of a turn.
+        """
         force = law.force_n[-1] * np.linspace(0.0, 1.0, ROWS) ** 2
+        height = 1.0 - self._rest[2] / layer.thickness_mm
+        alpha = law.radius_at(force)[:, None] / layer.thickness_mm
+        follow = self._follow(alpha, height, layer.thickness_mm)
         sag = np.exp(-((self._axis_mm / SAG_MM) ** 2)) * force[:, None] / mesh_n_per_mm
         if tool.shape == 'edge':
             table = self._edge_table(layer, tool, law.linear_at(force))
             table[:, :, 2] += sag
-            return table
-        alpha = law.radius_at(force) / layer.thickness_mm
-        height = 1.0 - self._rest[2] / layer.thickness_mm
+            return np.concatenate([table, follow], axis=-1)
         inward, outward = displacement_field(tool.shape).at(
-            alpha[:, None], height, self._axis_mm / layer.thickness_mm
+            alpha, height, self._axis_mm / layer.thickness_mm
         )
         linear = law.linear_at(force)[:, None]
         scale = linear / (1e-3 * layer.modulus_kpa * layer.thickness_mm)
         radial = scale * outward
-        return np.stack([*(radial * d for d in self._direction), scale * inward + sag], axis=-1)
+        pressed = np.stack([*(radial * d for d in self._direction), scale * inward + sag], axis=-1)
+        return np.concatenate([pressed, follow], axis=-1)
+
+    def _follow(self, alpha: Floats, height: Floats, thickness_mm: float) -> Floats:
+        """Return how beads follow the skin under contacts of radius over thickness [row, bead, 6].
+
+        The pull is that of `Shear` for a displacement of the skin, and moves the layer as it does.
+        """
+        found = shear_field().at(alpha, height, self._axis_mm / thickness_mm)
+        x, y = self._direction
+        along, lobes, rise = np.moveaxis(found[..., :3], -1, 0) * 0.5 * (alpha + 0.5) ** 2
+        lengthwise, aside = lobes * (x * x - y * y), lobes * 2.0 * x * y
+        moved = (along + lengthwise, aside, along - lengthwise, -rise * x, -rise * y)
+        return np.stack([*moved, found[..., 3]], axis=-1)
 
     def _edge_table(self, layer: Layer, tool: Indenter, linear_n: Floats) -> Floats:
         """Return the displacements under an edge without the mesh's sag [row, bead, xyz] [mm]."""
@@ -105,7 +121,7 @@ class BeadMotion:
         start = np.stack(self._lens.project(*self._rest))
         moved = [
             np.hypot(*(np.stack(self._lens.project(*(self._rest + row.T))) - start)).max()
-            for row in table
+            for row in table[..., :3]
         ]
         return np.array(moved)
 
@@ -129,7 +145,7 @@ class BeadMotion:
         indenter: int,
         elastic_n: float,
         shear: tuple[float, float],
-        share: Floats | None = None,
+        own: tuple[Floats, Floats] = (AS_SHEAR, AS_SHEAR),
     ) -> Floats:
         """Return the images of all beads: column, row, radius, edge width [n, 4] [px].
 
@@ -139,45 +155,38 @@ class BeadMotion:
             indenter: Number of the indenter.
             elastic_n: Elastic force [N].
             shear: Shear displacement of the skin, right and down [mm].
-            share: How much of it each bead follows [n]; by default what the contact's width and
-                the bead's height make of it.
+            own: Factors of the shear, a displacement of the skin per bead instead [n], and what is
+                added to the displacement of each bead, in units of the shear [n].
         """
         row = float(self.row_of(indenter, np.array(elastic_n)))
-        follow = self._shear if share is None else share
-        _place(self._tables[indenter], row, *shear, follow, self._rest, self._optics, self.spots)
+        _place(self._tables[indenter], row, *shear, *own, self._rest, self._optics, self.spots)
         return self.spots
 
-    def rows(self, row: float) -> tuple[Floats, Floats]:
-        """Return the two rows of the first table about a place, and how much shear beads follow.
-
-        Returns:
-            Displacements [2, n, xyz] [mm], and shares [n].
-        """
+    def rows(self, row: float) -> Floats:
+        """Return the two rows of the first table about a place [2, n, 9]."""
         low = min(int(row), ROWS - 2)
-        return self._tables[0, low : low + 2], self._shear
+        return np.asarray(self._tables[0, low : low + 2])
 
     def place_turned(
         self,
         rows: Floats,
         part: float,
         shear: tuple[float, float],
-        share: Floats,
         turn: tuple[float, tuple[float, float]],
     ) -> Floats:
-        """Return the images of all beads between two rows of displacements; see `place`.
+        """Return the images of all beads between two rows of a table; see `place`.
 
         Args:
-            rows: Displacements [2, n, xyz] [mm].
+            rows: Two rows [2, n, 9].
             part: Share of the second row.
             shear: Shear displacement of the skin, right and down [mm].
-            share: How much of it, and of the turn, each bead follows [n].
             turn: Turn of the skin [rad], and its centre from the optical axis [mm].
         """
         angle, (x, y) = turn
-        rest = self._rest.copy()
+        rest, share = self._rest.copy(), (1.0 - part) * rows[0, :, 8] + part * rows[1, :, 8]
         rest[0] -= angle * share * (self._rest[1] - y)
         rest[1] += angle * share * (self._rest[0] - x)
-        _place(rows, part, *shear, share, rest, self._optics, self.spots)
+        _place(rows, part, *shear, AS_SHEAR, AS_SHEAR, rest, self._optics, self.spots)
         return self.spots
 
 
@@ -230,15 +239,13 @@ class SlidingBeads:
         ]
         motion = corners[0][0]
         level = float(motion.row_of(0, np.array(elastic_n)))
-        rows, share = motion.rows(level)
+        rows = motion.rows(level)
         if len(corners) > 1:
-            found = [(weight, each.rows(level)) for each, weight in corners]
-            rows = np.asarray(sum(weight * rows for weight, (rows, _) in found))
-            share = np.asarray(sum(weight * share for weight, (_, share) in found))
+            rows = np.asarray(sum(weight * each.rows(level) for each, weight in corners))
         x, y = self._contact_mm
         centre = (x + place_mm[0], y + place_mm[1])
         part = level - min(int(level), ROWS - 2)
-        return motion.place_turned(rows, part, shear, share, (turn_rad, centre))
+        return motion.place_turned(rows, part, shear, (turn_rad, centre))
 
     def _motion(self, indenter: int, column: int, row: int) -> BeadMotion:
         key = (indenter, column, row)
@@ -274,7 +281,8 @@ def _place(
     row: float,
     shear_x: float,
     shear_y: float,
-    shear: Floats,
+    follow: Floats,
+    added: Floats,
     rest: Floats,
     optics: Floats,
     spots: Floats,
@@ -283,13 +291,19 @@ def _place(
     gain, k1, k2, centre_x, centre_y, far, per_mm, focus, blur, soft, cos, sin = optics
     low = min(int(row), table.shape[0] - 2)
     part = row - low
+    moved = np.empty(8)
     for i in range(spots.shape[0]):
-        x = rest[0, i] + (1.0 - part) * table[low, i, 0] + part * table[low + 1, i, 0]
-        y = rest[1, i] + (1.0 - part) * table[low, i, 1] + part * table[low + 1, i, 1]
-        z = rest[2, i] + (1.0 - part) * table[low, i, 2] + part * table[low + 1, i, 2]
+        for k in range(8):
+            moved[k] = (1.0 - part) * table[low, i, k] + part * table[low + 1, i, k]
+        size = follow[i] if follow.shape[0] else 1.0
+        u, v = size * shear_x, size * shear_y
+        x = rest[0, i] + moved[0] + moved[3] * u + moved[4] * v
+        y = rest[1, i] + moved[1] + moved[4] * u + moved[5] * v
+        z = rest[2, i] + moved[2] + moved[6] * u + moved[7] * v
+        if added.shape[0]:
+            x += shear_x * added[i]
+            y += shear_y * added[i]
         distance = far + per_mm * z
-        x += shear_x * shear[i]
-        y += shear_y * shear[i]
         slope_x = (cos * x - sin * y) / distance
         slope_y = (sin * x + cos * y) / distance
         square = slope_x * slope_x + slope_y * slope_y

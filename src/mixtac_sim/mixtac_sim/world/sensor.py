@@ -14,13 +14,13 @@ from mixtac_sim.grids import BLOCK_STEPS, BLOCK_US, STEP_US
 from mixtac_sim.mechanics.contact import Contact
 from mixtac_sim.mechanics.elastomer import Layer, Shear, force_law
 from mixtac_sim.mechanics.sliding import Across, Sliding
-from mixtac_sim.optics.beads import SHEAR_MM, SlidingBeads
+from mixtac_sim.optics.beads import SlidingBeads
 from mixtac_sim.pixels.aps import ApsFrame, ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.world.camera import Camera
 from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device, draw_flicker
 from mixtac_sim.world.effects import EASY, Preset
-from mixtac_sim.world.profiles import CommandSource
+from mixtac_sim.world.segments import CommandSource
 
 TRUTH_DTYPE = np.dtype(
     [('t_us', 'i8'), ('fx', 'f8'), ('fy', 'f8'), ('fz', 'f8'), ('depth_mm', 'f8'), ('tz', 'f8')]
@@ -253,7 +253,7 @@ class TactileSensor:
         self._last_slid = slid[-1]
         # A dent moves beads by its slope, which is that of a cone as wide as the contact.
         slope = self._beads.reach_px(tool, elastic_n) / np.maximum(radius_mm, 1.0)
-        turned = self._beads.px_per_mm * SHEAR_MM * steps[:, 2]
+        turned = self._beads.px_per_mm * np.maximum(radius_mm, 2.5) * steps[:, 2]
         return np.asarray(slope * np.hypot(steps[:, 0], steps[:, 1]) + turned)
 
     def _wrench(self, pull: Floats, force_n: Floats, across: Across | None) -> Floats:

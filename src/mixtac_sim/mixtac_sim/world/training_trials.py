@@ -85,7 +85,7 @@ def training_plan(
     gels: int,
     seconds: float,
     seed: int,
-    preset: str = TRAINING_PRESET,
+    presets: tuple[str, ...] = (TRAINING_PRESET,),
     profiles: tuple[str, ...] = TRAINING_PROFILES,
 ) -> list[TrialSpec]:
     """Return `trials` trials over `gels` sensors, profiles in turn.
@@ -95,7 +95,7 @@ def training_plan(
         gels: Number of different sensors.
         seconds: Length of a trial.
         seed: Shifts all seeds: another seed gives other sensors and other days.
-        preset: Difficulty preset of the sensors.
+        presets: Difficulty presets of the sensors, in turn.
         profiles: Force profiles, in turn.
     """
     first = TRAINING_DEVICES + 1000 * (seed % 100)
@@ -105,7 +105,7 @@ def training_plan(
             TRAINING_TRIALS + 1000 * (seed % 100) + index,
             profiles[(index + (index // gels if gels > 1 else 0)) % len(profiles)],
             seconds,
-            preset,
+            presets[index % gels % len(presets)],
         )
         for index in range(trials)
     ]

@@ -22,7 +22,8 @@ from mixtac_sim.usb.words import ImuReading
 from mixtac_sim.world.device import draw_conditions
 from mixtac_sim.world.effects import EASY, Preset, preset
 from mixtac_sim.world.instruments import InertialUnit, ReferenceSensor, WrenchSamples
-from mixtac_sim.world.profiles import Profile, make_profile
+from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.segments import Profile
 from mixtac_sim.world.sensor import SensorOutput, TactileSensor
 
 TRANSFER_US = (300, 1_500)

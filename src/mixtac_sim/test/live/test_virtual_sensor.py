@@ -23,7 +23,7 @@ from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.usb.device import VirtualDavis346
 from mixtac_sim.usb.faults import UsbTimeout
 from mixtac_sim.world.instruments import InertialUnit, WrenchSamples
-from mixtac_sim.world.profiles import Profile, Segment
+from mixtac_sim.world.segments import Profile, Segment
 from mixtac_sim.world.sensor import TRUTH_DTYPE
 
 PATIENCE_S = 60.0

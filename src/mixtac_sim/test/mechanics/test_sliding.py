@@ -8,7 +8,7 @@ import pytest
 from mixtac_sim.mechanics.contact import ContactPath, PronySeries
 from mixtac_sim.mechanics.elastomer import Layer, Shear
 from mixtac_sim.mechanics.sliding import SLIDING_MM_S, Sliding
-from mixtac_sim.world.profiles import still
+from mixtac_sim.world.segments import still
 
 LAYER, RADIUS, MU = Layer(150.0, 4.0), 2.5, 0.6
 SHEAR_MODULUS = 0.05  # MPa

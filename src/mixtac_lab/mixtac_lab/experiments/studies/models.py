@@ -85,7 +85,7 @@ from mixtac_learning.trials.store import CachedSource
 from mixtac_learning.trials.trial import TrialArrays, TrialSource
 from mixtac_node.files import write_json, write_text
 from mixtac_sim.world import training_trials as generation
-from mixtac_sim.world.profiles import WEIGHTS_G
+from mixtac_sim.world.gestures import WEIGHTS_G
 from mixtac_sim.world.training_trials import TrialSpec, session_plan
 
 FIRST_TRIAL = 800_000
@@ -139,7 +139,7 @@ def table_data(sizes: Sizes, model: str, protocol: str = OTHER_DAYS) -> DataConf
     """
     many = model == OURS_MANY
     count = sizes.sensors if many else sizes.trials
-    data = SimulatedData(PRESET, count if many else 1, count, sizes.seconds, sizes.mix)
+    data = SimulatedData((PRESET,), count if many else 1, count, sizes.seconds, sizes.mix)
     if protocol == PAPER:
         data = replace(data, session=sizes.session)
     return DataConfig(simulated=data, checked=1 / 9 if many else 1 / 7)
@@ -149,7 +149,7 @@ def test_specs(sizes: Sizes, device: int, protocol: str) -> list[TrialSpec]:
     """Return the test trials on the training sensor: of the same session, or other days."""
     if protocol == PAPER:
         data = table_data(sizes, OURS, protocol).simulated
-        return [] if data is None else session_plan(data.session, data.seed, data.preset)[1]
+        return [] if data is None else session_plan(data.session, data.seed, data.presets[0])[1]
     return [
         TrialSpec(device, FIRST_TRIAL + 100 * row + column, profile, seconds, PRESET)
         for column, (profile, (count, seconds)) in enumerate(sizes.tests.items())

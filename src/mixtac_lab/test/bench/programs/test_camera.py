@@ -13,6 +13,6 @@ def test_the_stream_holds_the_knocks_where_it_says() -> None:
     assert pattern.period_us % 0x8000 == 0
     counts = np.bincount(pattern.events.t // 1000, minlength=pattern.period_us // 1000)
     onset = truth['onsets_us'][0] // 1000
-    assert counts[onset : onset + 4].max() > 3 * counts[onset - 200 : onset].max()
+    assert counts[onset : onset + 4].max() > 2 * counts[onset - 200 : onset].max()
     assert pattern.frames >= 25
     assert len(pattern.words) == pattern.ends[-1]

@@ -22,7 +22,8 @@ from mixtac_lab.experiments.studies.contact_place import (
 from mixtac_sim.mechanics.contact import Mode
 from mixtac_sim.world.device import draw_conditions
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.profiles import Profile, Segment, make_profile
+from mixtac_sim.world.profiles import make_profile
+from mixtac_sim.world.segments import Profile, Segment
 from mixtac_sim.world.sensor import TactileSensor
 from mixtac_sim.world.training_trials import TRAINING_DEVICES, UNSEEN
 

@@ -10,7 +10,6 @@ import pytest
 from mixtac_lab.experiments.sizes import (
     ALL_ROWS,
     OTHER_DAYS,
-    OURS_MANY,
     PAPER,
     TABLE_FULL,
     TABLE_SIZES,
@@ -28,7 +27,6 @@ from mixtac_lab.experiments.studies.models import (
     unseen_specs,
 )
 from mixtac_learning.judge.estimators import TrialEstimate
-from mixtac_learning.train.config import find_run_config, read_run_config
 from mixtac_learning.train.run import training_sources
 from mixtac_sim.world.profiles import make_profile
 
@@ -97,12 +95,6 @@ def test_a_session_has_its_own_training():
         other = config('full', model, 0).training
         assert trained == other | sizes.session_training[kind]
         assert trained != other
-
-
-def test_shipped_run_is_that_of_the_table():
-    shipped = read_run_config(find_run_config('ours'))
-    for size in ('full', 'reduced'):
-        assert shipped.fingerprint() == config(size, OURS_MANY, 0).fingerprint()
 
 
 def test_known_weights_give_the_gain_within_their_error():

@@ -1,0 +1,232 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What is commanded of a contact from when to when: segments of a force, a place or a drop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixtac_events.arrays import Floats
+from mixtac_sim import SimulationError
+from mixtac_sim.grids import STEP_US
+from mixtac_sim.mechanics.contact import Mode
+from mixtac_sim.mechanics.indenters import HEMISPHERE, Indenter
+
+SLOW_HZ = 40.0
+"""Tones up to here are resolved by the steps that bead motion asks for."""
+STEPS_PER_PERIOD = 12
+"""Steps per period of a faster tone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tone:
+    """A sinusoid added to a segment's target, faded in and out at its ends.
+
+    Attributes:
+        amplitude: Zero to peak, in the unit of the target.
+        frequency_hz: Frequency [Hz].
+        phase: Phase at the start of the segment [rad].
+        fade_s: Length of the fades [s].
+    """
+
+    amplitude: float
+    frequency_hz: float
+    phase: float = 0.0
+    fade_s: float = 0.1
+
+
+Pulled = tuple[tuple[float, float], tuple[float, float]]
+"""Force across the normal at the start and the end of a span, right and down [N]."""
+FREE: Pulled = ((0.0, 0.0), (0.0, 0.0))
+"""Nothing holds the indenter, nothing pulls at it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """One command over a span of time.
+
+    Attributes:
+        start_s: Start [s] since the start of the trial.
+        end_s: End [s].
+        mode: Meaning of the target.
+        times_s: Times of the target's knots [s] since the segment's start, increasing.
+        values: Target at the knots; between them it moves with zero slope at each knot.
+        tones: Sinusoids on top.
+        indenter: The indenter.
+        move: Its motion across the normal over the segment, from rest to rest: right and down
+            [mm], and turn from right to down [rad]. It stays there afterwards.
+        roll: How far the contact rolls over the segment, right and down [mm].
+        pull: Force across the normal from the start to the end of the segment, right and down
+            [N], as of a weight on a thread; None where `move` says where the indenter is.
+    """
+
+    start_s: float
+    end_s: float
+    mode: Mode
+    times_s: tuple[float, ...] = (0.0,)
+    values: tuple[float, ...] = (0.0,)
+    tones: tuple[Tone, ...] = ()
+    indenter: Indenter = HEMISPHERE
+    move: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    roll: tuple[float, float] = (0.0, 0.0)
+    pull: Pulled | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse to drop what has no weight.
+
+        Raises:
+            SimulationError: The indenter of a drop has no mass.
+        """
+        if self.mode >= Mode.DROP and self.indenter.mass_g <= 0.0:
+            raise SimulationError(f'{self.indenter} cannot be dropped; give it a mass')
+
+    def target(self, since_s: Floats) -> Floats:
+        """Return the target at times since the segment's start [s]."""
+        knots, values = np.array(self.times_s), np.array(self.values)
+        k = np.clip(np.searchsorted(knots, since_s, side='right') - 1, 0, len(knots) - 1)
+        after = np.minimum(k + 1, len(knots) - 1)
+        span = np.maximum(knots[after] - knots[k], 1e-9)
+        u = np.clip((since_s - knots[k]) / span, 0.0, 1.0)
+        base = values[k] + (values[after] - values[k]) * u * u * (3.0 - 2.0 * u)
+        return np.asarray(base + self._tones(since_s))
+
+    def _tones(self, since_s: Floats) -> Floats:
+        """Return the sum of the tones."""
+        total = np.zeros_like(since_s)
+        left = self.end_s - self.start_s - since_s
+        for tone in self.tones:
+            fade = np.clip(np.minimum(since_s, left) / tone.fade_s, 0.0, 1.0)
+            phase = 2.0 * np.pi * tone.frequency_hz * since_s + tone.phase
+            total += tone.amplitude * fade**2 * np.sin(phase)
+        return total
+
+
+Commands = tuple[NDArray[np.int8], Floats, NDArray[np.int8]]
+"""Modes, targets and indenters of some grid steps."""
+
+
+class CommandSource(Protocol):
+    """Source of the commands of a sensor: a profile, or live requests."""
+
+    @property
+    def indenters(self) -> tuple[Indenter, ...]:
+        """All indenters that may touch."""
+
+    def commands(self, first: int, count: int) -> Commands:
+        """Return modes, targets and indenters of some grid steps."""
+
+    def longest_step(self, first: int, count: int) -> int:
+        """Return the most grid steps that may be taken at once among some."""
+
+    def motion(self, first: int, count: int) -> Floats | None:
+        """Return the motion across the normal over some grid steps; None if there never is one.
+
+        Right and down [mm], turn [rad], rolling to the right and down [mm], and the pull to the
+        right and down at the end of each step [N], nan where nothing pulls [count, 7].
+        """
+
+
+def still(count: int) -> Floats:
+    """Return the motion of an indenter that is held, as `CommandSource.motion` does."""
+    return np.tile([0.0, 0.0, 0.0, 0.0, 0.0, np.nan, np.nan], (count, 1))
+
+
+def _movers(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
+    """Return the segments with a motion or a pull across the normal."""
+    return tuple(each for each in segments if any(each.move) or any(each.roll) or each.pull)
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Commands of a whole trial; outside its segments nothing touches.
+
+    Attributes:
+        name: Name of the profile.
+        duration_s: Length of the trial [s].
+        segments: Commands in order of time, without overlap.
+        sync_s: Centres of the synchronising impulses [s], for tests of the alignment.
+    """
+
+    name: str
+    duration_s: float
+    segments: tuple[Segment, ...]
+    sync_s: tuple[float, ...] = ()
+    _starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
+    _moving: tuple[Segment, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Collect the starts of the segments, to search among, and those that move."""
+        object.__setattr__(self, '_starts', tuple(s.start_s for s in self.segments))
+        object.__setattr__(self, '_moving', _movers(self.segments))
+
+    @property
+    def indenters(self) -> tuple[Indenter, ...]:
+        """Return every indenter once; commands refer to it by its place here."""
+        found = dict.fromkeys(segment.indenter for segment in self.segments)
+        return tuple(found) or (HEMISPHERE,)
+
+    def commands(self, first: int, count: int) -> Commands:
+        """Return modes, targets and indenters of grid steps ``first`` to ``first + count``.
+
+        The command of step k is the one in force at its end, (k + 1) * 125 us.
+        """
+        times = np.arange(first + 1, first + count + 1, dtype=np.float64) * (1e-6 * STEP_US)
+        modes = np.zeros(count, np.int8)
+        targets = np.zeros(count)
+        tools = np.zeros(count, np.int8)
+        indenters = self.indenters
+        begin = max(int(np.searchsorted(self._starts, times[0])) - 1, 0)
+        for segment in self.segments[begin:]:
+            if segment.start_s > times[-1]:
+                break
+            inside = (times > segment.start_s) & (times <= segment.end_s)
+            modes[inside] = segment.mode
+            targets[inside] = segment.target(times[inside] - segment.start_s)
+            tools[inside] = indenters.index(segment.indenter)
+        return modes, targets, tools
+
+    def motion(self, first: int, count: int) -> Floats | None:
+        """Return the motion across the normal over grid steps ``first`` to ``first + count``.
+
+        Returns:
+            As `CommandSource.motion`; None if nothing in the profile moves so.
+        """
+        if not self._moving:
+            return None
+        times = np.arange(first, first + count + 1, dtype=np.float64) * (1e-6 * STEP_US)
+        steps = still(count)
+        for segment in self._moving:
+            if segment.start_s < times[-1] and segment.end_s > times[0]:
+                u = (times - segment.start_s) / (segment.end_s - segment.start_s)
+                u = np.clip(u, 0.0, 1.0)
+                share = u * u * (3.0 - 2.0 * u)
+                steps[:, :5] += np.outer(np.diff(share), (*segment.move, *segment.roll))
+                if segment.pull is not None:
+                    inside = (times[1:] > segment.start_s) & (times[1:] <= segment.end_s)
+                    first, last = np.array(segment.pull)
+                    pull = first + np.outer(share[1:], last - first)
+                    steps[inside, 5:] = pull[inside]
+        return steps
+
+    def longest_step(self, first: int, count: int) -> int:
+        """Return the most grid steps that may be taken at once from ``first`` on, among ``count``.
+
+        Tones above ``SLOW_HZ`` move beads to and fro within a step that their net motion allows.
+        """
+        grid_s = 1e-6 * STEP_US
+        fastest = max(
+            (
+                tone.frequency_hz
+                for segment in self.segments
+                for tone in segment.tones
+                if segment.start_s < (first + count) * grid_s and segment.end_s > first * grid_s
+            ),
+            default=0.0,
+        )
+        if fastest <= SLOW_HZ:
+            return count
+        return max(int(1.0 / (STEPS_PER_PERIOD * fastest * grid_s)), 1)
