@@ -317,11 +317,13 @@ class _Signals:
     Attributes:
         received: Whether one has come. A callback, or the construction of a node, that still runs
             PATIENCE_S later ends with `Interrupted`.
+        interrupted: Whether that has happened. Libraries may turn `Interrupted` into an exception
+            of their own.
     """
 
     def __init__(self) -> None:
-        self.received = False
-        signal.signal(signal.SIGALRM, _interrupt)
+        self.received = self.interrupted = False
+        signal.signal(signal.SIGALRM, self._interrupt)
         sys.unraisablehook = _unraisable
         for number in ENDING:
             signal.signal(number, self._receive)
@@ -333,15 +335,15 @@ class _Signals:
             self.received = True
             signal.setitimer(signal.ITIMER_REAL, PATIENCE_S, PATIENCE_S)
 
+    def _interrupt(self, _signum: int, _frame: object) -> None:
+        self.interrupted = True
+        raise Interrupted
+
     def ignore(self) -> None:
         """Ignore them while the process ends; its status would not be 0 otherwise."""
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number in ENDING:
             signal.signal(number, signal.SIG_IGN)
-
-
-def _interrupt(_signum: int, _frame: object) -> None:
-    raise Interrupted
 
 
 def _unraisable(report: sys.UnraisableHookArgs) -> None:
@@ -411,6 +413,10 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
         print(f'{FATAL}{error}', file=sys.stderr)
         return 1
     except (ExternalShutdownException, Interrupted):
+        return 0
+    except Exception:
+        if not signals.interrupted:
+            raise
         return 0
     finally:
         signals.ignore()

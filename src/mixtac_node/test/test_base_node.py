@@ -42,6 +42,12 @@ NODE = textwrap.dedent(
             if self.values.device == 'compiling':
                 print('constructing', flush=True)
                 time.sleep(60)
+            if self.values.device == 'wrapping':
+                try:
+                    print('constructing', flush=True)
+                    time.sleep(60)
+                except BaseException as error:
+                    raise SystemError('a library failed') from error
             self.diagnostics = DiagnosticsPublisher(self, 'serial-7', self.status)
 
         def apply(self, values):
@@ -102,8 +108,9 @@ def test_errors_are_one_line_and_a_status(start):
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_start_that_takes_long(start, number):
-    process = start('device:=compiling')
+@pytest.mark.parametrize('device', ['compiling', 'wrapping'])
+def test_a_signal_ends_a_start_that_takes_long(start, number, device):
+    process = start(f'device:={device}')
     assert process.stdout.readline() == 'constructing\n'
     process.send_signal(number)
     _, stderr = process.communicate(timeout=30)
