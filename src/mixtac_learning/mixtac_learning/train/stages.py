@@ -242,7 +242,7 @@ def across_loss(
         across: Estimates [N, N, N mm], [..., 3].
         known: Labels, nan where unknown, [..., 3].
         knee: Errors above this count linearly, below it quadratically [N].
-        weights: Of the estimates, [...]; None for equal ones.
+        weights: Weight of each estimate, [...]; None if all count alike.
     """
     units = across.new_tensor(ACROSS_UNITS)
     told = torch.isfinite(known)
@@ -699,7 +699,7 @@ def train_fger(
     stages: list[Stage] = [
         FrameStage(model, groups, settings, processes, checked),
         SequenceStage(model, groups, settings, checked=checked, processes=processes),
-        SequenceStage(model, groups, settings, True, checked, processes),
+        SequenceStage(model, groups, settings, joint=True, checked=checked, processes=processes),
     ]
     if config.deviation_size:
         stages.append(DeviationStage(model, groups, settings, processes))

@@ -22,7 +22,7 @@ from mixtac_sim import SimulationError
 from mixtac_sim.grasp.objects import REFERENCE_MM_S, Friction
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import Contact, ContactPath, Mode
-from mixtac_sim.mechanics.elastomer import ForceLaw, Layer, force_law
+from mixtac_sim.mechanics.elastomer import ForceLaw, Layer, force_law, sheared_area
 from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.optics.scene import Flicker, Markers
 from mixtac_sim.pixels.aps import ApsFrame
@@ -153,7 +153,8 @@ class Skin:
 
 def shear_stiffness(layer: Layer, radius_mm: float) -> float:
     """Return the shear stiffness of the gel under a contact [N/mm]; as in ``Shear``."""
-    return 1e-3 * layer.modulus_kpa / 3.0 * _sheared_mm2(layer, radius_mm) / layer.thickness_mm
+    area_mm2 = float(sheared_area(radius_mm, layer.thickness_mm))
+    return 1e-3 * layer.modulus_kpa / 3.0 * area_mm2 / layer.thickness_mm
 
 
 def wave_speed_mm_s(layer: Layer) -> float:
@@ -163,12 +164,8 @@ def wave_speed_mm_s(layer: Layer) -> float:
 
 def wave_resistance(layer: Layer, radius_mm: float) -> float:
     """Return the force per speed of the skin that goes into shear waves [N s/mm]."""
-    area_m2 = 1e-6 * _sheared_mm2(layer, radius_mm)
+    area_m2 = 1e-6 * float(sheared_area(radius_mm, layer.thickness_mm))
     return 1e-6 * DENSITY_KG_M3 * wave_speed_mm_s(layer) * area_m2
-
-
-def _sheared_mm2(layer: Layer, radius_mm: float) -> float:
-    return float(np.pi * (radius_mm + 0.5 * layer.thickness_mm) ** 2)
 
 
 def _surface(rng: np.random.Generator, count: int, deviation: float) -> Floats:

@@ -133,6 +133,16 @@ def _edge_law(layer: Layer, indenter: Indenter) -> _Law:
     return depth, force, np.interp(depth, contact.depth_mm, contact.radius_mm)
 
 
+def sheared_area(radius: Floats | float, thickness: float) -> Floats:
+    """Return the area of the gel that a pull shears: the contact, widened by half the thickness.
+
+    Args:
+        radius: Radius of the contact.
+        thickness: Of the gel, in the same unit; the area is in its square.
+    """
+    return np.asarray(np.pi * (radius + 0.5 * thickness) ** 2)
+
+
 LIGHT_N = 0.05
 """Friction does not grow further below this force [N] (estimate)."""
 
@@ -140,7 +150,7 @@ LIGHT_N = 0.05
 class Shear:
     """Shear displacement and force, limited by friction.
 
-    The loaded patch, widened by half the thickness, is a block in simple shear (estimate). With
+    What `sheared_area` returns is a block in simple shear (estimate). With
     partial slip the pull follows Cattaneo's and Mindlin's law of a sphere: it starts with the
     same stiffness and slides as a whole at 1.5 times the displacement.
 
@@ -188,7 +198,7 @@ class Shear:
 
     def stiffness(self, radius_mm: Floats) -> Floats:
         """Return the stiffness of the skin under contacts of these radii [n] [N/mm]."""
-        area = np.pi * (radius_mm + 0.5 * self._thickness) ** 2
+        area = sheared_area(radius_mm, self._thickness)
         return np.asarray(self._modulus * area / self._thickness)
 
     def turn_stiffness(self, radius_mm: Floats) -> Floats:

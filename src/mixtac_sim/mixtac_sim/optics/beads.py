@@ -15,7 +15,7 @@ from numba import njit
 
 from mixtac_events.arrays import Floats
 from mixtac_sim.grids import PITCH_MM
-from mixtac_sim.mechanics.elastomer import ForceLaw, Layer
+from mixtac_sim.mechanics.elastomer import ForceLaw, Layer, sheared_area
 from mixtac_sim.mechanics.indenters import Indenter
 from mixtac_sim.mechanics.layer import displacement_field, shear_field, solve_edge
 from mixtac_sim.optics.lens import Lens
@@ -100,7 +100,9 @@ class BeadMotion:
         """
         found = shear_field().at(alpha, height, self._axis_mm / thickness_mm)
         x, y = self._direction
-        along, lobes, rise = np.moveaxis(found[..., :3], -1, 0) * 0.5 * (alpha + 0.5) ** 2
+        # The pull of a displacement of 1, in the unit of the field.
+        pull = sheared_area(alpha, 1.0) / (2.0 * np.pi)
+        along, lobes, rise = np.moveaxis(found[..., :3], -1, 0) * pull
         lengthwise, aside = lobes * (x * x - y * y), lobes * 2.0 * x * y
         moved = (along + lengthwise, aside, along - lengthwise, -rise * x, -rise * y)
         return np.stack([*moved, found[..., 3]], axis=-1)
