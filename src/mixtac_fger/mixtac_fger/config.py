@@ -48,13 +48,16 @@ def to_mapping(config: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 ARCHITECTURE = 'fger_small'
-VERSION = 2
+VERSION = 3
 LOWEST_LOG_DEVIATION, HIGHEST_LOG_DEVIATION = -7.0, 2.0
 """Limits of the logarithm of a standard deviation before `DeviationHead.scale` [log N]."""
 FRAME_CHANNELS = ('frame', 'difference', 'flow_x', 'flow_y')
 """What the frame network can be given; see `FgerConfig.frame_channels`."""
 CELL_FEATURES = 4
 """Numbers per grid cell and window: flow x, flow y, ON count, OFF count."""
+TURNING_WIDTHS = (4.5, 9.0, 13.5, 21.0)
+"""Widths around the contact over which a frame's turning is summed [bins]; see
+`mixtac_fger.shear.turning`."""
 CORRECTION_POINTS = ('exposure_centre', 'arrival')
 """Where a frame's force is compared with the estimate; see `FgerConfig.correction_point`."""
 
@@ -174,6 +177,16 @@ class FgerConfig:
                 f'FgerConfig.correction_point = {self.correction_point!r}: choose one of'
                 f' {CORRECTION_POINTS}'
             )
+        if self.shear and not self.reads_flow:
+            raise ConfigError(
+                f'FgerConfig.frame_channels = {self.frame_channels}: sideways force and torsion'
+                ' need flow_x and flow_y'
+            )
+
+    @property
+    def reads_flow(self) -> bool:
+        """Whether the frame network is given the displacement of the beads."""
+        return {'flow_x', 'flow_y'} <= set(self.frame_channels)
 
     @property
     def grid_shape(self) -> tuple[int, int]:
@@ -277,7 +290,8 @@ def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
         linear('deviation.output', config.deviation_size, 1)
         shapes['deviation.scale'] = (1,)
     if config.shear:
-        linear('shear.frame', config.frame_size, 3)
+        linear('shear.frame', config.frame_size, 2)
+        linear('shear.turning', config.frame_size, len(TURNING_WIDTHS))
         linear('shear.hidden', config.lstm_size + config.event_size, config.mlp_size)
         linear('shear.event', config.mlp_size, 3)
         if config.frame_context:
@@ -301,7 +315,7 @@ def operations_per_cycle(config: FgerConfig) -> int:
         for index, (rows, columns, _) in enumerate(map_shapes(config)[1:])
     )
     total += sizes['frame.project.weight']
-    per_frame = ('correction', 'shear.frame', 'context', 'shear.context')
+    per_frame = ('correction', 'shear.frame', 'shear.turning', 'context', 'shear.context')
     total += sum(size for name, size in sizes.items() if name.startswith(per_frame))
     per_window = sum(
         size for name, size in sizes.items() if not name.startswith(('frame', *per_frame))

@@ -163,17 +163,16 @@ def open_estimator(model: Model) -> Estimator:
     return estimator
 
 
-def known_shear(estimator: Estimator, normal: float, sideways: float) -> Shear | None:
+def known_shear(estimator: Estimator, gain: float) -> Shear | None:
     """Return sideways force and torsion after the latest `step`; None where they are unknown.
 
     Args:
         estimator: Any; only some have an attribute `shear`.
-        normal: Gain of the normal force, which counts for all axes.
-        sideways: Gain of the sideways force beside it.
+        gain: Of both.
     """
     # Called for each window: a check against a protocol would cost more than the head.
     found: Shear | None = getattr(estimator, 'shear', None)
-    return None if found is None else found.scaled(normal, normal * sideways)
+    return None if found is None else found.scaled(gain)
 
 
 class Estimate(NamedTuple):

@@ -15,7 +15,8 @@ from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.frames import bin_mean, displacement, gradients, log_contrast
 from mixtac_fger.comparisons import PictureFigures, picture_figures
-from mixtac_fger.config import CELL_FEATURES, FgerConfig
+from mixtac_fger.config import CELL_FEATURES, TURNING_WIDTHS, FgerConfig
+from mixtac_fger.shear import turning
 
 F32 = NDArray[np.float32]
 Index = NDArray[np.int64]
@@ -65,6 +66,37 @@ def cell_solvers(
             out[row, column, 2] = xx * inverse
 
 
+ONE_SIDED = 3.0
+"""Events of one polarity per event of the other from which on a lamp may have made them."""
+EVEN_NOISE = 1.4
+"""Largest variance of the counts of cells over their mean, where a lamp made them."""
+EVEN_SHARE = 0.2
+"""Standard deviation that the counts of cells may have besides, as a part of their mean."""
+
+
+@njit(cache=True, nogil=True)
+def _is_light(sums: F32) -> bool:
+    """Return whether the events of a window are those of a lamp: of one polarity, and everywhere.
+
+    A lamp that changes, or ripples, takes pixels over their thresholds wherever they are; motion
+    makes events of both polarities, and a touch makes them in one place.
+    """
+    cells = sums.shape[0] * sums.shape[1]
+    totals, squares = np.zeros(2), np.zeros(2)
+    for row in range(sums.shape[0]):
+        for column in range(sums.shape[1]):
+            for kind in range(2):
+                count = np.float64(sums[row, column, 2 + kind])
+                totals[kind] += count
+                squares[kind] += count * count
+    most = 0 if totals[0] > totals[1] else 1
+    if totals[most] < ONE_SIDED * totals[1 - most]:
+        return False
+    mean = totals[most] / cells
+    variance = squares[most] / cells - mean * mean
+    return bool(variance < EVEN_NOISE * mean + (EVEN_SHARE * mean) ** 2)
+
+
 @njit(cache=True, nogil=True)
 def grid_features(
     x: NDArray[np.uint16],
@@ -78,7 +110,7 @@ def grid_features(
     solvers: F32,
     flow_limit: float,
     out: F32,
-) -> None:
+) -> bool:
     """Write the features of one window: per cell flow x, flow y, ln(1 + ON), ln(1 + OFF).
 
     A bead edge that moves by u changes the log intensity by -g u; each event reports one threshold
@@ -98,6 +130,9 @@ def grid_features(
         solvers: From `cell_solvers`.
         flow_limit: Bound of |flow| per axis [px per threshold].
         out: float32 [grid rows, grid columns, 4].
+
+    Returns:
+        Whether the events are those of a lamp; see `_is_light`.
     """
     rows, columns = along_x.shape
     out[:] = 0.0
@@ -114,6 +149,7 @@ def grid_features(
             cell[0] -= along_x[row, column]
             cell[1] -= along_y[row, column]
             cell[3] += np.float32(1.0)
+    light: bool = _is_light(out)
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
             cell, inverse = out[row, column], solvers[row, column]
@@ -124,6 +160,7 @@ def grid_features(
             cell[1] = min(max(flow_y, -flow_limit), flow_limit)
             cell[2] = np.log1p(cell[2])
             cell[3] = np.log1p(cell[3])
+    return light
 
 
 COORDINATES = 2**16
@@ -239,6 +276,12 @@ class FramePreparation:
             self._displace(contrast, reference)
         return PictureFigures(*picture_figures(reference, contrast.coarse, self._flow))
 
+    def turning(self) -> F32:
+        """Return the moments of the displacement of the latest `picture`, float32 [4]."""
+        out = np.empty(len(TURNING_WIDTHS), np.float32)
+        turning(self._flow, out)
+        return out
+
     def _displace(self, contrast: Contrast, reference: F32) -> None:
         radius, ridge = self._config.flow_radius, self._config.flow_regularisation
         displacement(reference, contrast.coarse, radius, ridge, self._work, self._flow)
@@ -276,10 +319,14 @@ class WindowFeatures:
         self._bins = (np.arange(COORDINATES) // config.gradient_bin).astype(np.uint16)
         self.shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
 
-    def compute(self, events: Events, guide: EventGuide, out: F32) -> None:
-        """Write the features of a window to `out` (float32 `shape`); see `grid_features`."""
+    def compute(self, events: Events, guide: EventGuide, out: F32) -> bool:
+        """Write the features of a window to `out` (float32 `shape`); see `grid_features`.
+
+        Returns:
+            Whether the events are those of a lamp: the network is then given zeros.
+        """
         config = self._config
-        grid_features(
+        light = grid_features(
             events.x,
             events.y,
             events.polarity,
@@ -294,6 +341,7 @@ class WindowFeatures:
         )
         if not config.gradient_flow:
             out[..., :2] = 0.0
+        return bool(light)
 
 
 EXPOSED_WINDOWS = 2

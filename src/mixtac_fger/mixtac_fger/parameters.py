@@ -32,8 +32,8 @@ class FgerParameters:
             the contact into the gel.
         force_scale: Factor of the published force: true force over estimated force, from the
             calibration of this sensor. Gels differ in stiffness, which no image shows.
-        sideways_scale: Factor of the published sideways force beside force_scale, from a weight
-            that hangs from the tip.
+        sideways_scale: Factor of the published sideways force and torsion beside force_scale, from
+            a weight that hangs from the tip.
         reference: Name of the file of the no-contact reference of this sensor, such as
             left_finger.npz, in the state folder ($MIXTAC_HOME, by default ~/.local/state/mixtac).
             If empty, the file is that of the camera's serial number, reference_SERIAL.npz. ~/tare

@@ -173,7 +173,7 @@ class ForceEstimator:
         contact: State and place of the contact, and the displacement of the beads; None for none.
         force_scale: Factor of the estimates, from the calibration of the sensor; may be changed at
             any time, as the next three.
-        sideways_scale: Factor of the sideways force beside `force_scale`.
+        sideways_scale: Factor of sideways force and torsion beside `force_scale`.
         contact_threshold_n: Estimates above this count as contact, in which `tare` refuses [N].
         longest_without_frame_us: Age of the latest frame beyond which no force is given [us].
         stale_frame_us: Age of the latest frame beyond which the force is not trusted [us].
@@ -472,7 +472,7 @@ class ForceEstimator:
         found = None
         if self.contact is not None and self._contact_wanted:
             found = self.contact.window(end_us, force)
-        shear = known_shear(self._estimator, self.force_scale, self.sideways_scale)
+        shear = known_shear(self._estimator, self.force_scale * self.sideways_scale)
         return Estimate(end_us, force, deviation, age_us, complete, saturated, reason, found, shear)
 
     def _fetch(self) -> None:

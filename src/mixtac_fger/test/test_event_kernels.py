@@ -82,3 +82,40 @@ def test_counts_alone_leave_the_flow_out(image):
     out = features_of(events, image, gradient_flow=False)
     assert not out[..., :2].any()
     assert np.array_equal(out[..., 2:], features_of(events, image)[..., 2:])
+
+
+def of_a_lamp(events: Events, image: np.ndarray) -> bool:
+    """Return whether a window's events are taken for those of a lamp."""
+    config = FgerConfig()
+    preparation, window = FramePreparation(config), WindowFeatures(config)
+    out = np.zeros(window.shape, np.float32)
+    return window.compute(events, preparation.guide(preparation.contrast(image)), out)
+
+
+def drawn(count: int, brighter: float, seed: int, place: float = 0.0, near: float = 0.0) -> Events:
+    """Return events everywhere, a share `near` of them within some 20 px of a place."""
+    random = np.random.default_rng(seed)
+    x, y = random.uniform(0, 346, count), random.uniform(0, 260, count)
+    close = random.random(count) < near
+    x[close] = random.normal(80 + place, 20, close.sum()).clip(0, 345)
+    y[close] = random.normal(80 + place, 20, close.sum()).clip(0, 259)
+    polarity = random.random(count) < brighter
+    return Events(
+        np.arange(count, dtype=np.int64), x.astype(np.uint16), y.astype(np.uint16), polarity
+    )
+
+
+@pytest.mark.parametrize('count', [60, 300, 3000])
+def test_a_lamp_makes_events_of_one_polarity_everywhere(image, count):
+    windows = range(40)
+    for brighter in (0.95, 0.05):
+        lamp = [of_a_lamp(drawn(count, brighter, seed), image) for seed in windows]
+        assert np.mean(lamp) > 0.9
+    motion = [of_a_lamp(drawn(count, 0.5, seed), image) for seed in windows]
+    assert not any(motion)
+    touch = [of_a_lamp(drawn(count, 0.95, seed, 10.0 * seed % 150, 0.5), image) for seed in windows]
+    assert np.mean(touch) < 0.1
+
+
+def test_nothing_is_taken_for_a_lamp_where_nothing_happens(image):
+    assert not of_a_lamp(Events.empty(), image)

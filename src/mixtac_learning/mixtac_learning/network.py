@@ -17,6 +17,7 @@ from mixtac_fger.config import (
     CELL_FEATURES,
     HIGHEST_LOG_DEVIATION,
     LOWEST_LOG_DEVIATION,
+    TURNING_WIDTHS,
     VERSION,
     FgerConfig,
     ModelError,
@@ -75,7 +76,7 @@ class SequenceState(NamedTuple):
         history: Sums of the increments after each past window, oldest first, [L, B] in N.
         offset: Sum of the corrections so far, [B] in N; history[-1] + offset is the estimate.
         confirmed: Element of `history` at the centre of the latest frame's exposure, [B] in N.
-        feature: f_frame of the latest frame, [B, frame_size].
+        seen: What `FgerNetwork.see` said of the latest frame, [B, ...].
         sums: Sums of the increments across the normal after each past window, oldest first, and
             those of their sizes, [L, B, 2, 3]; None of a network that tells no sideways force.
         base: What the latest frame showed, less `sums` at the centre of its exposure, [B, 2, 3].
@@ -86,7 +87,7 @@ class SequenceState(NamedTuple):
     history: Tensor
     offset: Tensor
     confirmed: Tensor
-    feature: Tensor
+    seen: Tensor
     sums: Tensor | None
     base: Tensor | None
 
@@ -146,7 +147,8 @@ class ShearHead(nn.Module):
         config: Network configuration.
 
     Attributes:
-        frame: From f_frame to what a frame shows [N, N, N mm].
+        frame: From f_frame to the sideways force that a frame shows [N].
+        turning: From f_frame to the torsion per moment of a frame [N mm].
         hidden: From recurrent state and event feature, before a ReLU.
         event: From there to the increments of a window.
         context: What the latest frame adds before the ReLU; None without `frame_context`.
@@ -156,7 +158,8 @@ class ShearHead(nn.Module):
 
     def __init__(self, config: FgerConfig) -> None:
         super().__init__()
-        self.frame = nn.Linear(config.frame_size, 3)
+        self.frame = nn.Linear(config.frame_size, 2)
+        self.turning = nn.Linear(config.frame_size, len(TURNING_WIDTHS))
         self.hidden = nn.Linear(config.lstm_size + config.event_size, config.mlp_size)
         self.event = nn.Linear(config.mlp_size, 3)
         self.context = context_of(config)
@@ -164,6 +167,13 @@ class ShearHead(nn.Module):
         self.register_buffer('unit', torch.ones(3))
         self.deviation: Tensor
         self.register_buffer('deviation', torch.zeros(3, 3))
+
+    def shown(self, seen: Tensor) -> Tensor:
+        """Return what frames show [N, N, N mm], [..., 3], by `FgerNetwork.see`."""
+        moments = len(TURNING_WIDTHS)
+        feature, moment = seen[..., :-moments], seen[..., -moments:]
+        torsion = (moment * self.turning(feature)).sum(-1, keepdim=True)
+        return torch.cat([self.frame(feature), torsion], dim=-1)
 
     def forward(
         self,
@@ -178,7 +188,7 @@ class ShearHead(nn.Module):
         Args:
             events: f_e, [T, B, event_size].
             hidden: LSTM output h after each window, [T, B, lstm_size].
-            seen: f_frame of the latest frame in each window, [T, B, frame_size].
+            seen: `FgerNetwork.see` of the latest frame in each window, [T, B, ...].
             slots: When which frame becomes available.
             state: State before the first window.
         """
@@ -186,7 +196,7 @@ class ShearHead(nn.Module):
         assert state.base is not None  # noqa: S101
         middle = self.hidden(torch.cat([hidden, events], dim=-1))
         if self.context is not None:
-            middle = middle + self.context(seen)
+            middle = middle + self.context(seen[..., : self.frame.in_features])
         steps = self.event(torch.relu(middle))
         known = len(state.sums)
         both = torch.stack([steps, steps.abs()], dim=2)
@@ -194,7 +204,7 @@ class ShearHead(nn.Module):
         # The frame of a window counts before its events.
         row = torch.arange(len(steps), device=steps.device)[:, None] + known - 1 - slots.lag
         row = row.clamp(min=0)[..., None, None].expand(-1, -1, 2, 3)
-        shown = self.frame(seen)
+        shown = self.shown(seen)
         shown = torch.stack([shown, torch.zeros_like(shown)], dim=2)
         bases = torch.cat([state.base[None], shown - sums.gather(0, row)])
         latest = slots.latest()[..., None, None].expand(-1, -1, 2, 3)
@@ -228,9 +238,9 @@ class FrameNetwork(nn.Module):
         maps = self.convolutions((frames - self.mean) / self.scale)
         return torch.relu(self.project(maps.flatten(1)))
 
-    def force(self, features: Tensor) -> Tensor:
-        """Return the frames-only force [N] (in N) of frame features [N, frame_size]."""
-        return torch.Tensor(self.head(features))[:, 0]
+    def force(self, seen: Tensor) -> Tensor:
+        """Return the frames-only force [N] (in N) by `FgerNetwork.see`, or by f_frame, [N, ...]."""
+        return torch.Tensor(self.head(seen[:, : self.head.in_features]))[:, 0]
 
 
 class EventNetwork(nn.Module):
@@ -290,13 +300,24 @@ class FgerNetwork(nn.Module):
         if config.shear:
             sums = torch.zeros(config.history_windows, sequences, 2, 3, device=device)
             base = sums[0]
-        feature = torch.zeros(sequences, config.frame_size, device=device)
-        return SequenceState(zeros, zeros, history, offset, offset, feature, sums, base)
+        size = config.frame_size + (len(TURNING_WIDTHS) if config.shear else 0)
+        seen = torch.zeros(sequences, size, device=device)
+        return SequenceState(zeros, zeros, history, offset, offset, seen, sums, base)
+
+    def see(self, inputs: Tensor, turning: Tensor) -> Tensor:
+        """Return what the network needs of frames, [N, ...]: f_frame, with `shear` their moments.
+
+        Args:
+            inputs: Of the frame network, [N, channels, rows, columns].
+            turning: Moments (`mixtac_fger.shear.turning`), [N, 4].
+        """
+        feature = self.frame(inputs)
+        return torch.cat([feature, turning], dim=-1) if self.config.shear else feature
 
     def forward(
         self,
         event_features: Tensor,
-        frame_features: Tensor,
+        frames: Tensor,
         slots: FrameSlots,
         state: SequenceState,
     ) -> Course:
@@ -304,18 +325,19 @@ class FgerNetwork(nn.Module):
 
         Args:
             event_features: Grid features, [T, B, grid rows, grid columns, 4].
-            frame_features: f_frame of all frames that `slots` names, [N, frame_size].
+            frames: `see` of all frames that `slots` names, [N, ...].
             slots: When which frame becomes available.
             state: State before the first window.
         """
         events = self.event(event_features)
         drive = self.gates_event(events)
         direct, of_state = self._direct(events)
-        features = torch.cat([state.feature[None], frame_features[slots.frame.clamp(min=0)]])
-        latest = slots.latest()[..., None].expand(-1, -1, features.shape[-1])
-        seen = features.gather(0, latest)
+        looks = torch.cat([state.seen[None], frames[slots.frame.clamp(min=0)]])
+        latest = slots.latest()[..., None].expand(-1, -1, looks.shape[-1])
+        seen = looks.gather(0, latest)
+        features = looks[..., : self.config.frame_size]
         if self.context is not None:
-            direct = direct + self.context(seen)
+            direct = direct + self.context(seen[..., : self.config.frame_size])
         arrivals = (slots.frame >= 0).any(dim=1).tolist()
         # Cut once: the gradient of an index is as large as what it cuts from.
         arriving, drives, directs = (each.unbind(0) for each in (features[1:], drive, direct))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from mixtac_fger.config import FgerConfig
+from mixtac_fger.config import TURNING_WIDTHS, FgerConfig
 from mixtac_fger.recurrent_network import RecurrentPath
 from mixtac_fger.shear import ShearHead
 from mixtac_learning.network import FgerNetwork, FrameSlots, arrays_of
@@ -62,7 +62,7 @@ def test_sideways_force_live_as_in_batches_cut_anywhere():
     for parameter in network.correction.parameters():
         torch.nn.init.zeros_(parameter)  # the normal force does not follow the frames
     events = torch.randn(WINDOWS, 1, config.grid_rows, config.grid_columns, 4)
-    features = torch.rand(4, config.frame_size)
+    frames = torch.rand(4, config.frame_size + len(TURNING_WIDTHS))
     slots = FrameSlots(torch.full((WINDOWS, 1), -1), torch.zeros(WINDOWS, 1, dtype=torch.int64))
     for frame, (window, lag) in enumerate(((0, 0), (18, 7), (31, 12), (52, 9))):
         slots.frame[window], slots.lag[window] = frame, lag
@@ -70,16 +70,16 @@ def test_sideways_force_live_as_in_batches_cut_anywhere():
     with torch.no_grad():
         for first, last in ((0, 11), (11, 32), (32, WINDOWS)):
             part = FrameSlots(*(each[first:last] for each in slots))
-            course = network(events[first:last], features, part, state)
+            course = network(events[first:last], frames, part, state)
             state = course.state
             told.append(course.across[:, 0, 0])
     path, head = RecurrentPath(config, arrays_of(network)), ShearHead(config, arrays_of(network))
     live = []
     for window, frame in enumerate(slots.frame[:, 0].tolist()):
         if frame >= 0:
-            feature = features[frame].numpy()
+            feature, moments = np.split(frames[frame].numpy(), [config.frame_size])
             path.see(feature)
-            head.correct(head.measure(feature), int(slots.lag[window]))
+            head.correct(head.measure(feature, moments), int(slots.lag[window]))
         path.step(events[window, 0].numpy())
         head.step(path.across)
         live.append((head.value.x, head.value.y, 1e3 * head.value.torque))

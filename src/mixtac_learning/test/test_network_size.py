@@ -28,7 +28,7 @@ def test_fewer_parameters_than_promised():
     [
         FgerConfig(),
         FgerConfig(event_shortcut=False, deviation_size=0),
-        FgerConfig(frame_widths=(4, 8), frame_channels=('frame',), lstm_size=7),
+        FgerConfig(frame_widths=(4, 8), frame_channels=('flow_x', 'flow_y'), lstm_size=7),
     ],
 )
 def test_shapes_without_torch_are_those_of_the_network(config):

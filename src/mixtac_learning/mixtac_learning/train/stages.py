@@ -29,6 +29,7 @@ from mixtac_learning.train.batches import (
     mirror_across,
     mirror_events,
     mirror_frames,
+    mirror_turning,
 )
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import Stage, TrainingLoop
@@ -82,14 +83,31 @@ class NetworkWithGains(nn.Module):
         network.frame.scale.copy_(scale.clamp(min=1e-3)[:, None, None])
 
 
-@torch.no_grad()
-def encode(
-    network: FgerNetwork, sequences: Sequences, columns: bool = False, rows: bool = False
+def looks(
+    network: FgerNetwork,
+    sequences: Sequences,
+    rows: Tensor | slice = slice(None),
+    flip: Flip = (False, False),
 ) -> Tensor:
-    """Return f_frame of all frames, [N, frame_size], optionally of their mirror images."""
-    parts = torch.split(sequences.frame_inputs, _ENCODE_BATCH)
-    flipped = (mirror_frames(part.float(), network.config, columns, rows) for part in parts)
-    return torch.cat([network.frame(part) for part in flipped])
+    """Return `FgerNetwork.see` of some frames, or of their mirror images, [N, ...].
+
+    Args:
+        network: FGER-Net.
+        sequences: Trials.
+        rows: Which frames.
+        flip: Whether to mirror columns and rows.
+    """
+    inputs = mirror_frames(sequences.frame_inputs[rows].float(), network.config, *flip)
+    found = network.see(inputs, mirror_turning(sequences.frame_turning[rows], *flip))
+    return torch.Tensor(found)
+
+
+@torch.no_grad()
+def encode(network: FgerNetwork, sequences: Sequences, flip: Flip = (False, False)) -> Tensor:
+    """Return `looks` of all frames, without gradients."""
+    starts = range(0, len(sequences.frame_inputs), _ENCODE_BATCH)
+    parts = [slice(start, start + _ENCODE_BATCH) for start in starts]
+    return torch.cat([looks(network, sequences, part, flip) for part in parts])
 
 
 @torch.no_grad()
@@ -99,16 +117,16 @@ def estimate(network: FgerNetwork, sequences: Sequences) -> tuple[Tensor, Tensor
     Returns:
         Force at the end of each window [T, B] and frames-only force of each frame [N], in N.
     """
-    course, features = _run(network, sequences)
-    return course.force, network.frame.force(features)
+    course, frames = _run(network, sequences)
+    return course.force, network.frame.force(frames)
 
 
 def _run(network: FgerNetwork, sequences: Sequences) -> tuple[Course, Tensor]:
-    """Return the course of all sequences from their start, and the features of all frames."""
-    features = encode(network, sequences)
+    """Return the course of all sequences from their start, and `looks` of all frames."""
+    frames = encode(network, sequences)
     state = network.initial_state(sequences.force.shape[1])
     events = sequences.event_features.float()
-    return network(events, features, sequences.slots, state), features
+    return network(events, frames, sequences.slots, state), frames
 
 
 def mean_error(
@@ -172,16 +190,14 @@ class FrameStage(Stage):
             order = _shuffled(len(labels), random)
             rows = torch.split(order, self.settings.frame_batch)[: self._batches(group)]
             for chosen in rows:
-                flips = _flips(self.settings, random)
-                frames = sequences.frame_inputs[chosen].float()
-                inputs = mirror_frames(frames, self.model.network.config, *flips)
-                features = self.model.network.frame(inputs)
-                force = self.model.network.frame.force(features)
+                flips, network = _flips(self.settings, random), self.model.network
+                seen = looks(network, sequences, chosen, flips)
+                force = network.frame.force(seen)
                 normal, sideways = self.model.log_gains[device[chosen]].exp().unbind(1)
                 knee = self.settings.loss_knee_n
                 loss = force_loss(normal * force, labels[chosen], knee).mean()
-                if self.model.network.config.shear:
-                    across = sideways[:, None] * self.model.network.shear.frame(features)
+                if network.config.shear:
+                    across = sideways[:, None] * network.shear.shown(seen)
                     known = mirror_across(sequences.frame_across[chosen], *flips)
                     loss = loss + across_loss(across, known, knee)
                 yield loss + self.settings.gain_prior * self.model.log_gains.square().mean()
@@ -205,8 +221,8 @@ class FrameStage(Stage):
 
 def frame_parameters(network: FgerNetwork) -> list[nn.Parameter]:
     """Return the weights that a frame's forces come from."""
-    found = list(network.frame.parameters())
-    return found + list(network.shear.frame.parameters()) if network.config.shear else found
+    shear = [network.shear.frame, network.shear.turning] if network.config.shear else []
+    return [each for part in (network.frame, *shear) for each in part.parameters()]
 
 
 SMALL_N = 0.1
@@ -229,8 +245,12 @@ def force_loss(force: Tensor, known: Tensor, knee: float) -> Tensor:
     return torch.where(error < knees, 0.5 * error.square() / knees, error - 0.5 * knees)
 
 
-ACROSS_UNITS = (1.0, 1.0, 3.0)
-"""What counts as much as a newton in the loss: sideways force [N], torsion [N mm]."""
+ACROSS_UNITS = (1.0, 1.0, 10.0)
+"""What counts as much as a newton in the loss: sideways force [N], torsion [N mm].
+
+Most of the time there is no torsion: were the knee of the loss below its usual size, no torsion
+would ever be told.
+"""
 
 
 def across_loss(
@@ -409,7 +429,7 @@ class SequenceStage(Stage):
             if not self.joint:
                 # Features are small and stay what they are: kept for all groups.
                 if (group, flip) not in self._features:
-                    found = encode(self.model.network, sequences, *flip)
+                    found = encode(self.model.network, sequences, flip)
                     self._features[group, flip] = found
                 frozen = self._features[group, flip]
             state = self.model.network.initial_state(sequences.force.shape[1])
@@ -443,11 +463,13 @@ class SequenceStage(Stage):
     ) -> Course:
         """Run a stretch, with the features of its frames or with gradients through them."""
         slots = FrameSlots(*(part[windows] for part in sequences.slots))
-        features = frozen
-        if features is None:
-            features, slots = self._encode_now(sequences, flip, slots)
+        frames = frozen
+        if frames is None:
+            used, index = torch.unique(slots.frame.clamp(min=0), return_inverse=True)
+            frames = looks(self.model.network, sequences, used, flip)
+            slots = FrameSlots(torch.where(slots.frame >= 0, index, -1), slots.lag)
         events = mirror_events(sequences.event_features[windows].float(), *flip)
-        return self.model.network(events, features, slots, state)  # type: ignore[no-any-return]
+        return self.model.network(events, frames, slots, state)  # type: ignore[no-any-return]
 
     def validate(self) -> float | None:
         """Return the mean absolute error on the trials to validate on [N]."""
@@ -464,16 +486,6 @@ class SequenceStage(Stage):
         if not self._impacts:
             self._impacts.append(impacts(sequences))
         return self._impacts[0]
-
-    def _encode_now(
-        self, sequences: Sequences, flip: Flip, slots: FrameSlots
-    ) -> tuple[Tensor, FrameSlots]:
-        """Return the features of the frames that a stretch needs, with gradients."""
-        used, index = torch.unique(slots.frame.clamp(min=0), return_inverse=True)
-        frames = sequences.frame_inputs[used].float()
-        inputs = mirror_frames(frames, self.model.network.config, *flip)
-        local = torch.where(slots.frame >= 0, index, -1)
-        return self.model.network.frame(inputs), FrameSlots(local, slots.lag)
 
     def _chunks(self, length: int, random: torch.Generator) -> Iterator[tuple[int, int]]:
         """Yield the stretches of one epoch; the first is cut at random so that borders move."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_fger.config import FgerConfig
+from mixtac_fger.config import TURNING_WIDTHS, FgerConfig
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
 from mixtac_fger.shear import NEWTONS
 from mixtac_learning.trials.store import read_arrays, write_arrays
@@ -43,6 +43,7 @@ class Sample:
         slots: Frame that becomes available in each window, -1 for none, int64 [T].
         lags: Windows from the estimate before that to the centre of its exposure, int64 [T].
         frame_inputs: float16 [N, channels, rows, columns].
+        frame_turning: Moments of each frame (`mixtac_fger.shear.turning`), float32 [N, 4].
         frame_force: Mean label over each exposure [N], float32 [N].
         frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
         origin: Seeds, profile, and the like.
@@ -55,6 +56,7 @@ class Sample:
     slots: NDArray[np.int64]
     lags: NDArray[np.int64]
     frame_inputs: NDArray[np.float16]
+    frame_turning: NDArray[np.float32]
     frame_force: NDArray[np.float32]
     frame_across: NDArray[np.float32]
     origin: dict[str, Any]
@@ -101,7 +103,7 @@ def make_sample(
         correction_lag(int(end) - width, int(middle[slot]), width) if slot >= 0 else 0
         for end, slot in zip(ends, slots, strict=True)
     ]
-    inputs, features = _features(config, trial, ends, slots)
+    inputs, turning, features = _features(config, trial, ends, slots)
     return Sample(
         window_end_us=ends,
         event_features=features,
@@ -110,6 +112,7 @@ def make_sample(
         slots=np.where(slots >= 0, slots - (kept - 1), -1),
         lags=np.array(lags, np.int64),
         frame_inputs=inputs,
+        frame_turning=turning,
         frame_force=forces[kept - 1 :],
         frame_across=_across(trial, middle[kept - 1 :]),
         origin=origin,
@@ -128,8 +131,8 @@ def _features(
     trial: TrialArrays,
     ends: NDArray[np.int64],
     slots: NDArray[np.int64],
-) -> tuple[NDArray[np.float16], NDArray[np.float16]]:
-    """Return the inputs of the frame network from the reference on, and the event features."""
+) -> tuple[NDArray[np.float16], NDArray[np.float32], NDArray[np.float16]]:
+    """Return inputs and moments of frames from the reference on, and the event features."""
     preparation, window = FramePreparation(config), WindowFeatures(config)
     kept = config.reference_frames
     first = [preparation.contrast(frame) for frame in trial.frames[:kept]]
@@ -137,9 +140,12 @@ def _features(
     count = len(trial.frames) - (kept - 1)
     channels = len(config.frame_channels)
     inputs = np.empty((count, channels, *config.frame_shape), STORED)
+    turning = np.zeros((count, len(TURNING_WIDTHS)), np.float32)
     for index in range(count):
         contrast = preparation.contrast(trial.frames[index + kept - 1])
         inputs[index] = preparation.network_input(contrast, reference)
+        if config.reads_flow:
+            turning[index] = preparation.turning()
     out = np.zeros(window.shape, np.float32)
     features = np.empty((len(ends), *window.shape), STORED)
     guide = preparation.guide(first[-1])
@@ -147,9 +153,9 @@ def _features(
     for index, slot in enumerate(slots):
         if slot >= 0:
             guide = preparation.guide(preparation.contrast(trial.frames[slot]))
-        window.compute(trial.events[cuts[index] : cuts[index + 1]], guide, out)
-        features[index] = out
-    return inputs, features
+        light = window.compute(trial.events[cuts[index] : cuts[index + 1]], guide, out)
+        features[index] = 0.0 if light else out
+    return inputs, turning, features
 
 
 def save_sample(path: Path, sample: Sample, config: FgerConfig) -> None:
@@ -233,7 +239,7 @@ class FgerRecipe:
         """Return what changes a sample."""
         fields = self.config.to_dict()
         kept = {name: fields[name] for name in fields if name not in UNSEEN_BY_SAMPLES}
-        return {'kind': 'fger 2', 'label': self.label} | kept
+        return {'kind': 'fger 4', 'label': self.label} | kept
 
     def write(self, trial: TrialArrays, path: Path) -> None:
         """Prepare a trial and write it, whole or not at all.
