@@ -61,8 +61,9 @@ LEAST_PULL_N = 0.03
 """A pull changes the estimate by this at least [N]."""
 SLID_PART = 0.3
 """Part of a pull that may stay after it is taken off; more is a contact that slid (estimate)."""
-PULL_PART = 0.06
-"""Standard deviation of the estimate from pull to pull, as a part of it."""
+PULL_PART = 0.12
+"""Standard deviation of the estimate from pull to pull, as a part of it: between the four
+directions on fourteen simulated sensors (`paper_like`)."""
 WAY_SD = 0.09
 """Standard uncertainty of the direction of a pull by hand [rad] (estimate): 5 degrees."""
 PULLED_MEAN, SENSOR_SD, PLACE_SD = 0.0, 0.05, 0.2

@@ -84,7 +84,7 @@ def refusal(loads=LOADS, known=None, **settings):
 @pytest.mark.parametrize(('gain', 'turn'), [(1.4, 0.0), (0.6, 0.2), (2.5, -0.3)])
 def test_gain_and_angle_are_found_within_their_uncertainty(gain, turn):
     found = fit_pulls(pulls_of(gain=gain, turn=turn))
-    assert abs(found.gain - gain) < 2.0 * found.gain_sd < 0.1 * gain
+    assert abs(found.gain - gain) < 2.0 * found.gain_sd < 0.2 * gain
     assert abs(found.turn - turn) < found.turn_sd
     assert found.mae_after_n < 0.01 < found.mae_before_n
     assert [point.pull.way for point in found.points] == [1.0, -1.0, 1j, -1j]
