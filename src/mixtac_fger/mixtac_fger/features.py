@@ -81,19 +81,20 @@ def _is_light(sums: F32) -> bool:
     A lamp that changes, or ripples, takes pixels over their thresholds wherever they are; motion
     makes events of both polarities, and a touch makes them in one place.
     """
-    cells = sums.shape[0] * sums.shape[1]
-    totals, squares = np.zeros(2), np.zeros(2)
+    on, off, on_squares, off_squares = 0.0, 0.0, 0.0, 0.0
     for row in range(sums.shape[0]):
         for column in range(sums.shape[1]):
-            for kind in range(2):
-                count = np.float64(sums[row, column, 2 + kind])
-                totals[kind] += count
-                squares[kind] += count * count
-    most = 0 if totals[0] > totals[1] else 1
-    if totals[most] < ONE_SIDED * totals[1 - most]:
+            brighter, darker = np.float64(sums[row, column, 2]), np.float64(sums[row, column, 3])
+            on += brighter
+            off += darker
+            on_squares += brighter * brighter
+            off_squares += darker * darker
+    most, least, squares = (on, off, on_squares) if on > off else (off, on, off_squares)
+    if most < ONE_SIDED * least:
         return False
-    mean = totals[most] / cells
-    variance = squares[most] / cells - mean * mean
+    cells = sums.shape[0] * sums.shape[1]
+    mean = most / cells
+    variance = squares / cells - mean * mean
     return bool(variance < EVEN_NOISE * mean + (EVEN_SHARE * mean) ** 2)
 
 

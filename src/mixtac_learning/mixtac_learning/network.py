@@ -308,7 +308,7 @@ class FgerNetwork(nn.Module):
         """Return what the network needs of frames, [N, ...]: f_frame, with `shear` their moments.
 
         Args:
-            inputs: Of the frame network, [N, channels, rows, columns].
+            inputs: Inputs of the frame network, [N, channels, rows, columns].
             turning: Moments (`mixtac_fger.shear.turning`), [N, 4].
         """
         feature = self.frame(inputs)
