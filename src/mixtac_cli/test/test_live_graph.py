@@ -36,7 +36,9 @@ def graph(module_node_under_test) -> Iterator[Monitor]:
     """Return a monitor of the sensor graph, running and active."""
     processes = module_node_under_test
     with Monitor('mixtac', 120) as monitor:
-        nodes = sensor_graph('virtual', virtual_sensor={'scenario': 'idle'})
+        # A slow host is no matter of this test: by default, time that it cannot simulate is a gap.
+        given = {'scenario': 'idle', 'slow_host': 'wait'}
+        nodes = sensor_graph('virtual', virtual_sensor=given)
         processes.start_nodes(nodes, 'mixtac')
         monitor.bring_up('fger', processes)
         monitor.listen()

@@ -138,7 +138,7 @@ def sheared_area(radius: Floats | float, thickness: float) -> Floats:
 
     Args:
         radius: Radius of the contact.
-        thickness: Of the gel, in the same unit; the area is in its square.
+        thickness: Thickness of the gel, in the same unit; the area is in its square.
     """
     return np.asarray(np.pi * (radius + 0.5 * thickness) ** 2)
 

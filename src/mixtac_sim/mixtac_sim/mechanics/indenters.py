@@ -14,7 +14,14 @@ from types import MappingProxyType
 from typing import Final, Literal
 
 IndenterName = Literal[
-    'hemisphere', 'small sphere', 'large sphere', 'flat', 'narrow flat', 'wide flat', 'edge'
+    'hemisphere',
+    'small sphere',
+    'large sphere',
+    'shallow sphere',
+    'flat',
+    'narrow flat',
+    'wide flat',
+    'edge',
 ]
 
 
@@ -45,6 +52,7 @@ INDENTERS: Mapping[IndenterName, Indenter] = MappingProxyType(
         'hemisphere': HEMISPHERE,
         'small sphere': Indenter('sphere', 4.0),
         'large sphere': Indenter('sphere', 25.0),
+        'shallow sphere': Indenter('sphere', 40.0),
         'flat': Indenter('flat', 5.0),
         'narrow flat': Indenter('flat', 3.0),
         'wide flat': Indenter('flat', 7.0),

@@ -102,8 +102,8 @@ def _splat(cover: NDArray[np.int32], dirty: NDArray[np.uint8], spot: Floats, hei
 
 LEVELS_MM = np.linspace(0.0, 0.6, 13)
 """Sags of the tables [mm]; 0.6 mm are 1 to 6 N. A mesh that sags more is shown like that."""
-TOLERANCE_MM = 0.008
-"""Motion below this is not shown: it changes no log intensity by more than 2 %."""
+TOLERANCE_MM = 0.002
+"""Motion below this is not shown: it changes no log intensity by more than 0.5 %."""
 VISIBLE = 0.02
 """Relative change of the light below which a tile is left alone."""
 

@@ -49,7 +49,7 @@ class PixelState(NamedTuple):
         bits: The same memory as int32.
         ready_ns: End of the blind time of a pixel after an event [padded pixels] [ns], int64.
         last_ns: Until when a tile is up to date [tiles] [ns], int64.
-        due_ns: Time of a skipped tile's first leak event [tiles] [ns], int64.
+        due_ns: Time from which a skipped tile may have an event [tiles] [ns], int64.
         active: Whether a tile has not settled [tiles], uint8.
     """
 
@@ -234,12 +234,28 @@ def _note(crossings: Crossings, at_ns: int, pixel: int, rising: bool) -> None:
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _due(values: NDArray[np.float32], end_ns: int) -> int:
-    """Return when the first of a tile's pixels leaks over its threshold [ns]."""
+def _due(values: NDArray[np.float32], corners: Corners, ripple: Ripple, end_ns: int) -> int:
+    """Return when the first of a tile's settled pixels may pass a threshold, by leak and ripple [ns].
+
+    A ripple takes a pixel over its threshold at a crest. So a pixel is due as soon as a crest would
+    do so; were it left alone, all such pixels of a tile would fire when something else wakes it.
+    """
+    source, per_lux = _F(corners.source_hz), _F(corners.hz_per_lux)
+    turn = 2.0 * np.pi * ripple.hz * 1e-9 * end_ns + ripple.phase
+    sine, cosine = _F(np.sin(turn)), _F(np.cos(turn))
+    depth, frequency = _F(ripple.depth), _F(ripple.hz)
     soonest = 1e9
     for j in range(TILE):
+        crest = here = _F(0.0)
+        if depth > 0.0:
+            q = frequency * (_F(1.0) / source + _F(1.0) / (per_lux * values[LIGHT, j]))
+            square = _F(1.0) + q * q
+            crest, here = depth / np.sqrt(square), depth * (sine - q * cosine) / square
+        mean = values[DIFFERENCE, j] - here
+        if depth > 0.0 and mean - crest < -values[OFF, j]:
+            return end_ns
         if values[LEAK, j] > 0.0:
-            away = float(values[ON, j] - values[DIFFERENCE, j])
+            away = float(values[ON, j] - mean - crest)
             soonest = min(soonest, away / float(values[LEAK, j]))
     if soonest >= 1e9:
         return NEVER
@@ -304,7 +320,7 @@ def develop(
         state.last_ns[tile] = end_ns
         state.active[tile] = moves
         if not moves:
-            state.due_ns[tile] = _due(values, end_ns)
+            state.due_ns[tile] = _due(values, corners, ripple, end_ns)
 
 
 CAPACITY = 1 << 20

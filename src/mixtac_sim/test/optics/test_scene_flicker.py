@@ -21,15 +21,18 @@ ONES = np.ones(PADDED, np.float32)
 EVEN = PixelSpread(ONES, ONES, ONES, np.array([7]), np.array([0.0]))
 
 
-def events_under(lamp, settings, lux, seconds=0.2, step_us=500, warm_s=0.1):
-    """Return times [s], pixels and polarities of events after a warm-up."""
+def events_under(lamp, settings, lux, seconds=0.2, step_us=500, warm_s=0.1, touched=lambda _: True):
+    """Return times [s], pixels and polarities of events after a warm-up.
+
+    In the steps for which `touched` is true, something wakes all tiles.
+    """
     scene = Scene(np.full(PADDED, lux, np.float32), np.zeros(PADDED, np.float32))
     dvs = Dvs(scene, EVEN, settings, np.random.default_rng(0))
     dvs.light_by(lamp)
     cover, dirty = np.zeros(PADDED, np.int32), np.ones(TILES, np.uint8)
     found, ns = [], 1000 * step_us
     for k in range(round((warm_s + seconds) * 1e6 / step_us)):
-        dirty[:] = 1
+        dirty[:] = touched(k)
         dvs.step(cover, dirty, k * ns, (k + 1) * ns, 0)
         keys = dvs.take()
         if k * step_us >= 1e6 * warm_s:
@@ -74,6 +77,20 @@ def test_small_ripple_fires_nothing_by_itself():
     settings = PixelSettings(0.2, 0.25, **QUIET)
     assert len(events_under(lamp, settings, 100.0, warm_s=0.05)[0]) < 0.1 * PIXELS
     assert lamp.longest_step == BLOCK_STEPS
+
+
+def test_pixels_that_rest_fire_as_the_ripple_comes_and_not_when_something_wakes_them():
+    settings = PixelSettings(0.2, 0.2, **{**QUIET, 'leak_hz': 0.2})
+    lamp = Flicker(0.02, 100.0, 0.3)
+    woken, resting = (
+        events_under(lamp, settings, 100.0, 1.2, 1000, touched=touched)
+        for touched in (lambda _: True, lambda k: k % 300 == 250)
+    )
+    times = np.arange(0.1, 1.31, 0.004)
+    counts = [np.histogram(each[0], times)[0] for each in (woken, resting)]
+    assert counts[0].sum() > 0.1 * PIXELS
+    assert counts[1].sum() == pytest.approx(counts[0].sum(), rel=0.02)
+    assert counts[1].max() < 1.3 * counts[0].max()
 
 
 def test_switched_leds_make_every_pixel_fire_each_time():

@@ -146,7 +146,6 @@ def sensor_rows(model: Model, device: int, advance: Callable[[], None]) -> dict[
         sideways, sideways_sd = fit.elsewhere(normal)
     except ForceCalibrationError as error:
         refused = error.reason
-    ways = [np.array([gain, gain, normal]) for gain in (sideways, normal, pulled)]
     found: dict[str, Any] = {
         'normal_gain': normal,
         'pulled_gain': pulled,
@@ -161,7 +160,8 @@ def sensor_rows(model: Model, device: int, advance: Callable[[], None]) -> dict[
         units = np.array([1.0, 1.0, 1e3])
         known = _known(estimate) * units
         raw = np.asarray(estimate.across)[:, :3] * units
-        columns = np.concatenate([known, raw, *(raw * gains for gains in ways)], axis=1)
+        ways = (raw * gain for gain in (sideways, normal, pulled))
+        columns = np.concatenate([known, raw, *ways], axis=1)
         share = friction_share(estimate, spec)
         for case, mask in case_masks(profile, estimate, share).items():
             found['cases'][case] = columns[mask & np.isfinite(raw).all(axis=1)]
