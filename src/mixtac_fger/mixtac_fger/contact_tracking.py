@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The contact at 500 Hz: on and off by force and brightness, place and shape by frames and events.
+"""The contact at 500 Hz: on and off by force and events, place and shape by frames and events.
 
-A touch brightens the skin around it before the estimate has risen: events of one polarity whose
-rate falls off from one place, unlike those of a lamp (`Onset`). A release has no such sign. There,
+A touch makes events around it before the estimate has risen; their rate falls off from one place,
+unlike those of a lamp (`Onset`). A release has no such sign. There,
 the estimate comes late, and is led by its own slope. A weak force that lasts is a contact where a
 picture shows more than any since the last one: noise moves the estimate until a frame corrects it,
 and gel that creeps back is no touch. Times and thresholds were chosen on nine simulated sensors.
@@ -62,28 +62,26 @@ UNSEEN_N: Final = 0.1
 """Largest force of a contact that a picture may fail to show [N]."""
 UNSEEN_US: Final = 40_000
 """Time from the begin of a contact after which a picture that shows none ends it [us]."""
-ONSET: Final = 7.0
-"""Standard deviations of the noise from which on a brightening is a touch."""
+ONSET: Final = 4.5
+"""Standard deviations from which on a rise of the event rate in one place is a touch."""
 ONSET_MEMORY: Final = 0.905
-"""Share of the brightening that is left after a window: 20 ms."""
+"""Share of the events that is left after a window: 20 ms."""
 ONSET_WIDTH: Final = 1.15
-"""Width of a brightening (standard deviation) over the spacing of the cells."""
+"""Width of the place (standard deviation) over the spacing of the cells."""
 QUIET_SHARE: Final = 0.005
 """Share of the noise that its mean takes over per window without contact: 0.4 s."""
 LEAST_NOISE: Final = 1.0
-"""Smallest standard deviation of the noise, in events: a few hot pixels are no touch."""
+"""Smallest variance of the noise, in events: a few hot pixels are no touch."""
 SURE_WINDOWS: Final = 15
 """Windows for which a force above the threshold has to last, and a picture to show more."""
 SURE_SHARE: Final = 3.0
 """Force over the threshold from which on one window is enough."""
 PROMISED_US: Final = 150_000
-"""Time in which the force has to follow a brightening, unless a picture ends it before [us]."""
-RISING_US: Final = 16_000
-"""Time from a brightening to 0.03 N in a gentle touch [us]."""
-BRIGHT_N: Final = 0.05
-"""Largest threshold that a brightening may stand for [N]."""
+"""Time in which the force has to follow such a rise, unless a picture ends it before [us]."""
+ONSET_N: Final = 0.05
+"""Largest threshold that such a rise may stand for [N]."""
 AFTER_US: Final = 80_000
-"""Time after a contact in which brightenings are its own [us]."""
+"""Time after a contact in which events are its own [us]."""
 LEAD_S: Final = 0.008
 """Time by which the slope of the force leads it in a release [s]."""
 LEAD_BELOW_N: Final = 0.3
@@ -242,32 +240,45 @@ class FlowCarrier:
 
 
 @njit(cache=True, nogil=True, fastmath={'contract'})
-def _brightening(
-    counts: F32, touching: bool, bumps: F64, mean: F64, sums: F64, noise: F64, signed: F64
+def _rise(
+    counts: F32,
+    share: float,
+    bumps: F64,
+    mean: F64,
+    more: F64,
+    sums: F64,
+    poisson: F64,
+    noise: F64,
 ) -> float:
-    """Add a window to the sums and return the brightening; see `Onset.window`."""
+    """Add a window to the sums and return the rise of the rate; see `Onset.window`."""
     columns = counts.shape[1]
-    for cell in range(signed.shape[0]):
-        on, off = counts[cell // columns, cell % columns]
-        signed[cell] = np.expm1(np.float64(on)) - np.expm1(np.float64(off))
     for bump in range(sums.shape[0]):
         sums[bump] *= ONSET_MEMORY
-        for cell in range(signed.shape[0]):
-            sums[bump] += bumps[bump, cell] * (signed[cell] - mean[cell])
-    size, deviation = sums.max(), max(np.sqrt(noise.mean()), LEAST_NOISE)
-    if not touching and size < ONSET * deviation:
-        for cell in range(signed.shape[0]):
-            mean[cell] += QUIET_SHARE * (signed[cell] - mean[cell])
+        poisson[bump] *= ONSET_MEMORY * ONSET_MEMORY
+    for cell in range(mean.shape[0]):
+        on, off = counts[cell // columns, cell % columns]
+        events = np.expm1(np.float64(on)) + np.expm1(np.float64(off))
+        more[cell] = events - mean[cell]
         for bump in range(sums.shape[0]):
-            noise[bump] += QUIET_SHARE * (sums[bump] * sums[bump] - noise[bump])
-    return float(size / deviation)
+            height = bumps[bump, cell]
+            sums[bump] += height * more[cell]
+            poisson[bump] += height * height * events
+    best = np.argmax(sums)
+    rise = sums[best] / np.sqrt(max(noise.mean(), poisson[best], LEAST_NOISE))
+    if rise < ONSET:
+        for cell in range(mean.shape[0]):
+            mean[cell] += share * more[cell]
+        for bump in range(sums.shape[0]):
+            noise[bump] += share * (sums[bump] * sums[bump] - noise[bump])
+    return float(rise)
 
 
 class Onset:
-    """Recognises the brightening around a touch in the events of windows.
+    """Recognises a touch by the events of windows: more than before, in one place.
 
-    Bumps at 20 places of the grid, without their mean, are compared with ON less OFF events: a lamp
-    that changes brightens all cells alike.
+    Bumps at 20 places of the grid, without their mean, are compared with the number of events less
+    its mean at rest: a lamp that changes makes events in all cells alike. The standard deviation is
+    that at rest, or that of as many events without order where it is larger.
 
     Args:
         shape: Rows and columns of the event grid.
@@ -283,19 +294,22 @@ class Onset:
                 bump -= bump.mean()
                 bumps.append(bump / np.linalg.norm(bump))
         self._bumps = np.array(bumps)
-        self._mean, self._signed = np.zeros((2, shape[0] * shape[1]))
-        self._sums = np.zeros(len(bumps))
-        self._noise = np.full(len(bumps), 10.0 * LEAST_NOISE**2)
+        self._mean, self._more = np.zeros((2, shape[0] * shape[1]))
+        self._sums, self._poisson = np.zeros((2, len(bumps)))
+        self._noise = np.full(len(bumps), 10.0 * LEAST_NOISE)
+        self._rests = 0
 
     def window(self, counts: F32, *, touching: bool) -> float:
-        """Add a window and return the brightening, in standard deviations of the noise.
+        """Add a window and return the rise of the rate in one place, in standard deviations.
 
         Args:
             counts: ln(1 + ON) and ln(1 + OFF) events of each cell [rows, columns, 2].
-            touching: Whether there is a contact, of which noise learns nothing.
+            touching: Whether there is a contact, of which rest learns nothing.
         """
-        state = self._bumps, self._mean, self._sums, self._noise, self._signed
-        return float(_brightening(counts, touching, *state))
+        self._rests += not touching
+        share = 0.0 if touching else max(1.0 / self._rests, QUIET_SHARE)
+        state = self._bumps, self._mean, self._more, self._sums, self._poisson, self._noise
+        return float(_rise(counts, share, *state))
 
 
 def _pooled(values: F32, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -378,7 +392,6 @@ class ContactTracker:
         self._onset = Onset((rows, columns))
         self._touching, self._promised = False, False
         self._end_us, self._since_us, self._ended_us = 0, 0, -AFTER_US
-        self._bright_us: int | None = None
         self._force_n: float = 0.0
         self._rest_n = self._low_n = 0.0
         self._above = 0
@@ -417,14 +430,10 @@ class ContactTracker:
         self._above = self._above + 1 if risen > self.settings.on_n else 0
         lasting = self._above >= SURE_WINDOWS and self._shows_more()
         sure = lasting or risen > SURE_SHARE * self.settings.on_n
-        waits = self._bright_us is None and self.settings.on_n <= BRIGHT_N
-        if waits and onset > ONSET and end_us > self._ended_us + AFTER_US:
-            self._bright_us = end_us
-        bright = self._bright_us is not None and end_us >= self._bright_us + RISING_US
-        self._touching = sure or bright
+        alone = end_us > self._ended_us + AFTER_US and self.settings.on_n <= ONSET_N
+        self._touching = sure or (alone and onset > ONSET)
         if self._touching:
             self._since_us, self._promised, self._above = end_us, not sure, 0
-            self._bright_us = None
 
     def _goes_on(self, end_us: int, above: float) -> bool:
         """Return whether a contact goes on at a force [N]."""

@@ -46,7 +46,7 @@ class FgerParameters:
         contact: Find where the sensor is touched, and publish `contact` and `contact_point`, while
             somebody subscribes. Takes effect at the next activation, as the next seven.
         contact_on: Force from which on `contact` says that something touches the sensor. Up to 0.05
-            N, a brightening of the skin tells it, too.
+            N, events in one place tell it, too.
         contact_off: Force below which `contact` says that the touch has ended.
         object_radius: Radius of curvature of what touches the sensor. Where it is known, the area
             of the contact is more accurate; 0 if it is not.

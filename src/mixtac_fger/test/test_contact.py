@@ -207,7 +207,7 @@ def test_what_frames_correct_does_not_end_a_young_contact():
 
 
 def lit(rng, bump=None):
-    """Return a finder whose counts are noise of a window, and events of a brightening."""
+    """Return the counts of a window: noise, and more events where something happens."""
     rates = np.stack([np.full(GRID, 0.5), np.full(GRID, 0.4)], axis=-1)
     if bump is not None:
         rates[..., 0] += bump
@@ -223,7 +223,7 @@ def follow(tracker, finder, bumps, start_us):
     return found
 
 
-def test_a_brightening_around_one_place_is_a_touch_that_the_force_has_to_follow():
+def test_events_around_one_place_are_a_touch_that_the_force_has_to_follow():
     finder = Finder()
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), finder)
     assert not any(follow(tracker, finder, [None] * 500, 2000))
@@ -240,9 +240,12 @@ def test_a_lamp_that_brightens_every_cell_is_no_touch():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), finder)
     assert not any(follow(tracker, finder, [None] * 500, 2000))
     assert not any(follow(tracker, finder, [np.full(GRID, 3.0)] * 4 + [None] * 50, 1_002_000))
+    # Nor one that is brighter on one side.
+    uneven = np.linspace(8.0, 12.0, GRID[1]) * np.ones((GRID[0], 1))
+    assert not any(follow(tracker, finder, [uneven] * 4 + [None] * 50, 1_202_000))
 
 
-def test_a_brightening_does_not_stand_for_a_high_threshold():
+def test_events_do_not_stand_for_a_high_threshold():
     finder = Finder()
     tracker = ContactTracker(ContactSettings(0.1, 0.06, scale=SCALE), finder)
     follow(tracker, finder, [None] * 500, 2000)
