@@ -45,8 +45,7 @@ class FgerParameters:
         contact_threshold: Forces above this count as contact; ~/tare is refused during contact.
         contact: Find where the sensor is touched, and publish `contact` and `contact_point`, while
             somebody subscribes. Takes effect at the next activation, as the next seven.
-        contact_on: Force from which on `contact` says that something touches the sensor. Up to 0.05
-            N, events in one place tell it, too.
+        contact_on: Force from which on `contact` says that something touches the sensor.
         contact_off: Force below which `contact` says that the touch has ended.
         object_radius: Radius of curvature of what touches the sensor. Where it is known, the area
             of the contact is more accurate; 0 if it is not.

