@@ -295,7 +295,7 @@ class ContactTracker:
         self._carrier = FlowCarrier((rows, columns))
         self._start = self._carrier.until(0)
         self._touching = False
-        self._end_us, self._since_us = 0, 0
+        self._since_us = 0
         self._force_n: float = 0.0
         self._rest_n = self._low_n = 0.0
         self._above = 0
@@ -303,7 +303,7 @@ class ContactTracker:
         self._recent: deque[tuple[int, float]] = deque(maxlen=SLOPE_WINDOWS + 1)
 
     def _switch(self, end_us: int, force: float) -> None:
-        self._force_n, self._end_us = force, end_us
+        self._force_n = force
         free = self.touch is not None and not self.touch.fit.seen
         if free and not self._touching and abs(force) < MOST_REST_N:
             self._rest_n += REST_SHARE * (force - self._rest_n)

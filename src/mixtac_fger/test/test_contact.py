@@ -106,10 +106,9 @@ def test_displacement_of_a_moved_texture_is_measured_beyond_one_bin():
 
 
 class Finder:
-    """An estimator of which a test sets the flow and the events."""
+    """An estimator of which a test sets the flow."""
 
     def __init__(self):
-        self.counts = np.zeros((*GRID, 2), np.float32)
         self.flow = np.zeros((*GRID, 2), np.float32)
 
     def find_contacts(self, scale):
