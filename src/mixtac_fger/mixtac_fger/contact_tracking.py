@@ -60,7 +60,7 @@ UNSEEN_N: Final = 0.1
 """Largest force of a contact that a picture may fail to show [N]."""
 UNSEEN_US: Final = 40_000
 """Time from the begin of a contact after which a picture that shows none ends it [us]."""
-SURE_WINDOWS: Final = 15
+SURE_WINDOWS: Final = 8
 """Windows for which a force above the threshold has to last, and a picture to show more."""
 SURE_SHARE: Final = 5.0
 """Force over the threshold from which on one window is enough."""

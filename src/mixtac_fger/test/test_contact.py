@@ -182,7 +182,7 @@ def test_contact_switches_with_hysteresis_and_has_no_place_before_a_frame():
 
 def test_a_light_force_has_to_last():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
-    assert not any(touching(tracker, [0.0] + [0.035] * 10 + [0.0] * 5))
+    assert not any(touching(tracker, [0.0] + [0.035] * 6 + [0.0] * 5))
     assert touching(tracker, [0.035] * 20, 40_000)[-1]
 
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import hashlib
+import random
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -100,7 +101,7 @@ def gather(
     on_progress: Callable[[int, int], None],
     processes: Processes,
 ) -> TrainingData:
-    """Prepare the samples of a run; every n-th trial is held out, never a part of one.
+    """Prepare the samples of a run; whole trials are held out, drawn at random.
 
     Args:
         data: What to train on.
@@ -121,9 +122,8 @@ def gather(
     )
     if processes.leads:
         processes.wait()
-    every = round(1.0 / data.checked) if data.checked > 0.0 else 0
+    held = held_out(len(prepared.paths), data.checked)
     pairs = list(zip(prepared.paths, prepared.kept, strict=True))
-    held = [i for i in range(len(pairs)) if every and len(pairs) > 1 and i % every == every - 1]
     trained = [pair for index, pair in enumerate(pairs) if index not in held]
     return TrainingData(
         [path for path, _ in trained],
@@ -131,6 +131,20 @@ def gather(
         [sources[index] for _, index in trained],
         prepared.skipped,
     )
+
+
+def held_out(count: int, part: float) -> list[int]:
+    """Return the numbers of the trials to validate on, ascending; the same for the same count.
+
+    They are drawn at random: presets and profiles take turns, and every n-th trial might be all
+    there is of one of them.
+
+    Args:
+        count: Number of trials.
+        part: Part of them, 0 for none; at least one trial is left to train on.
+    """
+    size = min(max(round(part * count), 1), count - 1) if part > 0.0 else 0
+    return sorted(random.Random(0).sample(range(count), size))  # noqa: S311  (no secret)
 
 
 def provenance(config: RunConfig, data: TrainingData, settings: dict[str, Any]) -> dict[str, Any]:

@@ -495,12 +495,17 @@ class SequenceStage(Stage):
         yield from ((a, b) for a, b in pairwise(borders) if b > a)
 
     def _loss(self, course: Course, sequences: Sequences, windows: slice, flip: Flip) -> Tensor:
-        """Return the mean loss; forces count more the larger they are, as impacts are short."""
+        """Return the mean loss; forces count more the larger they are, as impacts are short.
+
+        An estimate that is larger than the force counts as such a force would: if the force
+        alone weighed, the expected loss were least at estimates that are too large.
+        """
         valid, known = sequences.valid[windows], sequences.force[windows]
         knee, weight = self.settings.loss_knee_n, self.settings.force_weight
         normal, sideways = self.model.gains[sequences.device].unbind(1)
-        errors = force_loss(normal * course.force, known, knee)
-        weights = valid * (1.0 + weight * known.abs())
+        force = normal * course.force
+        errors = force_loss(force, known, knee)
+        weights = valid * (1.0 + weight * torch.maximum(known.abs(), force.detach().abs()))
         loss = torch.Tensor((errors * weights).sum() / weights.sum().clamp(min=1.0))
         if course.across is None:
             return loss

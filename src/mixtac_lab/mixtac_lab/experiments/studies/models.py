@@ -134,8 +134,7 @@ def table_data(sizes: Sizes, model: str, protocol: str = OTHER_DAYS) -> DataConf
     """Return the training trials of a model; they are the same for every seed.
 
     All models keep the same trials to choose weights by, ours to calibrate its uncertainty as
-    well: every seventh of one sensor's trials, every ninth of many sensors'. Profiles take turns
-    of eight, so all kinds of trials are kept.
+    well: a seventh of one sensor's trials, a ninth of many sensors'.
     """
     many = model == OURS_MANY
     count = sizes.sensors if many else sizes.trials
