@@ -61,7 +61,8 @@ def score_trial(
 
     Args:
         windows: All windows of the trial; the first ones are at rest.
-        learning: Number of windows from which the detectors learn; they are not scored.
+        learning: Fewest windows from which the detectors learn, more where a lamp hides some; they
+            are not scored.
         settings: Settings of the detectors.
 
     Raises:
@@ -74,16 +75,16 @@ def score_trial(
             continue  # as of `Detectors`
         by_count.update(window)
         by_flow.update(window)
-        if number < learning:
+        if number < learning or not (by_count.learned and by_flow.learned):
             by_count.learn(window)
             by_flow.learn(window)
-        elif by_count.learned and by_flow.learned:
+        else:
             middle = by_count.background.median
             count = (window.count - middle) / (by_count.threshold - middle)
             rows.append((window.end_us, count, by_flow.flow / by_flow.threshold))
     if not rows:
         raise SlipControlError(
-            f'{learning} windows do not suffice to learn the background',
+            f'{learning} windows or the whole trial do not suffice to learn the background',
             remedy='give as many windows as the settings require, with frames',
         )
     ends, counts, flows = zip(*rows, strict=True)

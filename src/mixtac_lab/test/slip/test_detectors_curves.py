@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -70,6 +72,16 @@ def test_scores_are_one_at_the_threshold_of_each_detector() -> None:
     assert scored.flow[:60].max() < 1.0
     assert scored.count[60] > 1.0 > scored.flow[60]
     assert scored.flow[61] > 1.0 > scored.count[61]
+
+
+def test_windows_that_a_lamp_hides_are_made_up_for() -> None:
+    settings = SlipControlParameters(learning_time=0.2)
+    windows = quiet_windows(400)
+    for index in range(20, 120):
+        windows[index] = replace(windows[index], light=True)
+    scored = score_trial(windows, 210, settings)
+    assert scored.end_us[0] == windows[300].end_us
+    assert len(scored.end_us) == 100
 
 
 def test_too_little_is_refused() -> None:
