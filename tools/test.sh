@@ -14,7 +14,7 @@ calculations=log/test_calculations.log
 # Linux may share its time among sessions first, and heeds niceness only within each: hence both.
 idle='echo 19 2>/dev/null >/proc/self/autogroup; exec nice -n 19 "$@"'
 calculation_tests=(env OMP_NUM_THREADS=1 python -m pytest -m 'not live' --timeout 900)
-calculation_tests+=(--dist loadgroup --no-loadscope-reorder)
+calculation_tests+=(--dist loadgroup --no-loadscope-reorder --durations 25 --durations-min 5)
 setsid bash -c "$idle" idle "${calculation_tests[@]}" -n 2 "$@" >"$calculations" 2>&1 &
 calculating=$!
 trap 'kill -- -$calculating 2>/dev/null' EXIT
@@ -22,6 +22,7 @@ trap 'exit 130' INT TERM
 
 echo "calculations run in the background: $calculations"
 live_tests=(python -m pytest -m live -o cache_dir=.pytest_cache/live)
+live_tests+=(--durations 25 --durations-min 5)
 "${live_tests[@]}" "$@"
 live=$?
 tail -n +1 -f --pid=$calculating "$calculations"

@@ -185,7 +185,8 @@ def claim_nodes(names: Iterable[str], domain: int) -> list[IO[str]]:
     return claims
 
 
-STOP_GRACE_S = 8.0
+STOP_GRACE_S = 20.0
+"""From SIGTERM to SIGKILL [s]: on a busy host a last picture takes ten."""
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
 FATAL = 'error: '
 """Begins the line on stderr with which a node that failed ends."""
