@@ -239,6 +239,14 @@ def slip(
     wait: Annotated[
         float, typer.Option(help='Time that the grip margin has to act before the knock [s].')
     ] = 0.0,
+    off_axis: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=4.0,
+            help='Distance of the contact from the optical axis [mm]; by default that of the day.',
+        ),
+    ] = None,
     force: Annotated[
         Force, typer.Option(help="The sensor's own force, or the true one with noise of 30 mN.")
     ] = 'estimated',
@@ -292,6 +300,7 @@ def slip(
         lag_s=lag,
         settings=SlipControlParameters(lead=lead),
         wait_s=wait,
+        off_axis_mm=off_axis,
         estimated=force == 'estimated',
     )
     # All margins of a sensor in a row, so that it is calibrated once.
@@ -324,6 +333,7 @@ def slip(
     outcome['conditions'] = {
         'margin': list(margins),
         'wait_s': wait,
+        'off_axis_mm': off_axis,
         'knock_mm_s': knock,
         'arm_lag_s': lag,
         'lead_s': lead,

@@ -64,6 +64,8 @@ class TrialPlan:
         settings: Settings of the slip controller.
         estimated: Whether the force is the sensor's own; else it is the true one with noise.
         wait_s: Time that the grip margin has to act before the knock, beyond `KNOCK_S` [s].
+        off_axis_mm: Distance of the contact from the optical axis, in a random direction [mm]; None
+            for the place of the day.
     """
 
     name: ObjectName = 'box'
@@ -76,6 +78,7 @@ class TrialPlan:
     settings: SlipControlParameters = field(default_factory=SlipControlParameters)
     estimated: bool = True
     wait_s: float = 0.0
+    off_axis_mm: float | None = None
 
     @property
     def onset_us(self) -> float:
@@ -100,8 +103,19 @@ class TrialPlan:
             knock_s=knock_s,
             stiffness_n_per_mm=self.stiffness_n_per_mm,
         )
-        day = self.seed, self.seed, preset(self.preset)
-        return Grasp(setup, *day, camera=camera, rest_s=1e-6 * self.onset_us + AFTER_KNOCK_S)
+        place = None
+        if self.off_axis_mm is not None:
+            angle = np.random.default_rng([self.seed, 8]).uniform(0.0, 2.0 * np.pi)
+            place = self.off_axis_mm * float(np.cos(angle)), self.off_axis_mm * float(np.sin(angle))
+        return Grasp(
+            setup,
+            self.seed,
+            self.seed,
+            preset(self.preset),
+            camera=camera,
+            rest_s=1e-6 * self.onset_us + AFTER_KNOCK_S,
+            contact_mm=place,
+        )
 
     def reach(self, *, ideal: bool) -> ArmReach:
         """Return the limits of the arm along the normal; an ideal arm has no lag."""

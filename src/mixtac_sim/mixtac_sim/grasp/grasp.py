@@ -10,7 +10,7 @@ force that does so, times a margin.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -219,6 +219,8 @@ class Grasp:
         preset: Difficulty of the sensor.
         camera: Simulate the camera; without it a trial takes milliseconds.
         rest_s: Time for which the smallest force holds the object, fingertip at rest [s].
+        contact_mm: Where the contact is, right and down from the optical axis [mm]; None for the
+            place of the day.
 
     Attributes:
         device: The sensor.
@@ -237,9 +239,12 @@ class Grasp:
         *,
         camera: bool = True,
         rest_s: float = 0.0,
+        contact_mm: tuple[float, float] | None = None,
     ) -> None:
         self.setup = setup
         conditions, device = draw_conditions(seed, preset), draw_device(device_seed, preset)
+        if contact_mm is not None:
+            conditions = replace(conditions, contact_mm=contact_mm)
         layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
         face = OBJECTS[setup.name].face
         gel = force_law(layer, face, device.mesh_n_per_mm, device.stiffening)

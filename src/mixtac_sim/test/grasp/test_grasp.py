@@ -57,6 +57,25 @@ def test_an_object_of_twice_the_mass_needs_twice_the_force(margin: float, held: 
     assert (block.speed_mm_s[-1] == 0.0) == held
 
 
+def _middle_px(grasp: Grasp) -> float:
+    """Return the mean column of what differs from the untouched skin."""
+    free = np.mean([frame.intensity for frame in grasp.free_frames(3)], axis=0)
+    found = []
+    while not found:
+        found = grasp.advance(np.zeros(400)).frames
+    changed = ((found[0].intensity - free) ** 2).sum(axis=0)
+    return float(changed @ np.arange(len(changed)) / changed.sum())
+
+
+def test_the_contact_is_where_it_was_asked_for() -> None:
+    still = replace(SETUP, knock_mm_s=0.0)
+    left, right = (
+        _middle_px(Grasp(still, 3, 3, contact_mm=(x_mm, 0.0))) for x_mm in (-2.5, 2.5)
+    )
+    # The beads move within 2 or 3 mm of a contact, those of both places in the overlap.
+    assert right - left > 20.0
+
+
 def test_the_knock_brings_its_speed() -> None:
     # Over 1 ms friction changes the speed by no more than a few percent.
     _, path = _run(replace(SETUP, knock_mm_s=200.0), 0.0115)
