@@ -14,6 +14,7 @@ import ast
 import importlib.util
 import io
 import sys
+from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -44,11 +45,11 @@ class Commands(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401, ARG002
         """Return the names of the commands, sorted."""
-        return sorted({name.partition('.')[0] for name in self._points()})
+        return sorted({name.partition('.')[0] for name in self._points})
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002
         """Return a command with its help text only, None for an unknown one."""
-        point = self._points().get(cmd_name)
+        point = self._points.get(cmd_name)
         if point is not None:
             return TyperCommand(cmd_name, help=summary(point))
         if not self._has_group(cmd_name):
@@ -61,7 +62,7 @@ class Commands(TyperGroup):
         return name, self._load(str(name)), rest
 
     def _load(self, name: str) -> Any:  # noqa: ANN401
-        point = self._points().get(name)
+        point = self._points.get(name)
         function: Any = None if point is None else point.load()
         if self._has_group(name):
             return group(self.prefix + name, function)
@@ -70,8 +71,9 @@ class Commands(TyperGroup):
         return get_command(app)
 
     def _has_group(self, name: str) -> bool:
-        return any(each.startswith(f'{name}.') for each in self._points())
+        return any(each.startswith(f'{name}.') for each in self._points)
 
+    @cached_property
     def _points(self) -> dict[str, EntryPoint]:
         start = len(self.prefix)
         found = entry_points(group=GROUP)

@@ -12,6 +12,7 @@ microsecond. Latencies end at the arrival at the probe and include the transport
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -281,6 +282,9 @@ def slip(
         OptionalPath,
         typer.Option(help='Folder for finished parts; an interrupted run continues there.'),
     ] = None,
+    jobs: Annotated[
+        int, typer.Option(min=0, help='Number of processes; 0: one per core.')
+    ] = 1,
     quick: Annotated[
         bool, typer.Option('--quick', help='Six trials at each margin, and nothing else.')
     ] = False,
@@ -290,7 +294,7 @@ def slip(
     ] = None,
 ) -> None:
     """Measure slip control: held objects, latency, limits, false alarms. Simulated results."""
-    console, store = Console(), Store(keep)
+    console, store, jobs = Console(), Store(keep), jobs or os.cpu_count() or 1
     if quick:
         trials, quiet_minutes, curve_trials, dds_seconds, loads = QUICK_TRIALS, 0.0, 0, 0.0, 0
     margins = MARGINS if margin is None else (margin,)
@@ -309,7 +313,7 @@ def slip(
         for k, stiffness in zip(range(trials), cycle(STIFFNESSES), strict=False)
         for each in margins
     ]
-    results = store.run_shown('box trials', [trial_piece(each) for each in plans], console)
+    results = store.run_shown('box trials', [trial_piece(each) for each in plans], console, jobs)
     by_margin = {
         f'{each:g}': margin_row(
             [r for p, r in zip(plans, results, strict=True) if p.margin == each]
@@ -318,14 +322,15 @@ def slip(
     }
     cup = replace(plan, name='cup', margin=LOADED_MARGIN)
     loaded = [load_piece(replace(cup, seed=FIRST_LOADED + k)) for k in range(loads)]
-    loads_found = store.run_shown('slow loads', loaded, console) if loaded else []
+    loads_found = store.run_shown('slow loads', loaded, console, jobs) if loaded else []
     latency = None
     if dds_seconds > 0.0:
         with console.status('slips over DDS'):
             latency = measure(dds_seconds, together=together)
     quiet = []
     if quiet_minutes > 0.0:
-        quiet = [count_alarms(name, 60.0 * quiet_minutes, preset, store, console) for name in QUIET]
+        seconds = 60.0 * quiet_minutes
+        quiet = [count_alarms(name, seconds, preset, store, console, jobs) for name in QUIET]
     outcome = summarise(results, latency, quiet)
     outcome |= {'margins': by_margin, 'force': force}
     if loads_found:
@@ -342,11 +347,12 @@ def slip(
         'transport': TRANSPORT_S,
     }
     console.print_json(data=outcome)
+    write_json(report, outcome)
     if curve_trials > 0:
         outcome['curves'] = curves(curve_trials, preset)
         if figure is not None:
             draw_curves(figure, outcome['curves'])
-    write_json(report, outcome)
+        write_json(report, outcome)
 
 
 def summarise(

@@ -281,7 +281,12 @@ SLIP_SEED = 60_000
 
 
 def count_alarms(
-    name: QuietName, seconds: float, preset_name: str, store: Store, console: Console
+    name: QuietName,
+    seconds: float,
+    preset_name: str,
+    store: Store,
+    console: Console,
+    jobs: int = 1,
 ) -> dict[str, Any]:
     """Return the false alarms of both detectors with their shipped thresholds, for JSON.
 
@@ -291,6 +296,7 @@ def count_alarms(
         preset_name: Difficulty preset of the sensors.
         store: Stored results.
         console: Shows the progress.
+        jobs: Number of processes.
 
     Returns:
         Kind of scene, `name`; simulated time after the background was learned, `seconds` [s];
@@ -301,7 +307,7 @@ def count_alarms(
     version = code_version('mixtac_events', 'mixtac_sim', 'mixtac_slip_control', __name__)
     arguments = [(name, k, seconds / number, preset_name) for k in range(number)]
     pieces = [Piece(f'quiet_{name}_{each[1]}', _quiet_piece, each, version) for each in arguments]
-    found = store.run_shown(f'scene without slip: {name}', pieces, console)
+    found = store.run_shown(f'scene without slip: {name}', pieces, console, jobs)
     sums = {key: sum(each[key] for each in found) for key in found[0]}
     return {'name': name, **sums, 'mean_count': sums['mean_count'] / number}
 
