@@ -282,9 +282,7 @@ def slip(
         OptionalPath,
         typer.Option(help='Folder for finished parts; an interrupted run continues there.'),
     ] = None,
-    jobs: Annotated[
-        int, typer.Option(min=0, help='Number of processes; 0: one per core.')
-    ] = 1,
+    jobs: Annotated[int, typer.Option(min=0, help='Number of processes; 0: one per core.')] = 1,
     quick: Annotated[
         bool, typer.Option('--quick', help='Six trials at each margin, and nothing else.')
     ] = False,

@@ -69,9 +69,7 @@ def _middle_px(grasp: Grasp) -> float:
 
 def test_the_contact_is_where_it_was_asked_for() -> None:
     still = replace(SETUP, knock_mm_s=0.0)
-    left, right = (
-        _middle_px(Grasp(still, 3, 3, contact_mm=(x_mm, 0.0))) for x_mm in (-2.5, 2.5)
-    )
+    left, right = (_middle_px(Grasp(still, 3, 3, contact_mm=(x_mm, 0.0))) for x_mm in (-2.5, 2.5))
     # The beads move within 2 or 3 mm of a contact, those of both places in the overlap.
     assert right - left > 20.0
 
