@@ -131,6 +131,7 @@ def test_commands_of_the_services_exist():
 
 def test_the_service_starts_again_after_a_failure_only_and_ends_as_ctrl_c_does():
     from mixtac_cli.main import INTERRUPTED
+    from mixtac_node.process import STOP_GRACE_S
 
     unit = configparser.ConfigParser(strict=False, interpolation=None)
     unit.optionxform = str
@@ -139,4 +140,5 @@ def test_the_service_starts_again_after_a_failure_only_and_ends_as_ctrl_c_does()
     assert service['Restart'] == 'on-failure'
     assert int(service['SuccessExitStatus']) == INTERRUPTED
     assert (service['KillSignal'], service['KillMode']) == ('SIGINT', 'mixed')
+    assert float(service['TimeoutStopSec']) > STOP_GRACE_S
     assert Path(service['ExecStart'].split()[0]).name == 'mixtac'
