@@ -48,7 +48,7 @@ def to_mapping(config: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 ARCHITECTURE = 'fger_small'
-VERSION = 3
+VERSION = 4
 LOWEST_LOG_DEVIATION, HIGHEST_LOG_DEVIATION = -7.0, 2.0
 """Limits of the logarithm of a standard deviation before `DeviationHead.scale` [log N]."""
 FRAME_CHANNELS = ('frame', 'difference', 'flow_x', 'flow_y')
@@ -56,8 +56,9 @@ FRAME_CHANNELS = ('frame', 'difference', 'flow_x', 'flow_y')
 CELL_FEATURES = 4
 """Numbers per grid cell and window: flow x, flow y, ON count, OFF count."""
 TURNING_WIDTHS = (4.5, 9.0, 13.5, 21.0)
-"""Widths around the contact over which a frame's turning is summed [bins]; see
-`mixtac_fger.shear.turning`."""
+"""Widths around the contact over which moments of a frame are summed [bins]."""
+MOMENTS = 5 + len(TURNING_WIDTHS)
+"""Number of moments of a frame; see `mixtac_fger.moments`."""
 CORRECTION_POINTS = ('exposure_centre', 'arrival')
 """Where a frame's force is compared with the estimate; see `FgerConfig.correction_point`."""
 
@@ -102,7 +103,9 @@ class FgerConfig:
         event_hidden: Width of the event encoder's hidden layer.
         event_size: Size of the event feature f_e.
         frame_widths: Channels of the strided convolutions.
-        frame_size: Size of the frame feature f_frame.
+        frame_size: What the convolutions add to the frame feature f_frame. The moments of the
+            displacement (`mixtac_fger.moments`) are the rest of it, if the frame network is given
+            the flow.
         lstm_size: Size of the recurrent state.
         mlp_size: Hidden width of MLP_df and MLP_corr.
         event_shortcut: Give MLP_df the event feature beside the recurrent state, which is bounded,
@@ -189,6 +192,11 @@ class FgerConfig:
         return {'flow_x', 'flow_y'} <= set(self.frame_channels)
 
     @property
+    def feature_size(self) -> int:
+        """Size of the frame feature f_frame: `frame_size`, and the moments."""
+        return self.frame_size + (MOMENTS if self.reads_flow else 0)
+
+    @property
     def grid_shape(self) -> tuple[int, int]:
         """Rows and columns of the event grid."""
         return self.grid_rows, self.grid_columns
@@ -236,7 +244,7 @@ class FgerConfig:
 
 
 STATISTICS = (
-    *('frame.mean', 'frame.scale', 'event.scale', 'deviation.scale'),
+    *('frame.mean', 'frame.scale', 'frame.spread', 'event.scale', 'deviation.scale'),
     *('shear.unit', 'shear.deviation'),
 )
 """Tensors of a weight file that are not trained by gradients."""
@@ -268,7 +276,9 @@ def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
         shapes[f'{name}.weight'] = (after[2], before[2], 3, 3)
         shapes[f'{name}.bias'] = (after[2],)
     linear('frame.project', math.prod(maps[-1]), config.frame_size)
-    linear('frame.head', config.frame_size, 1)
+    if config.reads_flow:
+        shapes['frame.spread'] = (MOMENTS,)
+    linear('frame.head', config.feature_size, 1)
     shapes['event.scale'] = (CELL_FEATURES,)
     linear('event.hidden', config.event_inputs, config.event_hidden)
     linear('event.output', config.event_hidden, config.event_size)
@@ -279,23 +289,23 @@ def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
     shortcut = config.event_size if config.event_shortcut else 0
     for name, inputs in (
         ('increment', config.lstm_size + shortcut),
-        ('correction', 1 + config.frame_size),
+        ('correction', 1 + config.feature_size),
     ):
         linear(f'{name}.0', inputs, config.mlp_size)
         linear(f'{name}.2', config.mlp_size, 1)
     if config.frame_context:
-        linear('context', config.frame_size, config.mlp_size, bias=False)
+        linear('context', config.feature_size, config.mlp_size, bias=False)
     if config.deviation_size:
         linear('deviation.hidden', config.lstm_size + 2, config.deviation_size)
         linear('deviation.output', config.deviation_size, 1)
         shapes['deviation.scale'] = (1,)
     if config.shear:
-        linear('shear.frame', config.frame_size, 2)
+        linear('shear.frame', config.feature_size, 2)
         linear('shear.turning', config.frame_size, len(TURNING_WIDTHS))
         linear('shear.hidden', config.lstm_size + config.event_size, config.mlp_size)
         linear('shear.event', config.mlp_size, 3)
         if config.frame_context:
-            linear('shear.context', config.frame_size, config.mlp_size, bias=False)
+            linear('shear.context', config.feature_size, config.mlp_size, bias=False)
         shapes['shear.unit'], shapes['shear.deviation'] = (3,), (3, 3)
     return shapes
 

@@ -15,8 +15,8 @@ from mixtac_events.arrays import Events
 from mixtac_events.errors import MixtacError
 from mixtac_events.frames import bin_mean, displacement, gradients, log_contrast
 from mixtac_fger.comparisons import PictureFigures, picture_figures
-from mixtac_fger.config import CELL_FEATURES, TURNING_WIDTHS, FgerConfig
-from mixtac_fger.shear import turning
+from mixtac_fger.config import CELL_FEATURES, MOMENTS, FgerConfig
+from mixtac_fger.moments import moments
 
 F32 = NDArray[np.float32]
 Index = NDArray[np.int64]
@@ -277,10 +277,14 @@ class FramePreparation:
             self._displace(contrast, reference)
         return PictureFigures(*picture_figures(reference, contrast.coarse, self._flow))
 
-    def turning(self) -> F32:
-        """Return the moments of the displacement of the latest `picture`, float32 [4]."""
-        out = np.empty(len(TURNING_WIDTHS), np.float32)
-        turning(self._flow, out)
+    def moments(self) -> F32:
+        """Return the moments of the displacement of the latest `network_input`, float32 [9].
+
+        Empty where the frame network is not given the displacement.
+        """
+        out = np.empty(MOMENTS if self._config.reads_flow else 0, np.float32)
+        if len(out):
+            moments(self._flow, out)
         return out
 
     def _displace(self, contrast: Contrast, reference: F32) -> None:

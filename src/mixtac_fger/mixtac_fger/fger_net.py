@@ -363,12 +363,11 @@ class FgerEstimator:
             reference, number = found
             inputs = self._preparation.network_input(contrast, reference)
             picture = self._preparation.picture(contrast, reference)
-            feature = np.empty(self.config.frame_size, np.float32)
-            force = frame_step(inputs, self._weights, self._maps, self._scratch, feature)
+            moments = self._preparation.moments()
+            feature = np.empty(self.config.feature_size, np.float32)
+            force = frame_step(inputs, moments, self._weights, self._maps, self._scratch, feature)
             guide = self._preparation.guide(contrast)
-            shear = None
-            if self._shear is not None:
-                shear = self._shear.measure(feature, self._preparation.turning())
+            shear = None if self._shear is None else self._shear.measure(feature)
             content = _Content(feature, guide, shear)
             coarse = contrast.coarse
             meter = self._touch

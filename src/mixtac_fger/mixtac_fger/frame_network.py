@@ -42,16 +42,18 @@ class FrameWeights(NamedTuple):
     Attributes:
         mean: Of each input channel.
         scale: Of each input channel.
+        spread: Of each moment; empty without moments.
         kernels: Of each convolution, [9 inputs, outputs], the 3 x 3 neighbours row by row.
         biases: Of each convolution, [outputs].
         project: [rows, columns, channels, frame_size].
         project_bias: [frame_size].
-        head: [frame_size].
+        head: [feature_size].
         head_bias: One element.
     """
 
     mean: F32
     scale: F32
+    spread: F32
     kernels: tuple[F32, ...]
     biases: tuple[F32, ...]
     project: F32
@@ -74,6 +76,7 @@ def frame_weights(tensors: Tensors, config: FgerConfig) -> FrameWeights:
     return FrameWeights(
         mean=copied(tensors['frame.mean']).ravel(),
         scale=copied(tensors['frame.scale']).ravel(),
+        spread=copied(tensors.get('frame.spread', np.zeros(0))),
         kernels=tuple(_kernel(tensors[f'{layer}.weight']) for layer in layers),
         biases=tuple(copied(tensors[f'{layer}.bias']) for layer in layers),
         project=copied(project.transpose(2, 3, 1, 0)),
@@ -168,6 +171,7 @@ def _project(source: F32, weights: FrameWeights, feature: F32) -> None:
 @njit(cache=True, nogil=True)
 def frame_step(
     inputs: F32,
+    moments: F32,
     weights: FrameWeights,
     maps: tuple[F32, ...],
     scratch: tuple[RowScratch, ...],
@@ -177,16 +181,20 @@ def frame_step(
 
     Args:
         inputs: Network input, float32 [channels, rows, columns].
+        moments: Of the displacement (`mixtac_fger.moments`), float32 [9]; empty for none.
         weights: Weights of the frame network.
         maps: Of `frame_maps`; changed.
         scratch: Of `row_scratch`; changed.
-        feature: float32 [frame_size], written to.
+        feature: float32 [feature_size], written to.
     """
     _normalise(inputs, weights.mean, weights.scale, maps[0])
     for layer in range(len(weights.kernels)):
         kernel, bias = weights.kernels[layer], weights.biases[layer]
         _convolve(maps[layer], kernel, bias, scratch[layer], maps[layer + 1])
-    _project(maps[len(maps) - 1], weights, feature)
+    found = weights.project_bias.shape[0]
+    _project(maps[len(maps) - 1], weights, feature[:found])
+    for index in range(moments.shape[0]):
+        feature[found + index] = moments[index] / weights.spread[index]
     force = weights.head_bias[0]
     for index in range(feature.shape[0]):
         force += feature[index] * weights.head[index]

@@ -418,7 +418,7 @@ class RecurrentPath:
         self._newest = 0
         self._confirmed = np.zeros(3)
         self._response = EventResponse(config.force_unit)
-        self.see(np.zeros(config.frame_size, np.float32))
+        self.see(np.zeros(config.feature_size, np.float32))
 
     @property
     def force(self) -> float:

@@ -2,12 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""Sideways force and torsion beside the normal force.
 
-A frame tells the sideways force by its feature. A layer under a torque moves so that the moment of
-its displacement about the contact, summed over a plane, is the torque times a constant, whatever
-the shape of the contact; a pull and a press have no such moment. So a frame tells the torsion by
-these moments (`turning`), each weighted by what the feature says about gel and contact:
-:math:`T = \sum_k m_k (w_k \cdot f + b_k)`. Each window adds increments from the recurrent state
-and its events. The value is the latest frame's, and the increments since the centre of its
+A frame tells the sideways force by its feature, whose moments (`mixtac_fger.moments`) are most of
+it, and the torsion by the moments of turning alone, each weighted by what the convolutions say
+about gel and contact: :math:`T = \sum_k m_k (w_k \cdot f + b_k)`. Each window adds increments from
+the recurrent state and its events. The value is the latest frame's, and the increments since the centre of its
 exposure.
 :math:`\sqrt{b^2 + (s y)^2 + (e i)^2}` is its deviation: a floor, a share of the value y and one of
 i, the sum of the sizes of these increments. Values are those of a gel of usual stiffness times
@@ -25,8 +23,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mixtac_fger.config import TURNING_WIDTHS
-
 if TYPE_CHECKING:
     from mixtac_fger.config import FgerConfig
     from mixtac_fger.weights import Tensors
@@ -34,8 +30,6 @@ if TYPE_CHECKING:
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-RISE: Final = 2
-"""Half the distance over which the displacement's divergence is taken [bins]."""
 NEWTONS: Final = (1.0, 1.0, 1e-3)
 """Units of what the network computes: newtons, and newton millimetres for the torque."""
 
@@ -60,46 +54,6 @@ class Shear(NamedTuple):
     def scaled(self, gain: float) -> Shear:
         """Return the value of a sensor with a gain: the law is one for a pull and a torque."""
         return Shear._make(gain * each for each in self)
-
-
-@njit(cache=True, nogil=True)
-def turning(flow: F32, out: F32) -> None:
-    """Write moments of a displacement about the contact, from x to y as the contact frame has them.
-
-    The contact is at the mean of the places, weighted by the square of the divergence where that is
-    positive. A turn has none, and a pull moves the mean along itself, where it gives no moment.
-
-    Args:
-        flow: Displacement x and y since the reference, y downwards [bins], [2, rows, columns].
-        out: Moment over each of `TURNING_WIDTHS`, per square of it [bins], float32 [4]; 0 where
-            nothing has moved.
-    """
-    rows, columns = flow.shape[1:]
-    total, right, below = 0.0, 0.0, 0.0
-    for row in range(RISE, rows - RISE):
-        for column in range(RISE, columns - RISE):
-            spread = flow[0, row, column + RISE] - flow[0, row, column - RISE]
-            spread += flow[1, row + RISE, column] - flow[1, row - RISE, column]
-            if spread > 0.0:
-                weight = spread * spread
-                total += weight
-                right += weight * column
-                below += weight * row
-    out[:] = 0.0
-    if not total > 0.0:
-        return
-    right, below = right / total, below / total
-    for index in range(out.shape[0]):
-        width = TURNING_WIDTHS[index]
-        across = np.exp(-0.5 * ((np.arange(columns) - right) / width) ** 2)
-        moment = 0.0
-        for row in range(rows):
-            y, part = row - below, 0.0
-            for column in range(columns):
-                x = column - right
-                part += across[column] * (y * flow[0, row, column] - x * flow[1, row, column])
-            moment += part * np.exp(-0.5 * (y / width) ** 2)
-        out[index] = moment / (width * width)
 
 
 @njit(cache=True, nogil=True)
@@ -142,15 +96,15 @@ class ShearHead:
         self._newest, self._base = 0, np.zeros((2, 3))
         self._known = False
 
-    def measure(self, feature: F32, moments: F32) -> F64:
+    def measure(self, feature: F32) -> F64:
         """Return what a frame shows: right, up [N], torque [N mm], for a gel of usual stiffness.
 
         Args:
-            feature: f_frame, float32 [frame_size].
-            moments: Of `turning`, float32 [4].
+            feature: f_frame, float32 [feature_size].
         """
         weight, bias, gates, gates_bias = self._frame
-        return np.append(weight @ feature + bias, moments @ (gates @ feature + gates_bias))
+        turning = gates @ feature[: gates.shape[1]] + gates_bias
+        return np.append(weight @ feature + bias, feature[-len(turning) :] @ turning)
 
     def correct(self, measured: F64, lag: int) -> None:
         """Take what a frame showed `lag` windows before the latest one."""

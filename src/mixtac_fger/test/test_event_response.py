@@ -187,7 +187,7 @@ def test_the_response_outlives_a_restart_of_the_state(model):
     for _ in range(40):
         for _ in range(20):
             path.step(random.normal(0.0, 3.0, shape).astype(np.float32))
-        path.correct(random.normal(0.0, 3.0, config.frame_size).astype(np.float32), 10)
+        path.correct(random.normal(0.0, 3.0, config.feature_size).astype(np.float32), 10)
     learned = path.event_response
     assert learned[0] != 1.0
     path.clear()
@@ -210,7 +210,7 @@ def test_a_fast_change_is_unconfirmed_until_a_frame_has_seen_it(model):
     assert abs(sums[-1]) > 0.3
     assert path.unconfirmed == pytest.approx(sums[-1], rel=1e-4)
     for lag in (0, 5, 20):
-        path.correct(np.zeros(config.frame_size, np.float32), lag)
+        path.correct(np.zeros(config.feature_size, np.float32), lag)
         assert path.unconfirmed == pytest.approx(sums[-1] - sums[-1 - lag], rel=1e-4, abs=1e-6)
     path.clear()
     assert path.unconfirmed == 0.0

@@ -11,7 +11,6 @@ import pytest
 from toy_sensor import random_model
 
 from mixtac_fger.config import (
-    TURNING_WIDTHS,
     ConfigError,
     FgerConfig,
     ModelError,
@@ -20,7 +19,7 @@ from mixtac_fger.config import (
 )
 from mixtac_fger.estimator import Estimate, fill_quality
 from mixtac_fger.fger_net import FgerEstimator, with_gain, with_sideways_gain
-from mixtac_fger.shear import Shear, ShearHead, turning
+from mixtac_fger.shear import Shear, ShearHead
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import find_model, read_model
 
@@ -29,7 +28,8 @@ CONFIG = FgerConfig(shear=True)
 
 def tensors():
     """Return a head that reads x and y from the first features of a frame, torque from a moment."""
-    weight, gates = (np.zeros((rows, CONFIG.frame_size), np.float32) for rows in (2, 4))
+    weight = np.zeros((2, CONFIG.feature_size), np.float32)
+    gates = np.zeros((4, CONFIG.frame_size), np.float32)
     weight[0, 0] = weight[1, 1] = gates[3, 0] = 1.0
     return {
         'shear.frame.weight': weight,
@@ -42,70 +42,28 @@ def tensors():
 
 
 def shown(x, y, moment=0.0):
-    """Return feature and moments of a frame with a torque of (0.5 + x) moments."""
-    feature = np.zeros(CONFIG.frame_size, np.float32)
+    """Return the feature of a frame with a torque of (0.5 + x) moments."""
+    feature = np.zeros(CONFIG.feature_size, np.float32)
     feature[:2] = x, y
-    return feature, np.float32([0.0, moment, 0.0, moment])
+    feature[-4:] = 0.0, moment, 0.0, moment
+    return feature
 
 
 def test_a_frame_counts_from_the_centre_of_its_exposure_and_events_carry_it_on():
     head = ShearHead(CONFIG, tensors())
     assert head.value is None
-    head.correct(head.measure(*shown(0.3, -0.2)), 0)
+    head.correct(head.measure(shown(0.3, -0.2)), 0)
     for _ in range(4):
         head.step(np.float32([0.01, 0.0, 0.01]))
     assert head.value[:2] == pytest.approx((2.0 * 0.34, 2.0 * -0.2), rel=1e-5)
     # Exposed two windows ago: only the last two increments come on top.
-    head.correct(head.measure(*shown(0.5, 0.0, 0.6)), 2)
+    head.correct(head.measure(shown(0.5, 0.0, 0.6)), 2)
     assert head.value[:2] == pytest.approx((2.0 * 0.52, 0.0), rel=1e-5)
     assert head.value.torque == pytest.approx(3e-3 * 0.62, rel=1e-5)
     expected = 2.0 * np.sqrt(0.1**2 + (0.2 * 0.52) ** 2 + (0.5 * 0.02) ** 2)
     assert head.value.deviation == pytest.approx(expected, rel=1e-5)
     head.clear()
     assert head.value is None
-
-
-ROWS, COLUMNS = CONFIG.frame_shape
-
-
-def displacement(place, press=0.0, pull=(0.0, 0.0), turn=0.0, width=8.0):
-    """Return the displacement [2, rows, columns] under a contact, y downwards [bins]."""
-    y, x = np.mgrid[:ROWS, :COLUMNS].astype(float)
-    x, y = x - place[0], y - place[1]
-    near = np.exp(-(x**2 + y**2) / (2.0 * width**2))
-    # Skin moves away from a press; a turn from x to y as the contact frame has them, y upwards.
-    moved = press * near * np.stack([x, y]) + near * np.reshape(pull, (2, 1, 1))
-    return (moved + turn * near * np.stack([y, -x])).astype(np.float32)
-
-
-def moments(field):
-    out = np.zeros(len(TURNING_WIDTHS), np.float32)
-    turning(field, out)
-    return out
-
-
-def test_moments_tell_a_turn_about_a_contact_anywhere_under_any_pull():
-    plain = moments(displacement((42.0, 32.0), press=0.1, turn=0.05))
-    assert (plain > 0.0).all()
-    np.testing.assert_allclose(
-        moments(displacement((42.0, 32.0), press=0.1, turn=-0.1)), -2.0 * plain, rtol=1e-3
-    )
-    for place in ((42.0, 32.0), (36.0, 35.5)):
-        for pull in ((1.0, 0.0), (-0.4, 0.9)):
-            found = moments(displacement(place, press=0.1, pull=pull, turn=0.05))
-            # A pull moves the mean along itself, out of the middle of the narrowest sum.
-            np.testing.assert_allclose(found[:3], plain[:3], rtol=0.15)
-
-
-def test_a_press_and_a_pull_have_no_moment_and_nothing_has_none():
-    turned = moments(displacement((42.0, 32.0), press=0.1, turn=0.05))
-    for pull in ((0.0, 0.0), (1.0, 0.0), (-0.4, 0.9)):
-        found = moments(displacement((40.0, 30.0), press=0.1, pull=pull))
-        assert np.abs(found[:3] / turned[:3]).max() < 0.03
-    assert not moments(np.zeros((2, ROWS, COLUMNS), np.float32)).any()
-    spoilt = displacement((42.0, 32.0), press=0.1)
-    spoilt[0, 20, 20] = np.nan
-    moments(spoilt)
 
 
 def test_sideways_force_needs_the_displacement():

@@ -84,6 +84,8 @@ def random_model(config: FgerConfig, seed: int = 5) -> Model:
         tensors[name] = random.uniform(-limit, limit, shape).astype(np.float32)
     tensors['frame.mean'][:] = 0.0
     tensors['frame.scale'][:] = 0.3
+    if config.reads_flow:
+        tensors['frame.spread'][:] = 20.0
     tensors['event.scale'][:] = (2.0, 2.0, 3.0, 3.0)
     tensors['deviation.scale'][:] = 1.0
     for name, tensor in tensors.items():

@@ -17,6 +17,7 @@ from mixtac_fger.config import (
     CELL_FEATURES,
     HIGHEST_LOG_DEVIATION,
     LOWEST_LOG_DEVIATION,
+    MOMENTS,
     TURNING_WIDTHS,
     VERSION,
     FgerConfig,
@@ -76,7 +77,7 @@ class SequenceState(NamedTuple):
         history: Sums of the increments after each past window, oldest first, [L, B] in N.
         offset: Sum of the corrections so far, [B] in N; history[-1] + offset is the estimate.
         confirmed: Element of `history` at the centre of the latest frame's exposure, [B] in N.
-        seen: What `FgerNetwork.see` said of the latest frame, [B, ...].
+        seen: f_frame of the latest frame, [B, feature_size].
         sums: Sums of the increments across the normal after each past window, oldest first, and
             those of their sizes, [L, B, 2, 3]; None of a network that tells no sideways force.
         base: What the latest frame showed, less `sums` at the centre of its exposure, [B, 2, 3].
@@ -118,7 +119,7 @@ def context_of(config: FgerConfig) -> nn.Linear | None:
     """Return what a frame adds to a hidden layer of the event path; None if it adds nothing."""
     if not config.frame_context:
         return None
-    return nn.Linear(config.frame_size, config.mlp_size, bias=False)
+    return nn.Linear(config.feature_size, config.mlp_size, bias=False)
 
 
 class Course(NamedTuple):
@@ -148,7 +149,7 @@ class ShearHead(nn.Module):
 
     Attributes:
         frame: From f_frame to the sideways force that a frame shows [N].
-        turning: From f_frame to the torsion per moment of a frame [N mm].
+        turning: From what the convolutions say to the torsion per moment of turning [N mm].
         hidden: From recurrent state and event feature, before a ReLU.
         event: From there to the increments of a window.
         context: What the latest frame adds before the ReLU; None without `frame_context`.
@@ -158,7 +159,7 @@ class ShearHead(nn.Module):
 
     def __init__(self, config: FgerConfig) -> None:
         super().__init__()
-        self.frame = nn.Linear(config.frame_size, 2)
+        self.frame = nn.Linear(config.feature_size, 2)
         self.turning = nn.Linear(config.frame_size, len(TURNING_WIDTHS))
         self.hidden = nn.Linear(config.lstm_size + config.event_size, config.mlp_size)
         self.event = nn.Linear(config.mlp_size, 3)
@@ -169,11 +170,10 @@ class ShearHead(nn.Module):
         self.register_buffer('deviation', torch.zeros(3, 3))
 
     def shown(self, seen: Tensor) -> Tensor:
-        """Return what frames show [N, N, N mm], [..., 3], by `FgerNetwork.see`."""
-        moments = len(TURNING_WIDTHS)
-        feature, moment = seen[..., :-moments], seen[..., -moments:]
-        torsion = (moment * self.turning(feature)).sum(-1, keepdim=True)
-        return torch.cat([self.frame(feature), torsion], dim=-1)
+        """Return what frames show [N, N, N mm], [..., 3], by f_frame."""
+        gates = self.turning(seen[..., : self.turning.in_features])
+        torsion = (seen[..., -gates.shape[-1] :] * gates).sum(-1, keepdim=True)
+        return torch.cat([self.frame(seen), torsion], dim=-1)
 
     def forward(
         self,
@@ -188,7 +188,7 @@ class ShearHead(nn.Module):
         Args:
             events: f_e, [T, B, event_size].
             hidden: LSTM output h after each window, [T, B, lstm_size].
-            seen: `FgerNetwork.see` of the latest frame in each window, [T, B, ...].
+            seen: f_frame of the latest frame in each window, [T, B, feature_size].
             slots: When which frame becomes available.
             state: State before the first window.
         """
@@ -196,7 +196,7 @@ class ShearHead(nn.Module):
         assert state.base is not None  # noqa: S101
         middle = self.hidden(torch.cat([hidden, events], dim=-1))
         if self.context is not None:
-            middle = middle + self.context(seen[..., : self.frame.in_features])
+            middle = middle + self.context(seen)
         steps = self.event(torch.relu(middle))
         known = len(state.sums)
         both = torch.stack([steps, steps.abs()], dim=2)
@@ -213,7 +213,7 @@ class ShearHead(nn.Module):
 
 
 class FrameNetwork(nn.Module):
-    """Phi_f: strided convolutions and a linear layer; plus the frames-only force.
+    """Phi_f: strided convolutions and a linear layer, and moments; plus the frames-only force.
 
     Args:
         config: Network configuration.
@@ -231,16 +231,25 @@ class FrameNetwork(nn.Module):
             layers += [nn.Conv2d(before[2], after[2], 3, stride=2, padding=1), nn.ReLU()]
         self.convolutions = nn.Sequential(*layers)
         self.project = nn.Linear(math.prod(maps[-1]), config.frame_size)
-        self.head = nn.Linear(config.frame_size, 1)
+        self.head = nn.Linear(config.feature_size, 1)
+        if config.reads_flow:
+            self.spread: Tensor
+            self.register_buffer('spread', torch.ones(MOMENTS))
 
-    def forward(self, frames: Tensor) -> Tensor:
-        """Return f_frame [N, frame_size] of inputs [N, channels, rows, columns]."""
+    def forward(self, frames: Tensor, moments: Tensor) -> Tensor:
+        """Return f_frame [N, feature_size].
+
+        Args:
+            frames: Inputs, [N, channels, rows, columns].
+            moments: Of their displacement (`mixtac_fger.moments`), [N, 9]; [N, 0] without flow.
+        """
         maps = self.convolutions((frames - self.mean) / self.scale)
-        return torch.relu(self.project(maps.flatten(1)))
+        found = torch.relu(self.project(maps.flatten(1)))
+        return torch.cat([found, moments / self.spread], dim=1) if moments.shape[1] else found
 
-    def force(self, seen: Tensor) -> Tensor:
-        """Return the frames-only force [N] (in N) by `FgerNetwork.see`, or by f_frame, [N, ...]."""
-        return torch.Tensor(self.head(seen[:, : self.head.in_features]))[:, 0]
+    def force(self, feature: Tensor) -> Tensor:
+        """Return the frames-only force [N] (in N) by f_frame, [N, feature_size]."""
+        return torch.Tensor(self.head(feature))[:, 0]
 
 
 class EventNetwork(nn.Module):
@@ -281,7 +290,7 @@ class FgerNetwork(nn.Module):
         self.gates_hidden = nn.Linear(config.lstm_size, gates, bias=False)
         shortcut = config.event_size if config.event_shortcut else 0
         self.increment = perceptron(config.lstm_size + shortcut, config.mlp_size)
-        self.correction = perceptron(1 + config.frame_size, config.mlp_size)
+        self.correction = perceptron(1 + config.feature_size, config.mlp_size)
         self.context = context_of(config)
         if config.shear:
             self.shear = ShearHead(config)
@@ -300,19 +309,8 @@ class FgerNetwork(nn.Module):
         if config.shear:
             sums = torch.zeros(config.history_windows, sequences, 2, 3, device=device)
             base = sums[0]
-        size = config.frame_size + (len(TURNING_WIDTHS) if config.shear else 0)
-        seen = torch.zeros(sequences, size, device=device)
+        seen = torch.zeros(sequences, config.feature_size, device=device)
         return SequenceState(zeros, zeros, history, offset, offset, seen, sums, base)
-
-    def see(self, inputs: Tensor, turning: Tensor) -> Tensor:
-        """Return what the network needs of frames, [N, ...]: f_frame, with `shear` their moments.
-
-        Args:
-            inputs: Inputs of the frame network, [N, channels, rows, columns].
-            turning: Moments (`mixtac_fger.shear.turning`), [N, 4].
-        """
-        feature = self.frame(inputs)
-        return torch.cat([feature, turning], dim=-1) if self.config.shear else feature
 
     def forward(
         self,
@@ -325,7 +323,7 @@ class FgerNetwork(nn.Module):
 
         Args:
             event_features: Grid features, [T, B, grid rows, grid columns, 4].
-            frames: `see` of all frames that `slots` names, [N, ...].
+            frames: f_frame of all frames that `slots` names, [N, feature_size].
             slots: When which frame becomes available.
             state: State before the first window.
         """
@@ -335,12 +333,11 @@ class FgerNetwork(nn.Module):
         looks = torch.cat([state.seen[None], frames[slots.frame.clamp(min=0)]])
         latest = slots.latest()[..., None].expand(-1, -1, looks.shape[-1])
         seen = looks.gather(0, latest)
-        features = looks[..., : self.config.frame_size]
         if self.context is not None:
-            direct = direct + self.context(seen[..., : self.config.frame_size])
+            direct = direct + self.context(seen)
         arrivals = (slots.frame >= 0).any(dim=1).tolist()
         # Cut once: the gradient of an index is as large as what it cuts from.
-        arriving, drives, directs = (each.unbind(0) for each in (features[1:], drive, direct))
+        arriving, drives, directs = (each.unbind(0) for each in (looks[1:], drive, direct))
         hidden, cell, offset, confirmed = state.hidden, state.cell, state.offset, state.confirmed
         past = list(state.history.unbind(0))
         forces, states, moved = [], [], []

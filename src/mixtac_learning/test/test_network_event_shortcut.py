@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from mixtac_fger.config import TURNING_WIDTHS, FgerConfig
+from mixtac_fger.config import FgerConfig
 from mixtac_fger.recurrent_network import RecurrentPath
 from mixtac_fger.shear import ShearHead
 from mixtac_learning.network import FgerNetwork, FrameSlots, arrays_of
@@ -25,7 +25,7 @@ def test_live_and_batch_agree(shortcut):
     with torch.no_grad():
         course = network(
             events,
-            torch.zeros(1, network.config.frame_size),
+            torch.zeros(1, network.config.feature_size),
             FrameSlots(none, torch.zeros_like(none)),
             network.initial_state(1),
         )
@@ -62,7 +62,7 @@ def test_sideways_force_live_as_in_batches_cut_anywhere():
     for parameter in network.correction.parameters():
         torch.nn.init.zeros_(parameter)  # the normal force does not follow the frames
     events = torch.randn(WINDOWS, 1, config.grid_rows, config.grid_columns, 4)
-    frames = torch.rand(4, config.frame_size + len(TURNING_WIDTHS))
+    frames = torch.rand(4, config.feature_size)
     slots = FrameSlots(torch.full((WINDOWS, 1), -1), torch.zeros(WINDOWS, 1, dtype=torch.int64))
     for frame, (window, lag) in enumerate(((0, 0), (18, 7), (31, 12), (52, 9))):
         slots.frame[window], slots.lag[window] = frame, lag
@@ -77,9 +77,9 @@ def test_sideways_force_live_as_in_batches_cut_anywhere():
     live = []
     for window, frame in enumerate(slots.frame[:, 0].tolist()):
         if frame >= 0:
-            feature, moments = np.split(frames[frame].numpy(), [config.frame_size])
+            feature = frames[frame].numpy()
             path.see(feature)
-            head.correct(head.measure(feature, moments), int(slots.lag[window]))
+            head.correct(head.measure(feature), int(slots.lag[window]))
         path.step(events[window, 0].numpy())
         head.step(path.across)
         live.append((head.value.x, head.value.y, 1e3 * head.value.torque))
@@ -93,7 +93,7 @@ def test_a_path_can_begin_at_a_force():
     path.step(np.ones((6, 8, 4), np.float32))
     path.start_at(0.7)
     assert path.force == pytest.approx(0.7)
-    feature = np.linspace(0.0, 1.0, network.config.frame_size, dtype=np.float32)
+    feature = np.linspace(0.0, 1.0, network.config.feature_size, dtype=np.float32)
     with torch.no_grad():
         inputs = torch.cat([torch.tensor([0.7]), torch.from_numpy(feature)])
         change = float(network.correction(inputs)[0])

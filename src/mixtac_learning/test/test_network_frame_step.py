@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import nn
 
-from mixtac_fger.config import FgerConfig, map_shapes
+from mixtac_fger.config import MOMENTS, FgerConfig, map_shapes
 from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
 from mixtac_learning.network import FrameNetwork, arrays_of
 
@@ -27,6 +27,8 @@ def test_features_and_force_are_those_of_torch(name):
     network = FrameNetwork(config)
     network.mean.copy_(torch.randn_like(network.mean))
     network.scale.copy_(torch.rand_like(network.scale) + 0.1)
+    if config.reads_flow:
+        network.spread.copy_(torch.rand_like(network.spread) + 0.5)
     weights, maps, scratch = (
         frame_weights(
             {f'frame.{name}': value for name, value in arrays_of(network).items()}, config
@@ -35,14 +37,15 @@ def test_features_and_force_are_those_of_torch(name):
         row_scratch(config),
     )
     random = np.random.default_rng(3)
-    feature = np.full(config.frame_size, np.nan, np.float32)
+    feature = np.full(config.feature_size, np.nan, np.float32)
     # Twice: what is left in the scratch memory must not matter.
     for _ in range(2):
         shape = (len(config.frame_channels), *config.frame_shape)
         inputs = random.normal(size=shape).astype(np.float32)
-        force = frame_step(inputs, weights, maps, scratch, feature)
+        moments = random.normal(size=MOMENTS if config.reads_flow else 0).astype(np.float32)
+        force = frame_step(inputs, moments, weights, maps, scratch, feature)
         with torch.inference_mode():
-            expected = network(torch.from_numpy(inputs)[None])
+            expected = network(torch.from_numpy(inputs)[None], torch.from_numpy(moments)[None])
             expected_force = network.force(expected)
         assert np.ptp(expected.numpy()) > 0.03
         assert feature == pytest.approx(expected[0].numpy(), abs=1e-5)

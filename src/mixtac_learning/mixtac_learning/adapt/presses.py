@@ -204,7 +204,7 @@ def part_of(sample: Sample, start: int, stop: int) -> Sample:
         slots=np.where(slots >= 0, slots - first, -1),
         lags=sample.lags[start:stop],
         frame_inputs=sample.frame_inputs[first:last],
-        frame_turning=sample.frame_turning[first:last],
+        frame_moments=sample.frame_moments[first:last],
         frame_force=sample.frame_force[first:last],
         frame_across=sample.frame_across[first:last],
     )

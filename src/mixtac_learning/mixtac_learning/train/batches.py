@@ -30,7 +30,7 @@ class Sequences:
         valid: False in the padding, bool [T, B].
         slots: Frames by index into `frame_inputs`.
         frame_inputs: All frames of all trials, float16 [N, channels, rows, columns].
-        frame_turning: Moments of each frame (`mixtac_fger.shear.turning`), float32 [N, 4].
+        frame_moments: Moments of each frame (`mixtac_fger.moments`), float32 [N, 9]; [N, 0] without.
         frame_force: Mean label per exposure [N], float32 [N].
         frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
         frame_trial: Which trial each frame belongs to, int64 [N].
@@ -43,7 +43,7 @@ class Sequences:
     valid: Tensor
     slots: FrameSlots
     frame_inputs: Tensor
-    frame_turning: Tensor
+    frame_moments: Tensor
     frame_force: Tensor
     frame_across: Tensor
     frame_trial: Tensor
@@ -93,7 +93,7 @@ def stack(
         valid=torch.arange(length)[:, None] < lengths[None],
         slots=FrameSlots(shifted, padded('lags')),
         frame_inputs=torch.from_numpy(np.concatenate([s.frame_inputs for s in samples])),
-        frame_turning=torch.from_numpy(np.concatenate([s.frame_turning for s in samples])),
+        frame_moments=torch.from_numpy(np.concatenate([s.frame_moments for s in samples])),
         frame_force=torch.from_numpy(np.concatenate([s.frame_force for s in samples])),
         frame_across=torch.from_numpy(np.concatenate([s.frame_across for s in samples])),
         frame_trial=torch.repeat_interleave(torch.arange(len(samples)), torch.tensor(counts)),
@@ -123,9 +123,11 @@ def mirror_events(features: Tensor, columns: bool, rows: bool) -> Tensor:
     return features.flip(axes) * torch.tensor(signs, dtype=features.dtype, device=features.device)
 
 
-def mirror_turning(moments: Tensor, columns: bool, rows: bool) -> Tensor:
-    """Return moments of frames as a mirrored sensor would give them."""
-    return -moments if columns != rows else moments
+def mirror_moments(moments: Tensor, columns: bool, rows: bool) -> Tensor:
+    """Return moments of frames [..., 9] as a mirrored sensor would give them."""
+    right, up = (-1.0 if each else 1.0 for each in (columns, rows))
+    turned = [right * up] * (moments.shape[-1] - 5)
+    return moments * moments.new_tensor([1.0, right, up, right, up, *turned][: moments.shape[-1]])
 
 
 def mirror_across(values: Tensor, columns: bool, rows: bool) -> Tensor:

@@ -38,6 +38,8 @@ class TrainingSettings:
             near no force (`mixtac_learning.train.stages.force_loss`).
         gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see
             `NetworkWithGains`.
+        moments_prior: Weight in the loss of the mean square of what the convolutions add to the
+            forces of moments [1/N]; a sensor's gain would otherwise take up what its indenter does.
         mirror: Show mirror images too.
         force_weight: Additional weight of an error per newton of force [1/N], because impacts are
             short.
@@ -61,6 +63,7 @@ class TrainingSettings:
     weight_decay: float = 1e-3
     loss_knee_n: float = 0.05
     gain_prior: float = 0.01
+    moments_prior: float = 1.0
     mirror: bool = True
     force_weight: float = 0.0
     blow_every: int = 0

@@ -19,7 +19,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import smooth_l1_loss
+from torch.nn.functional import linear, smooth_l1_loss
 
 from mixtac_fger.config import FgerConfig, ModelError
 from mixtac_learning.network import Course, DeviationHead, FgerNetwork, FrameSlots, SequenceState
@@ -29,7 +29,7 @@ from mixtac_learning.train.batches import (
     mirror_across,
     mirror_events,
     mirror_frames,
-    mirror_turning,
+    mirror_moments,
 )
 from mixtac_learning.train.config import TrainingSettings
 from mixtac_learning.train.loop import Stage, TrainingLoop
@@ -81,6 +81,11 @@ class NetworkWithGains(nn.Module):
             network.frame.mean[channel] = frames[:, channel].mean()
             scale[channel] = frames[:, channel].std()
         network.frame.scale.copy_(scale.clamp(min=1e-3)[:, None, None])
+        if network.config.reads_flow:
+            square = sequences.frame_moments.square().mean(0)
+            for axes in ([1, 2], [3, 4]):
+                square[axes] = square[axes].mean()  # one scale for both directions
+            network.frame.spread.copy_(square.sqrt().clamp(min=1e-3))
 
 
 def looks(
@@ -89,7 +94,7 @@ def looks(
     rows: Tensor | slice = slice(None),
     flip: Flip = (False, False),
 ) -> Tensor:
-    """Return `FgerNetwork.see` of some frames, or of their mirror images, [N, ...].
+    """Return f_frame of some frames, or of their mirror images, [N, feature_size].
 
     Args:
         network: FGER-Net.
@@ -98,8 +103,8 @@ def looks(
         flip: Whether to mirror columns and rows.
     """
     inputs = mirror_frames(sequences.frame_inputs[rows].float(), network.config, *flip)
-    found = network.see(inputs, mirror_turning(sequences.frame_turning[rows], *flip))
-    return torch.Tensor(found)
+    moments = mirror_moments(sequences.frame_moments[rows], *flip)
+    return torch.Tensor(network.frame(inputs, moments))
 
 
 @torch.no_grad()
@@ -173,6 +178,11 @@ class FrameStage(Stage):
         self.name = 'frames'
         self.epochs, self.rate = self.settings.frame_epochs, self.settings.frame_rate
 
+    def begin(self) -> None:
+        """Begin with the moments alone: the convolutions learn what these leave over."""
+        if self.model.network.config.reads_flow:
+            follow_moments(self.model.network, self.groups.load(0), self.processes)
+
     def parameters(self) -> list[nn.Parameter]:
         """Return the weights that a frame's forces come from, and the gains."""
         return [*frame_parameters(self.model.network), self.model.log_gains]
@@ -193,6 +203,7 @@ class FrameStage(Stage):
                 flips, network = _flips(self.settings, random), self.model.network
                 seen = looks(network, sequences, chosen, flips)
                 force = network.frame.force(seen)
+                beside = beside_moments(network, seen)
                 normal, sideways = self.model.log_gains[device[chosen]].exp().unbind(1)
                 knee = self.settings.loss_knee_n
                 loss = force_loss(normal * force, labels[chosen], knee).mean()
@@ -200,6 +211,7 @@ class FrameStage(Stage):
                     across = sideways[:, None] * network.shear.shown(seen)
                     known = mirror_across(sequences.frame_across[chosen], *flips)
                     loss = loss + across_loss(across, known, knee)
+                loss = loss + self.settings.moments_prior * beside
                 yield loss + self.settings.gain_prior * self.model.log_gains.square().mean()
 
     def validate(self) -> float | None:
@@ -217,6 +229,46 @@ class FrameStage(Stage):
     def _batches(self, group: int) -> int:
         own = -(-len(self.groups.load(group).frame_force) // self.settings.frame_batch)
         return self.processes.smallest(own)
+
+
+@torch.no_grad()
+def follow_moments(
+    network: FgerNetwork, sequences: Sequences, processes: Processes
+) -> None:
+    """Make the forces of frames those of the moments alone, by least squares, in place.
+
+    Args:
+        network: `NetworkWithGains.fit_scales` has been called.
+        sequences: Trials to fit the constants to.
+        processes: Processes that take the mean of theirs.
+    """
+    moments = (sequences.frame_moments / network.frame.spread.cpu()).double()
+    first = network.config.frame_size
+    heads = [(network.frame.head, [[0]], sequences.frame_force[:, None])]
+    if network.config.shear:
+        heads += [(network.shear.frame, [[1, 3], [2, 4]], sequences.frame_across[:, :2])]
+    for head, columns, known in heads:
+        told = torch.isfinite(known).all(1)
+        inputs = torch.cat([moments[told][:, each] for each in columns])
+        found = torch.linalg.lstsq(inputs, known[told].T.reshape(-1, 1).double()).solution[:, 0]
+        found = processes.mean(found)
+        head.weight.zero_()
+        head.bias.zero_()
+        for row, each in enumerate(columns):
+            head.weight[row, [first + column for column in each]] = found.to(head.weight)
+
+
+def beside_moments(network: FgerNetwork, features: Tensor) -> Tensor:
+    """Return the mean square of what the convolutions add to the forces of moments [N^2].
+
+    Args:
+        network: FGER-Net.
+        features: f_frame, [N, feature_size].
+    """
+    own = features[:, : network.config.frame_size]
+    heads = [network.frame.head, *([network.shear.frame] if network.config.shear else [])]
+    added = [linear(own, head.weight[:, : own.shape[1]], head.bias) for head in heads]
+    return torch.cat(added, dim=1).square().mean()
 
 
 def frame_parameters(network: FgerNetwork) -> list[nn.Parameter]:

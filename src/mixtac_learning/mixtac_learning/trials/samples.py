@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixtac_fger.config import TURNING_WIDTHS, FgerConfig
+from mixtac_fger.config import FgerConfig
 from mixtac_fger.features import FramePreparation, WindowFeatures, correction_lag, mean_contrast
 from mixtac_fger.shear import NEWTONS
 from mixtac_learning.trials.store import read_arrays, write_arrays
@@ -43,7 +43,7 @@ class Sample:
         slots: Frame that becomes available in each window, -1 for none, int64 [T].
         lags: Windows from the estimate before that to the centre of its exposure, int64 [T].
         frame_inputs: float16 [N, channels, rows, columns].
-        frame_turning: Moments of each frame (`mixtac_fger.shear.turning`), float32 [N, 4].
+        frame_moments: Moments of each frame (`mixtac_fger.moments`), float32 [N, 9]; [N, 0] without.
         frame_force: Mean label over each exposure [N], float32 [N].
         frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
         origin: Seeds, profile, and the like.
@@ -56,7 +56,7 @@ class Sample:
     slots: NDArray[np.int64]
     lags: NDArray[np.int64]
     frame_inputs: NDArray[np.float16]
-    frame_turning: NDArray[np.float32]
+    frame_moments: NDArray[np.float32]
     frame_force: NDArray[np.float32]
     frame_across: NDArray[np.float32]
     origin: dict[str, Any]
@@ -103,7 +103,7 @@ def make_sample(
         correction_lag(int(end) - width, int(middle[slot]), width) if slot >= 0 else 0
         for end, slot in zip(ends, slots, strict=True)
     ]
-    inputs, turning, features = _features(config, trial, ends, slots)
+    inputs, moments, features = _features(config, trial, ends, slots)
     return Sample(
         window_end_us=ends,
         event_features=features,
@@ -112,7 +112,7 @@ def make_sample(
         slots=np.where(slots >= 0, slots - (kept - 1), -1),
         lags=np.array(lags, np.int64),
         frame_inputs=inputs,
-        frame_turning=turning,
+        frame_moments=moments,
         frame_force=forces[kept - 1 :],
         frame_across=_across(trial, middle[kept - 1 :]),
         origin=origin,
@@ -140,12 +140,11 @@ def _features(
     count = len(trial.frames) - (kept - 1)
     channels = len(config.frame_channels)
     inputs = np.empty((count, channels, *config.frame_shape), STORED)
-    turning = np.zeros((count, len(TURNING_WIDTHS)), np.float32)
+    moments = []
     for index in range(count):
         contrast = preparation.contrast(trial.frames[index + kept - 1])
         inputs[index] = preparation.network_input(contrast, reference)
-        if config.reads_flow:
-            turning[index] = preparation.turning()
+        moments.append(preparation.moments())
     out = np.zeros(window.shape, np.float32)
     features = np.empty((len(ends), *window.shape), STORED)
     guide = preparation.guide(first[-1])
@@ -155,7 +154,7 @@ def _features(
             guide = preparation.guide(preparation.contrast(trial.frames[slot]))
         light = window.compute(trial.events[cuts[index] : cuts[index + 1]], guide, out)
         features[index] = 0.0 if light else out
-    return inputs, turning, features
+    return inputs, np.stack(moments), features
 
 
 def save_sample(path: Path, sample: Sample, config: FgerConfig) -> None:
@@ -239,7 +238,7 @@ class FgerRecipe:
         """Return what changes a sample."""
         fields = self.config.to_dict()
         kept = {name: fields[name] for name in fields if name not in UNSEEN_BY_SAMPLES}
-        return {'kind': 'fger 4', 'label': self.label} | kept
+        return {'kind': 'fger 5', 'label': self.label} | kept
 
     def write(self, trial: TrialArrays, path: Path) -> None:
         """Prepare a trial and write it, whole or not at all.

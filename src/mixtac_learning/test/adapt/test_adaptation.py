@@ -38,7 +38,7 @@ def outputs(network, sample):
     sequences = stack([replace(sample, force=np.zeros_like(sample.force))])
     state = network.initial_state(1)
     with torch.no_grad():
-        features = network.frame(sequences.frame_inputs.float())
+        features = network.frame(sequences.frame_inputs.float(), sequences.frame_moments)
         events = sequences.event_features.float()
         course = network(events, features, sequences.slots, state)
         deviation = network.deviation(course.hidden, course.force, course.moved)
@@ -60,9 +60,10 @@ def following(network, sample):
             layer.weight.zero_()
             layer.bias.zero_()
         # 0.8 (c sum f - d - F), out of two rectified halves; c and d stretch it to 0 to 1 N.
-        features = built.frame(torch.from_numpy(sample.frame_inputs).float()).sum(1)
+        inputs = torch.from_numpy(sample.frame_inputs).float()
+        features = built.frame(inputs, torch.from_numpy(sample.frame_moments)).sum(1)
         c = 1.0 / (features.max() - features.min())
-        hidden.weight[0] = torch.tensor([-1.0] + [c] * built.config.frame_size)
+        hidden.weight[0] = torch.tensor([-1.0] + [c] * built.config.feature_size)
         hidden.bias[0] = -c * features.min()
         hidden.weight[1], hidden.bias[1] = -hidden.weight[0], -hidden.bias[0]
         output.weight[0, :2] = torch.tensor([0.8, -0.8])

@@ -42,7 +42,7 @@ def test_deviations_are_those_of_the_batch_network(model, network, config, trial
     with torch.inference_mode():
         course = network(
             batch.event_features,
-            network.frame(batch.frame_inputs),
+            network.frame(batch.frame_inputs, batch.frame_moments),
             batch.slots,
             network.initial_state(1),
         )

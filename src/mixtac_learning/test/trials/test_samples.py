@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from mixtac_events.arrays import Events
 from mixtac_fger.config import FgerConfig
-from mixtac_learning.train.batches import mirror_events, mirror_frames, stack
+from mixtac_learning.train.batches import mirror_events, mirror_frames, mirror_moments, stack
 from mixtac_learning.trials.samples import Sample, load_sample, make_sample, save_sample
 from mixtac_learning.trials.trial import DatasetError, ForceLabel, aligned_force, true_force
 from mixtac_sim.world.training_trials import evaluation_plan, training_plan, unseen_devices
@@ -122,6 +122,10 @@ def test_mirror_images_are_what_a_mirrored_sensor_sees(config, trial, columns, r
     frames = mirror_frames(torch.from_numpy(one.frame_inputs).float(), narrow, columns, rows)
     assert np.allclose(frames.numpy(), other.frame_inputs, atol=2e-2)
     assert np.abs(other.frame_inputs[-1, 2]).max() > 0.1
+    moments = mirror_moments(torch.from_numpy(one.frame_moments), columns, rows)
+    size = np.abs(other.frame_moments).max()
+    assert size > 1.0
+    assert np.allclose(moments.numpy(), other.frame_moments, atol=2e-2 * size)
 
 
 def test_stacked_trials_keep_their_frames_and_their_lengths(config, trial):

@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 Mixtac maintainers
+# SPDX-License-Identifier: Apache-2.0
+r"""Moments of the displacement of the beads about the contact: forces, up to a constant.
+
+A layer that is loaded moves, far from the load, as if the load acted in one point: seen through a
+window that is wide against the contact, neither its shape nor the pressure within it matters. With
+:math:`x` from the contact, :math:`u` the displacement and :math:`g` a Gaussian of width :math:`w`,
+
+.. math:: D = \sum x \cdot u \, g / w^2, \quad S = \sum u \, g / w, \quad
+          T_w = \sum (x \times u) \, g / w^2
+
+are proportional to the normal force, the sideways force and the torque; how stiff the gel is makes
+the constants. A press and a pull have no T, a turn has neither D nor S. Beads that are pressed
+towards the camera move away from the optical axis: for a contact at c from it, S gains a part that
+is proportional to :math:`L = D c / w`, which is therefore given as well.
+
+The contact is at the mean of the places, weighted by the square of the divergence of u where that
+is positive. A turn has none, and a pull moves the mean along itself, where it gives no moment.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mixtac_fger.config import MOMENTS, TURNING_WIDTHS
+
+F32 = NDArray[np.float32]
+
+RISE: Final = 2
+"""Half the distance over which the divergence is taken [bins]."""
+
+
+@njit(cache=True, nogil=True)
+def moments(flow: F32, out: F32) -> None:
+    """Write the moments of a displacement, in axes of the contact frame (x right, y upwards).
+
+    Args:
+        flow: Displacement x and y since the reference, y downwards [bins], [2, rows, columns].
+        out: D, S right and up, L right and up, T over each of `TURNING_WIDTHS`; all but T over the
+            last of these; [bins], float32 [`MOMENTS`]. 0 where nothing has moved.
+    """
+    rows, columns = flow.shape[1:]
+    total, right, below = 0.0, 0.0, 0.0
+    for row in range(RISE, rows - RISE):
+        for column in range(RISE, columns - RISE):
+            spread = flow[0, row, column + RISE] - flow[0, row, column - RISE]
+            spread += flow[1, row + RISE, column] - flow[1, row - RISE, column]
+            if spread > 0.0:
+                weight = spread * spread
+                total += weight
+                right += weight * column
+                below += weight * row
+    out[:] = 0.0
+    if not total > 0.0:
+        return
+    right, below = right / total, below / total
+    for index in range(len(TURNING_WIDTHS)):
+        width = TURNING_WIDTHS[index]
+        across = np.exp(-0.5 * ((np.arange(columns) - right) / width) ** 2)
+        press, pull_x, pull_y, turn = 0.0, 0.0, 0.0, 0.0
+        for row in range(rows):
+            y = row - below
+            row_press, row_x, row_y, row_turn = 0.0, 0.0, 0.0, 0.0
+            for column in range(columns):
+                x = column - right
+                u, v = across[column] * flow[0, row, column], across[column] * flow[1, row, column]
+                row_x += u
+                row_y += v
+                row_press += x * u + y * v
+                row_turn += y * u - x * v
+            down = np.exp(-0.5 * (y / width) ** 2)
+            press += down * row_press
+            pull_x += down * row_x
+            pull_y += down * row_y
+            turn += down * row_turn
+        out[MOMENTS - len(TURNING_WIDTHS) + index] = turn / (width * width)
+        # What is left after the last width stays.
+        out[0] = press / (width * width)
+        out[1] = pull_x / width
+        out[2] = -pull_y / width
+        out[3] = out[0] * (right - 0.5 * (columns - 1)) / width
+        out[4] = -out[0] * (below - 0.5 * (rows - 1)) / width
