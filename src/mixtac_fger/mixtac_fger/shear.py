@@ -4,9 +4,9 @@ r"""Sideways force and torsion beside the normal force.
 
 A frame tells the sideways force by its feature, whose moments (`mixtac_fger.moments`) are most of
 it, and the torsion by the moments of turning alone, each weighted by what the convolutions say
-about gel and contact: :math:`T = \sum_k m_k (w_k \cdot f + b_k)`. Each window adds increments from
-the recurrent state and its events. The value is the latest frame's, and the increments since the centre of its
-exposure.
+about gel and contact: :math:`T = \sum_k m_k (w_k \cdot f + b_k)`. Each window adds increments
+from the recurrent state and its events. The value is the latest frame's, and the increments since
+the centre of its exposure.
 :math:`\sqrt{b^2 + (s y)^2 + (e i)^2}` is its deviation: a floor, a share of the value y and one of
 i, the sum of the sizes of these increments. Values are those of a gel of usual stiffness times
 `shear.unit`, which `mixtac_fger.fger_net.with_gain` and `with_sideways_gain` change.

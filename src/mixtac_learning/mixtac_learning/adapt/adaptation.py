@@ -50,7 +50,7 @@ from mixtac_learning.train.stages import (
 )
 from mixtac_learning.trials.bags import BagSource, bag_sources
 from mixtac_learning.trials.samples import Sample
-from mixtac_learning.trials.trial import ForceLabel, camera_end_us
+from mixtac_learning.trials.trial import ForceLabel, camera_end_us, sensor_of
 from mixtac_node.files import write_json
 from mixtac_node.topics import REFERENCE
 
@@ -348,7 +348,7 @@ def _sources(bags: Sequence[Path], reference: str, *, loads: bool) -> list[BagSo
             remedy='give other recordings',
         )
     origins = [each.origin for each in sources]
-    sensors = {str(origin.get('device_seed', origin.get('sensor', ''))) for origin in origins}
+    sensors = {sensor_of(origin, '') for origin in origins}
     if len(sensors) > 1:
         raise CalibrationError(
             f'the recordings are from {len(sensors)} sensors, and each has its own gel',

@@ -27,6 +27,7 @@ from mixtac_learning.trials.trial import (
     TrialArrays,
     TrialSource,
     camera_end_us,
+    sensor_of,
     window_ends,
 )
 from mixtac_recordings.messages import left_aligned
@@ -241,7 +242,7 @@ def _estimate(
     return TrialEstimate(
         name=str(trial.origin.get('name', 'trial')),
         profile=trial.profile,
-        device=str(trial.origin.get('device_seed', trial.origin.get('sensor', 'unknown'))),
+        device=sensor_of(trial.origin, 'unknown'),
         t_us=times,
         force=force[inside],
         known=label.at(times).astype(np.float64),

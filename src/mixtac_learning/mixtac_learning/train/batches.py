@@ -16,7 +16,7 @@ from torch import Tensor
 from mixtac_fger.config import FgerConfig
 from mixtac_learning.network import FrameSlots
 from mixtac_learning.trials.samples import Sample, load_sample, sample_origin, sample_windows
-from mixtac_learning.trials.trial import DatasetError
+from mixtac_learning.trials.trial import DatasetError, sensor_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,7 +200,7 @@ class DiskGroups:
             raise DatasetError(
                 f'{len(paths)} trials are too few to share: start fewer processes, or give more'
             )
-        keys = [_device_key(path, index) for index, path in enumerate(paths)]
+        keys = [sensor_of(sample_origin(path), f'trial {index}') for index, path in enumerate(paths)]
         order = {key: number for number, key in enumerate(sorted(set(keys)))}
         self._numbers = [order[key] for key in keys]
         self.devices = len(order)
@@ -226,9 +226,3 @@ class DiskGroups:
             numbers = [self._numbers[i] for i in members]
             self._kept = index, stack(samples, numbers, self._length)
         return self._kept[1]
-
-
-def _device_key(path: Path, index: int) -> str:
-    """Return the identifier of a trial's sensor; without one, every trial is its own."""
-    origin = sample_origin(path)
-    return str(origin.get('device_seed', origin.get('sensor', f'trial {index}')))

@@ -40,7 +40,7 @@ from mixtac_learning.trials.bags import bag_sources
 from mixtac_learning.trials.samples import FgerRecipe
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_learning.trials.store import Recipe, prepare
-from mixtac_learning.trials.trial import TrialSource
+from mixtac_learning.trials.trial import TrialSource, sensor_of
 from mixtac_node.files import write_json
 from mixtac_sim.world import training_trials as generation
 from mixtac_sim.world.training_trials import (
@@ -122,7 +122,8 @@ def gather(
     )
     if processes.leads:
         processes.wait()
-    held = held_out(len(prepared.paths), data.checked)
+    sensors = [sensor_of(sources[kept].origin, f'trial {kept}') for kept in prepared.kept]
+    held = held_out(sensors, data.checked)
     pairs = list(zip(prepared.paths, prepared.kept, strict=True))
     trained = [pair for index, pair in enumerate(pairs) if index not in held]
     return TrainingData(
@@ -133,18 +134,25 @@ def gather(
     )
 
 
-def held_out(count: int, part: float) -> list[int]:
-    """Return the numbers of the trials to validate on, ascending; the same for the same count.
+def held_out(sensors: Sequence[str], part: float) -> list[int]:
+    """Return the numbers of the trials to validate on, ascending; the same for the same sensors.
 
     They are drawn at random: presets and profiles take turns, and every n-th trial might be all
-    there is of one of them.
+    there is of one of them. All trials of a sensor are held out together, where there are sensors
+    enough: the errors on a sensor that was trained on say little about another one.
 
     Args:
-        count: Number of trials.
-        part: Part of them, 0 for none; at least one trial is left to train on.
+        sensors: Which sensor each trial was made with.
+        part: Part of them, 0 for none; at least one is left to train on.
     """
-    size = min(max(round(part * count), 1), count - 1) if part > 0.0 else 0
-    return sorted(random.Random(0).sample(range(count), size))  # noqa: S311  (no secret)
+    if part <= 0.0:
+        return []
+    different = list(dict.fromkeys(sensors))
+    if part * len(different) < 1.0:
+        different, sensors = (list(map(str, range(len(sensors)))) for _ in range(2))
+    size = min(max(round(part * len(different)), 1), len(different) - 1)
+    drawn = set(random.Random(0).sample(different, size))  # noqa: S311  (no secret)
+    return [index for index, sensor in enumerate(sensors) if sensor in drawn]
 
 
 def provenance(config: RunConfig, data: TrainingData, settings: dict[str, Any]) -> dict[str, Any]:

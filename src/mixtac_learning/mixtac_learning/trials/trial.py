@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -139,6 +140,16 @@ class TrialArrays:
                 ' sensor beside the camera, or choose another label'
             )
         return chosen
+
+
+def sensor_of(origin: Mapping[str, Any], otherwise: str) -> str:
+    """Return which sensor a trial was made with, by where it came from.
+
+    Args:
+        origin: `TrialSource.origin`.
+        otherwise: Returned where that is not known.
+    """
+    return str(origin.get('device_seed', origin.get('sensor', otherwise)))
 
 
 class TrialSource(Protocol):
