@@ -112,7 +112,8 @@ class DataConfig:
         reference: Topic of the reference force in bags.
         label: Which force to learn: `best`, `true` or `reference`.
         cache: Folder of prepared samples.
-        checked: Part of the trials that is held out to validate on.
+        checked: Part of the sensors, or of the trials where sensors are few, that is held out to
+            validate on.
     """
 
     simulated: SimulatedData | None = None

@@ -22,7 +22,7 @@ from mixtac_sim.grasp.objects import OBJECTS, GraspSetup
 from mixtac_sim.grasp.skin import SETTLE_S, Patches, Press, Skin, SkinCamera, slide
 from mixtac_sim.grids import STEP_US
 from mixtac_sim.mechanics.contact import GRAVITY, ContactPath
-from mixtac_sim.mechanics.elastomer import Layer, force_law
+from mixtac_sim.mechanics.elastomer import Layer
 from mixtac_sim.pixels.aps import ApsFrame
 from mixtac_sim.random_streams import stream
 from mixtac_sim.world.device import DeviceModel, draw_conditions, draw_device
@@ -92,14 +92,13 @@ HOLD_STEPS = round(1e6 * HOLD_S / STEP_US)
 
 
 def hold(
-    setup: GraspSetup, layer: Layer, radius_mm: float, force_n: float, surface_seed: int
+    setup: GraspSetup, press: Press, force_n: float, surface_seed: int
 ) -> tuple[Skin, bool]:
     """Let skin and wall hold an object, loaded alike at first.
 
     Args:
         setup: The object.
-        layer: The gel.
-        radius_mm: Contact radius [mm].
+        press: The fingertip at that force.
         force_n: Normal force [N].
         surface_seed: Draws the object's surface.
 
@@ -108,7 +107,8 @@ def hold(
     """
     rng = np.random.default_rng(surface_seed)
     is_round = OBJECTS[setup.name].face.shape == 'sphere'
-    skin = Skin(layer, radius_mm, setup.friction, rng, round_face=is_round)
+    radius_mm = float(press.gel.radius_at(press.elastic_n))
+    skin = Skin(press.layer, radius_mm, setup.friction, rng, round_face=is_round)
     static = setup.friction.static(SETTLE_S)
     skin.rest(setup.weight_n * static / (static + setup.wall_mu), SETTLE_S)
     *_, settled, last = creep_mm(setup, skin, np.full(2 * HOLD_STEPS, force_n))
@@ -142,8 +142,6 @@ def creep_mm(setup: GraspSetup, skin: Skin, normal_n: Floats) -> list[float]:
 
 def critical_force_n(
     setup: GraspSetup,
-    layer: Layer,
-    radius_mm: float,
     surface_seed: int,
     press: Callable[[float], Press],
     rest_s: float = 0.0,
@@ -152,8 +150,6 @@ def critical_force_n(
 
     Args:
         setup: The object.
-        layer: The gel.
-        radius_mm: Contact radius [mm].
         surface_seed: Draws the object's surface.
         press: Returns the fingertip that presses with a force [N].
         rest_s: Time for which the object must stay after it has settled, with the fingertip at rest
@@ -165,9 +161,10 @@ def critical_force_n(
     static = setup.weight_n / (setup.friction.static(SETTLE_S) + setup.wall_mu)
     force, still = SEARCH_START * static, np.zeros(round(1e6 * rest_s / STEP_US))
     while force < 2.0 * static:
-        skin, held = hold(setup, layer, radius_mm, force, surface_seed)
+        pressed = press(force)
+        skin, held = hold(setup, pressed, force, surface_seed)
         if held and len(still):
-            held = creep_mm(setup, skin, press(force).move(still).force_n)[-1] < MOVED_MM
+            held = creep_mm(setup, skin, pressed.move(still).force_n)[-1] < MOVED_MM
         if held:
             return force
         force *= SEARCH_STEP
@@ -247,19 +244,17 @@ class Grasp:
             conditions = replace(conditions, contact_mm=contact_mm)
         layer = Layer(device.layer.modulus_kpa * conditions.stiffness, device.layer.thickness_mm)
         face = OBJECTS[setup.name].face
-        gel = force_law(layer, face, device.mesh_n_per_mm, device.stiffening)
         surface = int(stream(seed, 'grasp surface').integers(1 << 62))
-        radius = float(gel.radius_at(setup.margin * 0.5 * setup.weight_n))
 
         def press(force_n: float) -> Press:
             stiffness = setup.stiffness_n_per_mm
             return Press(device, layer, face, setup.n_per_mm, force_n, stiffness)
 
-        self.critical_n = critical_force_n(setup, layer, radius, surface, press, rest_s)
+        self.critical_n = critical_force_n(setup, surface, press, rest_s)
         self.grasp_n = setup.margin * self.critical_n
         self._press = press(self.grasp_n)
         self.stiffness_n_per_mm = self._press.stiffness_n_per_mm
-        self._skin, _ = hold(setup, layer, radius, self.grasp_n, surface)
+        self._skin, _ = hold(setup, self._press, self.grasp_n, surface)
         self._held = (self._skin.shear_mm.copy(), self._skin.age_s.copy())
         self._body = np.zeros(3)
         self._fixed = setup.constants()

@@ -9,7 +9,7 @@ import pytest
 
 from mixtac_node.parameters import specs
 from mixtac_sim import SimulationError
-from mixtac_sim.grasp.grasp import Grasp
+from mixtac_sim.grasp.grasp import Grasp, hold
 from mixtac_sim.grasp.objects import (
     OBJECTS,
     WALL_KINETIC,
@@ -18,8 +18,11 @@ from mixtac_sim.grasp.objects import (
     GraspSetup,
     draw_setup,
 )
+from mixtac_sim.grasp.skin import Press, shear_stiffness
 from mixtac_sim.mechanics.contact import GRAVITY
+from mixtac_sim.mechanics.elastomer import Layer
 from mixtac_sim.parameters import VirtualGraspParameters
+from mixtac_sim.world.device import draw_device
 
 SETUP = GraspSetup('box', 80.0, 50.0, Friction(roughness=0.0), 0.5, 1.05, 50.0, 1e-3, 0.01, 5.0)
 
@@ -97,6 +100,23 @@ def test_critical_force_is_near_what_the_frictions_say() -> None:
     static = SETUP.friction.static(3.0) + SETUP.wall_mu
     assert grasp.critical_n == pytest.approx(SETUP.weight_n / static, rel=0.06)
     assert grasp.stiffness_n_per_mm == pytest.approx(5.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(('name', 'grows'), [('ball', True), ('box', False)])
+def test_the_skin_is_as_stiff_as_the_gel_under_the_contact_at_that_force(
+    name: str, grows: bool
+) -> None:
+    """The beads show the pull by that stiffness."""
+    device = draw_device(1)
+    layer = Layer(device.layer.modulus_kpa, device.layer.thickness_mm)
+    found = []
+    for force in (0.3, 0.9):
+        press = Press(device, layer, OBJECTS[name].face, 50.0, force)
+        skin, _ = hold(replace(SETUP, name=name), press, force, 1)
+        radius = float(press.gel.radius_at(press.elastic_n))
+        found.append(float(skin.stiffness.sum()))
+        assert found[-1] == pytest.approx(shear_stiffness(layer, radius))
+    assert (found[1] > 1.1 * found[0]) == grows
 
 
 def test_pressing_harder_stops_the_fall() -> None:
