@@ -30,7 +30,7 @@ class Sequences:
         valid: False in the padding, bool [T, B].
         slots: Frames by index into `frame_inputs`.
         frame_inputs: All frames of all trials, float16 [N, channels, rows, columns].
-        frame_moments: Moments of each frame (`mixtac_fger.moments`), float32 [N, 9]; [N, 0] without.
+        frame_moments: Moments of each frame (`mixtac_fger.moments`), float32 [N, 9 or 0].
         frame_force: Mean label per exposure [N], float32 [N].
         frame_across: As `across`, at the centre of each exposure, float32 [N, 3].
         frame_trial: Which trial each frame belongs to, int64 [N].
@@ -200,7 +200,8 @@ class DiskGroups:
             raise DatasetError(
                 f'{len(paths)} trials are too few to share: start fewer processes, or give more'
             )
-        keys = [sensor_of(sample_origin(path), f'trial {index}') for index, path in enumerate(paths)]
+        origins = [sample_origin(path) for path in paths]
+        keys = [sensor_of(each, f'trial {index}') for index, each in enumerate(origins)]
         order = {key: number for number, key in enumerate(sorted(set(keys)))}
         self._numbers = [order[key] for key in keys]
         self.devices = len(order)

@@ -232,9 +232,7 @@ class FrameStage(Stage):
 
 
 @torch.no_grad()
-def follow_moments(
-    network: FgerNetwork, sequences: Sequences, processes: Processes
-) -> None:
+def follow_moments(network: FgerNetwork, sequences: Sequences, processes: Processes) -> None:
     """Make the forces of frames those of the moments alone, by least squares, in place.
 
     Args:

@@ -91,9 +91,7 @@ SEARCH_START = 0.95
 HOLD_STEPS = round(1e6 * HOLD_S / STEP_US)
 
 
-def hold(
-    setup: GraspSetup, press: Press, force_n: float, surface_seed: int
-) -> tuple[Skin, bool]:
+def hold(setup: GraspSetup, press: Press, force_n: float, surface_seed: int) -> tuple[Skin, bool]:
     """Let skin and wall hold an object, loaded alike at first.
 
     Args:
