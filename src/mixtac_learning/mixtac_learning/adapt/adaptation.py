@@ -38,10 +38,10 @@ from mixtac_learning.judge.metrics import SMALLEST_FORCE_N, CalibrationError, fi
 from mixtac_learning.network import FgerNetwork, model_of, network_of
 from mixtac_learning.train.batches import MemoryGroups, Sequences, stack
 from mixtac_learning.train.config import TrainingSettings
+from mixtac_learning.train.frame_stage import NetworkWithGains
 from mixtac_learning.train.loop import TrainingLoop
 from mixtac_learning.train.stages import (
     Errors,
-    NetworkWithGains,
     SequenceStage,
     calibrate_deviation,
     collect,

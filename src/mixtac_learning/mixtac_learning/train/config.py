@@ -35,7 +35,7 @@ class TrainingSettings:
         deviation_rate: Largest learning rate of the uncertainty head.
         weight_decay: Weight decay of AdamW.
         loss_knee_n: Errors above this count linearly, below it quadratically [N]; a fifth of it
-            near no force (`mixtac_learning.train.stages.force_loss`).
+            near no force (`mixtac_learning.train.frame_stage.force_loss`).
         gain_prior: Weight of the sensors' mean square log gain in the loss [N]; see
             `NetworkWithGains`.
         moments_prior: Weight in the loss of the mean square of what the convolutions add to the

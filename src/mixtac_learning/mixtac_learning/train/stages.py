@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The stages of training FGER-Net: frame network, recurrent path, both together, uncertainty head.
+"""Training FGER-Net in stages: frame network, recurrent path, both together, uncertainty head.
 
 The uncertainty head learns from the errors of the finished network. Its likelihood is Laplacian, as
 errors have heavy tails. Its scale is fitted afterwards on held-out trials, so that one deviation to
@@ -19,7 +19,6 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import linear, smooth_l1_loss
 
 from mixtac_fger.config import FgerConfig, ModelError
 from mixtac_learning.network import Course, DeviationHead, FgerNetwork, FrameSlots, SequenceState
@@ -28,91 +27,23 @@ from mixtac_learning.train.batches import (
     Sequences,
     mirror_across,
     mirror_events,
-    mirror_frames,
-    mirror_moments,
 )
 from mixtac_learning.train.config import TrainingSettings
+from mixtac_learning.train.frame_stage import (
+    Flip,
+    FrameStage,
+    NetworkWithGains,
+    across_loss,
+    draw_flips,
+    encode,
+    force_loss,
+    frame_parameters,
+    looks,
+    mean_error,
+    shuffled,
+)
 from mixtac_learning.train.loop import Stage, TrainingLoop
 from mixtac_learning.train.parallel import Processes
-
-Flip = tuple[bool, bool]
-
-
-_ENCODE_BATCH = 512
-
-
-class NetworkWithGains(nn.Module):
-    """FGER-Net and the gains of the sensors of the training data.
-
-    How stiff a gel is cannot be seen: force is stiffness times what is seen. So each sensor of the
-    training data has a gain of the normal force and one of the force across it, learned with the
-    frame network and drawn towards 1, and the network learns the force on a gel of usual stiffness.
-    A new sensor's gains are 1 until it is calibrated (`mixtac_learning.judge.metrics`).
-
-    Args:
-        config: Network configuration.
-        devices: Number of sensors.
-    """
-
-    def __init__(self, config: FgerConfig, devices: int) -> None:
-        super().__init__()
-        self.network = FgerNetwork(config)
-        self.log_gains = nn.Parameter(torch.zeros(devices, 2))
-
-    @property
-    def device(self) -> torch.device:
-        """Where the weights are."""
-        return self.log_gains.device
-
-    @property
-    def gains(self) -> Tensor:
-        """Gains of each sensor, by `Sequences.device`, [devices, 2]; without gradient."""
-        return self.log_gains.detach().exp()
-
-    def fit_scales(self, sequences: Sequences) -> None:
-        """Set the input scales to the spread of the data; signed inputs keep their zero."""
-        network = self.network
-        events = sequences.event_features[sequences.valid].float()
-        network.event.scale.copy_(events.flatten(0, -2).square().mean(0).sqrt().clamp(min=1e-3))
-        frames = sequences.frame_inputs.float()
-        scale = frames.square().mean((0, 2, 3)).sqrt()
-        if 'frame' in network.config.frame_channels:
-            channel = network.config.frame_channels.index('frame')
-            network.frame.mean[channel] = frames[:, channel].mean()
-            scale[channel] = frames[:, channel].std()
-        network.frame.scale.copy_(scale.clamp(min=1e-3)[:, None, None])
-        if network.config.reads_flow:
-            square = sequences.frame_moments.square().mean(0)
-            for axes in ([1, 2], [3, 4]):
-                square[axes] = square[axes].mean()  # one scale for both directions
-            network.frame.spread.copy_(square.sqrt().clamp(min=1e-3))
-
-
-def looks(
-    network: FgerNetwork,
-    sequences: Sequences,
-    rows: Tensor | slice = slice(None),
-    flip: Flip = (False, False),
-) -> Tensor:
-    """Return f_frame of some frames, or of their mirror images, [N, feature_size].
-
-    Args:
-        network: FGER-Net.
-        sequences: Trials.
-        rows: Which frames.
-        flip: Whether to mirror columns and rows.
-    """
-    inputs = mirror_frames(sequences.frame_inputs[rows].float(), network.config, *flip)
-    moments = mirror_moments(sequences.frame_moments[rows], *flip)
-    return torch.Tensor(network.frame(inputs, moments))
-
-
-@torch.no_grad()
-def encode(network: FgerNetwork, sequences: Sequences, flip: Flip = (False, False)) -> Tensor:
-    """Return `looks` of all frames, without gradients."""
-    starts = range(0, len(sequences.frame_inputs), _ENCODE_BATCH)
-    parts = [slice(start, start + _ENCODE_BATCH) for start in starts]
-    return torch.cat([looks(network, sequences, part, flip) for part in parts])
 
 
 @torch.no_grad()
@@ -132,211 +63,6 @@ def _run(network: FgerNetwork, sequences: Sequences) -> tuple[Course, Tensor]:
     state = network.initial_state(sequences.force.shape[1])
     events = sequences.event_features.float()
     return network(events, frames, sequences.slots, state), frames
-
-
-def mean_error(
-    groups: SequenceGroups | None,
-    device: torch.device,
-    errors: Callable[[Sequences], Tensor],
-) -> float | None:
-    """Return the mean absolute error over groups of trials [N]; None without groups.
-
-    Args:
-        groups: Trials to validate on.
-        device: Where to compute.
-        errors: Returns the errors of one group [N].
-    """
-    if groups is None:
-        return None
-    total, count = 0.0, 0
-    for index in range(len(groups)):
-        error = errors(groups.load(index).to(device))
-        total, count = total + float(error.abs().sum()), count + len(error)
-    return total / count
-
-
-@dataclass(eq=False)
-class FrameStage(Stage):
-    """Trains the frame network and the gains of the sensors on single frames.
-
-    Attributes:
-        model: Network and gains.
-        groups: Trials to train on.
-        settings: Epochs, batch, rate.
-        processes: Processes that share the training.
-        checked: Validation trials; None for none.
-    """
-
-    model: NetworkWithGains
-    groups: SequenceGroups
-    settings: TrainingSettings
-    processes: Processes
-    checked: SequenceGroups | None = None
-
-    def __post_init__(self) -> None:
-        """Take epochs and rate from the settings."""
-        self.name = 'frames'
-        self.epochs, self.rate = self.settings.frame_epochs, self.settings.frame_rate
-
-    def begin(self) -> None:
-        """Begin with the moments alone: the convolutions learn what these leave over."""
-        if self.model.network.config.reads_flow:
-            follow_moments(self.model.network, self.groups.load(0), self.processes)
-
-    def parameters(self) -> list[nn.Parameter]:
-        """Return the weights that a frame's forces come from, and the gains."""
-        return [*frame_parameters(self.model.network), self.model.log_gains]
-
-    def updates(self) -> int:
-        """Return the number of updates per epoch, the same in all processes."""
-        return sum(self._batches(index) for index in range(self._groups()))
-
-    def losses(self, random: torch.Generator) -> Iterator[Tensor]:
-        """Yield the losses of one epoch: groups in random order, frames shuffled within each."""
-        for group in torch.randperm(self._groups(), generator=random).tolist():
-            sequences = self.groups.load(group).to(self.model.device)
-            labels = sequences.frame_force
-            device = sequences.device[sequences.frame_trial]
-            order = _shuffled(len(labels), random)
-            rows = torch.split(order, self.settings.frame_batch)[: self._batches(group)]
-            for chosen in rows:
-                flips, network = _flips(self.settings, random), self.model.network
-                seen = looks(network, sequences, chosen, flips)
-                force = network.frame.force(seen)
-                beside = beside_moments(network, seen)
-                normal, sideways = self.model.log_gains[device[chosen]].exp().unbind(1)
-                knee = self.settings.loss_knee_n
-                loss = force_loss(normal * force, labels[chosen], knee).mean()
-                if network.config.shear:
-                    across = sideways[:, None] * network.shear.shown(seen)
-                    known = mirror_across(sequences.frame_across[chosen], *flips)
-                    loss = loss + across_loss(across, known, knee)
-                loss = loss + self.settings.moments_prior * beside
-                yield loss + self.settings.gain_prior * self.model.log_gains.square().mean()
-
-    def validate(self) -> float | None:
-        """Return the mean absolute error of frames alone on the trials to validate on [N]."""
-        network = self.model.network
-        return mean_error(
-            self.checked,
-            self.model.device,
-            lambda held: network.frame.force(encode(network, held)) - held.frame_force,
-        )
-
-    def _groups(self) -> int:
-        return self.processes.smallest(len(self.groups))
-
-    def _batches(self, group: int) -> int:
-        own = -(-len(self.groups.load(group).frame_force) // self.settings.frame_batch)
-        return self.processes.smallest(own)
-
-
-@torch.no_grad()
-def follow_moments(network: FgerNetwork, sequences: Sequences, processes: Processes) -> None:
-    """Make the forces of frames those of the moments alone, by least squares, in place.
-
-    Args:
-        network: `NetworkWithGains.fit_scales` has been called.
-        sequences: Trials to fit the constants to.
-        processes: Processes that take the mean of theirs.
-    """
-    moments = (sequences.frame_moments / network.frame.spread.cpu()).double()
-    first = network.config.frame_size
-    heads = [(network.frame.head, [[0]], sequences.frame_force[:, None])]
-    if network.config.shear:
-        heads += [(network.shear.frame, [[1, 3], [2, 4]], sequences.frame_across[:, :2])]
-    for head, columns, known in heads:
-        told = torch.isfinite(known).all(1)
-        inputs = torch.cat([moments[told][:, each] for each in columns])
-        found = torch.linalg.lstsq(inputs, known[told].T.reshape(-1, 1).double()).solution[:, 0]
-        found = processes.mean(found)
-        head.weight.zero_()
-        head.bias.zero_()
-        for row, each in enumerate(columns):
-            head.weight[row, [first + column for column in each]] = found.to(head.weight)
-
-
-def beside_moments(network: FgerNetwork, features: Tensor) -> Tensor:
-    """Return the mean square of what the convolutions add to the forces of moments [N^2].
-
-    Args:
-        network: FGER-Net.
-        features: f_frame, [N, feature_size].
-    """
-    own = features[:, : network.config.frame_size]
-    heads = [network.frame.head, *([network.shear.frame] if network.config.shear else [])]
-    added = [linear(own, head.weight[:, : own.shape[1]], head.bias) for head in heads]
-    return torch.cat(added, dim=1).square().mean()
-
-
-def frame_parameters(network: FgerNetwork) -> list[nn.Parameter]:
-    """Return the weights that a frame's forces come from."""
-    shear = [network.shear.frame, network.shear.turning] if network.config.shear else []
-    return [each for part in (network.frame, *shear) for each in part.parameters()]
-
-
-SMALL_N = 0.1
-"""Force from which on the knee of the loss is the whole one [N]: below, a contact begins or ends,
-and hundredths of a newton matter."""
-LEAST_KNEE = 0.2
-"""Share of the knee at no force."""
-
-
-def force_loss(force: Tensor, known: Tensor, knee: float) -> Tensor:
-    """Return the loss of each force: quadratic below the knee, linear above it.
-
-    Args:
-        force: Estimates [N].
-        known: Labels [N], same shape.
-        knee: Errors above this count linearly, above a smaller one near no force [N].
-    """
-    knees = knee * (known.abs() / SMALL_N).clamp(LEAST_KNEE, 1.0)
-    error = (force - known).abs()
-    return torch.where(error < knees, 0.5 * error.square() / knees, error - 0.5 * knees)
-
-
-ACROSS_UNITS = (1.0, 1.0, 10.0)
-"""What counts as much as a newton in the loss: sideways force [N], torsion [N mm].
-
-Most of the time there is no torsion: were the knee of the loss below its usual size, no torsion
-would ever be told.
-"""
-
-
-def across_loss(
-    across: Tensor, known: Tensor, knee: float, weights: Tensor | None = None
-) -> Tensor:
-    """Return the mean loss of sideways force and torsion, 0 where they are nowhere known.
-
-    Args:
-        across: Estimates [N, N, N mm], [..., 3].
-        known: Labels, nan where unknown, [..., 3].
-        knee: Errors above this count linearly, below it quadratically [N].
-        weights: Weight of each estimate, [...]; None if all count alike.
-    """
-    units = across.new_tensor(ACROSS_UNITS)
-    told = torch.isfinite(known)
-    label = torch.where(told, known, across.detach())
-    errors = smooth_l1_loss(across / units, label / units, beta=knee, reduction='none')
-    counted = told if weights is None else told * weights[..., None]
-    return torch.Tensor((errors * counted).sum() / counted.sum().clamp(min=1.0))
-
-
-def _shuffled(count: int, random: torch.Generator) -> Tensor:
-    """Return numbers below a count in random order.
-
-    Processes may have other counts: what they draw from `random` afterwards stays the same.
-    """
-    own = torch.Generator().manual_seed(int(torch.randint(2**31, (1,), generator=random)))
-    return torch.randperm(count, generator=own)
-
-
-def _flips(settings: TrainingSettings, random: torch.Generator) -> Flip:
-    """Return whether to mirror columns and rows this time."""
-    if not settings.mirror:
-        return False, False
-    columns, rows = torch.randint(0, 2, (2,), generator=random).tolist()
-    return bool(columns), bool(rows)
 
 
 FOLLOWED = 0.8
@@ -474,7 +200,7 @@ class SequenceStage(Stage):
         groups = self.processes.smallest(len(self.groups))
         for group in torch.randperm(groups, generator=random).tolist():
             sequences = self.groups.load(group).to(self.model.device)
-            flip = _flips(self.settings, random)
+            flip = draw_flips(self.settings, random)
             frozen = None
             if not self.joint:
                 # Features are small and stay what they are: kept for all groups.
@@ -643,7 +369,7 @@ class DeviationStage(Stage):
     def losses(self, random: torch.Generator) -> Iterator[Tensor]:
         """Yield the losses of one epoch in random order."""
         errors, head = self._collected(), head_of(self.model.network)
-        order = _shuffled(len(errors.error), random)
+        order = shuffled(len(errors.error), random)
         for chosen in torch.split(order, _BATCH)[: self.updates()]:
             part = errors.some(chosen)
             log_deviation = part.log_deviation(head)

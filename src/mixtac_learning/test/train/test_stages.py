@@ -16,9 +16,10 @@ import torch
 from mixtac_learning.network import FgerNetwork
 from mixtac_learning.train.batches import MemoryGroups, Sequences
 from mixtac_learning.train.config import TrainingSettings
+from mixtac_learning.train.frame_stage import encode
 from mixtac_learning.train.loop import TrainingLoop
 from mixtac_learning.train.parallel import Processes
-from mixtac_learning.train.stages import encode, estimate, impacts, train_fger
+from mixtac_learning.train.stages import estimate, impacts, train_fger
 
 SHORT = TrainingSettings(
     frame_epochs=12, recurrent_epochs=8, joint_epochs=2, deviation_epochs=4, frame_batch=16
