@@ -142,7 +142,7 @@ class FgerConfig:
     event_hidden: int = 32
     event_size: int = 24
     frame_widths: tuple[int, ...] = (12, 16, 24, 32, 32)
-    frame_size: int = 24
+    frame_size: int = 22
     lstm_size: int = 40
     mlp_size: int = 24
     event_shortcut: bool = True

@@ -187,7 +187,7 @@ def test_the_response_outlives_a_restart_of_the_state(model):
     for _ in range(40):
         for _ in range(20):
             path.step(random.normal(0.0, 3.0, shape).astype(np.float32))
-        path.correct(random.normal(0.0, 3.0, config.feature_size).astype(np.float32), 10)
+        path.correct(random.normal(0.0, 1.0, config.feature_size).astype(np.float32), 10)
     learned = path.event_response
     assert learned[0] != 1.0
     path.clear()

@@ -95,4 +95,8 @@ def random_model(config: FgerConfig, seed: int = 5) -> Model:
     tensors['increment.0.weight'][:, config.lstm_size :] *= 0.02
     tensors['increment.2.weight'] *= 0.02
     tensors['increment.2.bias'][:] = 0.0
+    # Nor may a correction be larger than what it corrects, or away from it.
+    tensors['correction.2.weight'] *= 0.25
+    force = tensors['correction.0.weight'][:, 0]
+    np.copysign(force, -tensors['correction.2.weight'][0], out=force)
     return Model(ARCHITECTURE, VERSION, config.to_dict(), ModelCard(), tensors)

@@ -10,7 +10,13 @@ import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from mixtac_fger.config import FgerConfig, count_parameters, operations_per_cycle, tensor_shapes
+from mixtac_fger.config import (
+    MOMENTS,
+    FgerConfig,
+    count_parameters,
+    operations_per_cycle,
+    tensor_shapes,
+)
 from mixtac_learning.network import FgerNetwork, FrameSlots
 
 MOST_PARAMETERS = 50_000
@@ -51,7 +57,7 @@ def test_fewer_operations_than_promised():
     slots = FrameSlots(torch.full((WINDOWS, 1), -1), torch.zeros((WINDOWS, 1), dtype=torch.int64))
     slots.frame[0] = 0
     with FlopCounterMode(display=False) as counter, torch.no_grad():
-        features = network.frame(frame)
+        features = network.frame(frame, torch.zeros(1, MOMENTS))
         course = network(events, features, slots, network.initial_state(1))
         network.deviation(course.hidden, course.force, course.moved)
     counted = counter.get_total_flops()
