@@ -177,7 +177,6 @@ class FrameStage(Stage):
                 flips, network = draw_flips(self.settings, random), self.model.network
                 seen = looks(network, sequences, chosen, flips)
                 force = network.frame.force(seen)
-                beside = beside_moments(network, seen)
                 normal, sideways = self.model.log_gains[device[chosen]].exp().unbind(1)
                 knee = self.settings.loss_knee_n
                 loss = force_loss(normal * force, labels[chosen], knee).mean()
@@ -185,7 +184,8 @@ class FrameStage(Stage):
                     across = sideways[:, None] * network.shear.shown(seen)
                     known = mirror_across(sequences.frame_across[chosen], *flips)
                     loss = loss + across_loss(across, known, knee)
-                loss = loss + self.settings.moments_prior * beside
+                if network.config.reads_flow:
+                    loss = loss + self.settings.moments_prior * beside_moments(network, seen)
                 yield loss + self.settings.gain_prior * self.model.log_gains.square().mean()
 
     def validate(self) -> float | None:
