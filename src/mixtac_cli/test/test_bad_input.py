@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import shutil
+from functools import cache
+from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -112,6 +114,8 @@ def test_no_command_ends_in_a_traceback(commands, inputs, tmp_path, monkeypatch,
 
     monkeypatch.setattr('mixtac_node.process.ProcessGroup.start', refuse)
     monkeypatch.setattr('rclpy.init', refuse)
+    # Half of the time of hundreds of command lines.
+    monkeypatch.setattr('mixtac_cli.main.entry_points', cache(entry_points))
     monkeypatch.setenv('MIXTAC_HOME', str(tmp_path / 'home'))
     work = tmp_path / 'work'
     shutil.copytree(inputs, work)

@@ -14,6 +14,7 @@ from rich.console import Console
 from mixtac_lab import store
 from mixtac_lab.experiments import sizes
 from mixtac_lab.experiments.harness import run_experiments, select
+from mixtac_lab.experiments.paper.vibration import PRESSED, SIZES_MM, TAPPING
 from mixtac_lab.experiments.sizes import QUICK
 from mixtac_recordings.recording import RecordingError
 
@@ -40,6 +41,8 @@ def carried_out(folder, *names, **options):
 def finished(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sizes, 'QUICK', TINY)
+        patch.setitem(SIZES_MM, PRESSED, (0.1,))
+        patch.setitem(SIZES_MM, TAPPING, (1.0,))
         folder = tmp_path_factory.mktemp('run')
         outcomes, text = carried_out(folder, 'fusion', 'vibration')
         yield folder, outcomes, text
@@ -69,8 +72,6 @@ def test_flow_finds_the_tone_and_the_pressed_count_its_double(finished):
 
 def test_a_second_run_computes_nothing(finished, monkeypatch):
     folder, first, _ = finished
-    monkeypatch.setattr(sizes, 'QUICK', TINY)
-
     def refuse(_index, piece, _folder):
         raise AssertionError(piece)
 
