@@ -72,6 +72,7 @@ def test_flow_finds_the_tone_and_the_pressed_count_its_double(finished):
 
 def test_a_second_run_computes_nothing(finished, monkeypatch):
     folder, first, _ = finished
+
     def refuse(_index, piece, _folder):
         raise AssertionError(piece)
 
