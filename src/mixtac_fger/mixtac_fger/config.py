@@ -48,7 +48,7 @@ def to_mapping(config: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 ARCHITECTURE = 'fger_small'
-VERSION = 4
+VERSION = 5
 LOWEST_LOG_DEVIATION, HIGHEST_LOG_DEVIATION = -7.0, 2.0
 """Limits of the logarithm of a standard deviation before `DeviationHead.scale` [log N]."""
 FRAME_CHANNELS = ('frame', 'difference', 'flow_x', 'flow_y')
@@ -302,10 +302,6 @@ def tensor_shapes(config: FgerConfig) -> dict[str, tuple[int, ...]]:
     if config.shear:
         linear('shear.frame', config.feature_size, 2)
         linear('shear.turning', config.frame_size, len(TURNING_WIDTHS))
-        linear('shear.hidden', config.lstm_size + config.event_size, config.mlp_size)
-        linear('shear.event', config.mlp_size, 3)
-        if config.frame_context:
-            linear('shear.context', config.feature_size, config.mlp_size, bias=False)
         shapes['shear.unit'], shapes['shear.deviation'] = (3,), (3, 3)
     return shapes
 
@@ -325,9 +321,13 @@ def operations_per_cycle(config: FgerConfig) -> int:
         for index, (rows, columns, _) in enumerate(map_shapes(config)[1:])
     )
     total += sizes['frame.project.weight']
-    per_frame = ('correction', 'shear.frame', 'shear.turning', 'context', 'shear.context')
+    per_frame = ('correction', 'shear', 'context')
     total += sum(size for name, size in sizes.items() if name.startswith(per_frame))
     per_window = sum(
         size for name, size in sizes.items() if not name.startswith(('frame', *per_frame))
     )
+    if config.shear:
+        cells = config.grid_rows * config.grid_columns
+        total += 2 * 3 * MOMENTS * cells
+        per_window += 2 * 3 * cells
     return 2 * (total + per_window * 40_000 // config.window_us)

@@ -44,7 +44,7 @@ from mixtac_fger.features import EXPOSED_WINDOWS, EventGuide, FramePreparation, 
 from mixtac_fger.frame_network import frame_maps, frame_step, frame_weights, row_scratch
 from mixtac_fger.recurrent_network import RecurrentPath
 from mixtac_fger.reference import Reference
-from mixtac_fger.shear import Shear, ShearHead
+from mixtac_fger.shear import Shear, ShearHead, Shown
 from mixtac_fger.weights import MODEL_REMEDY
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class _Content(NamedTuple):
 
     feature: NDArray[np.float32]
     guide: EventGuide
-    shear: NDArray[np.float64] | None
+    shear: Shown | None
 
 
 def checked_config(model: Model) -> FgerConfig:
@@ -388,7 +388,7 @@ class FgerEstimator:
         self._pending_windows = SPREAD_WINDOWS
         self._see(frame.content)
         if self._shear is not None:
-            self._shear.correct(frame.content.shear, lag)
+            self._shear.correct(frame.content.shear, lag, SPREAD_WINDOWS)
 
     def _see(self, content: _Content) -> None:
         """Let events be read by a frame from now on."""
@@ -415,7 +415,8 @@ class FgerEstimator:
         if vibrated:
             # Frames lead the mean, and correct the path no more.
             path.confirm()
-        force = path.step(self._no_events if light else self._features)
+        features = self._no_events if light else self._features
+        force = path.step(features)
         deviation = path.deviation
         if deviation is not None:
             deviation = math.hypot(deviation, UNCONFIRMED_SHARE * path.unconfirmed)
@@ -430,7 +431,7 @@ class FgerEstimator:
             if not vibration.active:
                 path.shift(vibration.end())
         if self._shear is not None:
-            self._shear.step(path.across)
+            self._shear.step(features)
         if self._pending_n == 0.0:
             return force, deviation
         if deviation is not None:

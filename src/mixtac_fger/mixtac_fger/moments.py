@@ -16,6 +16,8 @@ is proportional to :math:`L = D c / w`, which is therefore given as well.
 
 The contact is at the mean of the places, weighted by the square of the divergence of u where that
 is positive. A turn has none, and a pull moves the mean along itself, where it gives no moment.
+
+Between two frames, events tell the same moments: their flow over the grid is what u changes by.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from numpy.typing import NDArray
 from mixtac_fger.config import MOMENTS, TURNING_WIDTHS
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 
 RISE: Final = 2
 """Half the distance over which the divergence is taken [bins]."""
@@ -84,3 +87,47 @@ def moments(flow: F32, out: F32) -> None:
         out[2] = -pull_y / width
         out[3] = out[0] * (right - 0.5 * (columns - 1)) / width
         out[4] = -out[0] * (below - 0.5 * (rows - 1)) / width
+
+
+def contact_of(found: F32 | F64, shape: tuple[int, int]) -> tuple[float, float]:
+    """Return column and row of the contact that moments are about [bins].
+
+    Args:
+        found: Of `moments`.
+        shape: Rows and columns of the displacement.
+    """
+    rows, columns = shape
+    right, below = 0.5 * (columns - 1), 0.5 * (rows - 1)
+    press, _, _, lean_x, lean_y = found[:5].tolist()
+    if press:
+        right += TURNING_WIDTHS[-1] * lean_x / press
+        below -= TURNING_WIDTHS[-1] * lean_y / press
+    return min(max(right, 0.0), columns - 1.0), min(max(below, 0.0), rows - 1.0)
+
+
+def moments_of_cells(
+    contact: tuple[float, float], shape: tuple[int, int], grid: tuple[int, int]
+) -> F64:
+    """Return what the displacements x and y of each cell of a grid add to the moments.
+
+    Args:
+        contact: Column and row of the contact [bins].
+        shape: Rows and columns of the displacement.
+        grid: Rows and columns of the grid, whose cells divide it evenly.
+
+    Returns:
+        float64 [`MOMENTS`, grid rows, grid columns, 2], y downwards.
+    """
+    rows, columns = shape
+    bins = rows * columns / (grid[0] * grid[1])
+    down, across = ((np.arange(n) + 0.5) * m / n - 0.5 for n, m in zip(grid, shape, strict=True))
+    x, y = across[None] - contact[0], down[:, None] - contact[1]
+    out = np.zeros((MOMENTS, *grid, 2))
+    for index, width in enumerate(TURNING_WIDTHS):
+        near = bins * np.exp(-0.5 * (x**2 + y**2) / width**2)
+        out[MOMENTS - len(TURNING_WIDTHS) + index] = np.stack([near * y, -near * x], -1) / width**2
+    out[0] = np.stack([near * x, near * y], -1) / width**2
+    out[1, ..., 0], out[2, ..., 1] = near / width, -near / width
+    out[3] = out[0] * (contact[0] - 0.5 * (columns - 1)) / width
+    out[4] = -out[0] * (contact[1] - 0.5 * (rows - 1)) / width
+    return out

@@ -43,12 +43,7 @@ class StepWeights(NamedTuple):
     increment_hidden_bias: F32
     increment_output: F32
     increment_output_bias: F32
-    across_hidden: F32
-    across_hidden_bias: F32
-    across_output: F32
-    across_output_bias: F32
     context: F32
-    across_context: F32
 
 
 class CorrectionWeights(NamedTuple):
@@ -72,11 +67,7 @@ class StepState(NamedTuple):
         event_output: Scratch.
         gates: Scratch.
         increment_hidden: Scratch.
-        across_hidden: Scratch.
         context: What the latest frame adds to `increment_hidden`, bias included.
-        across_context: What it adds to `across_hidden`.
-        across: Increments of sideways force and torsion in the latest window, [3], of a model that
-            tells them; see `mixtac_fger.shear`.
         response: Gain of slow increments; play [N]; increment that is half slow and half fast [N];
             slow increments that complete half a reversal [N]. See `EventResponse`.
         increments: Sums of the slow and of the fast increments of the network [N], and the
@@ -91,17 +82,13 @@ class StepState(NamedTuple):
     event_output: F32
     gates: F32
     increment_hidden: F32
-    across_hidden: F32
     context: F32
-    across_context: F32
-    across: F32
     response: F32
     increments: NDArray[np.float64]
 
 
 def step_weights(tensors: Tensors) -> StepWeights:
     """Return copies of the recurrent path's weights in the layout of the compiled step."""
-    across = {name: each for name, each in tensors.items() if name.startswith('shear.')}
     none = np.zeros((0, 0), np.float32)
     return StepWeights(
         event_scale=copied(tensors['event.scale']),
@@ -117,12 +104,7 @@ def step_weights(tensors: Tensors) -> StepWeights:
         increment_hidden_bias=copied(tensors['increment.0.bias']),
         increment_output=copied(tensors['increment.2.weight'][0]),
         increment_output_bias=copied(tensors['increment.2.bias']),
-        across_hidden=copied(across.get('shear.hidden.weight', none).T),
-        across_hidden_bias=copied(across.get('shear.hidden.bias', none.ravel())),
-        across_output=copied(across.get('shear.event.weight', none).T),
-        across_output_bias=copied(across.get('shear.event.bias', none.ravel())),
         context=copied(tensors.get('context.weight', none)),
-        across_context=copied(across.get('shear.context.weight', none)),
     )
 
 
@@ -156,10 +138,7 @@ def step_state(weights: StepWeights, unit: float = 1.0) -> StepState:
         weights.event_output.shape[1],
         4 * lstm,
         weights.increment_hidden.shape[1],
-        weights.across_hidden.shape[1],
         weights.increment_hidden.shape[1],
-        weights.across_hidden.shape[1],
-        weights.across_output.shape[1],
     )
     scratch: list[Any] = [np.zeros(size, np.float32) for size in sizes]
     response = np.array([1.0, 0.0, unit * FAST_INCREMENT, unit * REVERSAL_N], np.float32)
@@ -229,13 +208,6 @@ def advance(features: F32, weights: StepWeights, state: StepState) -> None:
     if weights.increment_hidden.shape[0] > size:
         _accumulate(state.event_output, weights.increment_hidden[size:], state.increment_hidden)
     _relu(state.increment_hidden)
-    if state.across.shape[0]:
-        _copy(state.across_context, state.across_hidden)
-        _accumulate(state.hidden, weights.across_hidden[:size], state.across_hidden)
-        _accumulate(state.event_output, weights.across_hidden[size:], state.across_hidden)
-        _relu(state.across_hidden)
-        _copy(weights.across_output_bias, state.across)
-        _accumulate(state.across_hidden, weights.across_output, state.across)
     total = weights.increment_output_bias[0]
     for index in range(state.increment_hidden.shape[0]):
         total += state.increment_hidden[index] * weights.increment_output[index]
@@ -426,11 +398,6 @@ class RecurrentPath:
         return float(self._state.force[0])
 
     @property
-    def across(self) -> F32:
-        """Increments of sideways force and torsion in the latest window, [3]; do not keep it."""
-        return self._state.across
-
-    @property
     def event_response(self) -> tuple[float, float]:
         """Gain of the events of this sensor, and their play [N]; see `EventResponse`."""
         gain, play = self._state.response[:2].tolist()
@@ -453,10 +420,10 @@ class RecurrentPath:
     def clear(self) -> None:
         """Forget everything but the response of the events: no force, no memory."""
         state = self._state
-        kept = [each.copy() for each in (state.response, state.context, state.across_context)]
+        kept = state.response.copy(), state.context.copy()
         for part in state:
             part[:] = 0.0
-        state.response[:], state.context[:], state.across_context[:] = kept
+        state.response[:], state.context[:] = kept
         self._response.forget_frame()
         self._history[:] = 0.0
         self._increments[:] = 0.0
@@ -468,12 +435,10 @@ class RecurrentPath:
 
     def see(self, frame_feature: F32) -> None:
         """Take the feature of the latest frame, which says how motion and force belong together."""
-        weights, state = self._weights, self._state
-        for bias, matrix, out in (
-            (weights.increment_hidden_bias, weights.context, state.context),
-            (weights.across_hidden_bias, weights.across_context, state.across_context),
-        ):
-            out[:] = bias + matrix @ frame_feature if matrix.size else bias
+        matrix, context = self._weights.context, self._state.context
+        context[:] = self._weights.increment_hidden_bias
+        if matrix.size:
+            context += matrix @ frame_feature
 
     def start_at(self, force: float) -> None:
         """Begin at a known force [N], with a memory of having been there without events.

@@ -4,12 +4,16 @@ r"""Sideways force and torsion beside the normal force.
 
 A frame tells the sideways force by its feature, whose moments (`mixtac_fger.moments`) are most of
 it, and the torsion by the moments of turning alone, each weighted by what the convolutions say
-about gel and contact: :math:`T = \sum_k m_k (w_k \cdot f + b_k)`. Each window adds increments
-from the recurrent state and its events. The value is the latest frame's, and the increments since
-the centre of its exposure.
-:math:`\sqrt{b^2 + (s y)^2 + (e i)^2}` is its deviation: a floor, a share of the value y and one of
-i, the sum of the sizes of these increments. Values are those of a gel of usual stiffness times
-`shear.unit`, which `mixtac_fger.fger_net.with_gain` and `with_sideways_gain` change.
+about gel and contact: :math:`T = \sum_k m_k (w_k \cdot f + b_k)`. Between frames the moments change
+by those of the flow of the events, :math:`u = e \, v`: v is the displacement per contrast
+threshold, e (`PER_EVENT`) makes it that which frames show. The same constants make both a force.
+
+The value is that of the latest frame, and the increments since the centre of its exposure; the
+output follows a frame over some windows.
+:math:`\sqrt{b^2 + (s y)^2 + (e i)^2 + r^2}` is its deviation: a floor, a share of the value y, one
+of i, the sum of the sizes of these increments, and what is left to follow. Values are those of a
+gel of usual stiffness times `shear.unit`, which `mixtac_fger.fger_net.with_gain` and
+`with_sideways_gain` change.
 
 Axes are those of the contact frame: x to the right and y upwards in the image, z from the contact
 into the gel (right-handed, REP-103). Forces act on the skin.
@@ -22,6 +26,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from mixtac_fger.moments import contact_of, moments_of_cells
 
 if TYPE_CHECKING:
     from mixtac_fger.config import FgerConfig
@@ -56,22 +62,50 @@ class Shear(NamedTuple):
         return Shear._make(gain * each for each in self)
 
 
+PER_EVENT: Final = 0.4
+"""Displacement that frames show per displacement per contrast threshold that events tell.
+
+On six simulated sensors (`paper_like`), handled for 10 s each and calibrated, the mean error of the
+sideways force is 0.038 N by frames alone, 0.030 N with events at 0.3 to 0.5, and 0.029 N with
+increments of the true force.
+"""
+
+
+class Shown(NamedTuple):
+    """What a frame tells, for a gel of usual stiffness.
+
+    Attributes:
+        value: Force to the right and upwards [N], torque [N mm]; float64 [3].
+        per_flow: What a flow of one pixel per contrast threshold, x and y, in each cell of the
+            event grid adds to `value`; float64 [3, grid rows, grid columns, 2].
+    """
+
+    value: F64
+    per_flow: F64
+
+
 @njit(cache=True, nogil=True)
-def _advance(increments: F32, before: F64, after: F64) -> None:
+def _advance(features: F32, per_flow: F64, before: F64, after: F64) -> None:
     """Write the sums [2, 3] after a window, given those before it."""
     for axis in range(3):
-        after[0, axis] = before[0, axis] + increments[axis]
-        after[1, axis] = before[1, axis] + abs(increments[axis])
+        increment = 0.0
+        for row in range(features.shape[0]):
+            for column in range(features.shape[1]):
+                cell, gain = features[row, column], per_flow[axis, row, column]
+                increment += gain[0] * cell[0] + gain[1] * cell[1]
+        after[0, axis] = before[0, axis] + increment
+        after[1, axis] = before[1, axis] + abs(increment)
 
 
 @njit(cache=True, nogil=True)
-def _values(base: F64, sums: F64, units: F64, shares: F64, out: F64) -> bool:
+def _values(base: F64, sums: F64, pending: F64, units: F64, shares: F64, out: F64) -> bool:
     """Write values and deviations [2, 3]; return whether all are finite."""
     for axis in range(3):
-        value, moved = base[0, axis] + sums[0, axis], base[1, axis] + sums[1, axis]
+        value = base[0, axis] + sums[0, axis] - pending[axis]
+        moved = base[1, axis] + sums[1, axis]
         floor, share, told = shares[axis, 0], shares[axis, 1] * value, shares[axis, 2] * moved
-        out[0, axis] = units[axis] * value
-        out[1, axis] = units[axis] * np.sqrt(floor * floor + share * share + told * told)
+        square = floor * floor + share * share + told * told + pending[axis] * pending[axis]
+        out[0, axis], out[1, axis] = units[axis] * value, units[axis] * np.sqrt(square)
     return bool(np.isfinite(out.sum()))
 
 
@@ -86,54 +120,88 @@ class ShearHead:
     """
 
     def __init__(self, config: FgerConfig, tensors: Tensors) -> None:
-        names = ('frame.weight', 'frame.bias', 'turning.weight', 'turning.bias')
-        self._frame = [np.array(tensors[f'shear.{name}'], np.float64) for name in names]
-        self._units = np.array(tensors['shear.unit'], np.float64) * NEWTONS
-        self._shares = np.array(tensors['shear.deviation'], np.float64)
-        self._values = np.zeros((2, 3))
+        def tensor(name: str) -> F64:
+            return np.array(tensors[name], np.float64)
+
+        self._shape, self._grid = config.frame_shape, config.grid_shape
+        self._spread = tensor('frame.spread')
+        self._frame = tensor('shear.frame.weight'), tensor('shear.frame.bias')
+        self._turning = tensor('shear.turning.weight'), tensor('shear.turning.bias')
+        self._units = tensor('shear.unit') * NEWTONS
+        self._shares = tensor('shear.deviation')
+        # Of a displacement in bins.
+        self._per_moment = PER_EVENT / config.frame_bin / self._spread
         # Sums of the increments and of their sizes up to each window.
         self._sums = np.zeros((config.history_windows, 2, 3))
         self._newest, self._base = 0, np.zeros((2, 3))
+        self._per_flow = np.zeros((3, *self._grid, 2))
+        self._pending, self._windows = np.zeros(3), 0
         self._known = False
+        self._found = np.zeros((2, 3))
 
-    def measure(self, feature: F32) -> F64:
-        """Return what a frame shows: right, up [N], torque [N mm], for a gel of usual stiffness.
+    def measure(self, feature: F32) -> Shown:
+        """Return what a frame shows.
 
         Args:
             feature: f_frame, float32 [feature_size].
         """
-        weight, bias, gates, gates_bias = self._frame
+        (weight, bias), (gates, gates_bias) = self._frame, self._turning
         turning = gates @ feature[: gates.shape[1]] + gates_bias
-        return np.append(weight @ feature + bias, feature[-len(turning) :] @ turning)
+        own = feature[-len(self._spread) :]
+        value = np.append(weight @ feature + bias, own[-len(turning) :] @ turning)
+        per_moment = np.zeros((3, len(own)))
+        per_moment[:2], per_moment[2, -len(turning) :] = weight[:, -len(own) :], turning
+        contact = contact_of(own * self._spread, self._shape)
+        cells = moments_of_cells(contact, self._shape, self._grid)
+        return Shown(value, np.tensordot(per_moment * self._per_moment, cells, 1))
 
-    def correct(self, measured: F64, lag: int) -> None:
-        """Take what a frame showed `lag` windows before the latest one."""
+    def correct(self, shown: Shown, lag: int, windows: int = 1) -> None:
+        """Take what a frame showed.
+
+        Args:
+            shown: Of `measure`.
+            lag: Windows between the centre of its exposure and the latest one.
+            windows: Windows in which the output follows.
+        """
         place = (self._newest - min(lag, len(self._sums) - 1)) % len(self._sums)
-        self._base[0] = measured - self._sums[place, 0]
+        before = self._base[0].copy()
+        self._base[0] = shown.value - self._sums[place, 0]
         self._base[1] = -self._sums[place, 1]
-        self._known = True
+        if self._known:
+            self._pending += self._base[0] - before
+            self._windows = windows
+        self._per_flow, self._known = shown.per_flow, True
 
-    def step(self, increments: F32) -> None:
+    def step(self, features: F32) -> None:
         """Advance by one window.
 
         Args:
-            increments: Of `RecurrentPath.across`, float32 [3].
+            features: Grid features, float32 [grid rows, grid columns, 4].
         """
         before, self._newest = self._sums[self._newest], (self._newest + 1) % len(self._sums)
-        _advance(increments, before, self._sums[self._newest])
+        _advance(features, self._per_flow, before, self._sums[self._newest])
+        if self._windows:
+            self._pending -= self._pending / self._windows
+            self._windows -= 1
 
     def clear(self) -> None:
         """Forget everything; there is no value until the next frame."""
-        self._sums[:] = self._base[:] = 0.0
-        self._known = False
+        self._sums[:] = self._base[:] = self._pending[:] = 0.0
+        self._windows, self._known = 0, False
+
+    @property
+    def told(self) -> F64:
+        """Value [N, N, N mm], before `shear.unit`, and size of the increments, [2, 3]."""
+        sums = self._sums[self._newest]
+        return np.stack([self._base[0] + sums[0] - self._pending, self._base[1] + sums[1]])
 
     @property
     def value(self) -> Shear | None:
         """The value after the latest window; None before the first frame, or if not finite."""
         if not self._known:
             return None
-        sums = self._sums[self._newest]
-        if not _values(self._base, sums, self._units, self._shares, self._values):
+        sums, found = self._sums[self._newest], self._found
+        if not _values(self._base, sums, self._pending, self._units, self._shares, found):
             return None
-        (x, y, torque), (across, up, turned) = self._values.tolist()
+        (x, y, torque), (across, up, turned) = found.tolist()
         return Shear(x, y, torque, max(across, up), turned)

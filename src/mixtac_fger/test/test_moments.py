@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from mixtac_fger.config import MOMENTS, FgerConfig
-from mixtac_fger.moments import moments
+from mixtac_fger.moments import contact_of, moments, moments_of_cells
 
 ROWS, COLUMNS = FgerConfig().frame_shape
 MIDDLE = 0.5 * (COLUMNS - 1), 0.5 * (ROWS - 1)
@@ -78,3 +79,27 @@ def test_what_is_not_finite_ends_nothing():
     spoilt = displacement((42.0, 32.0), press=0.1)
     spoilt[0, 20, 20] = np.nan
     moments(spoilt, np.zeros(MOMENTS, np.float32))
+
+
+@pytest.mark.parametrize('place', [MIDDLE, (36.0, 35.5), (55.0, 24.0)])
+def test_cells_of_a_grid_add_up_to_the_moments(place):
+    shape, grid = (ROWS, COLUMNS), (13, 17)
+    moved = displacement(place, press=0.1, pull=(0.3, -0.2), turn=0.05, width=12.0)
+    whole = np.zeros(MOMENTS, np.float32)
+    moments(moved, whole)
+    contact = contact_of(whole, shape)
+    np.testing.assert_allclose(contact, place, atol=2.0)
+    # Cells whose sides are whole bins: 5 by 5 of 65 by 85.
+    means = moved[:, :, :85].reshape(2, 13, 5, 17, 5).mean(axis=(2, 4)).transpose(1, 2, 0)
+    per_cell = moments_of_cells(contact, (ROWS, 85), grid)
+    added = np.tensordot(per_cell, means, 3)
+    # The lean is the press times the place; both are of the one grid.
+    np.testing.assert_allclose(added[:3], whole[:3], rtol=0.05)
+    np.testing.assert_allclose(added[6:], whole[6:], rtol=0.1)
+
+
+def test_the_contact_stays_within_the_picture():
+    whole = np.zeros(MOMENTS, np.float32)
+    assert contact_of(whole, (ROWS, COLUMNS)) == MIDDLE
+    whole[:] = 1e-3, 0.0, 0.0, 5.0, -5.0, *(0.0,) * (MOMENTS - 5)
+    assert contact_of(whole, (ROWS, COLUMNS)) == (COLUMNS - 1.0, ROWS - 1.0)

@@ -11,6 +11,7 @@ import pytest
 from toy_sensor import random_model
 
 from mixtac_fger.config import (
+    MOMENTS,
     ConfigError,
     FgerConfig,
     ModelError,
@@ -18,20 +19,27 @@ from mixtac_fger.config import (
     operations_per_cycle,
 )
 from mixtac_fger.estimator import Estimate, fill_quality
+from mixtac_fger.features import bin_cells
 from mixtac_fger.fger_net import FgerEstimator, with_gain, with_sideways_gain
-from mixtac_fger.shear import Shear, ShearHead
+from mixtac_fger.moments import moments
+from mixtac_fger.shear import PER_EVENT, Shear, ShearHead
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import find_model, read_model
 
 CONFIG = FgerConfig(shear=True)
 
 
+SPREAD = np.linspace(1.0, 3.0, MOMENTS).astype(np.float32)
+OWN = CONFIG.frame_size
+
+
 def tensors():
-    """Return a head that reads x and y from the first features of a frame, torque from a moment."""
+    """Return a head that reads x and y from the moments of a pull, torque from one of turning."""
     weight = np.zeros((2, CONFIG.feature_size), np.float32)
     gates = np.zeros((4, CONFIG.frame_size), np.float32)
-    weight[0, 0] = weight[1, 1] = gates[3, 0] = 1.0
+    weight[0, OWN + 1] = weight[1, OWN + 2] = gates[1, 0] = 1.0
     return {
+        'frame.spread': SPREAD,
         'shear.frame.weight': weight,
         'shear.frame.bias': np.float32([0.0, 0.0]),
         'shear.turning.weight': gates,
@@ -41,29 +49,87 @@ def tensors():
     }
 
 
-def shown(x, y, moment=0.0):
-    """Return the feature of a frame with a torque of (0.5 + x) moments."""
+def frame(flow):
+    """Return the feature of a frame with a displacement [2, rows, columns] in bins."""
     feature = np.zeros(CONFIG.feature_size, np.float32)
-    feature[:2] = x, y
-    feature[-4:] = 0.0, moment, 0.0, moment
+    moments(flow, feature[OWN:])
+    feature[OWN:] /= SPREAD
     return feature
+
+
+def load(pull=(0.0, 0.0), turn=0.0):
+    """Return the displacement of a press in the middle, pulled and turned [bins]."""
+    rows, columns = CONFIG.frame_shape
+    y, x = np.mgrid[:rows, :columns] - 0.5 * np.reshape([rows - 1, columns - 1], (2, 1, 1))
+    near = np.exp(-(x**2 + y**2) / (2.0 * 15.0**2))
+    moved = near * (0.1 * np.stack([x, y]) + np.reshape(pull, (2, 1, 1)))
+    return (moved + turn * near * np.stack([y, -x])).astype(np.float32)
+
+
+def flow_between(before, after):
+    """Return the event features of a motion that ideal pixels tell in one window."""
+    cells = np.zeros((CONFIG.grid_rows, CONFIG.grid_columns, 4), np.float32)
+    (of_row, of_column), shape = bin_cells(CONFIG.frame_shape, CONFIG.grid_shape), cells.shape[:2]
+    for row, column in np.ndindex(shape):
+        inside = np.ix_([0, 1], of_row == row, of_column == column)
+        mean = (after - before)[inside].mean(axis=(1, 2))
+        cells[row, column, :2] = mean * CONFIG.frame_bin / PER_EVENT
+    return cells
+
+
+def test_events_tell_what_the_next_frame_shows():
+    before, after = load(), load(pull=(0.3, -0.2), turn=0.03)
+    head = ShearHead(CONFIG, tensors())
+    first, second = head.measure(frame(before)), head.measure(frame(after))
+    head.correct(first, 0)
+    head.step(flow_between(before, after))
+    change = second.value - first.value
+    # The contact that moments are about is that of the frame before.
+    np.testing.assert_allclose(head.told[0] - first.value, change, rtol=0.2)
+    assert (np.abs(change) > 0.05).all()
 
 
 def test_a_frame_counts_from_the_centre_of_its_exposure_and_events_carry_it_on():
     head = ShearHead(CONFIG, tensors())
     assert head.value is None
-    head.correct(head.measure(shown(0.3, -0.2)), 0)
+    start, pulled = load(), load(pull=(0.5, 0.0))
+    shown = head.measure(frame(start))
+    head.correct(shown, 0)
+    part = 0.25 * flow_between(start, pulled)
+    step = np.tensordot(shown.per_flow, part[..., :2], 3)
     for _ in range(4):
-        head.step(np.float32([0.01, 0.0, 0.01]))
-    assert head.value[:2] == pytest.approx((2.0 * 0.34, 2.0 * -0.2), rel=1e-5)
+        head.step(part)
+    np.testing.assert_allclose(head.value[:2], 2.0 * (shown.value + 4.0 * step)[:2], rtol=1e-6)
     # Exposed two windows ago: only the last two increments come on top.
-    head.correct(head.measure(shown(0.5, 0.0, 0.6)), 2)
-    assert head.value[:2] == pytest.approx((2.0 * 0.52, 0.0), rel=1e-5)
-    assert head.value.torque == pytest.approx(3e-3 * 0.62, rel=1e-5)
-    expected = 2.0 * np.sqrt(0.1**2 + (0.2 * 0.52) ** 2 + (0.5 * 0.02) ** 2)
-    assert head.value.deviation == pytest.approx(expected, rel=1e-5)
+    shown = head.measure(frame(load(pull=(0.4, 0.1))))
+    head.correct(shown, 2)
+    last = head.value[:2]
+    nothing = np.zeros_like(part)
+    head.step(nothing)
+    value = shown.value + 2.0 * step
+    np.testing.assert_allclose(head.value[:2], 2.0 * value[:2], rtol=1e-6)
+    assert head.value.torque == pytest.approx(3e-3 * value[2], abs=1e-9)
+    expected = 2.0 * np.sqrt(0.1**2 + (0.2 * value) ** 2 + (0.5 * 2.0 * np.abs(step)) ** 2)
+    assert head.value.deviation == pytest.approx(expected[:2].max(), rel=1e-6)
+    assert last[0] != pytest.approx(2.0 * value[0], rel=1e-3)
     head.clear()
     assert head.value is None
+
+
+def test_the_output_follows_a_frame_over_some_windows_and_says_how_far_it_is():
+    head = ShearHead(CONFIG, tensors())
+    head.correct(head.measure(frame(load())), 0)
+    start = head.value
+    shown = head.measure(frame(load(pull=(0.5, 0.0))))
+    head.correct(shown, 0, 10)
+    assert head.value.x == pytest.approx(start.x)
+    way = 2.0 * shown.value[0] - start.x
+    nothing = np.zeros((CONFIG.grid_rows, CONFIG.grid_columns, 4), np.float32)
+    for left in range(9, -1, -1):
+        before = head.value
+        head.step(nothing)
+        assert head.value.x - before.x == pytest.approx(0.1 * way)
+        assert head.value.deviation > abs(0.1 * left * way)
 
 
 def test_sideways_force_needs_the_displacement():
@@ -73,7 +139,8 @@ def test_sideways_force_needs_the_displacement():
 
 def test_values_that_are_not_finite_are_unknown():
     head = ShearHead(CONFIG, tensors())
-    head.correct(np.array([np.nan, 0.0, 0.0]), 0)
+    shown = head.measure(frame(load()))
+    head.correct(shown._replace(value=np.array([np.nan, 0.0, 0.0])), 0)
     assert head.value is None
 
 
@@ -111,7 +178,7 @@ def test_the_normal_force_is_the_same_to_the_bit_with_and_without_the_head(heade
 
 def test_gains_of_weights_and_of_parameters_multiply_what_they_name(headed, trial):
     plain = np.array([each.shear for each in run(headed, trial)])
-    assert np.abs(plain[:, :3]).max(axis=0).min() > 1e-6
+    assert np.abs(plain[:, :3]).max(axis=0).min() > 1e-8
     for found in (
         run(with_sideways_gain(with_gain(headed, 1.5), 2.0), trial),
         run(headed, trial, force_scale=1.5, sideways_scale=2.0),

@@ -67,7 +67,7 @@ def test_the_shipped_model_has_the_shapes_of_its_configuration():
     model = read_model(find_model('fger_small'))
     shapes = {name: tensor.shape for name, tensor in model.tensors.items()}
     assert shapes == tensor_shapes(FgerConfig.from_dict(model.config))
-    assert open_estimator(model).parameters == 73_068
+    assert open_estimator(model).parameters == 69_065
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -78,9 +78,6 @@ class SequenceState(NamedTuple):
         offset: Sum of the corrections so far, [B] in N; history[-1] + offset is the estimate.
         confirmed: Element of `history` at the centre of the latest frame's exposure, [B] in N.
         seen: f_frame of the latest frame, [B, feature_size].
-        sums: Sums of the increments across the normal after each past window, oldest first, and
-            those of their sizes, [L, B, 2, 3]; None of a network that tells no sideways force.
-        base: What the latest frame showed, less `sums` at the centre of its exposure, [B, 2, 3].
     """
 
     hidden: Tensor
@@ -89,13 +86,10 @@ class SequenceState(NamedTuple):
     offset: Tensor
     confirmed: Tensor
     seen: Tensor
-    sums: Tensor | None
-    base: Tensor | None
 
     def detach(self) -> SequenceState:
         """Return the state without its gradients."""
-        parts = {name: part.detach() for name, part in self._asdict().items() if part is not None}
-        return self._replace(**parts)
+        return SequenceState(*(part.detach() for part in self))
 
 
 class FrameSlots(NamedTuple):
@@ -115,13 +109,6 @@ class FrameSlots(NamedTuple):
         return torch.where(self.frame >= 0, number, 0).cummax(dim=0).values
 
 
-def context_of(config: FgerConfig) -> nn.Linear | None:
-    """Return what a frame adds to a hidden layer of the event path; None if it adds nothing."""
-    if not config.frame_context:
-        return None
-    return nn.Linear(config.feature_size, config.mlp_size, bias=False)
-
-
 class Course(NamedTuple):
     """Result of a stretch of T windows of B sequences.
 
@@ -129,20 +116,17 @@ class Course(NamedTuple):
         force: Force at the end of each window [N], [T, B].
         hidden: LSTM output h after each window, [T, B, lstm_size].
         moved: Size of the sum of the increments since the latest exposure [N], [T, B].
-        across: Sideways force [N] and torsion [N mm] at the end of each window, and the sizes of
-            their increments since the latest frame, [T, B, 2, 3]; None if they are not told.
         state: State after the last window.
     """
 
     force: Tensor
     hidden: Tensor
     moved: Tensor
-    across: Tensor | None
     state: SequenceState
 
 
 class ShearHead(nn.Module):
-    """Sideways force and torsion; see `mixtac_fger.shear`.
+    """Sideways force and torsion of a frame; what events add is no network (`mixtac_fger.shear`).
 
     Args:
         config: Network configuration.
@@ -150,9 +134,6 @@ class ShearHead(nn.Module):
     Attributes:
         frame: From f_frame to the sideways force that a frame shows [N].
         turning: From what the convolutions say to the torsion per moment of turning [N mm].
-        hidden: From recurrent state and event feature, before a ReLU.
-        event: From there to the increments of a window.
-        context: What the latest frame adds before the ReLU; None without `frame_context`.
         unit: Factor of each axis.
         deviation: Floor, share of the value and share of the increments, by axis.
     """
@@ -161,9 +142,6 @@ class ShearHead(nn.Module):
         super().__init__()
         self.frame = nn.Linear(config.feature_size, 2)
         self.turning = nn.Linear(config.frame_size, len(TURNING_WIDTHS))
-        self.hidden = nn.Linear(config.lstm_size + config.event_size, config.mlp_size)
-        self.event = nn.Linear(config.mlp_size, 3)
-        self.context = context_of(config)
         self.unit: Tensor
         self.register_buffer('unit', torch.ones(3))
         self.deviation: Tensor
@@ -174,42 +152,6 @@ class ShearHead(nn.Module):
         gates = self.turning(seen[..., : self.turning.in_features])
         torsion = (seen[..., -gates.shape[-1] :] * gates).sum(-1, keepdim=True)
         return torch.cat([self.frame(seen), torsion], dim=-1)
-
-    def forward(
-        self,
-        events: Tensor,
-        hidden: Tensor,
-        seen: Tensor,
-        slots: FrameSlots,
-        state: SequenceState,
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Return values and sizes as `Course.across`, then `sums` and `base` of the next state.
-
-        Args:
-            events: f_e, [T, B, event_size].
-            hidden: LSTM output h after each window, [T, B, lstm_size].
-            seen: f_frame of the latest frame in each window, [T, B, feature_size].
-            slots: When which frame becomes available.
-            state: State before the first window.
-        """
-        assert state.sums is not None  # noqa: S101  (made by a network with this head)
-        assert state.base is not None  # noqa: S101
-        middle = self.hidden(torch.cat([hidden, events], dim=-1))
-        if self.context is not None:
-            middle = middle + self.context(seen)
-        steps = self.event(torch.relu(middle))
-        known = len(state.sums)
-        both = torch.stack([steps, steps.abs()], dim=2)
-        sums = torch.cat([state.sums, state.sums[-1] + both.cumsum(0)])
-        # The frame of a window counts before its events.
-        row = torch.arange(len(steps), device=steps.device)[:, None] + known - 1 - slots.lag
-        row = row.clamp(min=0)[..., None, None].expand(-1, -1, 2, 3)
-        shown = self.shown(seen)
-        shown = torch.stack([shown, torch.zeros_like(shown)], dim=2)
-        bases = torch.cat([state.base[None], shown - sums.gather(0, row)])
-        latest = slots.latest()[..., None, None].expand(-1, -1, 2, 3)
-        base = bases.gather(0, latest)
-        return base + sums[known:], sums[-known:], base[-1]
 
 
 class FrameNetwork(nn.Module):
@@ -291,7 +233,11 @@ class FgerNetwork(nn.Module):
         shortcut = config.event_size if config.event_shortcut else 0
         self.increment = perceptron(config.lstm_size + shortcut, config.mlp_size)
         self.correction = perceptron(1 + config.feature_size, config.mlp_size)
-        self.context = context_of(config)
+        self.context = (
+            nn.Linear(config.feature_size, config.mlp_size, bias=False)
+            if config.frame_context
+            else None
+        )
         if config.shear:
             self.shear = ShearHead(config)
         self.deviation = (
@@ -305,12 +251,9 @@ class FgerNetwork(nn.Module):
         config, device = self.config, self.gates_force.weight.device
         zeros = torch.zeros(sequences, config.lstm_size, device=device)
         history = torch.zeros(config.history_windows, sequences, device=device)
-        offset, sums, base = torch.zeros(sequences, device=device), None, None
-        if config.shear:
-            sums = torch.zeros(config.history_windows, sequences, 2, 3, device=device)
-            base = sums[0]
+        offset = torch.zeros(sequences, device=device)
         seen = torch.zeros(sequences, config.feature_size, device=device)
-        return SequenceState(zeros, zeros, history, offset, offset, seen, sums, base)
+        return SequenceState(zeros, zeros, history, offset, offset, seen)
 
     def forward(
         self,
@@ -360,11 +303,9 @@ class FgerNetwork(nn.Module):
             states.append(hidden)
             moved.append((past[-1] - confirmed).detach())
         history = torch.stack(past[-self.config.history_windows :])
-        course, across, sums, base = torch.stack(states), None, state.sums, state.base
-        if self.config.shear:
-            across, sums, base = self.shear(events, course, seen, slots, state)
-        last = SequenceState(hidden, cell, history, offset, confirmed, seen[-1], sums, base)
-        return Course(torch.stack(forces), course, torch.stack(moved).abs(), across, last)
+        last = SequenceState(hidden, cell, history, offset, confirmed, seen[-1])
+        found = torch.stack(forces), torch.stack(states), torch.stack(moved).abs()
+        return Course(*found, last)
 
     def _direct(self, events: Tensor) -> tuple[Tensor, Tensor]:
         """Split the hidden layer of MLP_df: the loop over windows is what takes the time.

