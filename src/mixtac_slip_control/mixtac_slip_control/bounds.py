@@ -195,6 +195,7 @@ class StiffnessProbe:
     Attributes:
         advance: Wanted advance of the probe [m].
         active: Whether it is under way.
+        measured: Whether it has ended its measurement, and returns.
     """
 
     def __init__(
@@ -206,7 +207,7 @@ class StiffnessProbe:
         self._parameters = parameters
         self._precision, self._most = precision, windows
         self.advance = 0.0
-        self.active = False
+        self.active = self.measured = False
         self._windows = 0
 
     def configure(self, parameters: SlipControlParameters) -> None:
@@ -216,7 +217,7 @@ class StiffnessProbe:
     def start(self) -> None:
         """Begin with the next window."""
         self.advance = 0.0
-        self._windows = 0
+        self._windows, self.measured = 0, False
         self.active = self._parameters.probe_advance > 0.0
 
     def take_over(self) -> float:
@@ -237,12 +238,11 @@ class StiffnessProbe:
         p = self._parameters
         step = p.probe_speed * p.window
         self._windows += 1
-        known = deviation <= self._precision * stiffness
-        if known or self._windows > self._most:
-            self._windows = self._most
+        if self.measured:
             self.advance = max(self.advance - step, 0.0)
             self.active = self.advance > 0.0
             return
+        self.measured = deviation <= self._precision * stiffness or self._windows >= self._most
         waits = stiffness * self.advance >= p.probe_force
         self.advance = min(
             self.advance + (0.0 if waits else step), p.probe_advance, max(limit, 0.0)

@@ -55,8 +55,10 @@ class AdvanceLaw:
         """
         self.total = self._floor = 0.0
         self._preload = preload
-        self._speed, self._least = self._parameters.preload_speed, 0.0
-        self._held = 0
+        p = self._parameters
+        self._speed, self._least = p.preload_speed, 0.0
+        # There is no slip whose advance is to be held.
+        self._held = p.windows(p.hold_time)
         self._excess = 0.0
         self._backing_off = self._raising = False
 
@@ -89,9 +91,8 @@ class AdvanceLaw:
         self._least = rate / max(stiffness, 1.0) * p.window
 
     def add(self, advance: float) -> None:
-        """Take over an advance [m] >= 0 made for another reason; it is held as if by slip."""
+        """Take over an advance [m] >= 0 made for another reason."""
         self.total += max(advance, 0.0)
-        self._held = 0
 
     def _on_slip(self, count: int, threshold: float) -> float:
         """Return the paper's advance; a return that led to slip is not repeated."""
@@ -224,12 +225,15 @@ class Advance:
         limit = self.bound.limit(self._planner.advance_at(now_s), force_n)
         if detectors.slipping and probe.active:
             self._law.add(probe.take_over())
-        probing = probe.active
+        probing, wanted = probe.active, self._grip.wanted(self._preload)
         probe.update(stiffness.stiffness, stiffness.deviation, limit - self._law.total)
+        if probe.active and probe.measured and wanted > stiffness.present:
+            # The margin needs this press anyway.
+            self._law.add(probe.take_over())
         if probing and not probe.active:
             stiffness.settle()
         force = None if probe.active else stiffness.present
-        self._law.aim(self._grip.wanted(self._preload), stiffness.stiffness)
+        self._law.aim(wanted, stiffness.stiffness)
         room = limit - probe.advance
         self._law.update(count, detectors.law_threshold, force, room, slipping=detectors.slipping)
         self.limit = max(limit, 0.0)

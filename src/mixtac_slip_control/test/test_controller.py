@@ -45,7 +45,7 @@ class Rig:
         self.controller = SlipController(chosen(**changes), self.planner, (0.0, 0.0, -1.0))
         self.ms = 0
         self.rng = np.random.default_rng(0)
-        self.force = 0.5
+        self.force, self.pull = 0.5, 0.0
 
     @property
     def now(self) -> float:
@@ -66,7 +66,8 @@ class Rig:
         t = start + np.arange(number) * 1000 // max(number, 1)
         events = Events(t.astype(np.int64), place, place, np.ones(number, np.bool_))
         if inputs:
-            self.controller.on_force(self.force, 1000 * self.ms, self.now)
+            force = self.force, 1000 * self.ms, self.now
+            self.controller.on_force(*force, pull_n=self.pull)
             self.controller.on_joint_state(READY, self.now)
             self.controller.on_heartbeat(self.now)
         return self.controller.on_events(events, start + 1000, self.now, lost=lost)[-1]
@@ -173,6 +174,21 @@ def test_enabling_probes_the_stiffness_and_slip_ends_the_probe() -> None:
     assert not rig.controller.probing
     assert step.total_advance > before
     assert rig.step().total_advance == pytest.approx(step.total_advance)
+
+
+@pytest.mark.parametrize('pull', [0.0, 0.4])
+def test_the_probe_returns_unless_the_margin_needs_its_press(pull: float) -> None:
+    rig = Rig(probe_advance=1e-5, probe_speed=1e-3)
+    rig.pull = pull
+    rig.enabled()
+    places = [rig.step().total_advance for _ in range(200)]
+    assert not rig.controller.probing
+    if pull:
+        assert min(places[20:]) == pytest.approx(1e-5)
+        assert places[-1] > 1e-5  # and the force is raised at once
+    else:
+        assert max(places) == pytest.approx(1e-5)
+        assert places[-1] == 0.0
 
 
 STOPS: dict[str, Callable[[Rig], object]] = {
