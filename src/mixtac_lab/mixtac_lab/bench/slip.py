@@ -321,19 +321,10 @@ def slip(
     cup = replace(plan, name='cup', margin=LOADED_MARGIN)
     loaded = [load_piece(replace(cup, seed=FIRST_LOADED + k)) for k in range(loads)]
     loads_found = store.run_shown('slow loads', loaded, console, jobs) if loaded else []
-    latency = None
-    if dds_seconds > 0.0:
-        with console.status('slips over DDS'):
-            latency = measure(dds_seconds, together=together)
-    quiet = []
-    if quiet_minutes > 0.0:
-        seconds = 60.0 * quiet_minutes
-        quiet = [count_alarms(name, seconds, preset, store, console, jobs) for name in QUIET]
-    outcome = summarise(results, latency, quiet)
-    outcome |= {'margins': by_margin, 'force': force}
+    told: dict[str, Any] = {'margins': by_margin, 'force': force}
     if loads_found:
-        outcome['load'] = load_row(loads_found)
-    outcome['conditions'] = {
+        told['load'] = load_row(loads_found)
+    told['conditions'] = {
         'margin': list(margins),
         'wait_s': wait,
         'off_axis_mm': off_axis,
@@ -344,6 +335,18 @@ def slip(
         'normal': list(SIDEWAYS),
         'transport': TRANSPORT_S,
     }
+    # Written after each part: the later ones take long, and need an idle host.
+    write_json(report, summarise(results, None, []) | told)
+    latency = None
+    if dds_seconds > 0.0:
+        with console.status('slips over DDS'):
+            latency = measure(dds_seconds, together=together)
+        write_json(report, summarise(results, latency, []) | told)
+    quiet = []
+    if quiet_minutes > 0.0:
+        seconds = 60.0 * quiet_minutes
+        quiet = [count_alarms(name, seconds, preset, store, console, jobs) for name in QUIET]
+    outcome = summarise(results, latency, quiet) | told
     console.print_json(data=outcome)
     write_json(report, outcome)
     if curve_trials > 0:
