@@ -249,11 +249,11 @@ class StiffnessProbe:
         )
 
 
-GAIN_SIGMAS: Final = 1.8
+GAIN_SIGMAS: Final = 2.7
 """Standard deviations of the sensor's gain by which the upper bound of a force lies above it: in
 107 simulated grasps of boxes, cups and balls by as many sensors, calibrated as in the bench, the
-true force at rest was at most 1.73 of them above the measured one, in 106 at most 1.48."""
-CERTAIN_SIGMAS: Final = 2.0
+true force at rest was at most 2.6 of them above the measured one, in 106 at most 2.2."""
+CERTAIN_SIGMAS: Final = 3.0
 """Standard deviations below a measurement at which the force is sure to be as high."""
 MOST_SHARE: Final = 0.5
 """Largest relative standard deviation that is believed of the gain."""

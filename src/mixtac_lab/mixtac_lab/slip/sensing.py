@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixtac_fger.estimator import Estimate, open_estimator
-from mixtac_fger.fger_net import CALIBRATED_DEVIATION
+from mixtac_fger.fger_net import calibrated_deviation
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_recordings.messages import left_aligned
@@ -148,7 +148,7 @@ class SensedForce:
         return [
             each
             if each.deviation is None
-            else each._replace(deviation=CALIBRATED_DEVIATION * each.deviation)
+            else each._replace(deviation=float(calibrated_deviation(each.deviation)))
             for each in found
         ]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mixtac_events.errors import MixtacError
 from mixtac_fger.estimator import Estimate, open_estimator
-from mixtac_fger.fger_net import CALIBRATED_DEVIATION
+from mixtac_fger.fger_net import calibrated_deviation
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import Model
 from mixtac_learning.judge.metrics import CalibrationError, fit_scale
@@ -71,8 +71,7 @@ class TrialEstimate:
     def scaled(self, scale: float) -> TrialEstimate:
         """Return the estimate of a sensor that was calibrated to this scale."""
         frames = None if self.frames_only is None else scale * self.frames_only
-        narrower = scale * CALIBRATED_DEVIATION
-        deviation = None if self.deviation is None else narrower * self.deviation
+        deviation = None if self.deviation is None else scale * calibrated_deviation(self.deviation)
         across = None if self.across is None else scale * self.across
         return replace(
             self, force=scale * self.force, frames_only=frames, deviation=deviation, across=across
