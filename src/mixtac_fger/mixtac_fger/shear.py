@@ -164,12 +164,14 @@ class ShearHead:
             windows: Windows in which the output follows.
         """
         place = (self._newest - min(lag, len(self._sums) - 1)) % len(self._sums)
-        before = self._base[0].copy()
+        change = shown.value - self._sums[place, 0] - self._base[0]
         self._base[0] = shown.value - self._sums[place, 0]
         self._base[1] = -self._sums[place, 1]
-        if self._known:
-            self._pending += self._base[0] - before
+        if self._known and np.isfinite(change).all():
+            self._pending += change
             self._windows = windows
+        else:
+            self._pending[:], self._windows = 0.0, 0
         self._per_flow, self._known = shown.per_flow, True
 
     def step(self, features: F32) -> None:

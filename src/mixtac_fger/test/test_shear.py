@@ -140,8 +140,11 @@ def test_sideways_force_needs_the_displacement():
 def test_values_that_are_not_finite_are_unknown():
     head = ShearHead(CONFIG, tensors())
     shown = head.measure(frame(load()))
-    head.correct(shown._replace(value=np.array([np.nan, 0.0, 0.0])), 0)
-    assert head.value is None
+    for windows in (1, 10):
+        head.correct(shown._replace(value=np.array([np.nan, 0.0, 0.0])), 0, windows)
+        assert head.value is None
+        head.correct(shown, 0, windows)
+        assert head.value is not None
 
 
 def run(model, trial, **options):

@@ -3,8 +3,8 @@
 """The force that the sensor itself tells in a grasp, calibrated as its owner would.
 
 A grasp begins with the object held, so that the no-contact reference and the gains come from
-before: still frames of the same day without contact, and a press and a pull with known forces on
-another day, elsewhere on the gel.
+before: still frames of the same day without contact, and on other days, elsewhere on the gel, a
+press with known forces and a mass on a thread, as `calibrate-force --sideways-loads` takes it.
 """
 
 from __future__ import annotations
@@ -17,12 +17,21 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mixtac_cli.calibrate_force.command import LOAD_SD_G
 from mixtac_fger.estimator import Estimate, open_estimator
 from mixtac_fger.fger_net import calibrated_deviation
+from mixtac_fger.force_calibration import ForceCalibrationError
+from mixtac_fger.pull_calibration import (
+    PullCalibration,
+    find_pulls,
+    fit_pulls,
+    last_contact,
+    parse_pulls,
+)
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_recordings.messages import left_aligned
-from mixtac_sim.world.sensor import truth_wrench
+from mixtac_sim.world.gestures import PULLED_G
 from mixtac_sim.world.training_trials import TrialSpec, simulate
 
 if TYPE_CHECKING:
@@ -35,8 +44,8 @@ FRAME_DELAY_US: Final = 8_000
 """Time from the end of the readout of a frame until the estimator has encoded it [us]."""
 ANOTHER_DAY: Final = 1_000_000
 """Added to the seed of a trial for the days of press and pull."""
-CALIBRATION_S: Final = 6.0
-"""Length of the press and of the pull [s]."""
+PRESS_S, PULLS_S = 6.0, 24.0
+"""Length of the press, and of the trial with the mass on a thread [s]."""
 TOUCHED_N: Final = 0.05
 """True force from which on a window counts for a gain [N]."""
 
@@ -52,7 +61,7 @@ class Gains:
 
     Attributes:
         normal: Of the normal force, which counts for all axes.
-        sideways: Of the sideways force beside it.
+        sideways: Of the sideways force beside it, as known pulls let expect elsewhere.
     """
 
     normal: float = 1.0
@@ -61,33 +70,52 @@ class Gains:
 
 @lru_cache(maxsize=16)
 def calibrate(device_seed: int, seed: int, preset: str) -> Gains:
-    """Return the gains that a press and a pull with known forces give.
+    """Return the gains that a press and pulls with known forces give.
 
     Args:
         device_seed: Seed of the sensor.
-        seed: Seed of the trial that is to follow: press and pull are of other days.
+        seed: Seed of the trial that is to follow: press and pulls are of other days.
         preset: Difficulty preset of the sensor.
     """
-    days = (('press', seed + ANOTHER_DAY), ('shear', seed + 2 * ANOTHER_DAY))
-    press, pull = (
-        simulate(TrialSpec(device_seed, day, profile, CALIBRATION_S, preset))
-        for profile, day in days
+    press, pulls = (
+        simulate(TrialSpec(device_seed, seed + days * ANOTHER_DAY, profile, seconds, preset))
+        for days, (profile, seconds) in enumerate((('press', PRESS_S), ('pulls', PULLS_S)), 1)
     )
-    known, found = _beside(press, Gains())
-    normal = _gain(known[:, 2:], found[:, 2:])
-    known, found = _beside(pull, Gains(normal))
-    return Gains(normal, _gain(known[:, :2], found[:, :2]))
+    _, known, found = _beside(press, Gains())
+    kept = (known > TOUCHED_N) & np.isfinite(found[:, 2])
+    both = float((known[kept] * found[kept, 2]).sum())
+    normal = both / float((found[kept, 2] ** 2).sum()) if both > 0.0 else 1.0
+    times, _, found = _beside(pulls, Gains(normal))
+    try:
+        fit = pulled_gain(1e-6 * (times - times[0]), found[:, 2], found[:, :2])
+    except ForceCalibrationError:
+        return Gains(normal)
+    return Gains(normal, fit.elsewhere(1.0)[0])
 
 
-def _gain(known: NDArray[np.float64], found: NDArray[np.float64]) -> float:
-    """Return the least-squares gain; 1 where nothing was told."""
-    kept = (np.linalg.norm(known, axis=1) > TOUCHED_N) & np.isfinite(found).all(axis=1)
-    both = float((known[kept] * found[kept]).sum())
-    return both / float((found[kept] ** 2).sum()) if both > 0.0 else 1.0
+def pulled_gain(
+    t_s: NDArray[np.float64], force: NDArray[np.float64], across: NDArray[np.float64]
+) -> PullCalibration:
+    """Return the gain of the sideways force by a trial of the profile `pulls`.
+
+    Args:
+        t_s: Time of each estimate [s], [T].
+        force: Normal force [N], [T].
+        across: Sideways force x and y [N], [T, 2].
+
+    Raises:
+        ForceCalibrationError: The sensor cannot be calibrated so.
+    """
+    _, contact = last_contact(t_s, force)
+    loads = parse_pulls(f'{PULLED_G:g}', LOAD_SD_G)
+    pulls, _ = find_pulls(t_s[contact], across[contact], loads)
+    return fit_pulls(pulls)
 
 
-def _beside(trial: Trial, gains: Gains) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return true and estimated force x, y (in the contact frame) and normal [n, 3]."""
+def _beside(
+    trial: Trial, gains: Gains
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return times [us], true normal force, and estimates of x, y and normal force [n, 3]."""
     force = SensedForce(gains)
     middles = (trial.exposure_start_us + trial.exposure_end_us) // 2
     estimates, done = list[Estimate](), 0
@@ -102,9 +130,8 @@ def _beside(trial: Trial, gains: Gains) -> tuple[NDArray[np.float64], NDArray[np
     times = np.array([each.end_us for each in estimates], np.int64)
     none = (np.nan, np.nan)
     rows = [(*((e.shear.x, e.shear.y) if e.shear else none), e.force) for e in estimates]
-    wrench = truth_wrench(trial.truth)[:, :3]
-    known = [np.interp(times, trial.truth['t_us'], axis) for axis in wrench.T]
-    return np.stack(known, axis=1), np.array(rows, np.float64).reshape(-1, 3)
+    known = np.interp(times, trial.truth['t_us'], trial.truth['fz'])
+    return times, known, np.array(rows, np.float64).reshape(-1, 3)
 
 
 class SensedForce:

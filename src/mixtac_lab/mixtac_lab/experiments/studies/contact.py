@@ -19,26 +19,18 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console
 
-from mixtac_cli.calibrate_force.command import LOAD_SD_G
 from mixtac_cli.figures import make_table, progress_bar
 from mixtac_cli.options import JsonFile, ModelName
 from mixtac_fger.force_calibration import ForceCalibrationError
-from mixtac_fger.pull_calibration import (
-    PullCalibration,
-    find_pulls,
-    fit_pulls,
-    last_contact,
-    parse_pulls,
-)
 from mixtac_fger.weights import DEFAULT_MODEL, Model, find_model, read_model
 from mixtac_lab.experiments.sizes import PRESET
+from mixtac_lab.slip.sensing import PULLS_S, pulled_gain
 from mixtac_learning.judge.estimators import TrialEstimate, sensor_scales, trial_estimator
 from mixtac_learning.trials.simulated import SimulatedSource
 from mixtac_node.files import write_json
 from mixtac_sim.mechanics.elastomer import Shear
 from mixtac_sim.world.device import draw_conditions, draw_device
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.gestures import PULLED_G
 from mixtac_sim.world.training_trials import TrialSpec
 
 FIRST_DEVICE = 920_000
@@ -51,8 +43,6 @@ TOUCHED_N = 0.03
 """True normal force from which on a window counts [N]."""
 STICKS, SLIDES = 0.3, 0.95
 """Shares of the friction below which a contact counts as stuck, and above which it slides."""
-PULLS_S = 24.0
-"""Length of the trial with the mass on a thread [s]."""
 GAINS = ('mae_uncalibrated', 'mae', 'mae_normal_gain', 'mae_pulled_gain')
 """Errors with no gain; with the gain that pulls let expect elsewhere, and that of the normal force;
 with the latter alone; with the gain that the pulls had themselves."""
@@ -87,19 +77,6 @@ def _known(estimate: TrialEstimate) -> NDArray[np.float64]:
     if estimate.known_across is None or estimate.across is None:
         raise ValueError(f'{estimate.name} has no sideways force')
     return estimate.known_across
-
-
-def sideways_gain(estimate: TrialEstimate) -> PullCalibration:
-    """Return the gain of the sideways force by a trial of the profile `pulls`.
-
-    Raises:
-        ForceCalibrationError: The sensor cannot be calibrated so.
-    """
-    t_s = 1e-6 * (estimate.t_us - estimate.t_us[0])
-    _, contact = last_contact(t_s, estimate.force)
-    across = np.asarray(estimate.across)[contact, :2]
-    pulls, _ = find_pulls(t_s[contact], across, parse_pulls(f'{PULLED_G:g}', LOAD_SD_G))
-    return fit_pulls(pulls)
 
 
 def case_masks(
@@ -141,7 +118,9 @@ def sensor_rows(model: Model, device: int, advance: Callable[[], None]) -> dict[
     advance()
     pulled, pulled_sd, sideways, sideways_sd, refused = normal, 0.0, normal, 0.0, ''
     try:
-        fit = sideways_gain(judged('pulls', PULLS_S, 1)[0])
+        pulls, _ = judged('pulls', PULLS_S, 1)
+        t_s = 1e-6 * (pulls.t_us - pulls.t_us[0])
+        fit = pulled_gain(t_s, pulls.force, np.asarray(pulls.across)[:, :2])
         pulled, pulled_sd = fit.gain, fit.gain_sd
         sideways, sideways_sd = fit.elsewhere(normal)
     except ForceCalibrationError as error:

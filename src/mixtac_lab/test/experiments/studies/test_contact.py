@@ -4,24 +4,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from mixtac_lab.experiments.studies.contact import (
     FIRST_DEVICE,
     NEAR_MM,
-    PULLS_S,
     case_masks,
     near_seed,
-    sideways_gain,
     summarise,
 )
 from mixtac_learning.judge.estimators import TrialEstimate
 from mixtac_sim.world.device import draw_conditions
 from mixtac_sim.world.effects import preset
-from mixtac_sim.world.profiles import make_profile
 from mixtac_sim.world.training_trials import TRAINING_DEVICES, UNSEEN
 
 
@@ -30,19 +25,6 @@ def estimate(known, found):
     across = np.concatenate([found, np.zeros((count, 2))], axis=1)
     rows = np.arange(count), np.zeros(count), np.full(count, 0.5)
     return TrialEstimate('t', 'shear', 'd', *rows, None, across=across, known_across=known)
-
-
-def test_the_gain_is_that_of_the_masses_that_pull():
-    profile = make_profile('pulls', 1, PULLS_S)
-    count = round(PULLS_S * 500)
-    motion, (_, force, _) = profile.motion(0, 16 * count), profile.commands(0, 16 * count)
-    known = np.zeros((count, 3))
-    known[:, :2] = np.nan_to_num(motion[15::16, 5:]) * (1.0, -1.0)
-    each = estimate(known, known / 1.6)
-    t_us = 2000 * np.arange(count)
-    fit = sideways_gain(replace(each, t_us=t_us, force=force[15::16] / 0.7))
-    assert fit.gain == pytest.approx(1.6, rel=1e-3)
-    assert fit.turn == pytest.approx(0.0, abs=1e-3)
 
 
 def test_windows_are_sorted_by_the_share_of_the_friction():
