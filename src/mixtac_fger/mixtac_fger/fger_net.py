@@ -231,13 +231,15 @@ def calibrated_deviation(deviation: float | NDArray[np.float64]) -> NDArray[np.f
 def with_gain(model: Model, gain: float, deviation: float = 1.0) -> Model:
     """Return an FGER-Net model whose forces are `gain` times those of `model`, deviations as well.
 
+    The relative deviations of the sideways force stay: its gain is not known better by presses.
+
     Everything that makes a force is multiplied, everything that reads one is divided, so that the
     recurrent state runs through the same values as before.
 
     Args:
         model: Not changed.
         gain: Above 0.
-        deviation: Factor of the deviations beside it.
+        deviation: Factor of the deviation of the normal force beside it.
 
     Raises:
         ModelError: The gain is no such number, or as `checked_config`.
@@ -256,7 +258,6 @@ def with_gain(model: Model, gain: float, deviation: float = 1.0) -> Model:
         tensors['deviation.scale'] *= np.float32(gain * deviation)
     if 'shear.unit' in tensors:
         tensors['shear.unit'] *= np.float32(gain)
-        tensors['shear.deviation'][:, 1] *= np.float32(deviation)
     return replace(model, config=model.config | {'force_unit': unit}, tensors=tensors)
 
 
