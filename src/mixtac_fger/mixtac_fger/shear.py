@@ -164,9 +164,9 @@ class ShearHead:
             windows: Windows in which the output follows.
         """
         place = (self._newest - min(lag, len(self._sums) - 1)) % len(self._sums)
-        change = shown.value - self._sums[place, 0] - self._base[0]
-        self._base[0] = shown.value - self._sums[place, 0]
-        self._base[1] = -self._sums[place, 1]
+        base = shown.value - self._sums[place, 0]
+        change = base - self._base[0]
+        self._base[0], self._base[1] = base, -self._sums[place, 1]
         if self._known and np.isfinite(change).all():
             self._pending += change
             self._windows = windows

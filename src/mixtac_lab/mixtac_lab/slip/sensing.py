@@ -61,7 +61,7 @@ class Gains:
 
     Attributes:
         normal: Of the normal force, which counts for all axes.
-        sideways: Of the sideways force beside it, as known pulls let expect elsewhere.
+        sideways: Of the sideways force beside it, at other places than that of the known pulls.
     """
 
     normal: float = 1.0
