@@ -100,7 +100,8 @@ def test_a_bag_is_compared_with_the_simulated_force(tmp_path):
     np.testing.assert_allclose(run.place_mm, [[1.0, -2.0]] * 20)
 
 
-def test_the_picture_shows_both_parts(tmp_path):
+@pytest.mark.parametrize('count', [0, 20])
+def test_the_picture_shows_both_parts(tmp_path, count):
     time_s = np.linspace(0.0, 3.0, 50)
     comparison = Comparison(
         fit=None,
@@ -114,7 +115,8 @@ def test_the_picture_shows_both_parts(tmp_path):
         rmse_n=0.0,
         constant_mae_n=0.0,
     )
-    run = run_of([(0.1, 0.2, 0.5)] * 20, [(0.1, 0.1)] * 20)
+    truth, force = np.full((count, 3), 0.2), np.full((count, 2), 0.1)
+    run = run_of(truth, force)
     path = tmp_path / 'demo.png'
     draw_run(path, comparison, (time_s, 1.0 + time_s), [('press', 0.0, 1.0)], 'simulated', run)
     assert path.read_bytes().startswith(b'\x89PNG')

@@ -108,7 +108,7 @@ def read_sideways(bag: Path, namespace: str, path_mm: NDArray[np.float64]) -> Si
     known = np.isin(streams.force_ns, streams.sideways_ns)
     kept = inside & known
     return SidewaysRun(
-        time_s=1e-9 * (streams.force_ns[kept] - streams.force_ns[0]),
+        time_s=1e-9 * (streams.force_ns[kept] - streams.force_ns[:1]),
         force_n=streams.force_n[kept, :2],
         truth_n=at[kept],
         unknown=int((inside & ~known & (at[:, 2] > TOUCHED_N)).sum()),
