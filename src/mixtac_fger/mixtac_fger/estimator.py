@@ -251,6 +251,7 @@ class EstimatorCounters:
         gaps: Holes in the stream.
         skipped_windows: Windows in holes so long that the estimate started over.
         late_events: Events dropped because their window was closed.
+        hot_events: Events ignored because their pixel is hot, where the architecture can tell.
         tares: Times the reference was renewed on release (`ForceEstimator.tare_on_release`).
         resets: Times the clock went backwards or the state was not finite.
     """
@@ -268,6 +269,7 @@ class EstimatorCounters:
     gaps: int = 0
     skipped_windows: int = 0
     late_events: int = 0
+    hot_events: int = 0
     tares: int = 0
     resets: int = 0
 

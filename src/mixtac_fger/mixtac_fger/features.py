@@ -98,6 +98,14 @@ def _is_light(sums: F32) -> bool:
     return bool(variance < EVEN_NOISE * mean + (EVEN_SHARE * mean) ** 2)
 
 
+LARGEST_BALANCE = 120
+MOST_BALANCE = 24
+"""ON less OFF events of a pixel lately, or the reverse, beyond which it is hot: events are steps of
+log intensity, a tenth each at the least, and a bead is at most seven times darker than the gel."""
+FADING_WINDOWS = 10
+"""Windows in which every balance fades by a quarter, a part of the rows in each."""
+
+
 @njit(cache=True, nogil=True)
 def grid_features(
     x: NDArray[np.uint16],
@@ -110,8 +118,10 @@ def grid_features(
     bins: NDArray[np.uint16],
     solvers: F32,
     flow_limit: float,
+    balance: NDArray[np.int8],
+    most: int,
     out: F32,
-) -> bool:
+) -> tuple[bool, int]:
     """Write the features of one window: per cell flow x, flow y, ln(1 + ON), ln(1 + OFF).
 
     A bead edge that moves by u changes the log intensity by -g u; each event reports one threshold
@@ -130,16 +140,25 @@ def grid_features(
             what takes longest.
         solvers: From `cell_solvers`.
         flow_limit: Bound of |flow| per axis [px per threshold].
+        balance: ON less OFF events of each pixel lately, int8 [height, width]; updated.
+        most: Balance beyond which, with either sign, a pixel's events are ignored.
         out: float32 [grid rows, grid columns, 4].
 
     Returns:
-        Whether the events are those of a lamp; see `_is_light`.
+        Whether the events are those of a lamp, see `_is_light`, and how many were ignored.
     """
     rows, columns = along_x.shape
     out[:] = 0.0
+    ignored = 0
     for index in range(x.shape[0]):
         row, column = bins[y[index]], bins[x[index]]
         if row >= rows or column >= columns:
+            continue
+        level, step = int(balance[y[index], x[index]]), 1 if polarity[index] else -1
+        level += 2 * step if level * step < 0 else step
+        balance[y[index], x[index]] = min(max(level, -LARGEST_BALANCE), LARGEST_BALANCE)
+        if abs(level) > most:
+            ignored += 1
             continue
         cell = out[row_cell[row], column_cell[column]]
         if polarity[index]:
@@ -161,7 +180,20 @@ def grid_features(
             cell[1] = min(max(flow_y, -flow_limit), flow_limit)
             cell[2] = np.log1p(cell[2])
             cell[3] = np.log1p(cell[3])
-    return light
+    return light, ignored
+
+
+@njit(cache=True, nogil=True)
+def fade(balance: NDArray[np.int8]) -> None:
+    """Take a quarter off every pixel's balance; a small one stays.
+
+    Args:
+        balance: int8 [height, width]; changed.
+    """
+    for row in range(balance.shape[0]):
+        for column in range(balance.shape[1]):
+            level = int(balance[row, column])
+            balance[row, column] = level - (level >> 2) if level > 0 else level + (-level >> 2)
 
 
 COORDINATES = 2**16
@@ -312,14 +344,22 @@ def bin_cells(shape: Sequence[int], grid: Sequence[int]) -> tuple[Index, Index]:
 
 
 class WindowFeatures:
-    """Computes the event features of one window; needs no memory of its own per call.
+    """Computes the event features of windows in order, without those of hot pixels.
+
+    A pixel cannot become brighter without end: one that says so is hot, and adds no more from
+    `MOST_BALANCE` events on.
 
     Args:
         config: Network configuration.
+
+    Attributes:
+        ignored: Events of hot pixels so far.
     """
 
     def __init__(self, config: FgerConfig) -> None:
         self._config = config
+        self._balance = np.zeros((config.height, config.width), np.int8)
+        self._count = self.ignored = 0
         self._row_cell, self._column_cell = bin_cells(config.gradient_shape, config.grid_shape)
         self._bins = (np.arange(COORDINATES) // config.gradient_bin).astype(np.uint16)
         self.shape = (config.grid_rows, config.grid_columns, CELL_FEATURES)
@@ -331,7 +371,9 @@ class WindowFeatures:
             Whether the events are those of a lamp: the network is then given zeros.
         """
         config = self._config
-        light = grid_features(
+        self._count += 1
+        fade(self._balance[self._count % FADING_WINDOWS :: FADING_WINDOWS])
+        light, ignored = grid_features(
             events.x,
             events.y,
             events.polarity,
@@ -342,8 +384,11 @@ class WindowFeatures:
             self._bins,
             guide.solvers,
             config.flow_limit,
+            self._balance,
+            MOST_BALANCE,
             out,
         )
+        self.ignored += ignored
         if not config.gradient_flow:
             out[..., :2] = 0.0
         return bool(light)

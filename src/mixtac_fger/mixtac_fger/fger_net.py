@@ -329,6 +329,11 @@ class FgerEstimator:
         return self.config.window_us
 
     @property
+    def hot_events(self) -> int:
+        """Events of hot pixels, which are ignored, so far."""
+        return self._window_features.ignored
+
+    @property
     def gives_deviation(self) -> bool:
         """Whether the model has an uncertainty head."""
         return self.config.deviation_size > 0

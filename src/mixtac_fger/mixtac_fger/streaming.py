@@ -407,6 +407,7 @@ class ForceEstimator:
             'gaps': time.gaps,
             'skipped_windows': time.skipped_us // self._width_us,
             'late_events': self._slicer.late_events,
+            'hot_events': getattr(self._estimator, 'hot_events', 0),
             'resets': self._count.resets + time.restarts,
         }
         return EstimatorStatus(

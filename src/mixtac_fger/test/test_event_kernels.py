@@ -119,3 +119,42 @@ def test_a_lamp_makes_events_of_one_polarity_everywhere(image, count):
 
 def test_nothing_is_taken_for_a_lamp_where_nothing_happens(image):
     assert not of_a_lamp(Events.empty(), image)
+
+
+def run(windows: list[Events], image: np.ndarray) -> tuple[np.ndarray, WindowFeatures]:
+    """Return the features of the last of some windows, and what computed them."""
+    config = FgerConfig()
+    preparation, window = FramePreparation(config), WindowFeatures(config)
+    guide, out = preparation.guide(preparation.contrast(image)), np.zeros(window.shape, np.float32)
+    for events in windows:
+        window.compute(events, guide, out)
+    return out, window
+
+
+def at(x: int, y: int, polarity: list[bool]) -> Events:
+    count = len(polarity)
+    places = np.full((2, count), [[x], [y]], np.uint16)
+    return Events(np.arange(count, dtype=np.int64), places[0], places[1], np.array(polarity))
+
+
+@pytest.mark.parametrize('brighter', [True, False])
+def test_pixel_that_changes_one_way_without_end_is_ignored(image, brighter):
+    hot, scene = at(100, 80, [brighter, brighter]), random_events(300)
+    with_hot, window = run([hot] * 50 + [Events.concatenate([scene, hot])], image)
+    without, other = run([Events.empty()] * 50 + [scene], image)
+    assert np.array_equal(with_hot, without)
+    assert 50 < window.ignored < 102
+    assert other.ignored == 0
+
+
+def test_pixel_is_heard_again_once_it_is_quiet(image):
+    hot, quiet = at(100, 80, [True, True]), [Events.empty()] * 100
+    later, window = run([hot] * 50 + quiet + [hot], image)
+    ignored = window.ignored
+    assert later[..., 2].max() == pytest.approx(np.log1p(2))
+    assert ignored == run([hot] * 50, image)[1].ignored
+
+
+@pytest.mark.parametrize('brighter', [[True] * 4 + [False] * 2, [True] * 12 + [False] * 12])
+def test_pixel_that_flickers_is_heard_whatever_its_thresholds(image, brighter):
+    assert run([at(100, 80, brighter)] * 100, image)[1].ignored == 0
