@@ -7,9 +7,11 @@ from __future__ import annotations
 import contextlib
 import copy
 import dataclasses
+import faulthandler
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
@@ -34,7 +36,14 @@ from rclpy.task import Future
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
-from mixtac_node.process import FATAL, GraphError, claim_nodes, freeze_loaded
+from mixtac_node.process import (
+    FATAL,
+    STUCK_S,
+    GraphError,
+    claim_nodes,
+    freeze_loaded,
+    watch_progress,
+)
 from mixtac_node.topics import DEFAULT_NAMESPACE, Topic, frame_id, message_class
 
 T = TypeVar('T')
@@ -378,7 +387,8 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
 
     A node may have a `close()` method: it ends threads and devices before the node is destroyed.
     It may have a `check()` method: called several times a second, and a MixtacError from it ends
-    the process as one from its construction does.
+    the process as one from its construction does. A callback that does not return ends the process
+    with a traceback, see `mixtac_node.process.watch_progress`: it is seen, and can be restarted.
 
     Args:
         make_nodes: Makes the nodes; called after `rclpy.init`.
@@ -402,7 +412,11 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
             executor.add_node(node)
         checks = [node.check for node in nodes if hasattr(node, 'check')]
         freeze_loaded()
+        watched_s = -STUCK_S
         while not signals.received and rclpy.ok():
+            if time.monotonic() > watched_s + STUCK_S / 10:
+                watched_s = time.monotonic()
+                watch_progress()
             # In the wheels of Jazzy, spin() of this executor never calls back. Not spin_once, which
             # returns after each callback.
             executor.spin_until_future_complete(Future(), timeout_sec=CHECK_PERIOD_S)
@@ -419,6 +433,7 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
             raise
         return 0
     finally:
+        faulthandler.cancel_dump_traceback_later()
         signals.ignore()
         _close(nodes)
         rclpy.try_shutdown()

@@ -24,7 +24,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from mixtac_node.graph import NodeSpec
-from mixtac_node.process import FATAL, GraphError, profile_environment
+from mixtac_node.process import GraphError, fatal_text, profile_environment
 from mixtac_node.topics import DEFAULT_NAMESPACE
 
 BOOLEAN = ['true', 'false']
@@ -144,8 +144,8 @@ class _Graph:
         def read(event: Any) -> None:  # noqa: ANN401
             nonlocal reason
             for line in event.text.decode(errors='replace').splitlines():
-                if line.startswith(FATAL):
-                    reason = f'{name}: {line.removeprefix(FATAL)}'
+                if text := fatal_text(line):
+                    reason = f'{name}: {text}'
 
         def ended(_event: object, context: LaunchContext) -> None:
             self._running -= 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import faulthandler
 import fcntl
 import gc
 import json
@@ -86,6 +87,7 @@ def compiling(kernels: str, say: Callable[[], None] = lambda: None) -> Iterator[
         def on_start(self, _event: object) -> None:
             if not self.begun:
                 self.begun = True
+                faulthandler.cancel_dump_traceback_later()
                 say()
                 _await_lock(lock, time.monotonic() + COMPILING_S)
 
@@ -190,8 +192,26 @@ STOP_GRACE_S = 20.0
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
 FATAL = 'error: '
 """Begins the line on stderr with which a node that failed ends."""
-_FATAL = re.compile(rf'^{FATAL}(?P<text>.*)')
+STUCK_S = 30.0
+"""Time after which a process ends whose callback, or middleware, does not return [s]."""
+_STUCK = 'Timeout ('
 _LOGGED = re.compile(r'^\[(ERROR|FATAL)\] \[[^]]*\] \[[^]]*\]: (?P<text>.*)')
+
+
+def fatal_text(line: str) -> str:
+    """Return why a node ends, from a line of its stderr; empty for other lines."""
+    if line.startswith(_STUCK):
+        return f'nothing returned to the executor for {STUCK_S:g} s; a traceback says what ran'
+    return line.removeprefix(FATAL).strip() if line.startswith(FATAL) else ''
+
+
+def watch_progress() -> None:
+    """End this process with a traceback of all threads unless it is called again in `STUCK_S`.
+
+    A thread of its own does it, which needs nothing of Python: a call that never comes back from
+    the middleware may hold the interpreter's lock. A compilation takes the watch off.
+    """
+    faulthandler.dump_traceback_later(STUCK_S, exit=True)
 
 
 @dataclass
@@ -215,9 +235,9 @@ class _Member:
         """
         assert self.process.stdout is not None  # noqa: S101  (always piped)
         for line in self.process.stdout:
-            fatal, logged = _FATAL.match(line), _LOGGED.match(line)
+            fatal, logged = fatal_text(line), _LOGGED.match(line)
             if fatal or logged:
-                self.last_error = (fatal or logged)['text'].strip()  # type: ignore[index]
+                self.last_error = fatal or logged['text'].strip()  # type: ignore[index]
             if not fatal or sink is not sys.stderr:
                 sink.write(line if sink is not sys.stderr else f'[{name}] {line}')
                 sink.flush()

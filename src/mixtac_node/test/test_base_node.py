@@ -15,10 +15,12 @@ from hypothesis import strategies as st
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
+from mixtac_node.process import fatal_text
 from mixtac_node.stamps import ns_to_stamp, stamp_to_ns, stamp_to_us, us_to_stamp
 
 NODE = textwrap.dedent(
     """
+    import ctypes
     import sys
     import time
     from dataclasses import dataclass
@@ -49,6 +51,9 @@ NODE = textwrap.dedent(
                 except BaseException as error:
                     raise SystemError('a library failed') from error
             self.diagnostics = DiagnosticsPublisher(self, 'serial-7', self.status)
+            if self.values.device == 'stuck':
+                # Holds the interpreter's lock, as a call that hangs in the middleware does.
+                self.create_timer(0.1, lambda: ctypes.PyDLL(None).sleep(60))
 
         def apply(self, values):
             if values.gain == 3.0:
@@ -71,8 +76,8 @@ def start(ros_domain: dict[str, str]):
     """Return a function that starts the example node; all are ended by pid."""
     started: list[subprocess.Popen[str]] = []
 
-    def run(*parameters: str) -> subprocess.Popen[str]:
-        command = [sys.executable, '-c', NODE, '--ros-args']
+    def run(*parameters: str, before: str = '') -> subprocess.Popen[str]:
+        command = [sys.executable, '-c', before + NODE, '--ros-args']
         for each in parameters:
             command += ['-p', each]
         process = subprocess.Popen(
@@ -115,6 +120,16 @@ def test_a_signal_ends_a_start_that_takes_long(start, number, device):
     process.send_signal(number)
     _, stderr = process.communicate(timeout=30)
     assert (process.returncode, stderr) == (0, '')
+
+
+def test_a_callback_that_never_returns_ends_the_process(start):
+    process = start(
+        'device:=stuck', before='import mixtac_node.process as process; process.STUCK_S = 1.0'
+    )
+    _, stderr = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert fatal_text(stderr.splitlines()[0])
+    assert '<lambda>' in stderr
 
 
 def test_a_blocked_interrupt_waits_for_the_end_of_the_imports(start):

@@ -24,6 +24,7 @@ from mixtac_node.process import (
     ProcessGroup,
     claim_nodes,
     exact_sleeps,
+    fatal_text,
     ros_domain,
 )
 
@@ -97,6 +98,15 @@ def test_a_killed_process_is_not_blamed_on_an_older_error(tmp_path: Path):
             group.check()
     assert 'SIGKILL' in str(caught.value)
     assert 'no camera' not in str(caught.value)
+
+
+def test_why_a_node_ends_is_read_from_its_last_words():
+    assert fatal_text('error: no camera\n') == 'no camera'
+    assert fatal_text('[INFO] [1.0] [driver]: error: no camera') == ''
+    script = 'import faulthandler as f, time; f.dump_traceback_later(0.1, exit=True); time.sleep(9)'
+    command = [sys.executable, '-c', script]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert fatal_text(run.stderr.splitlines()[0])
 
 
 def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
