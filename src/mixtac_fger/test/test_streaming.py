@@ -70,6 +70,7 @@ def corrected(model, trial, windows: int) -> np.ndarray:
 
 def test_a_correction_is_spread_over_the_next_windows(model, trial, monkeypatch):
     monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_DEVIATIONS', np.inf)
+    monkeypatch.setattr('mixtac_fger.fger_net.TIMING_WINDOWS', 0.0)
     spread = corrected(model, trial, 2 * SPREAD_WINDOWS)
     monkeypatch.setattr('mixtac_fger.fger_net.SPREAD_WINDOWS', 1)
     at_once = corrected(model, trial, 2 * SPREAD_WINDOWS)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mixtac_cli.calibrate_force.command import LOAD_SD_G
 from mixtac_fger.estimator import Estimate, open_estimator
-from mixtac_fger.fger_net import calibrated_deviation
+from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
 from mixtac_fger.force_calibration import ForceCalibrationError
 from mixtac_fger.pull_calibration import (
     PullCalibration,
@@ -52,7 +52,7 @@ TOUCHED_N: Final = 0.05
 
 @cache
 def _model() -> Model:
-    return read_model(find_model(DEFAULT_MODEL))
+    return with_gain(read_model(find_model(DEFAULT_MODEL)), 1.0, CALIBRATED_DEVIATION)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,13 +171,7 @@ class SensedForce:
         self._frames += frames
         while self._frames and self._frames[0].frame_end_us + FRAME_DELAY_US <= until_us:
             self._push(self._frames.pop(0))
-        found = self.estimator.push_events(events, until_us)
-        return [
-            each
-            if each.deviation is None
-            else each._replace(deviation=float(calibrated_deviation(each.deviation)))
-            for each in found
-        ]
+        return self.estimator.push_events(events, until_us)
 
     def _push(self, frame: ApsFrame) -> None:
         middle = (frame.exposure_start_us + frame.exposure_end_us) // 2

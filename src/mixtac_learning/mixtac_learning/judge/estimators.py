@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -11,10 +12,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from mixtac_events.errors import MixtacError
 from mixtac_fger.estimator import Estimate, open_estimator
-from mixtac_fger.fger_net import calibrated_deviation
+from mixtac_fger.fger_net import (
+    CALIBRATED_DEVIATION,
+    REST_DEVIATION,
+    SLOPE_WINDOWS,
+    TIMING_WINDOWS,
+)
 from mixtac_fger.streaming import ForceEstimator
 from mixtac_fger.weights import Model
 from mixtac_learning.judge.metrics import CalibrationError, fit_scale
@@ -71,11 +78,22 @@ class TrialEstimate:
     def scaled(self, scale: float) -> TrialEstimate:
         """Return the estimate of a sensor that was calibrated to this scale."""
         frames = None if self.frames_only is None else scale * self.frames_only
-        deviation = None if self.deviation is None else scale * calibrated_deviation(self.deviation)
+        deviation = None if self.deviation is None else scale * self._calibrated(self.deviation)
         across = None if self.across is None else scale * self.across
         return replace(
             self, force=scale * self.force, frames_only=frames, deviation=deviation, across=across
         )
+
+    def _calibrated(self, deviation: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the deviations of the same model once its gain is known, before `scale` [N]."""
+        share = 1.0 / SLOPE_WINDOWS
+        change = np.diff(self.force, prepend=self.force[:1])
+        slope = lfilter([share], [1.0, share - 1.0], change)
+        # What calibration does not take away is in `deviation` with the factor already.
+        stays = math.sqrt(1.0 - CALIBRATED_DEVIATION**2) * np.hypot(
+            REST_DEVIATION, TIMING_WINDOWS * slope
+        )
+        return np.asarray(np.hypot(CALIBRATED_DEVIATION * deviation, stays))
 
 
 TrialEstimator = Callable[[TrialArrays], TrialEstimate]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from mixtac_fger.fger_net import CALIBRATED_DEVIATION, with_gain
 from mixtac_fger.recurrent_network import EventResponse
 from mixtac_learning.judge.estimators import stream
 from mixtac_learning.train.batches import stack
@@ -23,6 +24,7 @@ def exact(monkeypatch):
     monkeypatch.setattr(EventResponse, 'LOWEST', 1.0)
     monkeypatch.setattr(EventResponse, 'HIGHEST', 1.0)
     monkeypatch.setattr(EventResponse, 'WIDEST_N', 0.0)
+    monkeypatch.setattr('mixtac_fger.fger_net.TIMING_WINDOWS', 0.0)
 
 
 @pytest.mark.usefixtures('exact')
@@ -51,3 +53,26 @@ def test_deviations_are_those_of_the_batch_network(model, network, config, trial
     # Where nothing has moved, the contact of the moments is that of rounding.
     assert deviation == pytest.approx(expected[:, 0].numpy(), rel=5e-4)
     assert deviation.min() > 0
+
+
+def test_the_time_of_a_force_is_uncertain(model, trial, monkeypatch):
+    run = stream(model, trial)
+    monkeypatch.setattr('mixtac_fger.fger_net.TIMING_WINDOWS', 0.0)
+    known = stream(model, trial)
+    assert np.array_equal(run.force, known.force)
+    added = np.sqrt(run.deviation**2 - known.deviation**2)
+    assert (added >= 0.0).all()
+    # Three windows of a ramp.
+    change = np.abs(np.gradient(run.force))
+    assert np.quantile(added, 0.9) == pytest.approx(3.0 * np.quantile(change, 0.9), rel=0.3)
+
+
+@pytest.mark.usefixtures('exact')
+def test_deviations_of_a_known_gain_are_those_of_a_calibrated_model(model, trial, monkeypatch):
+    monkeypatch.setattr('mixtac_fger.fger_net.TIMING_WINDOWS', 3.0)
+    monkeypatch.setattr('mixtac_fger.fger_net.UNCONFIRMED_SHARE', 0.0)
+    calibrated = stream(with_gain(model, 1.3, CALIBRATED_DEVIATION), trial)
+    scaled = stream(model, trial).scaled(1.3)
+    assert scaled.force == pytest.approx(calibrated.force, rel=1e-4, abs=1e-5)
+    # The step from nothing to the first force is only seen live.
+    assert scaled.deviation[20:] == pytest.approx(calibrated.deviation[20:], rel=0.02)
