@@ -168,9 +168,10 @@ def _run_graph(
             *(gain, _dropped(monitor), computed_s, waited_s, host),
             *(monitor.clock_pairs()[pairs:], arrival[first:], stamp[first:]),
         )
-        processes.stop('recorder')
-        _pull_and_roll(console, out / SIDEWAYS_BAG, processes, monitor)
-        failed = {name: code for name, code in processes.stop().items() if code}
+        codes = [processes.stop('recorder')]
+        codes.append(_pull_and_roll(console, out / SIDEWAYS_BAG, processes, monitor))
+        codes.append(processes.stop())
+        failed = {name: code for each in codes for name, code in each.items() if code}
     return run, failed
 
 
@@ -185,15 +186,21 @@ def _record(
         processes.check()
 
 
-def _pull_and_roll(console: Console, bag: Path, processes: ProcessGroup, monitor: Monitor) -> None:
-    """Play and record the second part, of which only the sideways force and places count."""
+def _pull_and_roll(
+    console: Console, bag: Path, processes: ProcessGroup, monitor: Monitor
+) -> dict[str, int]:
+    """Play and record the second part, of which only the sideways force and places count.
+
+    Returns:
+        Exit status of the recorder.
+    """
     console.print('a pull sideways and a roll')
     _record(bag, processes, monitor)
     scenario = {'scenario': SCENARIO, 'seconds': SECONDS, 'lead_seconds': SIDEWAYS_LEAD_S}
     monitor.set_parameters('virtual_sensor', scenario, processes.check)
     _compute_scenario(console, processes, monitor, plays=2)
     LiveTable(console, monitor).show(SIDEWAYS_LEAD_S + SECONDS + TAIL_S, processes.check)
-    processes.stop('recorder')
+    return processes.stop('recorder')
 
 
 def _calibrate(console: Console, processes: ProcessGroup, monitor: Monitor) -> float:
