@@ -72,11 +72,11 @@ UNCONFIRMED_SHARE = 0.3
 On three sensors of `paper_like` that the model was not trained on, a dynamic trial of 20 s and
 three impacts each, 68 % of the errors are within 0.24 to 0.42 of a sum between 0.2 and 2 N.
 """
-TIMING_WINDOWS, SLOPE_WINDOWS = 3.0, 5
-"""Standard deviation of the time of a force, by whose change per window, in the mean of the second,
-a force that changes is uncertain besides. Without it, on eight simulated sensors (`paper_like`), 50
-and 75 % of the errors of forces that change by more than 4 mN in a window were within 1 and 1.96
-deviations, of all forces 72 and 91 %.
+TIMING_WINDOWS, SLOPE_WINDOWS, STEEPEST_N = 4.0, 5, 0.05
+"""Standard deviation of the time of a force, by whose change per window, in the mean of the second
+and up to the third, a force that changes is uncertain besides. Without it, on eight simulated
+sensors (`paper_like`), 50 and 75 % of the errors of forces that change by more than 4 mN in a
+window were within 1 and 1.96 deviations, of all forces 72 and 91 %.
 """
 REST_DEVIATION = 0.003
 """Standard deviation of the force of a sensor at rest [N], for a gel of usual stiffness.
@@ -218,11 +218,11 @@ class Vibration:
         return offset
 
 
-CALIBRATED_DEVIATION = 0.34
+CALIBRATED_DEVIATION = 0.3
 """Factor of the network's deviations in a model whose gain has become known; what is added stays.
 
 The deviations of a model for unknown sensors contain that nobody knows their stiffness. On eight
-simulated sensors (`paper_like`) with one gain each from a press, 71 and 94 % of the errors in
+simulated sensors (`paper_like`) with one gain each from a press, 70 and 93 % of the errors in
 presses, vibrations, impacts, handling, slides and knocks lie within what is left and 1.96 times it.
 The sensors are none that it is judged on.
 """
@@ -459,7 +459,8 @@ class FgerEstimator:
         before, self._output = self._output, force - self._pending_n
         self._slope += (self._output - before - self._slope) / SLOPE_WINDOWS
         if deviation is not None:
-            deviation = math.hypot(deviation, self._pending_n, TIMING_WINDOWS * self._slope)
+            slope = min(abs(self._slope), STEEPEST_N * self.config.force_unit)
+            deviation = math.hypot(deviation, self._pending_n, TIMING_WINDOWS * slope)
         return self._output, deviation
 
     def _follow(self, largest: float) -> None:

@@ -20,7 +20,7 @@ import math
 from typing import Final
 
 from mixtac_slip_control.arm.planner import AdvancePlanner
-from mixtac_slip_control.bounds import AdvanceBound
+from mixtac_slip_control.bounds import PRECISION, AdvanceBound
 from mixtac_slip_control.detectors import Detectors
 from mixtac_slip_control.grip import GripMargin
 from mixtac_slip_control.parameters import SlipControlParameters
@@ -147,6 +147,7 @@ class Advance:
         self.bound = AdvanceBound(parameters)
         self._grip = grip
         self.limit = self._preload = 0.0
+        self._settles = False
         self._window: tuple[int, float] | None = None
         self.configure(parameters)
 
@@ -167,6 +168,7 @@ class Advance:
         Raises:
             SlipControlError: The force leaves no room for an advance.
         """
+        self._settles = False
         self._preload, self.limit = self.bound.start()
         self._law.reset(self._preload)
 
@@ -230,8 +232,12 @@ class Advance:
         if probe.active and probe.measured and wanted > stiffness.present:
             # The margin needs this press anyway.
             self._law.add(probe.take_over())
-        if probing and not probe.active:
+        self._settles |= probing and not probe.active
+        precise = stiffness.deviation <= PRECISION * stiffness.stiffness
+        if self._settles and (precise or detectors.slipping):
+            # Until then, what keeps or raises the force teaches more than the probe did.
             stiffness.settle()
+            self._settles = False
         force = None if probe.active else stiffness.present
         self._law.aim(wanted, stiffness.stiffness)
         room = limit - probe.advance

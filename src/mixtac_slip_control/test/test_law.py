@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mixtac_slip_control.law import AdvanceLaw
+from mixtac_slip_control.law import Advance, AdvanceLaw
 from mixtac_slip_control.parameters import SlipControlParameters
 
 SETTINGS = SlipControlParameters(
@@ -166,3 +168,30 @@ def test_that_rise_is_for_slip_told_by_motion_and_within_the_largest_step(
     law.aim(0.5, stiffness)
     step = law.update(10, 60.0, 0.5, LIMIT, slipping=True)
     assert step == (0.0 if detector == 'count' else SETTINGS.max_step)
+
+
+def stiffness_after_the_probe(slips_at: int, windows: int) -> float:
+    """Return the relative deviation of the stiffness of a contact of 800 N/m, held at 1 N."""
+    arm = SimpleNamespace(at=0.0, advance_at=lambda _: arm.at)
+    grip = SimpleNamespace(wanted=lambda _: 1.0)
+    advance = Advance(SlipControlParameters(), arm, grip)  # type: ignore[arg-type]
+    noise = np.random.default_rng(1).normal(0.0, 0.02, windows + 100)
+    for index, error in enumerate(noise.tolist()):
+        now_s, force = 0.002 * index, 0.4 + 800.0 * arm.at + error
+        advance.on_window(2000 * index, now_s)
+        advance.on_force(force, 2000 * index, now_s, 0.04)
+        if index == 100:
+            advance.start()
+        if index > 100:
+            detectors = SimpleNamespace(slipping=index == slips_at, law_threshold=0.0)
+            advance.update(0, detectors, force, now_s)  # type: ignore[arg-type]
+            arm.at = advance.total
+    assert not advance.bound.probe.active
+    return advance.bound.stiffness.deviation / 800.0
+
+
+def test_what_keeps_the_force_teaches_the_stiffness_until_the_first_slip() -> None:
+    probed = stiffness_after_the_probe(-1, 160)
+    assert stiffness_after_the_probe(-1, 800) < 0.6 * probed
+    slipped = stiffness_after_the_probe(261, 800)
+    assert slipped == pytest.approx(stiffness_after_the_probe(-1, 162), rel=0.2)

@@ -20,6 +20,7 @@ from mixtac_fger.fger_net import (
     CALIBRATED_DEVIATION,
     REST_DEVIATION,
     SLOPE_WINDOWS,
+    STEEPEST_N,
     TIMING_WINDOWS,
 )
 from mixtac_fger.streaming import ForceEstimator
@@ -88,10 +89,10 @@ class TrialEstimate:
         """Return the deviations of the same model once its gain is known, before `scale` [N]."""
         share = 1.0 / SLOPE_WINDOWS
         change = np.diff(self.force, prepend=self.force[:1])
-        slope = lfilter([share], [1.0, share - 1.0], change)
+        slope = np.abs(lfilter([share], [1.0, share - 1.0], change))
         # What calibration does not take away is in `deviation` with the factor already.
         stays = math.sqrt(1.0 - CALIBRATED_DEVIATION**2) * np.hypot(
-            REST_DEVIATION, TIMING_WINDOWS * slope
+            REST_DEVIATION, TIMING_WINDOWS * np.minimum(slope, STEEPEST_N)
         )
         return np.asarray(np.hypot(CALIBRATED_DEVIATION * deviation, stays))
 

@@ -62,14 +62,14 @@ def test_the_time_of_a_force_is_uncertain(model, trial, monkeypatch):
     assert np.array_equal(run.force, known.force)
     added = np.sqrt(run.deviation**2 - known.deviation**2)
     assert (added >= 0.0).all()
-    # Three windows of a ramp.
+    # Four windows of a ramp.
     change = np.abs(np.gradient(run.force))
-    assert np.quantile(added, 0.9) == pytest.approx(3.0 * np.quantile(change, 0.9), rel=0.3)
+    assert np.quantile(added, 0.9) == pytest.approx(4.0 * np.quantile(change, 0.9), rel=0.3)
 
 
 @pytest.mark.usefixtures('exact')
 def test_deviations_of_a_known_gain_are_those_of_a_calibrated_model(model, trial, monkeypatch):
-    monkeypatch.setattr('mixtac_fger.fger_net.TIMING_WINDOWS', 3.0)
+    monkeypatch.setattr('mixtac_fger.fger_net.TIMING_WINDOWS', 4.0)
     monkeypatch.setattr('mixtac_fger.fger_net.UNCONFIRMED_SHARE', 0.0)
     calibrated = stream(with_gain(model, 1.3, CALIBRATED_DEVIATION), trial)
     scaled = stream(model, trial).scaled(1.3)
