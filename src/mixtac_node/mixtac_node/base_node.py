@@ -11,7 +11,6 @@ import faulthandler
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
@@ -36,14 +35,7 @@ from rclpy.task import Future
 from mixtac_events.errors import MixtacError
 from mixtac_node import topics
 from mixtac_node.parameters import ParameterError, ParameterSpec, build, specs
-from mixtac_node.process import (
-    FATAL,
-    STUCK_S,
-    GraphError,
-    claim_nodes,
-    freeze_loaded,
-    watch_progress,
-)
+from mixtac_node.process import FATAL, STUCK_S, GraphError, claim_nodes, freeze_loaded
 from mixtac_node.topics import DEFAULT_NAMESPACE, Topic, frame_id, message_class
 
 T = TypeVar('T')
@@ -388,7 +380,7 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
     A node may have a `close()` method: it ends threads and devices before the node is destroyed.
     It may have a `check()` method: called several times a second, and a MixtacError from it ends
     the process as one from its construction does. A callback that does not return ends the process
-    with a traceback, see `mixtac_node.process.watch_progress`: it is seen, and can be restarted.
+    after `STUCK_S` with a traceback of all threads: it is seen, and can be restarted.
 
     Args:
         make_nodes: Makes the nodes; called after `rclpy.init`.
@@ -412,11 +404,9 @@ def run_together(make_nodes: Callable[[], list[Any]], args: list[str] | None = N
             executor.add_node(node)
         checks = [node.check for node in nodes if hasattr(node, 'check')]
         freeze_loaded()
-        watched_s = -STUCK_S
         while not signals.received and rclpy.ok():
-            if time.monotonic() > watched_s + STUCK_S / 10:
-                watched_s = time.monotonic()
-                watch_progress()
+            # Needs nothing of Python, whose lock a call that hangs in the middleware may hold.
+            faulthandler.dump_traceback_later(STUCK_S, exit=True)
             # In the wheels of Jazzy, spin() of this executor never calls back. Not spin_once, which
             # returns after each callback.
             executor.spin_until_future_complete(Future(), timeout_sec=CHECK_PERIOD_S)

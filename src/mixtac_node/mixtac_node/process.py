@@ -87,6 +87,7 @@ def compiling(kernels: str, say: Callable[[], None] = lambda: None) -> Iterator[
         def on_start(self, _event: object) -> None:
             if not self.begun:
                 self.begun = True
+                # It may take longer than `STUCK_S`.
                 faulthandler.cancel_dump_traceback_later()
                 say()
                 _await_lock(lock, time.monotonic() + COMPILING_S)
@@ -203,15 +204,6 @@ def fatal_text(line: str) -> str:
     if line.startswith(_STUCK):
         return f'nothing returned to the executor for {STUCK_S:g} s; a traceback says what ran'
     return line.removeprefix(FATAL).strip() if line.startswith(FATAL) else ''
-
-
-def watch_progress() -> None:
-    """End this process with a traceback of all threads unless it is called again in `STUCK_S`.
-
-    A thread of its own does it, which needs nothing of Python: a call that never comes back from
-    the middleware may hold the interpreter's lock. A compilation takes the watch off.
-    """
-    faulthandler.dump_traceback_later(STUCK_S, exit=True)
 
 
 @dataclass

@@ -168,9 +168,11 @@ def _run_graph(
             *(gain, _dropped(monitor), computed_s, waited_s, host),
             *(monitor.clock_pairs()[pairs:], arrival[first:], stamp[first:]),
         )
-        codes = [processes.stop('recorder')]
-        codes.append(_pull_and_roll(console, out / SIDEWAYS_BAG, processes, monitor))
-        codes.append(processes.stop())
+        codes = (
+            processes.stop('recorder'),
+            _pull_and_roll(console, out / SIDEWAYS_BAG, processes, monitor),
+            processes.stop(),
+        )
         failed = {name: code for each in codes for name, code in each.items() if code}
     return run, failed
 
