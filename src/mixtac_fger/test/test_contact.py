@@ -33,8 +33,10 @@ def pressed(place, widths=(3.0, 3.0), angle=0.0, strength=0.4, shear=(0.0, 0.0),
     away = PLACES - np.array(place)[:, None, None]
     driven = np.einsum('ij,jrc->irc', matrix, away)
     square = np.sum(away * driven, axis=0)
-    fall = np.exp(-np.sum(away**2, axis=0) / 25.0)
-    moved = strength * driven * (1.0 + square) ** -1.5 + np.array(shear)[:, None, None] * fall
+    ahead = np.einsum('i,irc->rc', np.array(shear), away)
+    fall = 1.0 + 0.8 * square
+    moved = driven * (strength * (1.0 + square) ** -1.5 + 0.64 * ahead * fall**-2.5)
+    moved += np.array(shear)[:, None, None] * fall**-1.5
     moved += noise * np.random.default_rng(0).normal(size=moved.shape)
     moved *= np.array([12.0, -12.0])[:, None, None]
     tensor = np.full((3, ROWS, COLUMNS), 1e-3, np.float32)

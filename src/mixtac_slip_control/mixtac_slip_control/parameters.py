@@ -134,8 +134,8 @@ class SlipControlParameters:
         grip_margin: Normal force over the smallest that holds which the arm keeps, slowly; 1 keeps
             the preload only.
         max_grip_force: Largest normal force that is kept for the margin.
-        friction: Friction coefficient of objects on the skin before a slip has told it, as the
-            sensor measures it.
+        friction: Friction coefficient of objects on the skin, before what holds and what slips
+            have told more.
         friction_deviation: Its relative standard deviation between objects and sensors. Larger
             grips harder until a slip has told it.
         gripper: What is published on `grip` for a gripper: `force` that it shall hold, closing

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mixtac_slip_control.grip import GripMargin, GripperGoal, above
+from mixtac_slip_control.grip import GAIN_SPREAD, GripMargin, GripperGoal, above
 from mixtac_slip_control.parameters import SlipControlParameters
 
 PARAMETERS = SlipControlParameters(friction=0.65, friction_deviation=0.25, grip_margin=1.3)
@@ -54,16 +54,19 @@ def test_nothing_is_known_where_nothing_pulls():
 def test_an_object_that_holds_more_than_guessed_raises_the_coefficient():
     grip = GripMargin(PARAMETERS)
     hold(grip, 0.5, 0.4)
-    friction, spread = grip.friction
+    friction, spread = grip.measured_friction
     assert 0.8 < friction < 1.0
     assert spread < 0.25
+    # A part may be the gains of the sensor.
+    assert 0.65 < grip.friction[0] < friction
+    assert grip.friction[1] > GAIN_SPREAD / 2.0
 
 
 def test_what_the_first_estimates_say_does_not_count():
     grip = GripMargin(PARAMETERS)
     rest_us = hold(grip, 0.1, 0.3, seconds=0.1)
     hold(grip, 0.5, 0.2, start_us=rest_us)
-    assert grip.friction[0] < 0.75
+    assert grip.measured_friction[0] < 0.75
 
 
 def test_slips_tell_the_coefficient_in_the_sensors_own_units():
@@ -78,6 +81,41 @@ def test_slips_tell_the_coefficient_in_the_sensors_own_units():
     assert grip.slips == 3
     assert margin == pytest.approx(true_friction * 0.5 / 0.2, rel=0.1)
     assert deviation < 0.15 * margin
+
+
+def test_the_friction_of_objects_is_better_known_than_it_is_measured():
+    """Objects and gains as the parameters say, each slipped until the ratio is known."""
+    rng, errors = np.random.default_rng(0), []
+    objects = math.sqrt(PARAMETERS.friction_deviation**2 - GAIN_SPREAD**2)
+    for _ in range(100):
+        true_friction = 0.65 * math.exp(rng.normal(0.0, objects))
+        gain = math.exp(rng.normal(0.0, GAIN_SPREAD))
+        grip, now_us = GripMargin(PARAMETERS), 0
+        for _ in range(4):
+            now_us = hold(grip, 0.5, gain * 0.15, 0.6, now_us)
+            now_us = slip(grip, 0.5, gain * true_friction * 0.5, now_us)
+        told = np.array([grip.measured_friction[0], grip.friction[0]])
+        errors.append([*np.log(told / true_friction), grip.friction[1]])
+    measured, found, deviation = np.array(errors).T
+    assert np.std(found) < 0.9 * np.std(measured)
+    assert np.std(found) == pytest.approx(np.mean(deviation), rel=0.25)
+
+
+@pytest.mark.parametrize('true_friction', [0.15, 2.5])
+def test_an_object_like_no_other_is_not_taken_for_a_wrong_gain(true_friction):
+    grip, now_us = GripMargin(PARAMETERS), 0
+    for _ in range(12):
+        now_us = slip(grip, 1.0, true_friction, hold(grip, 1.0, 0.1, 0.6, now_us))
+    measured, _ = grip.measured_friction
+    assert measured == pytest.approx(true_friction, rel=0.15)
+    assert abs(math.log(grip.friction[0] / measured)) <= GAIN_SPREAD + 1e-9
+
+
+def test_a_guess_that_is_sure_lays_all_to_the_sensor():
+    grip = GripMargin(replace(PARAMETERS, friction_deviation=0.1))
+    slip(grip, 0.5, 0.35, hold(grip, 0.5, 0.2))
+    hold(grip, 0.5, 0.2, start_us=2_000_000)
+    assert grip.friction[0] == pytest.approx(0.65)
 
 
 def test_the_wanted_force_keeps_the_margin_and_its_limit():

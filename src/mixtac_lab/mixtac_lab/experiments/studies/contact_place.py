@@ -4,7 +4,8 @@
 
 Each unseen sensor is calibrated by one press beside a reference sensor, and its camera: optical
 axis, and scale of the picture at the skin, wrong by 1 % (standard deviation). Then something
-touches it at a place of another day.
+touches it at a place of another day, and on a third day something is pulled aside on it, where the
+reference sensor tells the place by its torques.
 """
 
 from __future__ import annotations
@@ -41,6 +42,12 @@ SCALE_DEVIATION = 0.01
 """Relative standard deviation of the scale that a calibration finds."""
 SECONDS = 9.0
 """Length of a trial: two or three touches."""
+PULLED_SECONDS = 5.0
+"""Length of a trial in which what touches is pulled over the skin."""
+PULLED_SHARE = 0.3
+"""Pull over normal force from which on a contact counts as pulled."""
+SMOOTH_S = 0.05
+"""Time over which the torques of the reference sensor are averaged [s]: 0.1 mm at 0.5 N."""
 EDGE_N = 0.03
 """True force at which a contact begins and ends [N]."""
 SOON_US = 6000
@@ -60,7 +67,7 @@ class Touched(NamedTuple):
         touching: State given out, bool [n].
         place_mm: Place given out, in the contact frame [n, 2]; NaN where none is.
         area_mm2: Area given out [n].
-        true_place_mm: True place [2].
+        true_place_mm: True place [2], or [n, 2]; NaN in windows that are not judged.
         true_area_mm2: True area [n].
     """
 
@@ -91,8 +98,22 @@ def true_area(spec: TrialSpec, trial: Trial, end_us: NDArray[np.int64]) -> NDArr
     return np.asarray(np.pi * radius**2 * (depth > 0.0))
 
 
-def touch_sensor(model: Model, device: int, object_radius: float) -> Touched:
-    """Return how a calibrated sensor follows touches.
+def felt_place(trial: Trial, end_us: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return where a reference sensor feels the contact [n, 2] [mm], NaN where little is pulled."""
+    rate, offset_us = trial.clock
+    stamps_us = (trial.reference_t_us - trial.reference_delay_us - offset_us) / rate
+    step_s = 1e-6 * float(np.median(np.diff(stamps_us)))
+    box = np.full(round(SMOOTH_S / step_s), step_s / SMOOTH_S)
+    smooth = (np.convolve(each, box, 'same') for each in trial.reference_wrench.T)
+    x, y, z, turn_x, turn_y, _ = (np.interp(end_us, stamps_us, each) for each in smooth)
+    judged = (z > LOWEST_N) & (np.hypot(x, y) > PULLED_SHARE * z)
+    # The wrench counts y downwards.
+    place = 1e3 * np.stack([-turn_y, -turn_x], axis=1) / np.maximum(z, LOWEST_N)[:, None]
+    return np.where(judged[:, None], place, np.nan)
+
+
+def touch_sensor(model: Model, device: int, object_radius: float) -> tuple[Touched, Touched]:
+    """Return how a calibrated sensor follows touches, and one that is pulled aside.
 
     Args:
         model: Content of a weight file.
@@ -101,35 +122,35 @@ def touch_sensor(model: Model, device: int, object_radius: float) -> Touched:
     """
     level = preset(PRESET)
     press = TrialSpec(device, device + 10_000, 'press', 8.0, PRESET)
-    estimator = trial_estimator(model)
-    (gain,) = sensor_scales(estimator, [SimulatedSource(press)], fallback=1.0).values()
-    spec = TrialSpec(device, device + 20_000, 'touch', SECONDS, PRESET)
+    (gain,) = sensor_scales(trial_estimator(model), [SimulatedSource(press)], fallback=1.0).values()
     lens = draw_device(device, level).lens
     wrong = 1.0 + SCALE_DEVIATION * np.random.default_rng(device).normal()
     scale = SkinScale(wrong * px_per_mm(lens), SCALE_DEVIATION, lens.centre_px)
-    trial, found = simulate(spec), list[Estimate]()
-    stream(
-        model,
-        arrays_of(trial, {'name': spec.name}),
-        observe=found.append,
-        force_scale=gain,
-        contact=ContactSettings(object_radius=object_radius, scale=scale),
-    )
-    end_us = np.array([each.end_us for each in found], np.int64)
-    shapes = [each.contact.shape if each.contact else None for each in found]
-    none = (np.nan, np.nan, np.nan)
-    rows = [none if s is None else (s.x_mm, s.y_mm, s.area_mm2) for s in shapes]
-    table = np.array(rows, np.float64).reshape(-1, 3)
-    right, down = draw_conditions(spec.trial_seed, level).contact_mm
-    return Touched(
-        end_us,
-        np.interp(end_us, trial.truth['t_us'], trial.truth['fz']),
-        np.array([bool(each.contact and each.contact.touching) for each in found]),
-        table[:, :2],
-        table[:, 2],
-        np.array([right, -down]),
-        true_area(spec, trial, end_us),
-    )
+    contact = ContactSettings(object_radius=object_radius, scale=scale)
+
+    def follow(spec: TrialSpec) -> tuple[Trial, Touched]:
+        trial, found = simulate(spec), list[Estimate]()
+        data = arrays_of(trial, {'name': spec.name})
+        stream(model, data, observe=found.append, force_scale=gain, contact=contact)
+        end_us = np.array([each.end_us for each in found], np.int64)
+        shapes = [each.contact.shape if each.contact else None for each in found]
+        none = (np.nan, np.nan, np.nan)
+        rows = [none if s is None else (s.x_mm, s.y_mm, s.area_mm2) for s in shapes]
+        table = np.array(rows, np.float64).reshape(-1, 3)
+        right, down = draw_conditions(spec.trial_seed, level).contact_mm
+        return trial, Touched(
+            end_us,
+            np.interp(end_us, trial.truth['t_us'], trial.truth['fz']),
+            np.array([bool(each.contact and each.contact.touching) for each in found]),
+            table[:, :2],
+            table[:, 2],
+            np.array([right, -down]),
+            true_area(spec, trial, end_us),
+        )
+
+    _, touched = follow(TrialSpec(device, device + 20_000, 'touch', SECONDS, PRESET))
+    trial, pulled = follow(TrialSpec(device, device + 30_000, 'slide', PULLED_SECONDS, PRESET))
+    return touched, pulled._replace(true_place_mm=felt_place(trial, pulled.end_us))
 
 
 def edges(state: NDArray[np.bool_], end_us: NDArray[np.int64]) -> dict[bool, NDArray[np.int64]]:
@@ -158,13 +179,23 @@ def edge_delays(trial: Touched) -> dict[bool, list[float]]:
     return found
 
 
-def contact_rows(trials: list[Touched]) -> list[dict[str, Any]]:
-    """Return the rows of the table: `what`, `value`, `target`, `unit` and `n`."""
+def place_error(trial: Touched) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the error of the place in each window [mm], and which are given at `LOWEST_N`."""
+    error = np.hypot(*(trial.place_mm - trial.true_place_mm).T)
+    return error, np.isfinite(error) & (trial.force > LOWEST_N)
+
+
+def contact_rows(trials: list[Touched], pulled: list[Touched]) -> list[dict[str, Any]]:
+    """Return the rows of the table: `what`, `value`, `target`, `unit` and `n`.
+
+    Args:
+        trials: Touches.
+        pulled: Contacts that are pulled aside.
+    """
     errors, areas, early = [], [], []
     for trial in trials:
-        error = np.hypot(*(trial.place_mm - trial.true_place_mm).T)
+        error, judged = place_error(trial)
         given = np.isfinite(error)
-        judged = given & (trial.force > LOWEST_N)
         errors.append(error[judged])
         early.append(error[given & (trial.force > EDGE_N) & (trial.force < LOWEST_N)])
         areas.append(trial.area_mm2[judged] / trial.true_area_mm2[judged] - 1.0)
@@ -180,6 +211,12 @@ def contact_rows(trials: list[Touched]) -> list[dict[str, Any]]:
     if len(light):
         name = f'place, {EDGE_N} to {LOWEST_N} N, median'
         rows.insert(2, _row(name, np.median(light), 0.3, 'mm', len(light)))
+    parts = (error[judged] for error, judged in map(place_error, pulled))
+    aside = np.concatenate([np.empty(0), *parts])
+    if len(aside):
+        name = f'place, pulled by {PULLED_SHARE} of the force or more'
+        rows.append(_row(f'{name}, median', np.median(aside), 0.3, 'mm', len(aside)))
+        rows.append(_row(f'{name}, 90 %', np.quantile(aside, 0.9), None, 'mm', len(aside)))
     for rising, name in ((True, 'on'), (False, 'off')):
         late = np.concatenate([each[rising] for each in delays])
         soon = np.mean(np.abs(late) * 1e3 <= SOON_US)
@@ -212,7 +249,7 @@ def contact_place(
     sensors = 3 if quick else sensors
     loaded = read_model(find_model(model))
     with progress_bar('touching', sensors) as advance:
-        rows = contact_rows(measure(loaded, sensors, object_radius, advance))
+        rows = contact_rows(*measure(loaded, sensors, object_radius, advance))
     shown = [(r['what'], f'{r["value"]:g} {r["unit"]}', r['target'], r['n']) for r in rows]
     headings = ('contact', 'found', 'wanted', 'of')
     Console().print(make_table(f'contacts, {PRESET}, simulated', headings, shown))
@@ -222,10 +259,12 @@ def contact_place(
 
 def measure(
     model: Model, sensors: int, object_radius: float, advance: Callable[[], None]
-) -> list[Touched]:
-    """Return a trial of each of some unseen sensors; `advance` is called after each."""
-    found = []
+) -> tuple[list[Touched], list[Touched]]:
+    """Return trials of some unseen sensors: touches, and pulls; `advance` is called after each."""
+    touches, pulls = [], []
     for device in range(FIRST_DEVICE, FIRST_DEVICE + sensors):
-        found.append(touch_sensor(model, device, object_radius))
+        touched, pulled = touch_sensor(model, device, object_radius)
+        touches.append(touched)
+        pulls.append(pulled)
         advance()
-    return found
+    return touches, pulls

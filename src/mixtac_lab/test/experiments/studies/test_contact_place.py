@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from mixtac_lab.experiments.studies.contact_place import (
     Touched,
     contact_rows,
     edge_delays,
+    felt_place,
     px_per_mm,
 )
 from mixtac_sim.mechanics.contact import Mode
@@ -37,12 +40,30 @@ def test_delays_are_those_of_the_nearest_edge():
     truth = np.array([1.0, 0.0])
     trial = Touched(end_us, force, touching, places, area, truth, np.full(len(end_us), 10.0))
     assert edge_delays(trial) == {True: [8.0], False: [-4.0]}
-    rows = {row['what']: row['value'] for row in contact_rows([trial])}
+    rows = {row['what']: row['value'] for row in contact_rows([trial], [])}
     assert rows['place, from 0.1 N, median'] == pytest.approx(0.2)
     assert rows['area, median error'] == pytest.approx(0.1)
     assert rows['on, within 6 ms'] == 0.0
     assert rows['off, within 6 ms'] == 1.0
     assert rows['contacts given less true ones'] == 0
+
+
+def test_a_reference_sensor_tells_where_a_pulled_contact_is():
+    """2 mm to the right, 1 mm down; its clock is 3 s ahead and 1 % fast, its readings 5 ms late."""
+    t_us = np.arange(0, 2_000_000, 1250)
+    force, pull = np.where(t_us > 500_000, 0.5, 0.0), np.where(t_us > 1_000_000, 0.2, 0.0)
+    nothing = np.zeros(len(t_us))
+    wrench = np.stack([pull, nothing, force, 1e-3 * force, -2e-3 * force, nothing], axis=1)
+    stamps_us = np.rint(1.01 * t_us + 3e6 + 5000.0).astype(np.int64)
+    trial = SimpleNamespace(
+        clock=(1.01, 3e6),
+        reference_t_us=stamps_us,
+        reference_delay_us=5000.0,
+        reference_wrench=wrench,
+    )
+    found = felt_place(trial, np.array([300_000, 800_000, 1_200_000, 1_600_000]))
+    assert np.isnan(found[:2]).all()
+    assert found[2:] == pytest.approx(np.array([[2.0, -1.0]] * 2), abs=1e-3)
 
 
 def test_its_sensors_are_unseen():
