@@ -50,6 +50,10 @@ SIGNIFICANT: Final = 10.0
 """Standard deviations from which on a picture shows a contact; 7.7 is the largest at rest."""
 PLACE_DEVIATION_MM: Final = 0.14
 """Standard deviation of the place per axis [mm] that the arrangement of the beads makes."""
+SHEAR_DEVIATION: Final = 0.13
+"""The same over the distance by which shear alone, were it none, would move the place: s / (a M).
+Of 28 simulated sensors (`paper_like`) 71 % of the places are within one deviation of both, and
+94 % within 1.96; pulled by 0.3 of the normal force and more 70 and 95 %."""
 CARRY_RIDGE: Final = 0.03
 """Regularisation over the diagonal of the normal matrix by which events change a contact."""
 KNOWN_OBJECT: Final = (0.4127, 0.1427, 0.3455, 0.3258)
@@ -374,15 +378,17 @@ def contact_shape(p: F64, covariance: F64, scale: SkinScale, object_radius: floa
         scale: Of the skin in the picture.
         object_radius: Radius of curvature of what touches [mm]; 0 if it is not known.
     """
-    strength, _, _, x, y, xx, xy, yy = p.tolist()
+    strength, right, up, x, y, xx, xy, yy = p.tolist()
     mean, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     narrow, wide = (max(mean + sign * half, 1e-3) ** -0.5 for sign in (1.0, -1.0))
     angle = 0.5 * math.atan2(-2.0 * xy, yy - xx)
     radius, spread = contact_radius(math.sqrt(wide * narrow), strength, object_radius)
     ratio = math.sqrt(wide / narrow)
+    sheared = math.hypot(right, up) / max(strength * mean, 1e-3)
     place = math.sqrt(
         0.5 * (covariance[3, 3] + covariance[4, 4])
         + PLACE_DEVIATION_MM**2
+        + (SHEAR_DEVIATION * sheared) ** 2
         + 0.5 * scale.deviation**2 * (x**2 + y**2)
     )
     area = math.pi * radius**2

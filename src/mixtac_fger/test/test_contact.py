@@ -55,6 +55,15 @@ def test_place_and_width_of_a_contact_are_found_with_any_shear(x, y, shear):
     assert found.major_mm * found.minor_mm * math.pi == pytest.approx(found.area_mm2)
 
 
+def test_the_place_of_a_pulled_contact_is_less_certain():
+    deviations = []
+    for pull in (0.0, 0.05, 0.1):
+        fit = ContactFitter(SIZE, SCALE).fit(pressed((1.0, 2.0), shear=(pull, 0.0)))
+        shape = contact_shape(fit.parameters, fit.covariance, SCALE, 9.0)
+        deviations.append(shape.deviation_mm)
+    assert deviations[0] < deviations[1] < deviations[2]
+
+
 def test_a_picture_without_texture_shows_no_contact():
     """As behind a lens cap, or without a lamp."""
     nothing = DisplacementField(
