@@ -4,7 +4,7 @@
 
 A weak force that lasts is a contact where a picture shows more than any since the last one: noise
 moves the estimate until a frame corrects it, and gel that creeps back is no touch. In a release the
-estimate comes late, and is led by its own slope. Times and thresholds were chosen on twenty
+estimate comes late, and is led by its own slope. Times and thresholds were chosen on 34
 simulated sensors. More events than at rest around one place, of one polarity or of both, were
 tried: they tell of a touch no sooner than the force does.
 
@@ -60,7 +60,7 @@ UNSEEN_N: Final = 0.1
 """Largest force of a contact that a picture may fail to show [N]."""
 UNSEEN_US: Final = 40_000
 """Time from the begin of a contact after which a picture that shows none ends it [us]."""
-SURE_WINDOWS: Final = 8
+SURE_WINDOWS: Final = 4
 """Windows for which a force above the threshold has to last, and a picture to show more."""
 SURE_SHARE: Final = 5.0
 """Force over the threshold from which on one window is enough."""
@@ -310,7 +310,8 @@ class ContactTracker:
         above = force - self._rest_n
         self._recent.append((end_us, above))
         if self._touching:
-            self._low_n = above
+            # An estimate that swings below zero in a release comes back without a touch.
+            self._low_n = max(above, 0.0)
             if not self._goes_on(end_us, above):
                 self._end()
         else:

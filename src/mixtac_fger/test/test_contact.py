@@ -193,7 +193,7 @@ def test_contact_switches_with_hysteresis_and_has_no_place_before_a_frame():
 
 def test_a_light_force_has_to_last():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
-    assert not any(touching(tracker, [0.0] + [0.035] * 6 + [0.0] * 5))
+    assert not any(touching(tracker, [0.0] + [0.035] * 3 + [0.0] * 5))
     assert touching(tracker, [0.035] * 20, 40_000)[-1]
 
 
@@ -223,6 +223,14 @@ def test_a_release_is_told_before_the_estimate_has_fallen_and_leaves_no_new_cont
     assert all(found[1:30])
     assert not any(found[46:])
     assert touching(tracker, [0.05 + 0.2], 500_000) == [True]
+
+
+def test_an_estimate_that_comes_back_from_below_zero_is_no_new_contact():
+    """As after a bounce, whose events do not add up to nothing."""
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    bounce = [0.0, 1.0, 2.0, 1.0, -0.3, -0.2, -0.1, *[0.0] * 20]
+    assert touching(tracker, bounce) == [False, *[True] * 3, *[False] * 23]
+    assert touching(tracker, [0.2], 60_000) == [True]
 
 
 def test_what_is_left_of_a_release_ends_with_a_picture_without_contact():
