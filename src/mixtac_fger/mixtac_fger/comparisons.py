@@ -32,8 +32,8 @@ class PictureFigures(NamedTuple):
         likeness: Correlation with the displaced reference, the fourth lowest of the tiles.
         fading: Variance of a tile over that of the reference, the lowest of the tiles.
         roughness: The same, the highest of the tiles.
-        shading: Change of the mean of a tile against the median of all tiles, the largest [log
-            units].
+        shading: Mean of a tile less that of the displaced reference, against the median of all
+            tiles, the largest [log units].
         unevenness: The same, the median of the tiles.
         shift: Displacement of the median tile, or of the median of the tiles along the border where
             that is less: a pull on a wide contact moves more than half of the picture [bins].
@@ -140,7 +140,7 @@ def picture_figures(
         before = tile[7] - tile[6] * tile[6] + LEAST_VARIANCE
         likeness[index] = (tile[5] - tile[1] * tile[3] + LEAST_VARIANCE) / np.sqrt(moved * here)
         fading, roughness = min(fading, here / before), max(roughness, here / before)
-        change[index] = tile[3] - tile[6]
+        change[index] = tile[3] - tile[1]
         u[index], v[index] = tile[8], tile[9]
     shift_x, shift_y = _median(u), _median(v)
     shift = min(np.hypot(shift_x, shift_y), np.hypot(_border_median(u), _border_median(v)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Mixtac maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The shift of a picture: of the whole, and not of a wide contact that is pulled."""
+"""The shift of a picture: of the whole, and not of a wide contact that is pulled; its shading."""
 
 from __future__ import annotations
 
@@ -30,3 +30,16 @@ def test_a_wide_contact_that_is_pulled_is_no_shift() -> None:
     found = figures(pulled)
     assert found.shift == 0.0
     assert found.displacement == pytest.approx(0.4)
+
+
+def test_light_shades_a_picture_and_beads_that_move_do_not() -> None:
+    beads = np.random.default_rng(0).normal(size=SHAPE).repeat(4, 0).repeat(4, 1)[:60, :80]
+    reference = np.asarray(beads, np.float32)
+    flow = np.zeros((2, *SHAPE), np.float32)
+    # Two bins to the right in a part of the picture.
+    flow[0, 20:40, 20:50] = 2.0
+    moved = np.where(flow[0] > 0.0, np.roll(reference, 2, 1), reference)
+    lit = moved + 0.3 * (np.arange(80) > 60).astype(np.float32)
+    still, shaded = (PictureFigures(*picture_figures(reference, each, flow)) for each in (moved, lit))
+    assert still.shading < 1e-3
+    assert shaded.shading == pytest.approx(0.3, abs=0.01)
