@@ -40,6 +40,8 @@ def test_light_shades_a_picture_and_beads_that_move_do_not() -> None:
     flow[0, 20:40, 20:50] = 2.0
     moved = np.where(flow[0] > 0.0, np.roll(reference, 2, 1), reference)
     lit = moved + 0.3 * (np.arange(80) > 60).astype(np.float32)
-    still, shaded = (PictureFigures(*picture_figures(reference, each, flow)) for each in (moved, lit))
+    still, shaded = (
+        PictureFigures(*picture_figures(reference, image, flow)) for image in (moved, lit)
+    )
     assert still.shading < 1e-3
     assert shaded.shading == pytest.approx(0.3, abs=0.01)
