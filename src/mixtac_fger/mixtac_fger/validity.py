@@ -85,13 +85,13 @@ TEXTS = {
 
 
 LEAST_LIKENESS = 0.75
-"""Without a fault 0.89 or more."""
+"""Without a fault 0.86 or more."""
 LEAST_FADING, MOST_ROUGHNESS = 0.4, 1.8
-"""Without a fault 0.64 to 1.29."""
+"""Without a fault 0.63 to 1.31."""
 MOST_SHADING, MOST_UNEVENNESS = 0.17, 0.03
-"""Without a fault up to 0.077 and 0.0125 [log units]."""
+"""Without a fault up to 0.12 and 0.0125 [log units]."""
 MOST_SHIFT = 0.08
-"""Without a fault up to 0.029 bins; a bin has four pixels."""
+"""Without a fault up to 0.051 bins; a bin has four pixels."""
 STRONG_BINS = 10
 """Bins with a strong change from which on events have to tell of it; of twice as many it counts
 twice."""
