@@ -51,9 +51,9 @@ SIGNIFICANT: Final = 10.0
 PLACE_DEVIATION_MM: Final = 0.14
 """Standard deviation of the place per axis [mm] that the arrangement of the beads makes."""
 SHEAR_DEVIATION: Final = 0.13
-"""The same over the distance by which shear alone, were it none, would move the place: s / (a M).
-Of 28 simulated sensors (`paper_like`) 71 % of the places are within one deviation of both, and
-94 % within 1.96; pulled by 0.3 of the normal force and more 70 and 95 %."""
+"""The same over s / (a M), which is how far a pull that is taken for a press moves the place. Of 28
+simulated sensors (`paper_like`) 71 % of the places are within one deviation of both, and 94 %
+within 1.96; pulled by 0.3 of the normal force and more 70 and 95 %."""
 CARRY_RIDGE: Final = 0.03
 """Regularisation over the diagonal of the normal matrix by which events change a contact."""
 KNOWN_OBJECT: Final = (0.4127, 0.1427, 0.3455, 0.3258)
