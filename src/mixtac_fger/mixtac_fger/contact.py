@@ -10,8 +10,8 @@ ahead and behind than beside it. The field of a contact at :math:`c` is fitted a
 
 by weighted least squares (Levenberg and Marquardt): the symmetric matrix :math:`M` holds the width
 along each axis, :math:`s` what shear and perspective add, k (`SHEAR_FALL`) and b (`SHEAR_LOBES`)
-the shape of that. Weights are the structure tensors of the
-field, so that the fit is one of the picture itself, and points without texture do not count.
+the shape of that. Weights are the structure tensors of the field, so that the fit is one of the
+picture itself, and points without texture do not count.
 """
 
 from __future__ import annotations

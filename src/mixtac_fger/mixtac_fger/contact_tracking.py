@@ -4,9 +4,9 @@
 
 A weak force that lasts is a contact where a picture shows more than any since the last one: noise
 moves the estimate until a frame corrects it, and gel that creeps back is no touch. In a release the
-estimate comes late, and is led by its own slope. Times and thresholds were chosen on 34
-simulated sensors. More events than at rest around one place, of one polarity or of both, were
-tried: they tell of a touch no sooner than the force does.
+estimate comes late, and is led by its own slope. Times and thresholds were chosen on 34 simulated
+sensors. More events than at rest around one place, of one polarity or of both, were tried: they
+tell of a touch no sooner than the force does.
 
 Where frames are encoded, a contact is fitted to the displacement of the beads. Between frames, its
 parameters follow the displacement that events tell of, by the fit's own gains: a product of a small

@@ -17,9 +17,9 @@ the margin would be `grip_margin`, were :math:`\mu` lower by two standard deviat
 than the ratio that held. It only ever raises the preload, up to `max_grip_force`.
 
 The coefficient of the object itself is :math:`\mu` over the ratio of the gains of pull and normal
-force, :math:`\ln g \sim N(0, \gamma^2)` with :math:`\gamma` = `GAIN_SPREAD`. Of the distance of
-:math:`\ln \mu` from the guess, :math:`\gamma^2 / s^2` is expected to be that of the gains; more
-than :math:`\gamma` is not laid to them, so that another kind of object is no wrong gain.
+force, :math:`\ln g \sim N(0, \gamma^2)` with :math:`\gamma` = `GAIN_SPREAD`. Gains explain the
+share :math:`\gamma^2 / s^2` of the difference between :math:`\ln \mu` and the guess, but never
+more than :math:`\gamma`: a larger difference is one of the object.
 """
 
 from __future__ import annotations

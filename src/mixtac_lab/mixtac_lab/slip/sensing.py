@@ -61,8 +61,8 @@ class Gains:
 
     Attributes:
         normal: Of the normal force, which counts for all axes.
-        sideways: Of the sideways force besides; measured by known pulls, and to be expected at
-            other places than theirs.
+        sideways: Further gain of the sideways force, as known pulls let expect it at other places
+            than theirs.
     """
 
     normal: float = 1.0

@@ -18,6 +18,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
+from scipy.ndimage import binary_dilation
 
 from mixtac_cli.figures import make_table
 from mixtac_cli.options import JsonFile, ModelName
@@ -199,7 +200,7 @@ def judge_good(_: Path, weights: Path, spec: TrialSpec) -> dict[str, Any]:
         scale = 1.0
     error = np.abs(scale * run.force - truth)
     wrong = error > np.maximum(AT_MOST_N, COVERED * scale * run.deviation)
-    wrong = np.convolve(wrong, np.ones(2 * AROUND + 1), 'same') > 0.5
+    wrong = binary_dilation(wrong, iterations=AROUND)
     invalid = ~run.valid & (run.reason != Reason.SATURATED)
     return {
         'windows': len(run.end_us),
