@@ -258,8 +258,8 @@ CERTAIN_SIGMAS: Final = 3.0
 """Standard deviations below a measurement at which the force is sure to be as high."""
 MOST_SHARE: Final = 0.5
 """Largest relative standard deviation that is believed of the gain."""
-SHARE_STEP: Final = 0.01
-"""Share of a new one that is taken over per force: 0.2 s."""
+SHARE_FORCES: Final = 100
+"""Forces of which the relative deviation is the mean, 0.2 s."""
 GOAL_SHARE: Final = 0.9
 """Share of `max_force` up to which advances are planned."""
 SOFT_SHARE: Final = 0.95
@@ -282,6 +282,8 @@ class AdvanceBound:
         self.stiffness = ContactStiffness(parameters)
         self.probe = StiffnessProbe(parameters)
         self._share = 0.0
+        self._shares = 0
+        self._slipped = False
 
     @property
     def goal(self) -> float:
@@ -303,9 +305,10 @@ class AdvanceBound:
             self._share = 0.0
             return force_n
         stiffness = self.stiffness
-        if calm and not self.probe.active and stiffness.present > 0.0:
+        if calm and not (self._slipped or self.probe.active) and stiffness.present > 0.0:
             share = min(deviation / max(stiffness.present, deviation), MOST_SHARE)
-            self._share += SHARE_STEP * (share - self._share)
+            self._shares += 1
+            self._share += (share - self._share) / min(self._shares, SHARE_FORCES)
         x = 0.5 * (advance_m[0] + advance_m[1])
         expected = stiffness.force + stiffness.stiffness * x
         half = 0.5 * (advance_m[1] - advance_m[0]) * stiffness.bound
@@ -328,6 +331,7 @@ class AdvanceBound:
             SlipControlError: The force leaves no room for an advance.
         """
         p = self._parameters
+        self._slipped = False
         preload = self.stiffness.restart()
         limit = self.stiffness.largest_advance(self.goal)
         if limit <= 0.0:
@@ -337,6 +341,13 @@ class AdvanceBound:
             )
         self.probe.start()
         return preload, min(limit, p.max_total)
+
+    def on_slip(self) -> None:
+        """Keep how well the gain of the sensor is known: of slip and what follows it tells less.
+
+        The stiffness, which was learned with this gain, carries the force on from there.
+        """
+        self._slipped |= self._shares >= SHARE_FORCES
 
     def limit(self, reached: float, force_n: float | None) -> float:
         """Return the largest advance in this window [m].

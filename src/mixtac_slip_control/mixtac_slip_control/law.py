@@ -225,7 +225,8 @@ class Advance:
         before = self.total
         stiffness, probe = self.bound.stiffness, self.bound.probe
         limit = self.bound.limit(self._planner.advance_at(now_s), force_n)
-        if detectors.slipping and probe.active:
+        if detectors.slipping:
+            self.bound.on_slip()
             self._law.add(probe.take_over())
         probing, wanted = probe.active, self._grip.wanted(self._preload)
         probe.update(stiffness.stiffness, stiffness.deviation, limit - self._law.total)

@@ -229,6 +229,25 @@ def test_an_uncertain_sensor_leaves_less_room() -> None:
     assert bound.goal == pytest.approx(before / (1.0 + GAIN_SIGMAS * 0.1 / 0.7), rel=0.02)
 
 
+def test_the_gain_stays_as_well_known_as_before_a_slip() -> None:
+    bound = settled()
+    for _ in range(99):
+        bound.upper(0.5, 0.05, (0.0, 0.0), calm=True)
+    bound.on_slip()
+    for _ in range(1000):
+        bound.upper(0.5, 0.1, (0.0, 0.0), calm=True)
+    unsettled = bound.goal
+    bound.on_slip()
+    for _ in range(1000):
+        bound.upper(0.5, 0.3, (0.0, 0.0), calm=True)
+    assert bound.goal == unsettled
+    bound.start()
+    bound.probe.take_over()
+    for _ in range(1000):
+        bound.upper(0.5, 0.3, (0.0, 0.0), calm=True)
+    assert bound.goal < unsettled
+
+
 def test_the_upper_bound_rests_on_the_better_of_sensor_and_advance() -> None:
     bound = settled()
     place = (1e-4, 1e-4)
