@@ -18,7 +18,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Empty, Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory
 
 from mixtac_events.codec import decode_message, warm_up
 from mixtac_events.errors import MixtacError
@@ -41,7 +41,7 @@ from mixtac_slip_control.arm.model import (
 )
 from mixtac_slip_control.arm.trajectory import (
     PlannedTrajectory,
-    TrajectoryMessage,
+    serialised,
     settling_trajectory,
 )
 from mixtac_slip_control.controller import SlipController, SlipStep
@@ -193,8 +193,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
                 )
             return open_backend(p, arm.arm)
         publisher = self.create_publisher(JointTrajectory, p.trajectory_topic, 10)
-        message = TrajectoryMessage(JointTrajectory, JointTrajectoryPoint)
-        backend = TrajectoryBackend(arm.arm.names, lambda t: publisher.publish(message.fill(t)))
+        backend = TrajectoryBackend(arm.arm.names, lambda t: publisher.publish(serialised(t)))
 
         def on_joints(joints: JointState) -> None:
             stamp_s = self._stamp_s(joints.header)
@@ -263,10 +262,10 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
         steps = self._controller.on_events(
             packet.events, packet.complete_until, now_s, lost=not packets.continuous
         )
-        self._send(self._controller.plan(now_s))
-        self._moving = self._moving or self._controller.enabled
         for step in steps:
             self._publish(step)
+        self._send(self._controller.plan(now_s))
+        self._moving = self._moving or self._controller.enabled
         self._brake()
 
     def _refuse(self, problem: str) -> None:
