@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import fcntl
 import os
 import runpy
@@ -36,6 +37,9 @@ PATIENCE_S = 120.0
 """The first process of a module may have to compile."""
 REPLY_S = 20.0
 LIVE = ('live', 'dds', 'umockdev')
+HANGING_S = 60.0
+"""Time after the timeout of a live test at which its process ends: no signal ends a call that hangs
+in the middleware (Fast DDS 2.14 has dead locks between discovery and destruction)."""
 
 # A busy host may take its time.
 settings.register_profile('mixtac', deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -69,6 +73,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         item.add_marker(pytest.mark.xdist_group(item.path.name))
         if any(any(item.iter_markers(kind)) for kind in LIVE):
             item.add_marker('live')
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """End the process of a live test that hangs, with a traceback in log/hanging_test.txt."""
+    if item.get_closest_marker('live') is None:
+        return (yield)
+    limit = item.get_closest_marker('timeout')
+    seconds = float(limit.args[0] if limit else item.config.getini('timeout')) + HANGING_S
+    path = ROOT / 'log' / 'hanging_test.txt'
+    path.parent.mkdir(exist_ok=True)
+    with path.open('a') as traceback:
+        faulthandler.dump_traceback_later(seconds, exit=True, file=traceback)
+        try:
+            return (yield)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
 
 
 @contextlib.contextmanager

@@ -21,7 +21,9 @@ trap 'kill -- -$calculating 2>/dev/null' EXIT
 trap 'exit 130' INT TERM
 
 echo "calculations run in the background: $calculations"
-live_tests=(python -m pytest -m live -o cache_dir=.pytest_cache/live)
+# In a worker, so that one that hangs in the middleware fails alone.
+live_tests=(python -m pytest -m live -n 1 --no-loadscope-reorder --dist loadgroup)
+live_tests+=(-o cache_dir=.pytest_cache/live)
 live_tests+=(--durations 25 --durations-min 5)
 "${live_tests[@]}" "$@"
 live=$?
@@ -33,12 +35,14 @@ if [ $live = 1 ]; then
     echo 'once more, alone: what failed in real time'
     "${live_tests[@]}" "${failed_ones[@]}" "$@"
     live=$?
+    [ $live = $none ] && live=1
 fi
 if [ $calculated = 1 ]; then
     echo 'once more, alone: calculations that failed'
     # By a worker as before: the names of failed tests contain their group.
     "${calculation_tests[@]}" -n 1 "${failed_ones[@]}" "$@"
     calculated=$?
+    [ $calculated = $none ] && calculated=1
 fi
 if [ $calculated = $none ]; then exit $live; fi
 if [ $calculated != 0 ] || [ $live = $none ]; then exit $calculated; fi
