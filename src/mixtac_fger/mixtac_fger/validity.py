@@ -157,15 +157,20 @@ class _Recent:
 
     def __init__(self) -> None:
         self._groups: deque[frozenset[int]] = deque()
-        self._all: set[int] = set()
+        self._latest: dict[int, int] = {}
+        self._number = 0
 
     def add(self, group: frozenset[int]) -> int:
         """Add what a frame is known by; return how much of it was known before."""
-        known = len(group & self._all)
+        known = len(group & self._latest.keys())
+        self._number += 1
+        self._latest.update(dict.fromkeys(group, self._number))
         self._groups.append(group)
-        self._all |= group
         if len(self._groups) > FRAMES_KNOWN:
-            self._all -= self._groups.popleft()
+            for each in self._groups.popleft():
+                # What came again since is still known.
+                if self._latest[each] <= self._number - FRAMES_KNOWN:
+                    del self._latest[each]
         return known
 
 

@@ -19,6 +19,7 @@ from mixtac_fger.config import FgerConfig
 from mixtac_fger.estimator import EncodedFrame
 from mixtac_fger.features import FramePreparation
 from mixtac_fger.validity import (
+    FRAMES_KNOWN,
     HOLD_FRAMES,
     Reason,
     Validity,
@@ -212,6 +213,18 @@ def test_the_same_frame_again_is_frozen_until_frames_differ(trial, encoded, fram
     first, last = trial.arrival_us[8] // WINDOW_US, trial.arrival_us[9 + HOLD_FRAMES] // WINDOW_US
     assert wrong[0] == pytest.approx(first, abs=1)
     assert wrong[-1] == pytest.approx(last, abs=2)
+
+
+@pytest.mark.parametrize('length', [1, 7])
+def test_frames_that_come_again_and_again_stay_frozen(length):
+    random, validity = np.random.default_rng(0), Validity(WINDOW_US, WIDTH)
+    pictures = random.normal(0.0, 0.1, (length, 65, 86)).astype(np.float32)
+    reasons = []
+    for k in range(4 * FRAMES_KNOWN):
+        validity.frame(INTERVAL_US * (k + 1), pictures[k % length], None, 0.0, None)
+        reasons.append(validity.reason)
+    assert set(reasons[:length]) == {Reason.TRUSTED}
+    assert set(reasons[length:]) == {Reason.FRAME_FROZEN}
 
 
 def test_frames_in_a_loop_are_known_again(trial, encoded, frames):
