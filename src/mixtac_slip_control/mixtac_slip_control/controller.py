@@ -94,6 +94,8 @@ class SlipStep:
 
 CALM_US: Final = 200_000
 """Time after a slip in which the sensor's force is not learned from [us]: five frames."""
+LATEST_US: Final = 1_000_000
+"""A time that lies farther ahead [us] is one of a clock that started anew since."""
 
 
 class SlipController:
@@ -128,7 +130,7 @@ class SlipController:
         self.detectors = Detectors(parameters)
         self.features = SlipFeatures(parameters)
         self.grip = GripMargin(parameters)
-        self._calm_us: int | None = None
+        self._calm_us = self._end_us = -1
         self._planner = planner
         self._advance = None if planner is None else Advance(parameters, planner, self.grip)
         self.following = None if planner is None else FollowingWatch(parameters, planner)
@@ -187,6 +189,7 @@ class SlipController:
         self._parameters = parameters
         self.detectors.configure(parameters)
         self.watch.configure(parameters)
+        self.grip.configure(parameters)
         if self._advance is not None and self.following is not None:
             self._advance.configure(parameters)
             self.following.configure(parameters)
@@ -209,13 +212,15 @@ class SlipController:
             deviation: Standard deviation of the force [N]; 0 of one that is only noisy.
             pull_n: Sideways force [N]; None where it is not known.
         """
-        if self.watch.on_force(force_n, stamp_us, now_s):
-            calm = self._calm_us is None or stamp_us > self._calm_us
+        # What cannot be trusted teaches nothing.
+        new = self.watch.on_force(force_n, stamp_us, now_s, deviation)
+        if new and self.watch.trusts_force(now_s):
+            calm = self._calm(stamp_us)
             if pull_n is not None and math.isfinite(pull_n):
                 self.grip.on_force(force_n, pull_n, stamp_us, still=calm and not self.probing)
             if self._advance is not None:
                 given = force_n, stamp_us, now_s, deviation
-                self.watch.force = self._advance.on_force(*given, calm=calm)
+                self.watch.upper = self._advance.on_force(*given, calm=calm)
         self.tick(now_s)
 
     def on_quality(self, untrusted: str, now_s: float) -> None:
@@ -404,6 +409,7 @@ class SlipController:
             raise SlipControlError('slip control is enabled', remedy='disable it before taring')
         self.detectors.reset()
         self.grip.start()
+        self._calm_us = -1
 
     def _reason_not_to_enable(self, now_s: float) -> str | None:
         if not self.detectors.learned:
@@ -411,8 +417,8 @@ class SlipController:
                 'the background is not learned yet: keep the contact still for '
                 f'{self._parameters.learning_windows} windows, with events and frames arriving'
             )
-        if self.detectors.slipping:
-            return 'the object slips: wait until it is still, or tare'
+        if self.detectors.slipping or not self._calm(self._end_us):
+            return 'the object slips, or has just done so: wait until it is still, or tare'
         start, end = self._settling
         # A trajectory from the measured positions would cut a motion that has not ended.
         if start <= now_s < end or (self._planner is not None and self._planner.moving(now_s)):
@@ -422,6 +428,10 @@ class SlipController:
             measured_s = now_s - self.watch.age(JOINTS, now_s)
             fault = self.following.reason_not_to_enable(measured_s, now_s)
         return fault
+
+    def _calm(self, time_us: int) -> bool:
+        """Return whether there was no slip for a while before a time, camera clock [us]."""
+        return not 0 <= self._calm_us - time_us <= LATEST_US
 
     def _may_move(self, now_s: float) -> bool:
         ready = self.following is not None and self.following.ready
@@ -434,14 +444,14 @@ class SlipController:
         if self._advance is not None:
             self._advance.on_window(window.end_us, now_s)
             motion = self._advance.commanded_motion(now_s)
-        before = detectors.slipping
+        before, self._end_us = detectors.slipping, window.end_us
         slipping = detectors.update(window, motion)
         if slipping:
             self._calm_us = window.end_us + CALM_US
             if not before and not self.probing:
                 self.grip.on_slip(window.end_us)
         if self._advance is not None and self._may_move(now_s):
-            wanted = self._advance.update(window.count, detectors, self.watch.force, now_s)
+            wanted = self._advance.update(window.count, detectors, self.watch.upper, now_s)
         return SlipStep(
             end_us=window.end_us,
             count=window.count,

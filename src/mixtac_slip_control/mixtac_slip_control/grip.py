@@ -43,6 +43,8 @@ LONGEST_US: Final = 20_000
 """Longer steps between two forces count as this long [us]."""
 PEAK_US: Final = 8_000
 """Time from the begin of a slip in which its pull is looked for [us]: the arm has not answered."""
+LATEST_US: Final = 1_000_000
+"""A slip that begins later than a force by more is one of a clock that started anew since [us]."""
 SLIP_SPREAD: Final = 0.12
 """Relative standard deviation of the coefficient that one slip tells."""
 LEAST_SPREAD: Final = 0.06
@@ -89,12 +91,14 @@ class GripMargin:
     """
 
     def __init__(self, parameters: SlipControlParameters) -> None:
-        self.configure(parameters)
+        self._parameters = parameters
         self.start()
 
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other parameters; what was learned since the start stays."""
         self._parameters = parameters
+        if not (self._held or self.slips):
+            self.start()
 
     def start(self) -> None:
         """Begin with another grasp: nothing is known of its friction."""
@@ -153,10 +157,13 @@ class GripMargin:
             still: Whether the object and the arm have been at rest for a while.
         """
         if self._slip_us is not None:
-            if stamp_us <= self._slip_us + PEAK_US:
+            if stamp_us < self._slip_us - LATEST_US:
+                self._slip_us = None  # the clock started anew
+            elif stamp_us <= self._slip_us + PEAK_US:
                 self._peak = max(self._peak, pull)
                 return
-            self._measure()
+            else:
+                self._measure()
         before, self._stamp_us = self._stamp_us, stamp_us
         if not still:
             return
@@ -167,8 +174,10 @@ class GripMargin:
         self.normal += share * (normal - self.normal)
         self.pull += share * (pull - self.pull)
         self._rest_s += seconds
-        if self.normal < LEAST_NORMAL and self._held:
-            self.start()  # released: the next object is another one
+        if self.normal < LEAST_NORMAL:
+            if self._held or self.slips:
+                self.start()  # released: the next object is another one
+            self._rest_s = self._ratio = 0.0
         if self.known and self._rest_s > SETTLE_S:
             now = self.pull / self.normal
             share = 1.0 - math.exp(-seconds / HELD_S)
@@ -236,11 +245,16 @@ class GripperGoal:
         self._grip = grip
         self.configure(parameters)
         self._sent_us: int | None = None
-        self._goal = 0.0
+        self.start()
 
     def configure(self, parameters: SlipControlParameters) -> None:
         """Use other parameters from now on."""
         self._parameters = parameters
+
+    def start(self) -> None:
+        """Begin with another grasp."""
+        self._goal = 0.0
+        self._slipped = False
 
     def update(
         self, stamp_us: int, force_n: float | None, *, slipping: bool, trusted: bool
@@ -250,20 +264,23 @@ class GripperGoal:
         Args:
             stamp_us: Camera clock [us].
             force_n: Normal force [N]; None before the first.
-            slipping: Whether the object slips.
+            slipping: Whether the object slips; a slip between two turns asks as well.
             trusted: Whether the force can be trusted: else a speed is zero and a force stays.
         """
         p, period_s = self._parameters, 1.0 / self._parameters.gripper_rate
+        self._slipped |= slipping
         if self._sent_us is not None and 0 <= stamp_us - self._sent_us < 1e6 * period_s - 1.0:
             return None
         by_speed = p.gripper == 'speed'
         if not trusted or force_n is None or not self._grip.normal > LEAST_NORMAL:
-            self._goal = 0.0 if trusted else self._goal
+            if trusted:
+                self.start()
             self._sent_us = stamp_us
             return 0.0 if by_speed else None
         self._sent_us = stamp_us
-        wanted = p.max_grip_force if slipping else self._grip.wanted(self._grip.normal)
-        self._goal = max(self._goal, min(wanted, p.max_grip_force))
+        wanted = p.max_grip_force if self._slipped else self._grip.wanted(self._grip.normal)
+        self._slipped = False
+        self._goal = min(max(self._goal, wanted), p.max_grip_force)
         if not by_speed:
             return self._goal
         missing = self._goal - force_n

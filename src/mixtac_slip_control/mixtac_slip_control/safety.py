@@ -108,6 +108,7 @@ class SafetyWatch:
 
     Attributes:
         force: Latest normal force [N], None before the first.
+        upper: Upper bound of it, which is held below `max_force` [N]; the force itself unless set.
         joints: Latest joint positions [rad], None before the first.
     """
 
@@ -119,6 +120,7 @@ class SafetyWatch:
         self._parameters = parameters
         self._check_state = check_state
         self.force: float | None = None
+        self.upper: float | None = None
         self.joints: tuple[float, ...] | None = None
         self._arrived: dict[str, float] = {}
         self._wrong: dict[str, str] = {}
@@ -139,7 +141,7 @@ class SafetyWatch:
         self._saturated = self._saturated + 1 if full else 0
         self._lost = 0 if window.complete else self._lost + 1
         self._unguided = 0 if window.guided else self._unguided + 1
-        self._light = max(self._light + (1 if window.light else -1), 0)
+        self._light = min(max(self._light + (1 if window.light else -1), 0), LIGHT_WINDOWS)
         self._arrived[EVENTS] = now_s
 
     def on_frame(self, stamp_us: int, contrast: float, now_s: float) -> None:
@@ -149,16 +151,20 @@ class SafetyWatch:
         self._frame_us, self._contrast = stamp_us, contrast
         self._arrived[FRAMES] = now_s
 
-    def on_force(self, force_n: float, stamp_us: int, now_s: float) -> bool:
-        """Record a force [N] with its stamp, camera clock [us]; return whether it is a new one."""
-        if not math.isfinite(force_n):
-            self._wrong[FORCE] = f'force is {force_n}'
+    def on_force(self, force_n: float, stamp_us: int, now_s: float, deviation: float = 0.0) -> bool:
+        """Record a force, its stamp on the camera clock [us] and its standard deviation [N].
+
+        Returns:
+            Whether it is a new one.
+        """
+        if not math.isfinite(force_n + deviation):
+            self._wrong[FORCE] = f'force is {force_n} N with a deviation of {deviation} N'
             return False
         if self._force_stamp_us is not None and stamp_us == self._force_stamp_us:
             return False  # a repeated message shows no new measurement
         self._wrong.pop(FORCE, None)
         self._force_stamp_us = stamp_us
-        self.force = force_n
+        self.force = self.upper = force_n
         age = self.age(FORCE, now_s)
         self._arrived[FORCE] = now_s
         keep = math.exp(-max(age, 0.0) / self._parameters.contact_loss_time)
@@ -238,8 +244,8 @@ class SafetyWatch:
                 f'contact lost: the mean force of {self._mean_force:.2f} N is below min_force '
                 f'{p.min_force:.2f} N'
             )
-        if self.force is not None and self.force > p.max_force:
-            return f'force {self.force:.2f} N is above max_force {p.max_force:.2f} N'
+        if self.upper is not None and self.upper > p.max_force:
+            return f'force {self.upper:.2f} N is above max_force {p.max_force:.2f} N'
         return None
 
     def _unseen(self) -> str | None:

@@ -419,6 +419,7 @@ class SlipControlNode(BaseNode, Node):  # type: ignore[misc]
 
     def _on_tare(self, _request: Trigger.Request) -> str:
         self._controller.tare()
+        self._gripper.start()
         seconds = self._settings.learning_time
         return f'learning the background: keep the contact still for {seconds:g} s'
 

@@ -216,7 +216,7 @@ def test_each_fault_stops_for_good(reason: str) -> None:
     assert step.state == InterlockState.STOPPED
     assert rig.controller.plan(rig.now) is None
     assert len(rig.planner.targets) == targets
-    for _ in range(40):
+    for _ in range(240):
         rig.step()
     with pytest.raises(SlipControlError):
         rig.controller.enable(rig.now)
@@ -242,6 +242,71 @@ def test_a_force_that_is_not_valid_stops_and_cannot_be_enabled_on() -> None:
     rig.controller.on_quality('', rig.now)
     rig.controller.enable(rig.now)
     assert rig.controller.enabled
+
+
+@pytest.mark.parametrize('deviation', [math.inf, math.nan])
+def test_a_deviation_that_is_no_number_stops_and_leaves_the_bounds_alone(deviation: float) -> None:
+    rig = Rig().enabled()
+    before = rig.controller.advance_limit
+    rig.controller.on_force(0.5, 1000 * rig.ms + 1, rig.now, deviation=deviation)
+    assert rig.controller.interlock.state is InterlockState.STOPPED
+    rig.step()
+    rig.controller.reset(rig.now)
+    rig.controller.enable(rig.now)
+    rig.step()
+    assert rig.controller.advance_limit == pytest.approx(before, rel=0.1)
+    rig.controller.on_force(3.0, 1000 * rig.ms + 1, rig.now, deviation=0.05)
+    assert 'above max_force' in rig.controller.interlock.reason
+
+
+def test_a_force_that_is_not_valid_teaches_nothing() -> None:
+    rig = Rig()
+    rig.pull = 0.2
+    for _ in range(1000):
+        rig.step()
+    before = rig.controller.grip.wanted(0.0)
+    rig.controller.on_quality('stale', rig.now)
+    rig.force, rig.pull = 0.1, 0.3
+    for _ in range(300):
+        rig.step()
+    assert rig.controller.grip.wanted(0.0) == before
+    assert rig.controller.grip.normal == pytest.approx(0.5)
+
+
+def test_changed_wishes_reach_the_grip() -> None:
+    rig = Rig()
+    rig.pull = 0.3
+    for _ in range(1000):
+        rig.step()
+    before = rig.controller.grip.wanted(0.0)
+    rig.controller.configure(chosen(grip_margin=2.0, max_grip_force=5.0, max_force=6.0))
+    assert rig.controller.grip.wanted(0.0) == pytest.approx(before * 2.0 / 1.3)
+
+
+def test_it_waits_a_moment_after_a_slip_before_it_is_enabled() -> None:
+    rig = Rig().learned()
+    assert rig.step(800).slipping
+    for _ in range(100):
+        rig.step()
+    with pytest.raises(SlipControlError):
+        rig.controller.enable(rig.now)
+    for _ in range(150):
+        rig.step()
+    rig.controller.enable(rig.now)
+    assert rig.controller.enabled
+
+
+def test_a_slip_before_the_clock_started_anew_holds_nothing_up() -> None:
+    rig = Rig()
+    rig.ms = 10_000
+    rig.learned()
+    assert rig.step(800).slipping
+    rig.ms = 0
+    rig.force, rig.pull = 0.9, 0.5
+    for _ in range(1000):
+        rig.step()
+    assert rig.controller.grip.normal == pytest.approx(0.9, abs=0.01)
+    assert rig.controller.reason(rig.now) == ''
 
 
 def test_a_stop_is_not_reset_while_its_cause_lasts() -> None:

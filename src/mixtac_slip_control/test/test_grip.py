@@ -165,6 +165,49 @@ def test_a_release_forgets_the_object():
     assert grip.friction[0] == pytest.approx(0.65)
 
 
+def test_a_release_forgets_an_object_that_slipped_at_once():
+    grip = GripMargin(PARAMETERS)
+    now_us = slip(grip, 0.5, 0.9, hold(grip, 0.5, 0.3, seconds=0.3))
+    now_us = hold(grip, 0.5, 0.3, seconds=0.01, start_us=now_us)
+    assert grip.slips == 1
+    hold(grip, 0.0, 0.0, start_us=now_us)
+    assert grip.slips == 0
+    assert grip.friction[0] == pytest.approx(0.65)
+
+
+def test_time_without_a_contact_is_no_time_at_rest():
+    random, grip, now_us = np.random.default_rng(0), GripMargin(PARAMETERS), 0
+    for normal, pull, seconds in ((0.0, 0.0, 2.0), (0.5, 0.15, 0.5), (0.5, 0.24, 1.5)):
+        end_us = now_us + round(1e6 * seconds)
+        for stamp_us in range(now_us, end_us, STEP_US):
+            noise, across = random.normal(0.0, 0.01), random.normal(0.0, 0.02, 2)
+            grip.on_force(
+                normal + noise, np.hypot(pull + across[0], across[1]), stamp_us, still=True
+            )
+        now_us = end_us
+    same = GripMargin(PARAMETERS)
+    hold(same, 0.5, 0.24)
+    assert grip.wanted(0.0) == pytest.approx(same.wanted(0.0), rel=0.03)
+
+
+def test_a_slip_before_the_clock_started_anew_is_left():
+    grip = GripMargin(PARAMETERS)
+    grip.on_slip(hold(grip, 0.5, 0.3, start_us=10_000_000))
+    hold(grip, 0.8, 0.3)
+    assert grip.slips == 0
+    assert grip.normal == pytest.approx(0.8, abs=0.01)
+
+
+def test_another_guess_counts_until_something_is_known():
+    grip = GripMargin(PARAMETERS)
+    grip.configure(replace(PARAMETERS, friction=0.4))
+    assert grip.friction[0] == pytest.approx(0.4)
+    hold(grip, 0.5, 0.3)
+    known = grip.measured_friction
+    grip.configure(replace(PARAMETERS, friction=0.9))
+    assert grip.measured_friction == known
+
+
 def test_clocks_that_jump_do_not_move_the_mean_at_once():
     grip = GripMargin(PARAMETERS)
     hold(grip, 0.5, 0.2)
@@ -193,6 +236,33 @@ def test_a_gripper_is_asked_for_the_force_of_the_margin_at_its_rate():
     assert asked[-1] == pytest.approx(grip.wanted(0.5))
     assert 0.5 < asked[-1] < 1.0
     assert goals(grip, 0.5, slipping=True)[-1] == SlipControlParameters().max_grip_force
+
+
+def test_a_slip_between_two_turns_of_a_gripper_is_answered():
+    grip = GripMargin(PARAMETERS)
+    hold(grip, 0.5, 0.3)
+    parameters = SlipControlParameters(gripper='force', gripper_rate=20.0)
+    for begin in range(0, 50, 7):
+        goal = GripperGoal(parameters, grip)
+        asked = [
+            goal.update(1000 * k, 0.5, slipping=begin < k <= begin + 10, trusted=True)
+            for k in range(200)
+        ]
+        assert max(each for each in asked if each is not None) == parameters.max_grip_force
+
+
+def test_a_gripper_heeds_a_lower_limit_and_another_grasp():
+    grip = GripMargin(PARAMETERS)
+    hold(grip, 0.5, 0.3)
+    parameters = SlipControlParameters(gripper='force', gripper_rate=20.0)
+    goal = GripperGoal(parameters, grip)
+    high = goal.update(0, 0.5, slipping=True, trusted=True)
+    assert goal.update(100_000, 0.5, slipping=False, trusted=True) == high
+    goal.configure(replace(parameters, max_grip_force=0.4))
+    assert goal.update(200_000, 0.5, slipping=False, trusted=True) == 0.4
+    goal.configure(parameters)
+    goal.start()
+    assert goal.update(300_000, 0.5, slipping=False, trusted=True) < high
 
 
 def test_a_late_gripper_closes_without_swinging():

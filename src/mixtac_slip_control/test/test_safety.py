@@ -75,6 +75,16 @@ def test_an_input_never_heard_of_stops(name: str) -> None:
     assert watch.fault(NOW) == f'no {name} so far'
 
 
+def test_light_that_lasted_for_long_is_over_when_it_is_over() -> None:
+    watch = heard()
+    for _ in range(20 * LIGHT_WINDOWS):
+        watch.on_window(window(0, light=True), NOW)
+    assert 'light' in str(watch.fault(NOW))
+    for _ in range(LIGHT_WINDOWS):
+        watch.on_window(window(0), NOW)
+    assert watch.fault(NOW) is None
+
+
 def test_a_force_that_is_valid_again_may_be_followed() -> None:
     watch = heard()
     watch.on_quality('stale')

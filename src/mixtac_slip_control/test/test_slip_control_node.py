@@ -221,7 +221,7 @@ def test_slip_moves_the_arm_when_enabled_and_a_fault_stops_it(node_under_test: A
     peer.send_frame()
     peer.graph.spin_until(lambda: any(s.flow > 0.0 for s in peer.send(quiet(20))))
 
-    disabled = peer.send([30, 600, *quiet(50)])
+    disabled = peer.send([30, 600, *quiet(250)])
     assert any(s.slipping and s.count_slipping and s.count == 600 for s in disabled)
     assert all(s.advance == 0.0 for s in disabled)
     assert peer.trajectories == []

@@ -141,6 +141,8 @@ class FollowingWatch:
             stamp_s: Its time [s].
             now_s: When the message arrived [s].
         """
+        if stamp_s < self._commanded_s - 1.0:
+            self._moved_s = -math.inf  # the clock started anew
         self._ages = [*self._ages[1 - 2 * FEWEST :], now_s - stamp_s]
         before = self._commanded
         if before is not None and np.abs(q - before).max() > REST_RAD:
