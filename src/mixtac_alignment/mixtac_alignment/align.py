@@ -44,6 +44,7 @@ class Recording:
         force: Its normal force [N], of either sign.
         edges_us: Edges at the camera's synchronisation input, camera clock [us].
         reference_edges_s: The same edges on the reference clock [s].
+        all_edges: Whether no edge came before these.
         damage: What is missing because the bag is incomplete; empty for a sound one.
     """
 
@@ -55,6 +56,7 @@ class Recording:
     edges_us: NDArray[np.int64]
     reference_edges_s: Floats
     damage: str = ''
+    all_edges: bool = True
 
 
 def align(
@@ -85,7 +87,8 @@ def align(
         AlignmentError: No trustworthy map.
     """
     if method == 'edges':
-        return fit_edges(recording.edges_us, recording.reference_edges_s), None
+        edges = recording.edges_us, recording.reference_edges_s
+        return fit_edges(*edges, complete=recording.all_edges), None
     counts, events, frames = recording.counts, recording.events, recording.frames
     force = (recording.force_t_s, recording.force)
     fit = partial(fit_counts, counts, *force, parameters, use_all=use_all, max_gap_s=max_gap_s)
@@ -116,17 +119,24 @@ EDGE_STD_S: Final = 2e-6
 TOLERANCE_S: Final = 2e-3
 """Edges further apart than this, and the drift, are not the same."""
 RIVAL: Final = 0.9
+"""Share of the most edges that meet from which on another way to meet is a rival."""
+TRIED, NEIGHBOURS = 20, 8
+"""Edges, spread over the recording, for which a partner is looked for; edges before and after each
+by which the likeliest partners, as many, are found: trying all pairs takes minutes."""
 
 
 def fit_edges(
     camera_us: NDArray[np.int64],
     reference_s: NDArray[np.float64],
+    *,
+    complete: bool = True,
 ) -> ClockFit:
     """Fit the clock map to edges by least squares.
 
     Args:
         camera_us: Edges at the camera's synchronisation input, camera clock [us], ``int64``.
         reference_s: The same edges on the reference clock [s], ``float64``.
+        complete: No edge came before these: as many on both sides are the same ones.
 
     Raises:
         NoImpulseError: Fewer than two edges in one recording, or none that meet.
@@ -143,15 +153,15 @@ def fit_edges(
     camera, reference = np.sort(camera_us), np.sort(reference_s)
     x = (camera - camera[0]).astype(np.float64) * 1e-6
     y = reference - reference[0]
-    pairs = _best_pairs(x, y)
+    whole = _pairs(x, y, 0, 0) if complete and len(x) == len(y) else []
+    pairs = whole if whole and len(whole) == len(x) else _best_pairs(x, y)
     anchors = [Anchor(int(camera[i]), float(reference[j]), EDGE_STD_S) for i, j in pairs]
     return fit_clock(anchors, method='hardware_edges')
 
 
 def _best_pairs(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[tuple[int, int]]:
-    if len(x) == len(y) and len(_pairs(x, y, 0, 0)) == len(x):
-        return _pairs(x, y, 0, 0)
-    found = [_pairs(x, y, i, j) for i in range(len(x)) for j in range(len(y))]
+    tried = np.unique(np.linspace(0, len(x) - 1, TRIED).astype(np.int64))
+    found = [_pairs(x, y, i, j) for i in tried.tolist() for j in _likely(x, y, i)]
     best = max(found, key=len)
     if len(best) < 2:
         raise NoImpulseError('no two edges have the same time between them in both recordings')
@@ -162,6 +172,16 @@ def _best_pairs(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[tuple[in
                 'start both recordings before the first edge'
             )
     return best
+
+
+def _likely(x: NDArray[np.float64], y: NDArray[np.float64], i: int) -> list[int]:
+    """Return the edges of y that are most likely edge i of x, by the edges around it."""
+    around = x[max(i - NEIGHBOURS, 0) : i + NEIGHBOURS + 1] - x[i]
+    expected = y[:, None] + around
+    after = np.clip(np.searchsorted(y, expected), 1, len(y) - 1)
+    distance = np.minimum(np.abs(y[after] - expected), np.abs(expected - y[after - 1]))
+    meets = (distance <= TOLERANCE_S + MAX_DRIFT * np.abs(around)).sum(axis=1)
+    return np.argsort(-meets, kind='stable')[:TRIED].tolist()  # type: ignore[no-any-return]
 
 
 def _pairs(x: NDArray[np.float64], y: NDArray[np.float64], i: int, j: int) -> list[tuple[int, int]]:

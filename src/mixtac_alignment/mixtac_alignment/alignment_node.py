@@ -39,6 +39,7 @@ from mixtac_node.images import ImageConversionError, grey
 from mixtac_node.stamps import stamp_to_ns, stamp_to_us, us_to_stamp
 
 MOST_EDGES = 10_000
+"""Edges of each clock that are kept, at most."""
 WAITING = 32
 """Frames, or exposures, that wait for each other."""
 RESTART_NS = 1_000_000_000
@@ -59,9 +60,11 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
         self._history = EventHistory(p.history)
         self._force = ForceHistory(p.history, round(p.history * p.reference_rate))
         self._frames = FrameHistory(p.history)
-        self._camera_edges: deque[int] = deque(maxlen=MOST_EDGES)
-        self._reference_edges: deque[float] = deque(maxlen=MOST_EDGES)
+        self._camera_edges: deque[int] = deque()
+        self._reference_edges: deque[int] = deque()
+        self._all_edges = True
         self._fit: ClockFit | None = None
+        self._restarts = 0
         self._packets = SequenceCounter()
         self._halves, self._newest_ns, self._paired = 0, 0, 0
         self._undecodable = 0
@@ -107,7 +110,7 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
     def _on_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
         self._force.push(stamp_to_ns(message.header.stamp), (force.x, force.y, force.z))
-        if self._fit is None:
+        if self._fit is None or self._stale:
             return
         time_us = int(self._fit.to_camera(stamp_to_ns(message.header.stamp) / 1e9))
         if 0 <= 1000 * time_us < MAX_TIME_BASE:
@@ -138,10 +141,21 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             self._frames.push(start_us, end_us, values)
 
     def _on_edge(self, message: ExternalEdge) -> None:
-        self._camera_edges.append(stamp_to_us(message.header.stamp))
+        self._keep_edge(self._camera_edges, stamp_to_ns(message.header.stamp))
 
     def _on_reference_edge(self, message: TimeReference) -> None:
-        self._reference_edges.append(stamp_to_ns(message.time_ref) / 1e9)
+        self._keep_edge(self._reference_edges, stamp_to_ns(message.time_ref))
+
+    def _keep_edge(self, edges: deque[int], stamp_ns: int) -> None:
+        """Keep an edge as long as everything else; forget all where its clock has restarted."""
+        if edges and stamp_ns < edges[-1] - RESTART_NS:
+            self._camera_edges.clear()
+            self._reference_edges.clear()
+            self._all_edges = False
+        edges.append(stamp_ns)
+        while len(edges) > MOST_EDGES or edges[0] < stamp_ns - 1e9 * self._settings.history:
+            edges.popleft()
+            self._all_edges = False
 
     def _on_fit(self, _request: Trigger.Request) -> str:
         p = self._settings
@@ -152,15 +166,22 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             frames=self._frames.snapshot() if p.use_frames else None,
             force_t_s=t_s,
             force=force,
-            edges_us=np.array(self._camera_edges, np.int64),
-            reference_edges_s=np.array(self._reference_edges),
+            edges_us=np.array(self._camera_edges, np.int64) // 1000,
+            reference_edges_s=np.array(self._reference_edges, np.float64) / 1e9,
+            all_edges=self._all_edges,
         )
         method: Method = 'edges' if p.use_edges else 'refined'
         self._fit = align(recording, p, method=method, use_all=p.use_all)[0]
+        self._restarts = self._rate.restarts + self._force.restarts
         message = ClockFitMessage(**self._fit.to_fields())
         message.header.stamp = self.get_clock().now().to_msg()
         self._publisher.publish(message)
         return self._fit.summary()
+
+    @property
+    def _stale(self) -> bool:
+        """Whether a clock has restarted since the fit."""
+        return self._rate.restarts + self._force.restarts > self._restarts
 
     def _unmatched(self) -> int:
         waiting = sum(len(queue) for queue in self._pairs.queues)
@@ -184,8 +205,10 @@ class AlignmentNode(BaseNode, Node):  # type: ignore[misc]
             'drift [ppm]': self._fit.drift_ppm,
             'residual rms [s]': self._fit.residual_rms_s,
         }
-        stale = self._rate.restarts + self._force.restarts > 0
-        return Status(WARN if stale else OK, self._fit.summary(), values)
+        if self._stale:
+            text = 'a clock has restarted since the clock fit: tap twice, then call ~/fit'
+            return Status(WARN, text, values)
+        return Status(OK, self._fit.summary(), values)
 
 
 main = partial(run, AlignmentNode)

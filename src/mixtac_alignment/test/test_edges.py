@@ -44,6 +44,23 @@ def test_even_edges_with_one_missing_are_ambiguous() -> None:
         fit_edges(camera, np.arange(19) * 0.5)
 
 
+def test_as_many_even_edges_are_the_same_ones_only_if_none_came_before() -> None:
+    camera = (np.arange(20) * 500_000).astype(np.int64)
+    shifted = np.arange(20) * 0.5 - 0.5
+    assert fit_edges(camera, shifted).to_reference(0) == pytest.approx(-0.5)
+    with pytest.raises(AmbiguousImpulsesError):
+        fit_edges(camera, shifted, complete=False)
+
+
+def test_many_edges_are_matched() -> None:
+    rng = np.random.default_rng(4)
+    camera = np.cumsum(rng.integers(100_000, 900_000, 1000)).astype(np.int64)
+    reference = np.delete(7.0 + (1.0 + 3e-5) * camera * 1e-6, rng.integers(0, 1000, 60))
+    fit = fit_edges(camera[40:], reference[:-25])
+    assert np.abs(fit.to_reference(camera) - 7.0 - (1.0 + 3e-5) * camera * 1e-6).max() < 2e-6
+    assert len(fit.anchors) > 850
+
+
 def test_edges_that_make_no_map_are_refused() -> None:
     camera = np.array([0, 1_000_000, 2_500_000], np.int64)
     with pytest.raises(NoImpulseError):

@@ -399,6 +399,8 @@ class Davis346:
             if decoder.waiting:
                 yield from decoder.push(b'')
             decoder.skip(transfer.gap)
+            if transfer.gap.resets:
+                self._due_us = 0
         yield from decoder.push(
             transfer.data, short_packet=transfer.short_packet, until_us=self._due_us
         )

@@ -288,7 +288,8 @@ def hot_pixels(
         duration_s: Time over which they were counted [s].
         minimum_rate_hz: Lowest event rate of a hot pixel [1/s].
         factor: A hot pixel has at least this many times the events of the fourth noisiest pixel
-            around it.
+            around it. At the border of the array, the mirrored neighbours count as well: a line of
+            a scene that ends there would be hot otherwise, and hot neighbours hide each other.
     """
     # Slow to import, and the driver starts without it.
     from scipy.ndimage import rank_filter

@@ -99,6 +99,9 @@ def _decode_words(  # noqa: C901, PLR0912  (one branch per kind of word)
             high = (state[_HIGH] & ~np.int64(_ROLL_OVER - 1)) | value << 12
             if state[_HIGH] - high > _BACK:
                 high += _ROLL_OVER
+            if high != state[_HIGH]:
+                # The lower half is not known yet: the time is this, or later.
+                state[_LOW] = 0
             state[_HIGH] = high
             state[_KNOWN] |= 1
         elif kind == _TIME_LOW:

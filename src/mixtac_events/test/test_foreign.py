@@ -90,6 +90,14 @@ def test_times_roll_over_and_packets_may_be_cut_anywhere(steps, early):
     assert found == times
 
 
+def test_a_packet_cut_within_a_time_announces_no_more_than_it_knows():
+    decoder = StreamDecoder()
+    first = words((TIME_HIGH, 1), (TIME_LOW, 4000), (EVENT, 1), (TIME_HIGH, 2))
+    assert decoder.decode(message(first)).complete_until == 2 << 12
+    found = decoder.decode(message(words((TIME_LOW, 5), (EVENT, 2))))
+    assert rows(found) == [(2 << 12 | 5, 2, 0, False)]
+
+
 def test_a_time_that_goes_back_a_little_is_no_roll_over():
     payload = words(
         (TIME_HIGH, 20), (TIME_LOW, 0), (EVENT, 1), (TIME_HIGH, 19), (TIME_LOW, 5), (EVENT, 2)

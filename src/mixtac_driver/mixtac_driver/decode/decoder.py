@@ -110,23 +110,25 @@ class StreamDecoder:
         self._busy = True
         words = self._words(data, short_packet=short_packet)
         i, n, reason = 0, self._held, FULL
-        self.waiting = False
-        while reason != DONE:
-            frames: tuple[Frame, ...] = ()
-            i, n, reason = decode_words(words, i, n, self._buffers)
-            while reason == FRAME:
-                frames += (self._frame(),)
+        self._held, self.waiting = 0, False
+        try:
+            while reason != DONE:
+                frames: tuple[Frame, ...] = ()
                 i, n, reason = decode_words(words, i, n, self._buffers)
-            if reason == DONE and not frames and self.time_us < until_us:
-                self.waiting = True
-                break
-            yield self._batch(n, frames, 'time_before_reset' if reason == RESET else 'time')
-            if reason == RESET:
-                self._resets += 1
-                until_us = 0
-            n = 0
-        self._held = n
-        self._busy = False
+                while reason == FRAME:
+                    frames += (self._frame(),)
+                    i, n, reason = decode_words(words, i, n, self._buffers)
+                if reason == DONE and not frames and self.time_us < until_us:
+                    self._held, self.waiting = n, True
+                    break
+                yield self._batch(n, frames, 'time_before_reset' if reason == RESET else 'time')
+                if reason == RESET:
+                    self._resets += 1
+                    until_us = 0
+                n = 0
+        finally:
+            # Also where the batches are not all taken: what is left of them is dropped.
+            self._busy = False
 
     def skip(self, gap: Gap) -> None:
         """Continue after bytes that were lost before they could be pushed.

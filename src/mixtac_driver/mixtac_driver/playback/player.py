@@ -156,6 +156,13 @@ class Timeline:
         return events[late:]
 
 
+def _latest_us(decoded: DecodedBatch) -> int:
+    """Return the latest time of a batch [us]: frames and samples may outlast the events."""
+    times = [frame.exposure_end_us for frame in decoded.frames]
+    times += [int(each.t[-1]) for each in (decoded.imu, decoded.edges) if len(each.t)]
+    return max(decoded.time_us, min(max(times, default=0), decoded.time_us + MOST_AHEAD_US))
+
+
 LATE_S = 0.01
 LONGEST_WAIT_S = 3600.0
 
@@ -453,5 +460,9 @@ class Player:
         arrival_ns = self._now_ns()
         if self._pace.rate == 1:
             self.clock.add(decoded.time_us, arrival_ns)
-        self.latest_us = decoded.time_us + shift_us
+        elif self.clock.ready:
+            # At another rate the clocks have no map.
+            self.clock.restart()
+        latest_us = _latest_us(decoded) + shift_us
+        self.latest_us = latest_us if self.latest_us is None else max(self.latest_us, latest_us)
         return CameraBatch(decoded, self.origin, arrival_ns)

@@ -148,6 +148,8 @@ def test_next_transfer_is_refused_while_batches_wait():
     next(batches)
     with pytest.raises(DriverError):
         next(decoder.push(b''))
+    batches.close()
+    assert next(decoder.push(b''))
 
 
 @SETTINGS

@@ -171,6 +171,29 @@ def test_receipt_that_drifts_away_from_the_camera_clock(tmp_path):
     assert_equal(play(source).events, Events.concatenate(parts[30:]))
 
 
+def test_frames_that_outlast_the_events_are_in_time_when_it_loops(tmp_path):
+    with Bag(tmp_path / 'bag') as long:
+        long.events(EVENTS)
+        for t_us in range(START_US, START_US + 9 * LENGTH_US, 10_000):
+            long.image(np.zeros((260, 346), np.uint16), t_us)
+    source = source_of(tmp_path / 'bag', playback_loop=True)
+    played = play(source, batches=300)
+    assert len(played.frames) > 2 * 45
+    assert (np.diff(played.frame_times) > 0).all()
+
+
+def test_at_another_rate_there_is_no_clock_map(bag):
+    source = source_of(bag, playback_rate=1.0, playback_loop=True)
+    source.start()
+    batches = source.batches()
+    next(each for each in batches if source.status().clock.ready)
+    source.apply(DriverParameters(playback_rate=4.0, playback_loop=True))
+    next(batches)
+    next(batches)
+    assert not source.status().clock.ready
+    source.close()
+
+
 def test_a_start_beyond_the_end_is_an_error_also_when_looping(bag):
     for loop in (False, True):
         source = source_of(bag, playback_start=60.0, playback_loop=loop)
