@@ -16,7 +16,6 @@ found from what they said between two frames.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, runtime_checkable
@@ -175,12 +174,13 @@ class FlowCarrier:
         self._sum = np.zeros((*shape, 2))
         self._past: deque[tuple[int, NDArray[np.float64]]] = deque(maxlen=HISTORY)
         self._frame: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
-        self._both, self._own = THRESHOLD * THRESHOLD_WEIGHT, THRESHOLD_WEIGHT
+        self._both = self._own = 0.0
 
     @property
     def threshold(self) -> float:
         """Size of a contrast threshold, by frames and events so far [log units]."""
-        return min(max(self._both / self._own, 0.1), 0.6)
+        told = (self._both + THRESHOLD * THRESHOLD_WEIGHT) / (self._own + THRESHOLD_WEIGHT)
+        return min(max(told, 0.1), 0.6)
 
     def window(self, end_us: int, flow: F32) -> None:
         """Add the flow of a window, float32 [rows, columns, 2] [px per threshold]."""
@@ -241,7 +241,7 @@ class ContactTracker:
         self.settings, self._finder = settings, finder
         finder.find_contacts(settings.scale)
         self.touch: Touch | None = None
-        self.frame_us, self._dent = 0, math.inf
+        self.frame_us, self._dent = 0, 0.0
         self.clear()
 
     def frame(self, mid_us: int, touch: Touch) -> None:
@@ -299,7 +299,8 @@ class ContactTracker:
         self._force_n: float = 0.0
         self._rest_n = self._low_n = 0.0
         self._above = 0
-        self._dent = math.inf
+        # The first frame may show a contact: it is not what is usual.
+        self._dent = 0.0
         self._recent: deque[tuple[int, float]] = deque(maxlen=SLOPE_WINDOWS + 1)
 
     def _switch(self, end_us: int, force: float) -> None:

@@ -330,6 +330,11 @@ class FgerEstimator:
         return self.config.window_us
 
     @property
+    def force_unit(self) -> float:
+        """Force of what was one newton in the training [N]; see `FgerConfig`."""
+        return self.config.force_unit
+
+    @property
     def hot_events(self) -> int:
         """Events of hot pixels, which are ignored, so far."""
         return self._window_features.ignored
@@ -426,6 +431,10 @@ class FgerEstimator:
         if self._shear is not None:
             self._shear.clear()
             self._shear.correct(frame.content.shear, 0)
+
+    def change_sensor(self) -> None:
+        """Forget what was learned of the sensor."""
+        self._path.change_sensor()
 
     def step(self, events: Events, end_us: int) -> tuple[float, float | None]:  # noqa: ARG002
         """Advance by one window; returns force and standard deviation [N]."""

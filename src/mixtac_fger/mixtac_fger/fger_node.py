@@ -124,12 +124,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         self._model, self._estimator, self._misfit = model, estimator, ''
         self._force = self.publish_topic(topics.FORCE, managed=True)
         self._quality = self.publish_topic(topics.FORCE_QUALITY, managed=True)
-        if settings.contact or settings.displacement != 'off':
-            outputs = (topics.CONTACT, topics.CONTACT_POINT)
-            self._contact = tuple(self.publish_topic(each, managed=True) for each in outputs)
-        if settings.displacement != 'off':
-            outputs = (topics.DISPLACEMENT, topics.DISPLACEMENT_POINTS)
-            self._field = tuple(self.publish_topic(each, managed=True) for each in outputs)
+        self._open_outputs()
         self._diagnostics.hardware_id = settings.model
         return super().on_configure(state)
 
@@ -137,6 +132,7 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         """Start estimating."""
         assert self._model is not None  # noqa: S101  (the state machine configures first)
         settings = self._settings
+        self._open_outputs()
         self._estimator = open_estimator(self._model)
         self._trusted = None
         if self._reference is not None and self._estimator.reference is not None:
@@ -155,6 +151,25 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             self.subscribe_topic(frames, self._on_image),
         ]
         return super().on_activate(state)
+
+    def _open_outputs(self) -> None:
+        """Offer contact and displacement where they are wanted, and only there."""
+        field = self._settings.displacement != 'off'
+        contact = self._settings.contact or field
+        if (contact, field) == (bool(self._contact), bool(self._field)):
+            return
+        self._close_outputs()
+        if contact:
+            outputs = (topics.CONTACT, topics.CONTACT_POINT)
+            self._contact = tuple(self.publish_topic(each, managed=True) for each in outputs)
+        if field:
+            outputs = (topics.DISPLACEMENT, topics.DISPLACEMENT_POINTS)
+            self._field = tuple(self.publish_topic(each, managed=True) for each in outputs)
+
+    def _close_outputs(self) -> None:
+        for publisher in (*self._contact, *self._field):
+            self.destroy_publisher(publisher)
+        self._contact = self._field = ()
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop estimating and forget the reference, unless it is stored."""
@@ -188,10 +203,10 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
 
     def _end(self) -> None:
         self.close()
-        for publisher in (self._force, self._quality, *self._contact, *self._field):
+        self._close_outputs()
+        for publisher in (self._force, self._quality):
             if publisher is not None:
                 self.destroy_publisher(publisher)
-        self._contact = self._field = ()
         self._force = self._quality = self._model = self._estimator = None
 
     def _LifecycleNodeMixin__on_change_state(  # noqa: N802 - rclpy's own name for it
@@ -227,6 +242,8 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
             if self._estimator is not None:
                 name = _reference_file(wanted, self._camera.serial)
                 self._reference = stored_reference(name, self._estimator.reference)
+            if self._feed is not None and self._reference is not None:
+                self._feed.estimator.use_reference(self._reference)
         if self._feed is not None:
             estimator = self._feed.estimator
             estimator.force_scale = wanted.force_scale
@@ -247,8 +264,11 @@ class FgerNode(BaseNode, LifecycleNode):  # type: ignore[misc]
         whole = (0, 0, info.width, info.height), (0, 0, 0, 0)
         region = info.roi
         part = (region.x_offset, region.y_offset, region.width, region.height)
+        before = self._lens
         if info.k[0] > 0.0:
             self._lens = float(info.k[0]), (float(info.k[2]), float(info.k[5]))
+        if self._lens != before and self._feed is not None:
+            self._feed.estimator.use_contact(self._settings.contact_settings(*self._lens))
         cut = max(info.binning_x, info.binning_y) > 1 or part not in whole
         self._take(replace(self._camera, width=info.width, height=info.height, cut=cut))
 

@@ -417,6 +417,11 @@ class RecurrentPath:
         """Sum of the fast increments since the exposure of the frame that corrected last [N]."""
         return float(self._state.increments[1] - self._confirmed[1])
 
+    def change_sensor(self) -> None:
+        """Forget the response of the events."""
+        self._response = EventResponse(self._config.force_unit)
+        self._state.response[:2] = self._response.values
+
     def clear(self) -> None:
         """Forget everything but the response of the events: no force, no memory."""
         state = self._state

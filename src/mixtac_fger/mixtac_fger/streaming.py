@@ -205,6 +205,8 @@ class ForceEstimator:
         if estimator.reference is not None:
             estimator.reference.assume_free = assume_free
         self._width_us = estimator.window_us
+        # Of a calibrated model, whose forces are so many times those of the training.
+        self._unit = getattr(estimator, 'force_unit', 1.0)
         self._saturation = SATURATION_PER_US * estimator.window_us
         self._worker = FrameWorker(estimator) if background_frames else None
         self._slicer = WindowSlicer(estimator.window_us)
@@ -300,10 +302,11 @@ class ForceEstimator:
         """
         first_us = int(events.t[0]) if len(events) else complete_until_us
         known = self._time.newest_us is not None
+        restarts = self._time.restarts
         arrival = self._time.push(first_us, complete_until_us, lost_before=lost_before)
         if arrival is Arrival.STARTS and known:
             self._fetch()
-            self._forget()
+            self._forget(hole=self._time.restarts == restarts)
             self._slicer.reset()
             self._since_us = first_us
         closed = self._slicer.push(events, complete_until_us)
@@ -343,7 +346,7 @@ class ForceEstimator:
         reference.renew()
         self._other_camera = False
         self._estimator.clear()
-        self._validity.clear()
+        self._validity = Validity(self._estimator.window_us, self._estimator.width)
         self._release, self._zero = Release(), ZeroWatch()
         self._recent.clear()
 
@@ -379,9 +382,17 @@ class ForceEstimator:
     def change_camera(self) -> None:
         """Forget the zero: another camera was connected."""
         self.reset()
+        self._validity = Validity(self._estimator.window_us, self._estimator.width)
+        # Only some estimators learn what is the sensor's.
+        getattr(self._estimator, 'change_sensor', lambda: None)()
         self._other_camera = True
         if self._estimator.reference is not None:
             self._estimator.reference.assume_free = False
+
+    def use_contact(self, settings: ContactSettings) -> None:
+        """Find contacts by other settings from now on, where they are found at all."""
+        if self.contact is not None:
+            self.contact = contact_tracker(settings, self._estimator)
 
     def _start_over(self) -> None:
         self._forget()
@@ -500,9 +511,10 @@ class ForceEstimator:
         half = EXPOSED_WINDOWS * vibrating
         around = () if lag is None else range(max(lag - half, 0), lag + half + 1)
         known = [self._recent[-1 - each] for each in around if each < len(self._recent)]
-        then = sum(known) / len(known) if known else None
+        then = sum(known) / len(known) / self._unit if known else None
+        force = frame.force / self._unit
         self._validity.frame(
-            frame.mid_us, frame.contrast, picture, frame.force, then, vibrating=vibrating
+            frame.mid_us, frame.contrast, picture, force, then, vibrating=vibrating
         )
         if picture is not None:
             self._release.frame(picture)
@@ -526,7 +538,7 @@ class ForceEstimator:
         reason = self._validity.reason
         if reason is not Reason.TRUSTED:
             return reason
-        if not LOWEST_FORCE <= raw <= HIGHEST_FORCE:
+        if not LOWEST_FORCE <= raw / self._unit <= HIGHEST_FORCE:
             return Reason.OUT_OF_RANGE
         if self._saturated:
             return Reason.SATURATED
@@ -554,7 +566,7 @@ class ForceEstimator:
             # Exposed before events were lost, or compared with a reference that was replaced.
             self._count.frames_dropped += 1
             return
-        if self._frame is None and self._since_us > -NO_LIMIT_US:
+        if self._frame is None:
             self._check(frame, None)
             self._estimator.start_at(frame)
         else:
@@ -570,9 +582,12 @@ class ForceEstimator:
                 self.tare()
                 self._count.tares += 1
 
-    def _forget(self) -> None:
+    def _forget(self, *, hole: bool = False) -> None:
         self._estimator.clear()
-        self._validity.clear()
+        if hole:
+            self._validity.skip()
+        else:
+            self._validity.clear()
         self._recent.clear()
         self._encoded.clear()
         self._frame = None

@@ -107,6 +107,9 @@ LONGEST_COMPARISON = 12
 CLEAR, CLEARER, EVIDENCE = 0.2, 0.7, 0.2
 """Correlation of two frames and the events between them, as both stand out of their noise, from
 which on it counts, and from which on one is clear; sum of its squares at which it is judged."""
+RESTED = 1500
+"""Frames below all that, a minute, after which what did not agree is forgotten: noise that has
+grown disagrees, too, until it has become what is usual."""
 LEAST_AGREEMENT, LEAST_CLEAR_AGREEMENT = 0.15, 0.3
 """Correlation over the expected one. In 681 judgements of 42 trials without a fault (5.5 minutes)
 0.23 and more, of 285 clear ones 0.63. What does not agree is not trusted until it does."""
@@ -225,7 +228,7 @@ class Validity:
         self.clear()
 
     def clear(self) -> None:
-        """Forget the stream: a hole, a restart or another reference. Noise levels are kept."""
+        """Forget the stream: a restart of its clock. Noise levels are kept."""
         self._windows = _Windows()
         self._held.clear()
         self._rate = list(self._rest)
@@ -235,8 +238,16 @@ class Validity:
         self._age = self._untold = self._low = 0
         self._expected = self._alike = 0.0
         self._apart = self._busy = self._vibrating = False
+        self._rested = 0
         self._disagreements: deque[float] = deque(maxlen=DISAGREEING_FRAMES)
         self._frames, self._marks = _Recent(), _Recent()
+
+    def skip(self) -> None:
+        """Go on after a hole in the stream: what is wrong stays wrong until it is right."""
+        self._start_over()
+        self._untold = self._low = 0
+        self._vibrating = False
+        self._disagreements.clear()
 
     @property
     def reason(self) -> Reason:
@@ -358,6 +369,9 @@ class Validity:
 
     def _judge_pair(self, before: F32, contrast: F32, told: F32, chosen: slice) -> set[Reason]:
         """Compare two frames in a row; follows the noise of frames and events at rest."""
+        if Reason.EVENTS_MISSING in self._held:
+            # Silence is no rest: it would become what is usual.
+            return set()
         change, events, correlation, *_ = agreement(before, contrast, told)
         if not self._noise:
             self._noise, self._murmur = change, events
@@ -390,6 +404,8 @@ class Validity:
         expected = math.sqrt(
             _signal_share(change, self._noise) * _signal_share(events, self._murmur)
         )
+        self._rested = 0 if expected >= CLEAR else self._rested + 1
+        self._apart &= self._rested < RESTED
         if not self._busy and expected >= CLEAR:
             self._expected += expected * expected
             self._alike += expected * correlation

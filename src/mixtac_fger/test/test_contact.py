@@ -207,6 +207,24 @@ def test_a_light_force_has_to_show_in_the_picture():
     assert touching(tracker, [0.06], 86_000) == [True]
 
 
+def test_a_light_contact_from_the_start_on_is_seen():
+    tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
+    for start_us in (0, 1_000_000):
+        tracker.frame(start_us + 1000, touch_at(0.0, 0.0))
+        assert touching(tracker, [0.06] * 20, start_us + 2000)[-1]
+        tracker.clear()
+
+
+def test_noise_leaves_the_size_of_a_contrast_threshold_alone():
+    random, carrier = np.random.default_rng(0), FlowCarrier(GRID)
+    before = carrier.threshold
+    free = pressed((0.0, 0.0), strength=0.0, noise=0.001)
+    for index in range(500):
+        carrier.window(4000 * index + 2000, random.normal(0.0, 0.01, (*GRID, 2)))
+        carrier.frame(carrier.until(4000 * (index + 1)), free)
+    assert carrier.threshold == pytest.approx(before, rel=0.1)
+
+
 def test_what_frames_correct_does_not_end_a_young_contact():
     tracker = ContactTracker(ContactSettings(0.03, 0.02, scale=SCALE), Finder())
     corrected = [0.0, 0.2, 0.1, 0.1, *np.linspace(0.09, 0.03, 5), 0.03, 0.035]

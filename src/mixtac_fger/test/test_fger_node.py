@@ -335,8 +335,17 @@ def test_parameters_take_effect_at_once_or_are_refused(estimator, tmp_path):
         ).results
         return '' if result.successful else result.reason
 
+    def field_offered() -> bool:
+        topic = '/mixtac/displacement/points'
+        return bool(estimator.graph.node.get_publishers_info_by_topic(topic))
+
     estimator.transition(Transition.TRANSITION_CONFIGURE)
     estimator.transition(Transition.TRANSITION_ACTIVATE)
+    for displacement in ('off', 'frames'):
+        assert set_to(displacement=displacement) == ''
+        estimator.transition(Transition.TRANSITION_DEACTIVATE)
+        estimator.transition(Transition.TRANSITION_ACTIVATE)
+        estimator.graph.spin_until(lambda on=displacement != 'off': field_offered() == on)
     assert set_to(force_scale=2.0) == ''
     assert set_to(deadline=0.01) == ''
     assert 'clean up' in set_to(model='fger_small')

@@ -15,7 +15,7 @@ from toy_sensor import random_model
 from mixtac_events.arrays import Events
 from mixtac_fger.config import FgerConfig
 from mixtac_fger.estimator import EncodedFrame
-from mixtac_fger.fger_net import FgerEstimator
+from mixtac_fger.fger_net import FgerEstimator, with_gain
 from mixtac_fger.streaming import SATURATION_PER_US, ForceEstimator
 
 if TYPE_CHECKING:
@@ -241,6 +241,38 @@ def test_a_stored_reference_serves_from_the_first_frame(model, trial):
         fresh.append(run(second, START_US, START_US + 10_000))
     assert len(fresh[0]) == 5
     assert fresh[0] == fresh[1]
+
+
+def test_a_contact_at_the_start_is_felt_from_the_first_window_on(model, trial):
+    first = ready(model, trial)
+    second = ForceEstimator(FgerEstimator(model))
+    second.use_reference(first.reference.array)
+    pressed = trial.frames[np.argmax(np.ptp(trial.frames - trial.frames[0], axis=(1, 2)))]
+    second.push_frame(pressed, START_US - 5000)
+    second.push_events(Events.empty(), START_US)
+    (found,) = second.push_events(Events.empty(), START_US + 2000)
+    assert abs(second.frame_force) > 1e-3
+    assert found.force == pytest.approx(second.frame_force, rel=0.2)
+
+
+@pytest.mark.parametrize('gain', [0.25, 4.0])
+def test_a_calibration_changes_the_force_and_not_what_is_said_of_it(
+    model, trial, gain, monkeypatch
+):
+    monkeypatch.setattr('mixtac_fger.streaming.LOWEST_FORCE', -0.01)
+    monkeypatch.setattr('mixtac_fger.streaming.HIGHEST_FORCE', 0.01)
+    before, after = [], []
+    for each, found in ((model, before), (with_gain(model, gain), after)):
+        estimator = ready(each, trial, assume_free=True)
+        for index, image in enumerate(trial.frames):
+            begin = START_US + index * FRAME_US
+            estimator.push_frame(image, begin - 5000)
+            found.extend(run(estimator, begin, begin + FRAME_US))
+    assert [each.reason for each in before] == [each.reason for each in after]
+    assert len({each.reason for each in before}) > 1
+    assert [gain * each.force for each in before] == pytest.approx(
+        [each.force for each in after], rel=1e-3, abs=1e-5
+    )
 
 
 def test_memory_does_not_grow(model, trial):

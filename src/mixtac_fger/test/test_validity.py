@@ -215,6 +215,39 @@ def test_the_same_frame_again_is_frozen_until_frames_differ(trial, encoded, fram
     assert wrong[-1] == pytest.approx(last, abs=2)
 
 
+def rest(validity: Validity, frames: int, start_us: int, *, events: bool = True) -> list[Reason]:
+    """Let noise pass for some frames; return what is said after each."""
+    random, reasons = np.random.default_rng(start_us), []
+    for begin in range(start_us, start_us + frames * INTERVAL_US, INTERVAL_US):
+        for end in range(begin + WINDOW_US, begin + INTERVAL_US + 1, WINDOW_US):
+            told = noise(end - WINDOW_US, end) if events else Events.empty()
+            validity.window(end, told, complete=True)
+        picture = random.normal(0.0, 0.01, (65, 86)).astype(np.float32)
+        validity.frame(begin + INTERVAL_US, picture, None, 0.0, 0.0)
+        reasons.append(validity.reason)
+    return reasons
+
+
+def test_a_sensor_whose_events_stopped_is_not_trusted_until_they_return():
+    validity = Validity(WINDOW_US, WIDTH)
+    assert set(rest(validity, 50, 0)) == {Reason.TRUSTED}
+    silent = rest(validity, 1500, 50 * INTERVAL_US, events=False)
+    assert set(silent[1:]) == {Reason.EVENTS_MISSING}
+    back = rest(validity, 50, 1550 * INTERVAL_US)
+    assert set(back[2 * HOLD_FRAMES :]) == {Reason.TRUSTED}
+
+
+def test_a_hole_in_the_stream_heals_nothing():
+    random, validity = np.random.default_rng(0), Validity(WINDOW_US, WIDTH)
+    picture = random.normal(0.0, 0.1, (65, 86)).astype(np.float32)
+    for k in range(20):
+        validity.frame(INTERVAL_US * (k + 1), picture, None, 0.0, None)
+        validity.skip()
+        assert validity.reason is (Reason.FRAME_FROZEN if k else Reason.TRUSTED)
+    validity.clear()
+    assert validity.reason is Reason.TRUSTED
+
+
 @pytest.mark.parametrize('length', [1, 7])
 def test_frames_that_come_again_and_again_stay_frozen(length):
     random, validity = np.random.default_rng(0), Validity(WINDOW_US, WIDTH)
