@@ -54,6 +54,11 @@ class Latest(Generic[T]):
         self._count = self._taken = 0
         self._at_s = 0.0
 
+    def clear(self) -> None:
+        """Forget the value: another session begins."""
+        with self._changed:
+            self._value, self._taken = None, self._count
+
     def put(self, value: T) -> None:
         """Replace the value and wake those who wait."""
         with self._changed:

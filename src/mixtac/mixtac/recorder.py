@@ -17,6 +17,7 @@ from mixtac_node import topics
 from mixtac_recordings import messages
 from mixtac_recordings.bag import blank_message
 from mixtac_recordings.bag_writer import BagWriter
+from mixtac_recordings.recording import RecordingError
 from mixtac_recordings.stream_writer import StreamWriter
 
 if TYPE_CHECKING:
@@ -96,9 +97,15 @@ class Recorder:
         """Finish the bag.
 
         Raises:
-            RecordingError: It could not be finished.
+            RecordingError: It could not be finished, or messages are missing.
         """
         self._bag.close()
+        if self._bag.failure or self.dropped:
+            raise RecordingError(
+                f'the bag lacks messages, {self.dropped} at least: '
+                f'{self._bag.failure or "the disk is too slow"}',
+                remedy='record to a faster disk with free space',
+            )
 
     def _write_estimate(self, estimate: Estimate, force: float, arrival_ns: int) -> None:
         stamp_ns, frame_id = 1000 * estimate.end_us, topics.CONTACT_FRAME

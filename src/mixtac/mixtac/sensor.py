@@ -8,6 +8,7 @@ estimator with its checks, and the writer of bags.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 from collections import deque
@@ -28,6 +29,7 @@ from mixtac_driver.source import SourceKind, make_source, source_kind
 from mixtac_driver.supervisor import State, Supervisor
 from mixtac_events.arrays import Events
 from mixtac_events.codec import warm_up as warm_up_codec
+from mixtac_events.errors import MixtacError
 from mixtac_events.frames import PICTURE_KERNELS
 from mixtac_fger.estimator import CameraFacts, check_camera, given_force, open_estimator
 from mixtac_fger.parameters import FgerParameters
@@ -149,9 +151,19 @@ class _Run:
 
     def _restart(self) -> None:
         before, self._identity = self._identity, self._source.status().identity
-        if before and self._identity and before.serial != self._identity.serial:
-            with self._lock:
-                self._feed.change_camera()
+        if not before or not self._identity or before.serial == self._identity.serial:
+            return
+        with self._lock:
+            self._feed.change_camera()
+            if self._settings.reference != reference_name(before.serial):
+                return  # one that the user has named
+            name = reference_name(self._identity.serial)
+            self._settings = replace(self._settings, reference=name)
+            # A zero that cannot be read is unknown.
+            with contextlib.suppress(MixtacError):
+                stored = stored_reference(name, self._feed.reference)
+                if stored is not None:
+                    self._feed.use_reference(stored)
 
     def _batch(self, batch: CameraBatch) -> None:
         decoded, origin_us = batch.decoded, batch.origin.us
@@ -283,6 +295,8 @@ class Sensor:
         with self._lock:
             if self._run is not None:
                 raise SensorError('the sensor is open already', remedy='call close() first')
+            for latest in (self.pictures, self._forces):
+                latest.clear()
             try:
                 self._run = self._start()
             except BaseException:

@@ -66,6 +66,17 @@ def test_the_latest_is_returned_again_until_it_is_too_old(latest):
         latest.read_latest(max_age_ms=0)
 
 
+def test_another_session_begins_without_a_value(latest):
+    latest.put(1)
+    latest.clear()
+    with pytest.raises(NoReadingError):
+        latest.read_latest()
+    with pytest.raises(ReadTimeoutError):
+        latest.async_read(10)
+    latest.put(2)
+    assert latest.async_read(10) == 2
+
+
 def test_a_source_that_ends_ends_the_waiting(latest, source):
     timer = threading.Timer(0.05, setattr, [source, 'open', False])
     timer.start()

@@ -35,6 +35,19 @@ def check_namespace(value: str) -> str:
     return value
 
 
+def check_topic(value: str) -> str:
+    """Return the name of a ROS topic, checked.
+
+    Raises:
+        BadParameter: It is empty, too long, or has other characters.
+    """
+    if len(value) > _LONGEST or not _NAMESPACE.fullmatch(value) or not value.strip('/'):
+        raise typer.BadParameter(
+            f'{value[:_LONGEST]!r} is no ROS topic: use letters, digits, _ and /'
+        )
+    return value
+
+
 def one_of(*names: str) -> Callable[[str], str]:
     """Return a callback that takes one of some words only, and returns it in lower case."""
 

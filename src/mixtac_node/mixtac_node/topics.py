@@ -62,7 +62,9 @@ class Topic:
 
     def resolved(self, namespace: str) -> str:
         """Return the absolute name."""
-        return self.name if self.name.startswith('/') else f'/{namespace.strip("/")}/{self.name}'
+        space = namespace.strip('/')
+        name = f'{space}/{self.name}' if space else self.name
+        return self.name if self.name.startswith('/') else f'/{name}'
 
 
 CAMERA_FRAME = 'camera'

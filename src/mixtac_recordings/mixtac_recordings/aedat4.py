@@ -326,8 +326,11 @@ class Aedat4Recording:
         }
         chosen: dict[str, StreamInfo] = {}
         for identifier, name in wanted.items():
-            found = {s.name: s for s in self._file.streams if s.identifier == identifier}
-            kind = _KINDS[identifier]
+            streams = [s for s in self._file.streams if s.identifier == identifier]
+            kind, found = _KINDS[identifier], {s.name: s for s in streams}
+            if len(found) < len(streams):
+                # Of several cameras, as they usually call their streams.
+                found = {f'{s.name} of {s.source}': s for s in streams}
             taken = choose(list(found), name, kind=kind, path=self._path)
             if taken is not None:
                 chosen[identifier] = found[taken]

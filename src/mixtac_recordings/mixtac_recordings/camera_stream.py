@@ -161,13 +161,21 @@ class BagRecording:
                 found.append(topic)
         return found
 
+    def _on_host_clock(self, start_us: int, apart_us: int) -> bool:
+        """Return whether what is beside the events has stamps of the host, not of their clock."""
+        beside = self._images or self._imu
+        if beside is None or abs(apart_us) <= OTHER_CLOCK_US:
+            return False
+        later_us = stamp_to_us(self._first(beside).header.stamp) - start_us
+        return abs(later_us - apart_us) < abs(later_us)
+
     def _inspect(self) -> RecordingInfo:
         first = self._first(self._leader)
         size = self._first_info()
         if self._events:
             start_us = self._piece(self._events, first).start_us
             apart_us = stamp_to_us(first.header.stamp) - start_us
-            self._offset_us = apart_us if abs(apart_us) > OTHER_CLOCK_US else 0
+            self._offset_us = apart_us if self._on_host_clock(start_us, apart_us) else 0
             size = (int(first.width), int(first.height))
             # Times roll over every 17 s: they are known only from the beginning on.
             self._seekable = first.encoding != EVT3

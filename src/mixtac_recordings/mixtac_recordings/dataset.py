@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import fcntl
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -154,12 +157,27 @@ def add_recording(bag: Path, figures: Mapping[str, Any], *, profile: str, split:
         FileError: The file cannot be written.
     """
     path = bag.absolute().parent / FILE_NAME
-    document = read_recordings(path)
-    others = [each for each in document['trials'] if each['name'] != bag.name]
-    entry = {'name': bag.name, 'profile': profile, 'split': split, **figures}
-    document['trials'] = [*others, entry]
-    write_text(path, yaml.safe_dump(document, sort_keys=False))
+    # Another recording may end at the same moment.
+    with _locked(path.parent):
+        document = read_recordings(path)
+        others = [each for each in document['trials'] if each['name'] != bag.name]
+        entry = {'name': bag.name, 'profile': profile, 'split': split, **figures}
+        document['trials'] = [*others, entry]
+        write_text(path, yaml.safe_dump(document, sort_keys=False))
     return path
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Let other processes that change the file of a folder wait."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        # Not every file system of a network has locks.
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def read_recordings(path: Path) -> dict[str, Any]:
@@ -178,6 +196,11 @@ def read_recordings(path: Path) -> dict[str, Any]:
             f'{path} does not describe recordings (schema {RECORDINGS_SCHEMA}, version '
             f'{RECORDINGS_VERSION})',
             remedy='record to another folder',
+        )
+    trials = document.get('trials')
+    if not isinstance(trials, list) or not all(isinstance(t, dict) and 'name' in t for t in trials):
+        raise DatasetError(
+            f'{path} has no list of trials, each with its name', remedy='record to another folder'
         )
     return dict(document)
 

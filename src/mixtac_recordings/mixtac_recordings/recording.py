@@ -241,6 +241,9 @@ def choose(
     remedy = f'choose one of {", ".join(found)} with playback_{kind}_topic, or none'
     if wanted and wanted not in found:
         raise RecordingError(f'{path} has no {kind} {wanted!r}', remedy=remedy if found else '')
+    if not wanted and len(found) > 1:
+        # What the driver publishes without lens distortion lies beside what it comes from.
+        found = [name for name in found if not name.endswith('_rect')] or found
     if wanted or len(found) < 2:
         return wanted or next(iter(found), None)
     space = beside.rpartition('/')[0]

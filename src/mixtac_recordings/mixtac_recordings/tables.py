@@ -10,6 +10,7 @@ usual names of columns are understood (`COLUMNS`), and HDF5 files in the layout 
 from __future__ import annotations
 
 import contextlib
+import csv
 import itertools
 import re
 import warnings
@@ -49,6 +50,15 @@ KNOWN: Final = frozenset(
 """Columns that are read; all others are passed over."""
 UNITS: Final = {'ns': 1, 'us': 1_000, 'ms': 1_000_000, 's': 1_000_000_000}
 """Units of time [ns]."""
+OTHER_UNITS: Final = {
+    'force': ('N',),
+    'torque': ('N', 'Nm'),
+    'acceleration': ('m',),
+    'angular_velocity': ('rad',),
+}
+"""Units that a heading may name for other columns, by their first word."""
+NAMELESS: Final = ('f', 'force')
+"""Headings that mean the normal force where no other does."""
 ROWS: Final = 100_000
 """Rows that are read at once."""
 _SUFFIX = re.compile(r'(.+)_(ns|us|ms|s)')
@@ -95,7 +105,13 @@ class Tables:
                 )
             for key in ('t', 'exposure_start', 'exposure_end'):
                 if key in rows:
-                    scale = UNITS.get(units.get(key, ''), UNITS[unit])
+                    scale = UNITS[units.get(key, unit)]
+                    if not _fits(rows[key], scale):
+                        raise RecordingError(
+                            f'{self.path}: {name} has times of {rows[key].min()} to '
+                            f'{rows[key].max()} {units.get(key, unit)}',
+                            remedy='give the unit of the times',
+                        )
                     rows[key] = _scaled(rows[key], scale, wanted_ns)
             if name == 'frames' and 'origin' not in rows:
                 rows['origin'] = np.zeros((len(rows['image']), 2), np.int64)
@@ -104,6 +120,12 @@ class Tables:
 
     def _rows(self, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:
         raise NotImplementedError
+
+
+def _fits(t: NDArray[Any], unit_ns: int) -> bool:
+    """Return whether all times are numbers that a stamp of ROS can hold."""
+    largest = 2.0**31 * 1e9 / unit_ns
+    return bool(np.isfinite(t).all() and np.abs(t.astype(np.float64)).max(initial=0) < largest)
 
 
 def _scaled(t: NDArray[Any], unit_ns: int, wanted_ns: int) -> NDArray[np.int64]:
@@ -143,8 +165,12 @@ class _CsvTables(Tables):
     def _rows(self, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:
         path = self._files[name]
         with path.open(encoding='utf8', errors='replace') as file:
-            first = file.readline().lstrip('\ufeff#')
-            names, units = _headings(first)
+            first = next((line for line in file if line.strip(' \ufeff#\r\n')), '').lstrip(
+                '\ufeff#'
+            )
+            if not first:
+                raise RecordingError(f'{path} is empty')
+            names, units = _headings(path, first)
             lines: Iterator[str] = file
             if names is None:
                 names, lines = _unnamed(first), itertools.chain([first], file)
@@ -155,24 +181,52 @@ class _CsvTables(Tables):
                 yield _parsed(path, names, part), units
 
 
-def _headings(line: str) -> tuple[list[str] | None, dict[str, str]]:
-    """Return names and units of columns, None for a row of numbers."""
-    # Units may hold commas, but are quoted then.
-    parts = re.findall(r'"[^"]*"|[^,;\t]+', line.strip())
+def _delimiter(line: str) -> str:
+    return next((each for each in ',;\t' if each in re.sub(r'"[^"]*"', '', line)), ',')
+
+
+def _headings(path: Path, line: str) -> tuple[list[str] | None, dict[str, str]]:
+    """Return names and units of columns, None for a row of numbers.
+
+    Raises:
+        RecordingError: Two columns have one meaning, or the unit of one is not known.
+    """
+    # Units may hold commas, but are quoted then; an index without a heading is a column, too.
+    (parts,) = csv.reader([line.strip('\r\n')], delimiter=_delimiter(line), skipinitialspace=True)
     with contextlib.suppress(ValueError):
         float(parts[0])
         return None, {}
-    names, units = [], {}
+    names: list[str] = []
+    units: dict[str, str] = {}
     for part in parts:
         match = _HEADING.fullmatch(part)
         name = (match[1] if match else part).strip().lower().replace(' ', '_')
         unit = match[2] if match else None
         if unit is None and (suffix := _SUFFIX.fullmatch(name)):
             name, unit = suffix[1], suffix[2]
-        names.append(COLUMNS.get(name, name))
+        names.append(name)
         if unit:
-            units[names[-1]] = unit
-    return names, units
+            units[name] = unit
+    meant = {name: COLUMNS.get(name, name) for name in names}
+    for name in NAMELESS:
+        if list(meant.values()).count('force_z') > 1 and name in meant:
+            meant[name] = f'{name} beside force_z'
+    for name, meaning in meant.items():
+        if meaning in KNOWN and list(map(meant.get, names)).count(meaning) > 1:
+            raise RecordingError(f'{path}: two columns mean {meaning}', remedy=f'rename {name}')
+        _check_unit(path, name, meaning, units.get(name))
+    named = {meant[name]: unit for name, unit in units.items()}
+    return [meant[name] for name in names], named
+
+
+def _check_unit(path: Path, name: str, meaning: str, unit: str | None) -> None:
+    vector = OTHER_UNITS.get(re.sub('_[xyz]$', '', meaning))
+    known = tuple(UNITS) if meaning in {'t', 'exposure_start', 'exposure_end'} else vector
+    if unit and known and unit not in known:
+        raise RecordingError(
+            f'{path}: the unit of {name} is {unit}, not {" or ".join(known)}',
+            remedy='convert the column, or leave the unit out',
+        )
 
 
 def _unnamed(line: str) -> list[str]:
@@ -181,27 +235,35 @@ def _unnamed(line: str) -> list[str]:
 
 
 def _parsed(path: Path, names: list[str], lines: list[str]) -> Rows:
-    delimiter = next((each for each in ',;\t' if each in lines[0]), ',')
+    delimiter = _delimiter(lines[0])
     wanted = {name: index for index, name in enumerate(names) if name in KNOWN}
     # Times of more digits than a float64 holds stay integers.
-    layout = np.dtype(
-        [
-            (name, np.int64 if _whole(lines, delimiter, index) else np.float64)
-            for name, index in wanted.items()
-        ]
-    )
+    whole = {name for name, index in wanted.items() if _whole(lines, delimiter, index)}
     try:
-        with warnings.catch_warnings():
-            # NumPy would cut fractions off with a warning.
-            warnings.simplefilter('error', DeprecationWarning)
-            found = np.loadtxt(
-                lines, layout, delimiter=delimiter, usecols=list(wanted.values()), ndmin=1
-            )
-    except (ValueError, IndexError, DeprecationWarning) as error:
-        raise RecordingError(
-            f'{path} is no table of numbers: {error}', remedy='write fractions in every row or none'
-        ) from error
+        found = _loaded(lines, delimiter, wanted, whole)
+    except (ValueError, IndexError, DeprecationWarning):
+        # A column may have fractions between whole numbers.
+        times = whole & {'t', 'exposure_start', 'exposure_end'}
+        try:
+            found = _loaded(lines, delimiter, wanted, times)
+        except (ValueError, IndexError, DeprecationWarning) as error:
+            raise RecordingError(
+                f'{path} is no table of numbers: {error}',
+                remedy='write fractions of times in every row or none',
+            ) from error
     return {name: np.ascontiguousarray(found[name]) for name in wanted}
+
+
+def _loaded(
+    lines: list[str], delimiter: str, wanted: dict[str, int], whole: set[str]
+) -> NDArray[Any]:
+    """Return columns by name, some of them as integers."""
+    layout = np.dtype([(name, np.int64 if name in whole else np.float64) for name in wanted])
+    columns = list(wanted.values())
+    with warnings.catch_warnings():
+        # NumPy would cut fractions off with a warning.
+        warnings.simplefilter('error', DeprecationWarning)
+        return np.loadtxt(lines, layout, delimiter=delimiter, usecols=columns, ndmin=1)
 
 
 def _whole(lines: list[str], delimiter: str, index: int) -> bool:
@@ -260,7 +322,11 @@ def _sliced(columns: Any, name: str) -> Iterator[tuple[Rows, dict[str, str]]]:  
         for key, each in columns.items()
     }
     units = dict.fromkeys(('exposure_start', 'exposure_end'), 'us')
-    if any(np.ndim(each) == 2 for key, each in columns.items() if key in {'force', 'acceleration'}):
+    exported = any(
+        np.ndim(each) == 2 for key, each in columns.items() if key in {'force', 'acceleration'}
+    )
+    # Seconds are fractions.
+    if exported and np.asarray(columns.get('t', ())[:1]).dtype.kind in 'iu':
         units['t'] = 'ns' if 'force' in columns else 'us'
     key = next((key for key in ('t', 'exposure_start') if key in columns), '')
     count = len(columns[key]) if key else 0

@@ -141,6 +141,17 @@ def test_pixels_become_ten_bits(tmp_path, pixels, encoding, big, expected):
     assert frame.image.tolist() == expected
 
 
+@pytest.mark.parametrize('apart_us', [0, 61_000_000, -61_000_000])
+def test_stamps_on_the_camera_clock_stay_whatever_the_host_clock_says(tmp_path, apart_us):
+    events = some_events(length_us=20_000)
+    with Bag(tmp_path / 'bag') as bag:
+        for start in range(START_US, START_US + 20_000, 10_000):
+            part = events.between(start, start + 10_000)
+            bag.packet(part, start + 9999, stamp_us=start + apart_us)
+        bag.image(np.zeros((260, 346), np.uint16), START_US + 8000)
+    assert read(tmp_path / 'bag').frame_times == [START_US + 8000]
+
+
 def test_host_stamps_of_other_drivers_are_moved_to_the_camera_clock(tmp_path):
     events = some_events(start_us=5000, length_us=20_000)
     with Bag(tmp_path / 'bag') as bag:

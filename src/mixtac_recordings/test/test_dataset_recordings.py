@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import multiprocessing
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
@@ -15,6 +16,7 @@ from mixtac_recordings.dataset import add_recording
 if TYPE_CHECKING:
     from pathlib import Path
 
+LACKING = 'schema: mixtac-recordings\nschema_version: 1\n'
 FIGURES = {'seconds': 2.0, 'simulated': True, 'not_written': 1, 'not_arrived': 3}
 
 
@@ -30,7 +32,26 @@ def test_each_recording_is_one_entry_and_the_same_name_replaces(tmp_path: Path):
     assert (first['simulated'], first['not_written'], first['not_arrived']) == (True, 1, 3)
 
 
-@pytest.mark.parametrize('text', ['schema: mixtac-dataset', '[1', 'schema: mixtac-recordings'])
+def _record(path: Path, barrier: Any) -> None:
+    barrier.wait()
+    add_recording(path, FIGURES, profile='', split='')
+
+
+def test_recordings_that_end_together_are_all_kept(tmp_path: Path):
+    context = multiprocessing.get_context('fork')
+    barrier, names = context.Barrier(4), [f'bag{k}' for k in range(4)]
+    ended = [context.Process(target=_record, args=(tmp_path / n, barrier)) for n in names]
+    for each in ended:
+        each.start()
+    for each in ended:
+        each.join()
+    document = yaml.safe_load((tmp_path / 'dataset.yaml').read_text())
+    assert sorted(each['name'] for each in document['trials']) == names
+
+
+@pytest.mark.parametrize(
+    'text', ['schema: mixtac-dataset', '[1', 'schema: mixtac-recordings', LACKING]
+)
 def test_another_file_of_that_name_is_left_alone(tmp_path: Path, text: str):
     path = tmp_path / 'dataset.yaml'
     path.write_text(text)

@@ -164,6 +164,65 @@ def test_bad_tables_are_refused_and_leave_nothing(tmp_path: Path, text: str):
     assert [each.name for each in tmp_path.iterdir()] == ['events.csv']
 
 
+def imported_forces(folder: Path, table: Path, **options: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return stamps [ns] and normal forces of a table that is imported beside events."""
+    info = RecordingInfo(folder, 'test', 'DAVIS', 346, 260, 0, START_US, 90_000, ())
+    fill(Aedat4Sink(folder, info), forces=False)
+    bag = folder / 'bag'
+    given = TableOptions(**options)
+    import_recording(folder / 'recording.aedat4', bag, forces=table, options=given)
+    return forces(bag)
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        ',t,fz\n0,0,1.5\n1,0.5,2.5\n',
+        't,,fz\n0,7,1.5\n0.5,8,2.5\n',
+        't,fx,fy,fz,f\n0,3,4,1.5,9\n0.5,3,4,2.5,9\n',
+        'f;t (ms)\n1.5;0\n2.5;500\n',
+        '\n\nt,"force_z [N]"\n0,1.5\n0.5,2.5\n',
+    ],
+    ids=['index', 'blank heading', 'norm beside', 'force alone', 'blank lines'],
+)
+def test_columns_are_found_by_their_headings(tmp_path: Path, text: str):
+    (tmp_path / 'forces.csv').write_text(text)
+    stamps, force = imported_forces(tmp_path, tmp_path / 'forces.csv')
+    assert stamps.tolist() == [0, 500_000_000]
+    assert force.tolist() == [1.5, 2.5]
+
+
+def test_whole_numbers_at_both_ends_of_a_column_are_no_rule(tmp_path: Path):
+    (tmp_path / 'forces.csv').write_text('t,fz\n0,0\n0.5,0.25\n1.0,0\n')
+    assert imported_forces(tmp_path, tmp_path / 'forces.csv')[1].tolist() == [0.0, 0.25, 0.0]
+
+
+def test_vectors_of_forces_in_seconds_stay_in_seconds(tmp_path: Path):
+    t = np.array([0.0, 0.25, 0.5])
+    np.savez(tmp_path / 'forces.npz', t=t, force=np.array([[0, 0, f] for f in (1.0, 2.0, 3.0)]))
+    stamps, force = imported_forces(tmp_path, tmp_path / 'forces.npz', force_unit='s')
+    assert stamps.tolist() == [0, 250_000_000, 500_000_000]
+    assert force.tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        '',
+        'Time (msec),fz\n0,1\n',
+        't,fz [mN]\n0,1\n',
+        't,fz,force_z\n0,1,2\n',
+        't,fz\n1700000000000000000,1\n',
+        't,fz\nnan,1\n',
+    ],
+    ids=['empty', 'unit of time', 'unit of force', 'twice', 'nanoseconds', 'no number'],
+)
+def test_tables_that_could_be_misread_are_refused(tmp_path: Path, text: str):
+    (tmp_path / 'forces.csv').write_text(text)
+    with pytest.raises(RecordingError):
+        imported_forces(tmp_path, tmp_path / 'forces.csv')
+
+
 def test_an_array_that_is_no_npz_is_refused(tmp_path: Path):
     path = tmp_path / 'events.npz'
     with path.open('wb') as file:

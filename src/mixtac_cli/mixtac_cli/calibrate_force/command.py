@@ -119,12 +119,13 @@ def calibrate_force(
     if sideways is not None:
         entry['sideways'] = sideways_entry(sideways, calibration.gain)
         _report_pulls(console, sideways, calibration.gain)
-    if figure is not None:
-        draw(figure, session, calibration, entry)
-        console.print(f'drawn: {figure}')
+    # The weights first: the procedure took its time.
     save_calibrated(out, content, calibration, entry, sideways)
     console.print(f'wrote {out}; name it as `model` of fger in a parameter file')
     write_json(json, {'model': str(start), 'out': str(out), 'device': device} | entry)
+    if figure is not None:
+        draw(figure, session, calibration, entry)
+        console.print(f'drawn: {figure}')
 
 
 def parse_loads(text: str) -> list[float]:

@@ -24,7 +24,15 @@ from mixtac_cli.record.meter import EVEN, RecordingSummary, TopicMeter
 from mixtac_events.errors import MixtacError
 from mixtac_node.base_node import declare, run
 from mixtac_node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from mixtac_node.topics import DEFAULT_NAMESPACE, FORCE, IMAGE_RAW, IMU, REFERENCE, TOPICS
+from mixtac_node.topics import (
+    DEFAULT_NAMESPACE,
+    FORCE,
+    IMAGE_RAW,
+    IMU,
+    REFERENCE,
+    REFERENCE_WRENCH,
+    TOPICS,
+)
 from mixtac_recordings.bag_writer import BagWriter
 from mixtac_recordings.dataset import FILE_NAME, add_recording, read_recordings
 from mixtac_recordings.recording import RecordingError
@@ -76,6 +84,13 @@ class Listener(CommandNode):
                 raise RecordingError(
                     f'no topic {name} to exclude', remedy=f'choose from {", ".join(sorted(names))}'
                 )
+        namespace = self.get_namespace()
+        own = {each.resolved(namespace) for each in TOPICS if each.name != REFERENCE}
+        if replace(REFERENCE_WRENCH, name=reference_topic).resolved(namespace) in own:
+            raise RecordingError(
+                f'{reference_topic} is a topic of the sensor, not of its reference',
+                remedy='name the topic of the reference force sensor',
+            )
         for each in TOPICS:
             if each.name in exclude:
                 continue
@@ -112,14 +127,18 @@ class Listener(CommandNode):
             RecordingError: The folder exists already or cannot be made.
         """
         writer = BagWriter(output)
-        for meter in self.meters:
-            meter.restart()
-            topic = meter.topic
-            self._connections[topic.name] = writer.add_topic(
-                topic.resolved(self.get_namespace()),
-                topic.type_name,
-                latched=topic.latched,
-            )
+        try:
+            for meter in self.meters:
+                meter.restart()
+                topic = meter.topic
+                self._connections[topic.name] = writer.add_topic(
+                    topic.resolved(self.get_namespace()),
+                    topic.type_name,
+                    latched=topic.latched,
+                )
+        except Exception:
+            writer.close()
+            raise
         self._began_ns = time.time_ns()
         self.writer = writer
 

@@ -18,7 +18,7 @@ from rich.live import Live
 from rich.table import Table
 
 from mixtac_cli.doctor import table
-from mixtac_cli.options import JsonFile, Namespace, Split
+from mixtac_cli.options import JsonFile, Namespace, Split, check_topic
 from mixtac_cli.record.meter import RecordingSummary, TopicMeter
 from mixtac_cli.record.recorder_node import Listener
 from mixtac_driver.doctor.computer import Finding, Level, ok
@@ -49,7 +49,8 @@ def record(
     ] = 0,
     namespace: Namespace = DEFAULT_NAMESPACE,
     reference_topic: Annotated[
-        str, typer.Option(help='Topic of the reference force (WrenchStamped).')
+        str,
+        typer.Option(help='Topic of the reference force (WrenchStamped).', callback=check_topic),
     ] = REFERENCE,
     profile: Annotated[
         str, typer.Option(help='Kind of motion, for dataset.yaml, for example static.')
