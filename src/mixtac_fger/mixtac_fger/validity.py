@@ -92,6 +92,10 @@ MOST_SHADING, MOST_UNEVENNESS = 0.17, 0.03
 """Without a fault up to 0.12 and 0.0125 [log units]."""
 MOST_SHIFT = 0.08
 """Without a fault up to 0.051 bins; a bin has four pixels."""
+SHADING_MOVED, SHIFT_MOVED = 0.06, 0.01
+"""What both may be more per bin that a tile has moved: large displacements are found too small, and
+a strong pull brings a shading of 0.19 where it moves a tile by 1.15 bins, a blow a shift of 0.082
+where it moves one by 1.7."""
 STRONG_BINS = 10
 """Bins with a strong change from which on events have to tell of it; of twice as many it counts
 twice."""
@@ -462,9 +466,13 @@ class Release:
 def picture_findings(picture: PictureFigures) -> set[Reason]:
     """Return what is wrong with a picture; nothing below any contact."""
     found = set()
-    if picture.shading > MOST_SHADING or picture.unevenness > MOST_UNEVENNESS:
+    moved = picture.displacement
+    if (
+        picture.shading > MOST_SHADING + SHADING_MOVED * moved
+        or picture.unevenness > MOST_UNEVENNESS
+    ):
         found.add(Reason.LIGHT_CHANGED)
-    if picture.shift > MOST_SHIFT:
+    if picture.shift > MOST_SHIFT + SHIFT_MOVED * moved:
         found.add(Reason.CAMERA_MOVED)
     unlike = picture.likeness < LEAST_LIKENESS
     if unlike or picture.fading < LEAST_FADING or picture.roughness > MOST_ROUGHNESS:

@@ -153,6 +153,14 @@ def test_a_trial_without_a_fault_is_trusted(trial, encoded, frames):
     assert set(follow(trial, encoded, trial.events, frames)) == {Reason.TRUSTED}
 
 
+def test_what_a_strong_pull_moves_is_neither_light_nor_the_camera(encoded, trial):
+    picture = encoded(trial.frames[0]).picture
+    still, moved = (picture._replace(shading=0.19, shift=0.09, displacement=d) for d in (0.0, 1.2))
+    assert picture_findings(still) == {Reason.LIGHT_CHANGED, Reason.CAMERA_MOVED}
+    assert picture_findings(moved) == set()
+    assert Reason.LIGHT_CHANGED in picture_findings(moved._replace(shading=0.3))
+
+
 def told_by_events(before: np.ndarray, after: np.ndarray, start_us: int, seed: int) -> Events:
     """Return the events of a change of log contrast with a threshold of 0.4, in 40 ms."""
     random = np.random.default_rng(seed)
