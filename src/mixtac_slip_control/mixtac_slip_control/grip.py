@@ -98,18 +98,21 @@ class GripMargin:
         """Use other parameters; what was learned since the start stays."""
         self._parameters = parameters
         if not (self._held or self.slips):
-            self.start()
+            self._guess()
 
     def start(self) -> None:
         """Begin with another grasp: nothing is known of its friction."""
-        p = self._parameters
         self.normal = self.pull = 0.0
         self.slips = 0
-        self._mean, self._variance = math.log(p.friction), p.friction_deviation**2
+        self._guess()
         self._held = self._ratio = self._rest_s = 0.0
         self._stamp_us: int | None = None
         self._slip_us: int | None = None
         self._peak = 0.0
+
+    def _guess(self) -> None:
+        p = self._parameters
+        self._mean, self._variance = math.log(p.friction), p.friction_deviation**2
 
     @property
     def known(self) -> bool:
@@ -271,15 +274,14 @@ class GripperGoal:
         self._slipped |= slipping
         if self._sent_us is not None and 0 <= stamp_us - self._sent_us < 1e6 * period_s - 1.0:
             return None
-        by_speed = p.gripper == 'speed'
+        by_speed, slipped, self._slipped = p.gripper == 'speed', self._slipped, False
         if not trusted or force_n is None or not self._grip.normal > LEAST_NORMAL:
             if trusted:
                 self.start()
             self._sent_us = stamp_us
             return 0.0 if by_speed else None
         self._sent_us = stamp_us
-        wanted = p.max_grip_force if self._slipped else self._grip.wanted(self._grip.normal)
-        self._slipped = False
+        wanted = p.max_grip_force if slipped else self._grip.wanted(self._grip.normal)
         self._goal = min(max(self._goal, wanted), p.max_grip_force)
         if not by_speed:
             return self._goal
