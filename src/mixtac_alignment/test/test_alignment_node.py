@@ -63,10 +63,11 @@ class Peer:
         from mixtac_node.base_node import QOS_FORCE
 
         heard = self.graph.listen(self._wrench, '/mixtac/reference/wrench', QOS_FORCE)
-        sent_s = float(case.reference_s(np.array(3.0)))
+        # Not before what was sent: that would be a clock that starts anew.
+        sent_s = float(case.reference_s(np.array(7.0)))
         self.graph.spin_until(lambda: heard, lambda: self._send_force(sent_s, 0.5))
         stamp = heard[0].header.stamp
-        assert abs(stamp.sec * 1e6 + stamp.nanosec / 1e3 - float(case.camera_us(3.0))) < 2000.0
+        assert abs(stamp.sec * 1e6 + stamp.nanosec / 1e3 - float(case.camera_us(7.0))) < 2000.0
 
     def play(
         self, t_us: np.ndarray, force_s: np.ndarray, force: np.ndarray, pause_s: float

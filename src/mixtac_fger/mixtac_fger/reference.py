@@ -100,6 +100,11 @@ class Reference:
         return self._known or self.assume_free
 
     @property
+    def kept(self) -> bool:
+        """Whether it is stored or tared, and not made of the first frames of this stream."""
+        return self._known
+
+    @property
     def number(self) -> int:
         """How many references there have been, this one included."""
         return self._number

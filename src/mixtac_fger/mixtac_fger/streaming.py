@@ -566,7 +566,9 @@ class ForceEstimator:
             # Exposed before events were lost, or compared with a reference that was replaced.
             self._count.frames_dropped += 1
             return
-        if self._frame is None:
+        kept = reference is not None and reference.kept
+        if self._frame is None and (kept or self._since_us > -NO_LIMIT_US):
+            # Something may touch the sensor already.
             self._check(frame, None)
             self._estimator.start_at(frame)
         else:
